@@ -1,0 +1,271 @@
+"""Strict YAML: a file becomes a checked model, or one line `file:line:column: key: what, what is allowed`.
+
+YAML 1.2 core schema (so `1e-05` is a number and `on` is a text), read with PyYAML's composer for the
+line numbers. Refused: unknown or repeated keys, other types, NaN and infinities, tags of anything else.
+"""
+
+import difflib
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Annotated, Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticCustomError
+from yaml.composer import Composer
+from yaml.parser import Parser
+from yaml.reader import Reader
+from yaml.resolver import BaseResolver
+from yaml.scanner import Scanner
+
+from lidarcfg.errors import ConfigError
+
+Key = tuple[str | int, ...]  # where in the file: ("sensors", 0, "model")
+Vec3 = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+NODES_MAX = 1_000_000  # more than that is an alias bomb, not a configuration
+
+
+class Model(BaseModel):
+    """A part of a file: frozen, every key known, every type exact, every number finite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+M = TypeVar("M", bound=Model)
+
+
+def fault(what: str, *at: str | int) -> PydanticCustomError:
+    """For a model's validators: the error `what`, at the key `at` below the model."""
+    return PydanticCustomError("fault", "{what}", {"what": what, "at": at})
+
+
+class _Resolver(BaseResolver):
+    """Plain scalars by the YAML 1.2 core schema."""
+
+
+_TAG = "tag:yaml.org,2002:"
+_PLAIN = {
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    "bool": (r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    "int": (r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", list("-+0123456789")),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?(\.inf|\.Inf|\.INF)|\.nan|\.NaN|\.NAN",
+        list("-+0123456789."),
+    ),
+}
+for _kind, (_pattern, _first) in _PLAIN.items():
+    _Resolver.add_implicit_resolver(_TAG + _kind, re.compile(rf"^(?:{_pattern})$"), _first)
+
+
+class _Loader(Reader, Scanner, Parser, Composer, _Resolver):
+    def __init__(self, text: str) -> None:
+        Reader.__init__(self, text)
+        Scanner.__init__(self)
+        Parser.__init__(self)
+        Composer.__init__(self)
+        _Resolver.__init__(self)
+
+
+class _Document:
+    """One YAML text as plain values, with the place of each key."""
+
+    def __init__(self, text: str, name: str) -> None:
+        self.name = name
+        self.places: dict[Key, tuple[int, int]] = {}
+        self._nodes = 0
+        try:
+            root = _Loader(text).get_single_node()
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
+            what = " ".join(str(error.problem or error.context or "not YAML").split())
+            raise ConfigError(f"{name}:{place}: not YAML: {what}") from None
+        except (yaml.YAMLError, ValueError) as error:
+            raise ConfigError(f"{name}:1:1: not YAML: {' '.join(str(error).split())}") from None
+        except RecursionError:
+            raise ConfigError(f"{name}:1:1: nested too deeply") from None
+        if root is None:
+            raise ConfigError(f"{name}:1:1: the file is empty")
+        self.value = self._value(root, (), ())
+
+    def error(self, key: Key, what: str) -> ConfigError:
+        """An error at the nearest place that the file has for `key`."""
+        known = key
+        while known and known not in self.places:
+            known = known[:-1]
+        line, column = self.places.get(known, (1, 1))
+        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
+        return ConfigError(f"{self.name}:{line}:{column}: {path + ': ' if path else ''}{what}")
+
+    def _value(self, node: yaml.Node, key: Key, parents: tuple[int, ...]) -> Any:
+        self._nodes += 1
+        self.places.setdefault(key, (node.start_mark.line + 1, node.start_mark.column + 1))
+        if id(node) in parents or self._nodes > NODES_MAX:
+            raise self.error(key, "an alias inside itself, or too many of them")
+        if len(parents) > 50:
+            raise self.error(key, "nested too deeply")
+        parents = (*parents, id(node))
+        if isinstance(node, yaml.MappingNode) and node.tag == _TAG + "map":
+            return self._mapping(node, key, parents)
+        if isinstance(node, yaml.SequenceNode) and node.tag == _TAG + "seq":
+            return tuple(self._value(child, (*key, i), parents) for i, child in enumerate(node.value))
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node, key)
+        raise self.error(key, f"tag {node.tag!r} is not allowed; allowed are plain values, lists and maps")
+
+    def _mapping(self, node: yaml.MappingNode, key: Key, parents: tuple[int, ...]) -> dict[str, Any]:
+        out: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            name = self._value(key_node, (*key, "(key)"), parents)
+            self.places.pop((*key, "(key)"), None)
+            place = key_node.start_mark.line + 1, key_node.start_mark.column + 1
+            if not isinstance(name, str):
+                self.places[(*key, str(name))] = place
+                raise self.error((*key, str(name)), "is not a text; a key must be one")
+            if name in out:
+                first = self.places[(*key, name)][0]
+                self.places[(*key, name)] = place
+                raise self.error((*key, name), f"repeated key; it was given on line {first}")
+            self.places[(*key, name)] = place
+            out[name] = self._value(value_node, (*key, name), parents)
+        return out
+
+    def _scalar(self, node: yaml.ScalarNode, key: Key) -> Any:
+        text, kind = node.value, node.tag.removeprefix(_TAG)
+        try:
+            if kind == "str":
+                return text
+            if kind == "null":
+                return None
+            if kind == "bool":
+                return {"true": True, "false": False}[text.lower()]
+            if kind == "int":
+                return int(text, 8 if text.startswith("0o") else 16 if text.startswith("0x") else 10)
+            if kind == "float":
+                number = float(re.sub(r"\.(inf|nan)", r"\1", text.lower()))
+                if not math.isfinite(number):
+                    raise self.error(key, f"{text} is not a finite number")
+                return number
+        except (ValueError, KeyError):
+            raise self.error(key, f"{text[:40]!r} is not a value of type {kind}") from None
+        raise self.error(key, f"tag {node.tag!r} is not allowed; allowed are plain values, lists and maps")
+
+
+def load(path: str | Path, model: type[M]) -> M:
+    """The file at `path` as a `model`. Raises ConfigError with file, line, column and key."""
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}:1:1: not text in UTF-8 (byte {error.start})") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    return loads(text, model, str(path))
+
+
+def loads(text: str, model: type[M], name: str) -> M:
+    """The text of a file called `name` as a `model`. Raises ConfigError."""
+    document = _Document(text, name)
+    try:
+        return model.model_validate(document.value)
+    except ValidationError as error:
+        raise _first_error(document, error, model) from None
+    except (OverflowError, RecursionError) as error:
+        raise ConfigError(f"{name}:1:1: {error}") from None
+
+
+def _first_error(document: _Document, error: ValidationError, model: type[Model]) -> ConfigError:
+    """The error that stands first in the file, with a count of the others."""
+
+    def place(item: Any) -> tuple[int, int]:
+        key = _key(item)
+        while key and key not in document.places:
+            key = key[:-1]
+        return document.places.get(key, (0, 0))
+
+    errors = error.errors(include_url=False)
+    keys = [_key(item) for item in errors]
+    # a list whose item is wrong is told "too short" as well: only the item is the user's mistake
+    items = [
+        item
+        for item, key in zip(errors, keys, strict=True)
+        if item["type"] != "too_short" or not any(len(k) > len(key) and k[: len(key)] == key for k in keys)
+    ]
+    items.sort(key=lambda item: (item["type"] == "missing", place(item)))
+    more = f" (and {len(items) - 1} more)" if len(items) > 1 else ""
+    return document.error(_key(items[0]), _message(items[0], model) + more)
+
+
+def _key(item: Any) -> Key:
+    return (*item["loc"], *item.get("ctx", {}).get("at", ()))
+
+
+def _message(item: Any, model: type[Model]) -> str:
+    kind, got = item["type"], item.get("input")
+    if kind == "fault":
+        return str(item["msg"])
+    if kind == "extra_forbidden":
+        return _unknown_key(str(item["loc"][-1]), list(_model_at(model, item["loc"][:-1]).model_fields))
+    if kind == "missing":
+        return "missing"
+    if kind in ("too_short", "too_long"):
+        least, most = item["ctx"].get("min_length"), item["ctx"].get("max_length")
+        allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
+        return f"has {item['ctx']['actual_length']} values; allowed: {allowed}"
+    msg = item["msg"]
+    if kind in ("model_type", "dict_type"):
+        msg = "should be a map of keys"
+    msg = msg.replace("Input should", "should").replace("tuple", "list").replace("Tuple", "list")
+    if isinstance(got, dict | tuple):
+        got = "a map" if isinstance(got, dict) else f"a list of {len(got)}"
+    else:
+        got = repr(got)[:60]
+    return f"{got} {msg[0].lower()}{msg[1:]}"
+
+
+def _unknown_key(name: str, allowed: list[str]) -> str:
+    unit = [known for known in allowed if known.startswith(name + "_")]
+    if unit:
+        return f"unknown key without a unit; allowed: {', '.join(unit)}"
+    close = difflib.get_close_matches(name, allowed, 1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"unknown key; {hint}allowed: {', '.join(allowed)}"
+
+
+def _model_at(model: type[Model], loc: Key) -> type[Model]:
+    """The model that stands at `loc` inside `model`, found by walking the annotations."""
+    found: Any = model
+    for part in loc:
+        if isinstance(part, str) and isinstance(found, type) and issubclass(found, Model):
+            found = found.model_fields[part].annotation
+        found = next(_models(found), found)
+    return found if isinstance(found, type) and issubclass(found, Model) else model
+
+
+def _models(annotation: Any) -> Iterator[type[Model]]:
+    if isinstance(annotation, type) and issubclass(annotation, Model):
+        yield annotation
+    for argument in getattr(annotation, "__args__", ()):
+        yield from _models(argument)
+
+
+@contextmanager
+def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
+    """A file to write that takes the place of `path` only when whole: a killed run leaves the old one."""
+    path = Path(path)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    try:
+        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
+            yield file
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

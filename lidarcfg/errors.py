@@ -1,0 +1,21 @@
+"""What can go wrong by the user's hand: each error is one line that says where, what, and what is allowed."""
+
+
+class LidarcfgError(Exception):
+    """The user's mistake, told in one line. The command line prints it and ends with 2."""
+
+
+class ConfigError(LidarcfgError):
+    """A file of ours (sensor, rig, study, scene) does not say something that is allowed."""
+
+
+class SceneError(LidarcfgError):
+    """A scene cannot be built from what its file names, for example an unreadable mesh."""
+
+
+class PacketError(LidarcfgError):
+    """A capture is not what it should be: no pcap, no LiDAR packets, another model."""
+
+
+class CloudError(LidarcfgError):
+    """A point cloud cannot be read, written or shown."""

@@ -1,0 +1,58 @@
+"""Rigid motions as 4×4 arrays, and the frames (ROS REP-103: x forward, y left, z up; metres).
+
+The only place that knows the order of the angles: R = Rz(yaw) Ry(pitch) Rx(roll), proper and orthonormal.
+(The paper prints two signs wrong in its matrix; this is the one it means.)
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def rotation(rpy_rad: Sequence[float] | Array) -> Array:
+    """R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) from roll, pitch, yaw in radians."""
+    roll, pitch, yaw = (float(angle) for angle in rpy_rad)
+    cr, sr = np.cos(roll), np.sin(roll)
+    cp, sp = np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def pose(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Array:
+    """T_parent_child (4, 4): child → parent, from the child's position and angles in the parent."""
+    T = np.eye(4)
+    T[:3, :3] = rotation(rpy_rad)
+    T[:3, 3] = position_m
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """The inverse of a rigid motion (4, 4)."""
+    R = T[:3, :3]
+    out = np.eye(4)
+    out[:3, :3] = R.T
+    out[:3, 3] = -R.T @ T[:3, 3]
+    return out
+
+
+def transform(T: Array, points: ArrayLike) -> Array:
+    """Points (N, 3) moved by T (4, 4), in float64."""
+    return np.asarray(points, np.float64) @ T[:3, :3].T + T[:3, 3]
+
+
+def directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Array:
+    """Unit vectors (N, 3) in the sensor frame; the maker's azimuth turns clockwise seen from above."""
+    azimuth, elevation = np.asarray(azimuth_rad), np.asarray(elevation_rad)
+    flat = np.cos(elevation)
+    return np.stack(
+        [flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], axis=-1
+    )

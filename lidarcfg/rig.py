@@ -1,0 +1,201 @@
+"""A rig: sensors mounted on a vehicle, each with its pose and its place on the network."""
+
+import ipaddress
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import yaml
+from pydantic import Field, model_validator
+
+from lidarcfg.config import Model, Positive, Vec3, fault, load, replacing
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array, pose
+from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
+
+Port = Annotated[int, Field(ge=1, le=65535)]
+ReturnMode = Literal["strongest"]
+FIRST_HOST = ipaddress.IPv4Address("192.168.1.201")
+DATA_PORT, TELEMETRY_PORT = 2368, 8308
+
+
+class MountFile(Model):
+    """One sensor of a rig, as its file says it."""
+
+    name: Annotated[str, Field(min_length=1)]
+    model: str | None = None
+    elevation_deg: tuple[float, ...] | None = None
+    position_m: Vec3
+    rpy_rad: Vec3 | None = None
+    rpy_deg: Vec3 | None = None
+    host: str | None = None
+    data_port: Port = DATA_PORT
+    telemetry_port: Port = TELEMETRY_PORT
+    rpm: Positive = 600.0
+    return_mode: ReturnMode = "strongest"
+
+    @model_validator(mode="after")
+    def _check(self) -> "MountFile":
+        one_of(self, "model", "elevation_deg")
+        if self.rpy_rad is not None and self.rpy_deg is not None:
+            raise fault("stands beside rpy_rad; give one of them", "rpy_deg")
+        if self.host is not None:
+            try:
+                ipaddress.IPv4Address(self.host)
+            except ValueError:
+                raise fault(f"{self.host!r} is not an IPv4 address such as {FIRST_HOST}", "host") from None
+        return self
+
+
+class RigFile(Model):
+    """A rig, as its file says it."""
+
+    name: Annotated[str, Field(min_length=1)]
+    sensors: Annotated[tuple[MountFile, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check(self) -> "RigFile":
+        names = [mount.name for mount in self.sensors]
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                raise fault(f"{name!r} is a sensor already; each name may stand once", "sensors", i, "name")
+        return self
+
+
+def one_of(model: Model, key: str, other: str) -> None:
+    """A model's validator: exactly one of two keys is given."""
+    given = [k for k in (key, other) if getattr(model, k) is not None]
+    if len(given) == 2:
+        raise fault(f"stands beside {key}; give one of them", other)
+    if not given:
+        raise fault(f"missing; give {key} or {other}")
+
+
+def angles_rad(rpy_rad: Vec3 | None, rpy_deg: Vec3 | None) -> Vec3:
+    """Roll, pitch, yaw in radians from whichever is given; zero if none is."""
+    if rpy_deg is None:
+        return rpy_rad or (0.0, 0.0, 0.0)
+    roll, pitch, yaw = (math.radians(angle) for angle in rpy_deg)
+    return roll, pitch, yaw
+
+
+@dataclass(frozen=True)
+class Mount:
+    """A sensor on the vehicle."""
+
+    name: str
+    sensor: Sensor
+    position_m: Vec3  # of the sensor's origin in the vehicle frame
+    rpy_rad: Vec3  # roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll)
+    model: str | None  # what a file calls the sensor; None: its beams stand inline
+    host: str  # the address it sends from
+    data_port: int
+    telemetry_port: int
+    rpm: float
+    return_mode: ReturnMode
+
+    @property
+    def T_vehicle_sensor(self) -> Array:  # noqa: N802
+        """(4, 4), sensor → vehicle."""
+        return pose(self.position_m, self.rpy_rad)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Sensors mounted on a vehicle."""
+
+    name: str
+    mounts: tuple[Mount, ...]
+
+
+def resolve_sensor(
+    model: str | None, elevation_deg: tuple[float, ...] | None, base: Path
+) -> tuple[Sensor, str | None]:
+    """The sensor that a file in the folder `base` means, and its model as a name or an absolute path."""
+    if elevation_deg is not None:
+        return custom_sensor(elevation_deg), None
+    assert model is not None
+    sensor = load_sensor(model, base)
+    return sensor, model if model in catalogue() else str((base / model).resolve())
+
+
+def default_host(index: int) -> str:
+    """The address of the rig's sensor number `index` where its file gives none: 192.168.1.201 and on."""
+    host = FIRST_HOST + index
+    if host > ipaddress.IPv4Address("192.168.1.254"):
+        raise ConfigError(f"sensor {index}: no default address is left after 192.168.1.254; give a host")
+    return str(host)
+
+
+def load_rig(path: str | Path) -> Rig:
+    """The rig in a YAML file. Raises ConfigError with file, line and key."""
+    path = Path(path)
+    file = load(path, RigFile)
+    mounts = []
+    for i, mount in enumerate(file.sensors):
+        try:
+            sensor, model = resolve_sensor(mount.model, mount.elevation_deg, path.parent)
+            host = mount.host or default_host(i)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: sensors[{i}]: {error}") from None
+        if sensor.rotation and not sensor.rotation.rpm_min <= mount.rpm <= sensor.rotation.rpm_max:
+            allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
+            raise ConfigError(f"{path}: sensors[{i}].rpm: {mount.rpm:g} is outside {sensor.name}'s {allowed}")
+        mounts.append(
+            Mount(
+                name=mount.name,
+                sensor=sensor,
+                position_m=mount.position_m,
+                rpy_rad=angles_rad(mount.rpy_rad, mount.rpy_deg),
+                model=model,
+                host=host,
+                data_port=mount.data_port,
+                telemetry_port=mount.telemetry_port,
+                rpm=mount.rpm,
+                return_mode=mount.return_mode,
+            )
+        )
+    endpoints = [(mount.host, mount.data_port) for mount in mounts]
+    for i, endpoint in enumerate(endpoints):
+        if endpoint in endpoints[:i]:
+            other = mounts[endpoints.index(endpoint)].name
+            raise ConfigError(
+                f"{path}: sensors[{i}]: {endpoint[0]}:{endpoint[1]} is {other!r}'s; give each sensor its own"
+            )
+    return Rig(file.name, tuple(mounts))
+
+
+def rig_to_dict(rig: Rig, base: Path = Path()) -> dict[str, object]:
+    """The rig as its file in the folder `base` would say it."""
+    sensors = []
+    for mount in rig.mounts:
+        beams: dict[str, object]
+        if mount.model is None:
+            beams = {"elevation_deg": list(mount.sensor.beams.elevation_deg)}
+        elif mount.model in catalogue():
+            beams = {"model": mount.model}
+        else:
+            beams = {"model": os.path.relpath(mount.model, base)}
+        sensors.append(
+            {
+                "name": mount.name,
+                **beams,
+                "position_m": list(mount.position_m),
+                "rpy_rad": list(mount.rpy_rad),
+                "host": mount.host,
+                "data_port": mount.data_port,
+                "telemetry_port": mount.telemetry_port,
+                "rpm": mount.rpm,
+                "return_mode": mount.return_mode,
+            }
+        )
+    return {"name": rig.name, "sensors": sensors}
+
+
+def save_rig(rig: Rig, path: str | Path) -> None:
+    """Write the rig as YAML; floats are written so that they read back bit for bit."""
+    path = Path(path)
+    with replacing(path) as file:
+        yaml.safe_dump(rig_to_dict(rig, path.parent.resolve()), file, sort_keys=False, width=110)

@@ -1,0 +1,200 @@
+"""A sensor model: its beams, its firing times and the facts of its packets, all from one YAML file.
+
+The files in `sensors/` are the only home of beam tables: optimiser, simulator, encoder and decoder read them.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from lidarcfg.config import Model, Positive, fault, load
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+
+Byte = Annotated[int, Field(ge=0, le=255)]
+Word = Annotated[int, Field(ge=0, le=65535)]
+Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
+
+
+class Beams(Model):
+    """The lasers by their id, which is their place in the packet."""
+
+    source: str = ""
+    elevation_deg: Annotated[tuple[float, ...], Field(min_length=1)]
+    azimuth_offset_deg: tuple[float, ...] = ()  # added to the head's azimuth; none: all zero
+    vertical_offset_mm: tuple[float, ...] = ()  # added to z after r sin(elevation); none: all zero
+
+    @field_validator("elevation_deg")
+    @classmethod
+    def _check_elevation(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        for i, angle in enumerate(value):
+            if not -90 <= angle <= 90:
+                raise fault(f"{angle} is outside the allowed -90 to 90", i)
+            if angle in value[:i]:
+                raise fault(f"{angle} is beam {value.index(angle)} already; each may stand once", i)
+        return value
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> "Beams":
+        for key in ("azimuth_offset_deg", "vertical_offset_mm"):
+            if len(getattr(self, key)) not in (0, len(self.elevation_deg)):
+                count = len(getattr(self, key))
+                raise fault(f"has {count} values; allowed: {len(self.elevation_deg)}, one a beam", key)
+        return self
+
+
+class Firing(Model):
+    """When each laser fires within a firing sequence."""
+
+    source: str
+    offset_ns: tuple[Nanoseconds, ...]  # by laser id, from the sequence's first firing
+    sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one sequence to the next
+
+
+class Rotation(Model):
+    """How fast the head turns."""
+
+    source: str
+    rpm_min: Positive
+    rpm_max: Positive
+    rpm_step: Positive
+
+
+class Range(Model):
+    """What distances the sensor measures."""
+
+    source: str
+    min_m: Annotated[float, Field(ge=0)]
+    max_m: Positive
+    resolution_m: Positive  # one unit on the wire
+    accuracy_m: Positive  # typical
+
+
+class Optics(Model):
+    """The laser light."""
+
+    source: str
+    wavelength_nm: Positive
+    divergence_mrad: tuple[Positive, Positive]  # horizontal, vertical
+
+
+class ReturnModes(Model):
+    """The codes in the packet's return mode byte."""
+
+    strongest: Byte
+    last: Byte
+    dual: Byte
+
+
+class Packet(Model):
+    """The facts of the data packet (1206 bytes: 12 blocks of 32 returns)."""
+
+    source: str
+    product_id: Byte
+    block_flags: Annotated[tuple[Word, ...], Field(min_length=1)]  # by group of 32 lasers
+    sequences_per_block: Annotated[int, Field(ge=1, le=32)]
+    return_modes: ReturnModes
+
+
+class PositionPacket(Model):
+    """The facts of the position packet (512 bytes with an NMEA sentence)."""
+
+    source: str
+    rate_hz: Positive
+
+
+class Sensor(Model):
+    """A sensor model. `firing` and the rest may be missing: such a sensor is good for placement only."""
+
+    name: Annotated[str, Field(min_length=1)]
+    maker: str = ""
+    description: str = ""
+    beams: Beams
+    firing: Firing | None = None
+    rotation: Rotation | None = None
+    range: Range | None = None
+    optics: Optics | None = None
+    packet: Packet | None = None
+    position_packet: PositionPacket | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "Sensor":
+        if self.firing and len(self.firing.offset_ns) != self.count:
+            what = f"has {len(self.firing.offset_ns)} values; allowed: {self.count}, one a beam"
+            raise fault(what, "firing", "offset_ns")
+        if self.firing and max(self.firing.offset_ns) >= self.firing.sequence_ns:
+            raise fault(
+                f"a firing lies beyond the sequence's {self.firing.sequence_ns} ns", "firing", "offset_ns"
+            )
+        if self.range and self.range.min_m >= self.range.max_m:
+            raise fault(f"{self.range.min_m} is not below max_m", "range", "min_m")
+        if self.packet and self.packet.sequences_per_block * self.count != 32 * len(self.packet.block_flags):
+            what = (
+                f"{self.count} beams × {self.packet.sequences_per_block} do not fill the blocks of 32 returns"
+            )
+            raise fault(what, "packet", "sequences_per_block")
+        return self
+
+    @property
+    def count(self) -> int:
+        """The number of beams."""
+        return len(self.beams.elevation_deg)
+
+    @property
+    def elevation_rad(self) -> Array:
+        """(count,) by laser id."""
+        return np.radians(np.array(self.beams.elevation_deg, np.float64))
+
+    @property
+    def sin_elevation(self) -> Array:
+        """(count,) ascending: what a cuboid's sine is compared with."""
+        return np.sort(np.sin(self.elevation_rad))
+
+    @property
+    def azimuth_offset_rad(self) -> Array:
+        """(count,) by laser id."""
+        return np.radians(np.array(self.beams.azimuth_offset_deg or (0.0,) * self.count, np.float64))
+
+    @property
+    def vertical_offset_m(self) -> Array:
+        """(count,) by laser id: the beam starts this far above the sensor's origin."""
+        return np.array(self.beams.vertical_offset_mm or (0.0,) * self.count) / 1000
+
+    @property
+    def ring(self) -> NDArray[np.uint8]:
+        """(count,) by laser id: 0 is the lowest beam."""
+        return np.argsort(np.argsort(self.beams.elevation_deg)).astype(np.uint8)
+
+
+def catalogue() -> dict[str, Path]:
+    """The sensor files that come with the project, by name."""
+    here = Path(__file__).parent
+    folder = here / "_sensors"  # in the wheel
+    if not folder.is_dir():
+        folder = here.parent / "sensors"  # in the repository
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
+    """The sensor called `name` in the catalogue, or in the file `name` relative to `base`.
+
+    Raises ConfigError: unknown name, unreadable file, or anything in it that is not allowed.
+    """
+    known = catalogue()
+    if name in known:
+        path = known[str(name)]
+        sensor = load(path, Sensor)
+        if sensor.name != name:
+            raise ConfigError(f"{path}:1:1: name: {sensor.name!r} is not the file's name, {name!r}")
+        return sensor
+    if Path(name).suffix in (".yaml", ".yml", ".json"):
+        return load(base / name, Sensor)
+    raise ConfigError(f"no sensor is called {str(name)!r}; allowed: {', '.join(known)}, or a path to a .yaml")
+
+
+def custom_sensor(elevation_deg: tuple[float, ...]) -> Sensor:
+    """A sensor for placement only, from its beams' elevations."""
+    return Sensor(name="custom", beams=Beams(elevation_deg=elevation_deg))
