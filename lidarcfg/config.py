@@ -159,13 +159,21 @@ class _Document:
 
 def load(path: str | Path, model: type[M]) -> M:
     """The file at `path` as a `model`. Raises ConfigError with file, line, column and key."""
+    return loads(_read(path), model, str(path))
+
+
+def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
+    """The error `what` at a key of a file that was loaded, for what only shows when its parts meet."""
+    return _Document(_read(path), str(path)).error(key, str(what))
+
+
+def _read(path: str | Path) -> str:
     try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
+        return Path(path).read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}:1:1: not text in UTF-8 (byte {error.start})") from None
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    return loads(text, model, str(path))
 
 
 def loads(text: str, model: type[M], name: str) -> M:

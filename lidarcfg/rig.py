@@ -10,14 +10,15 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, Positive, Vec3, fault, load, replacing
+from lidarcfg.config import Model, Positive, Vec3, error_at, fault, load, replacing
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, pose
-from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
+from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 ReturnMode = Literal["strongest"]
-FIRST_HOST = ipaddress.IPv4Address("192.168.1.201")
+FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
+HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
 DATA_PORT, TELEMETRY_PORT = 2368, 8308
 
 
@@ -26,7 +27,7 @@ class MountFile(Model):
 
     name: Annotated[str, Field(min_length=1)]
     model: str | None = None
-    elevation_deg: tuple[float, ...] | None = None
+    elevation_deg: Elevations | None = None
     position_m: Vec3
     rpy_rad: Vec3 | None = None
     rpy_deg: Vec3 | None = None
@@ -111,38 +112,43 @@ class Rig:
 
 
 def resolve_sensor(
-    model: str | None, elevation_deg: tuple[float, ...] | None, base: Path
+    path: Path, index: int, model: str | None, elevation_deg: tuple[float, ...] | None
 ) -> tuple[Sensor, str | None]:
-    """The sensor that a file in the folder `base` means, and its model as a name or an absolute path."""
-    if elevation_deg is not None:
-        return custom_sensor(elevation_deg), None
-    assert model is not None
-    sensor = load_sensor(model, base)
-    return sensor, model if model in catalogue() else str((base / model).resolve())
+    """The sensor that entry `index` of the file's `sensors` means, and its model as a name or whole path."""
+    if model is None:
+        return custom_sensor(elevation_deg or ()), None
+    try:
+        return load_sensor(model, path.parent), model if model in catalogue() else str(
+            (path.parent / model).resolve()
+        )
+    except ConfigError as error:
+        raise error_at(path, ("sensors", index, "model"), error) from None
 
 
-def default_host(index: int) -> str:
+def default_host(index: int) -> str | None:
     """The address of the rig's sensor number `index` where its file gives none: 192.168.1.201 and on."""
     host = FIRST_HOST + index
-    if host > ipaddress.IPv4Address("192.168.1.254"):
-        raise ConfigError(f"sensor {index}: no default address is left after 192.168.1.254; give a host")
-    return str(host)
+    return str(host) if host <= LAST_HOST else None
 
 
 def load_rig(path: str | Path) -> Rig:
     """The rig in a YAML file. Raises ConfigError with file, line and key."""
     path = Path(path)
     file = load(path, RigFile)
-    mounts = []
+    mounts: list[Mount] = []
     for i, mount in enumerate(file.sensors):
-        try:
-            sensor, model = resolve_sensor(mount.model, mount.elevation_deg, path.parent)
-            host = mount.host or default_host(i)
-        except ConfigError as error:
-            raise ConfigError(f"{path}: sensors[{i}]: {error}") from None
+        sensor, model = resolve_sensor(path, i, mount.model, mount.elevation_deg)
+        host = mount.host or default_host(i)
+        if host is None:
+            raise error_at(path, ("sensors", i), f"no default address is left after {LAST_HOST}; give a host")
         if sensor.rotation and not sensor.rotation.rpm_min <= mount.rpm <= sensor.rotation.rpm_max:
             allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
-            raise ConfigError(f"{path}: sensors[{i}].rpm: {mount.rpm:g} is outside {sensor.name}'s {allowed}")
+            what = f"{mount.rpm:g} is outside {sensor.name}'s {allowed}"
+            raise error_at(path, ("sensors", i, "rpm"), what)
+        for other in mounts:
+            if (host, mount.data_port) == (other.host, other.data_port):
+                what = f"{host}:{mount.data_port} is {other.name!r}'s; give each sensor its own"
+                raise error_at(path, ("sensors", i), what)
         mounts.append(
             Mount(
                 name=mount.name,
@@ -157,13 +163,6 @@ def load_rig(path: str | Path) -> Rig:
                 return_mode=mount.return_mode,
             )
         )
-    endpoints = [(mount.host, mount.data_port) for mount in mounts]
-    for i, endpoint in enumerate(endpoints):
-        if endpoint in endpoints[:i]:
-            other = mounts[endpoints.index(endpoint)].name
-            raise ConfigError(
-                f"{path}: sensors[{i}]: {endpoint[0]}:{endpoint[1]} is {other!r}'s; give each sensor its own"
-            )
     return Rig(file.name, tuple(mounts))
 
 
@@ -198,4 +197,6 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     """Write the rig as YAML; floats are written so that they read back bit for bit."""
     path = Path(path)
     with replacing(path) as file:
-        yaml.safe_dump(rig_to_dict(rig, path.parent.resolve()), file, sort_keys=False, width=110)
+        yaml.safe_dump(
+            rig_to_dict(rig, path.parent.resolve()), file, sort_keys=False, default_flow_style=None, width=110
+        )

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from lidarcfg.config import Model, Positive, fault, load
 from lidarcfg.errors import ConfigError
@@ -19,23 +19,25 @@ Word = Annotated[int, Field(ge=0, le=65535)]
 Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
 
 
+def _check_elevations(value: tuple[float, ...]) -> tuple[float, ...]:
+    for i, angle in enumerate(value):
+        if not -90 <= angle <= 90:
+            raise fault(f"{angle:g} is outside the allowed -90 to 90", i)
+        if angle in value[:i]:
+            raise fault(f"{angle:g} is beam {value.index(angle)} already; each may stand once", i)
+    return value
+
+
+Elevations = Annotated[tuple[float, ...], Field(min_length=1), AfterValidator(_check_elevations)]
+
+
 class Beams(Model):
     """The lasers by their id, which is their place in the packet."""
 
     source: str = ""
-    elevation_deg: Annotated[tuple[float, ...], Field(min_length=1)]
+    elevation_deg: Elevations
     azimuth_offset_deg: tuple[float, ...] = ()  # added to the head's azimuth; none: all zero
     vertical_offset_mm: tuple[float, ...] = ()  # added to z after r sin(elevation); none: all zero
-
-    @field_validator("elevation_deg")
-    @classmethod
-    def _check_elevation(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        for i, angle in enumerate(value):
-            if not -90 <= angle <= 90:
-                raise fault(f"{angle} is outside the allowed -90 to 90", i)
-            if angle in value[:i]:
-                raise fault(f"{angle} is beam {value.index(angle)} already; each may stand once", i)
-        return value
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "Beams":

@@ -1,0 +1,5 @@
+"""`python -m lidarcfg` is the command line."""
+
+from lidarcfg.cli import main
+
+main()

@@ -1,0 +1,61 @@
+"""How large a subspace is: the paper's volume-to-surface ratio, and the largest sphere inside."""
+
+import numpy as np
+from scipy import ndimage
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.subspace import Subspaces
+
+
+def volume_m3(subspaces: Subspaces) -> Array:
+    """(n,) the cuboids' volume (paper, eq. 8)."""
+    ex, ey, ez = subspaces.region.cuboid_m
+    volume: Array = subspaces.cuboids * (ex * ey * ez)
+    return volume
+
+
+def surface_m2(subspaces: Subspaces) -> Array:
+    """(n,) the cuboids' outer faces: S = 2 Σ_axis (n − internal faces) · face area (paper, algorithm 1).
+
+    Faces against another subspace, an excluded cuboid or the region's wall all count. (The printed algorithm
+    skips the last cuboid and counts along one axis; this is what it intends.)
+    """
+    ex, ey, ez = subspaces.region.cuboid_m
+    outer = subspaces.cuboids[:, None] - subspaces.internal
+    surface: Array = 2.0 * (outer[:, 0] * (ey * ez) + outer[:, 1] * (ex * ez) + outer[:, 2] * (ex * ey))
+    return surface
+
+
+def vsr_m(subspaces: Subspaces) -> Array:
+    """(n,) volume-to-surface ratio, a length (paper, eq. 7)."""
+    return volume_m3(subspaces) / surface_m2(subspaces)
+
+
+def inscribed_radius_m(subspaces: Subspaces, number: int) -> float:
+    """The radius of the largest sphere inside a subspace's cuboids.
+
+    Exact among all centres on the lattice of half cuboids: from such a point the nearest point of an outside
+    cuboid lies on that lattice too, so the distance transform over the lattice's nodes finds it.
+    """
+    box = ndimage.find_objects(subspaces.label + 1, max_label=number + 1)[number]
+    inside = subspaces.label[box] == number
+    nodes = np.zeros([2 * n + 1 for n in inside.shape], bool)  # False: on an outside cuboid's closure
+    nodes[1:-1, 1:-1, 1:-1] = True
+    for corner in np.ndindex(3, 3, 3):
+        block = nodes[tuple(slice(c, c + 2 * n - 1, 2) for c, n in zip(corner, inside.shape, strict=True))]
+        block &= inside
+    return float(ndimage.distance_transform_edt(nodes, sampling=subspaces.region.cuboid_m / 2).max())
+
+
+def centroid_m(subspaces: Subspaces, number: int) -> Array:
+    """(3,) the mean of a subspace's cuboids' centres."""
+    index = np.argwhere(subspaces.label == number).mean(axis=0)
+    centre: Array = subspaces.region.min_m + (index + 0.5) * subspaces.region.cuboid_m
+    return centre
+
+
+def bounds_m(subspaces: Subspaces, number: int) -> tuple[Array, Array]:
+    """The box around a subspace: its lower and upper corner, (3,) each."""
+    index = np.argwhere(subspaces.label == number)
+    low, edge = subspaces.region.min_m, subspaces.region.cuboid_m
+    return low + index.min(axis=0) * edge, low + (index.max(axis=0) + 1) * edge

@@ -1,0 +1,162 @@
+"""The region of interest: a box cut into equal cuboids, some of them left out."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import model_validator
+
+from lidarcfg.config import Model, Positive, fault
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+
+if TYPE_CHECKING:
+    import open3d
+
+CUBOIDS_MAX = 2**31 - 1  # labels are int32
+Vec3 = tuple[float, float, float]
+Edges = tuple[Positive, Positive, Positive]
+AXES = "xyz"
+
+
+class BoxFile(Model):
+    """A box: min <= p < max."""
+
+    min_m: Vec3
+    max_m: Vec3
+
+    @model_validator(mode="after")
+    def _check(self) -> "BoxFile":
+        for axis in range(3):
+            if not self.min_m[axis] < self.max_m[axis]:
+                what = f"{self.max_m[axis]:g} is not above min_m's {self.min_m[axis]:g}"
+                raise fault(what, "max_m", axis)
+        return self
+
+
+class RegionFile(BoxFile):
+    """A study's region, as its file says it."""
+
+    cuboid_m: Edges
+    exclude: tuple[BoxFile, ...] = ()
+
+    @model_validator(mode="after")
+    def _check_division(self) -> "RegionFile":
+        total = 1
+        for axis in range(3):
+            length, edge = self.max_m[axis] - self.min_m[axis], self.cuboid_m[axis]
+            count = max(round(length / edge), 1) if length / edge <= CUBOIDS_MAX else CUBOIDS_MAX + 1
+            total *= count
+            if total > CUBOIDS_MAX:
+                raise fault(f"makes more than the {CUBOIDS_MAX:,} cuboids allowed", "cuboid_m")
+            if abs(count * edge - length) > 1e-9 * length:
+                fewer = max(int(length / edge), 1)
+                near = sorted({f"{length / n:.12g}" for n in (fewer, fewer + 1)}, key=float)
+                what = f"{edge:g} does not divide the region's {length:g} along {AXES[axis]}"
+                raise fault(f"{what}; nearest sizes that do: {' and '.join(near)}", "cuboid_m", axis)
+        return self
+
+
+@dataclass(frozen=True)
+class Region:
+    """A grid of equal cuboids; `included` says which of them count."""
+
+    min_m: Array  # (3,) the grid's lower corner in the vehicle frame
+    max_m: Array  # (3,) its upper corner
+    included: NDArray[np.bool_]  # (nx, ny, nz)
+
+    @classmethod
+    def from_boxes(
+        cls,
+        min_m: ArrayLike,
+        max_m: ArrayLike,
+        cuboid_m: ArrayLike,
+        exclude: tuple[tuple[ArrayLike, ArrayLike], ...] = (),
+    ) -> "Region":
+        """The box from min to max cut into cuboids; those with a centre in an excluded box are left out.
+
+        A centre c lies in an excluded box when min <= c < max on every axis.
+        """
+        low, high = np.asarray(min_m, np.float64), np.asarray(max_m, np.float64)
+        shape = np.rint((high - low) / np.asarray(cuboid_m, np.float64)).astype(int)
+        region = cls(low, high, np.ones(shape, bool))
+        for box_min, box_max in exclude:
+            inside = [
+                (least <= centre) & (centre < most)
+                for least, most, centre in zip(
+                    np.asarray(box_min), np.asarray(box_max), region.centres(), strict=True
+                )
+            ]
+            region.included[np.ix_(*inside)] = False
+        return region
+
+    @classmethod
+    def from_file(cls, file: RegionFile) -> "Region":
+        """The region that a study's file describes."""
+        boxes = tuple((box.min_m, box.max_m) for box in file.exclude)
+        return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
+
+    @classmethod
+    def from_voxel_grid(
+        cls, grid: "open3d.geometry.VoxelGrid", cuboid_m: ArrayLike | None = None
+    ) -> "Region":
+        """The region of an Open3D voxel grid: only its voxels count.
+
+        Open3D's voxels are cubes. With `cuboid_m` (3,) the grid is taken for a copy in which every axis was
+        scaled so that the cuboids became its cubes, and is scaled back.
+        """
+        voxels = grid.get_voxels()
+        if not voxels:
+            raise ConfigError("the voxel grid has no voxels; at least one is needed")
+        index = np.array([voxel.grid_index for voxel in voxels])
+        first, last = index.min(axis=0), index.max(axis=0)
+        scale = np.ones(3) if cuboid_m is None else np.asarray(cuboid_m, np.float64) / grid.voxel_size
+        included = np.zeros(last - first + 1, bool)
+        included[tuple((index - first).T)] = True
+        low = (np.asarray(grid.origin) + first * grid.voxel_size) * scale
+        return cls(low, low + included.shape * (grid.voxel_size * scale), included)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Cuboids along x, y and z."""
+        nx, ny, nz = self.included.shape
+        return nx, ny, nz
+
+    @property
+    def cuboid_m(self) -> Array:
+        """(3,) a cuboid's edges."""
+        return (self.max_m - self.min_m) / self.shape
+
+    def centres(self) -> tuple[Array, Array, Array]:
+        """The cuboids' centres along x, y and z: (nx,), (ny,), (nz,)."""
+        x, y, z = (
+            low + (np.arange(n) + 0.5) * edge
+            for low, edge, n in zip(self.min_m, self.cuboid_m, self.shape, strict=True)
+        )
+        return x, y, z
+
+    def voxel_grid(self, index: ArrayLike, rgb: ArrayLike) -> "open3d.geometry.VoxelGrid":
+        """Cuboids (N, 3) by their indices as an Open3D voxel grid with colours (N, 3) in 0..1.
+
+        Open3D's voxels are cubes: unless the cuboids are, the grid is a copy in which y and z are scaled so
+        that they become cubes of the cuboids' x edge. `from_voxel_grid` with `cuboid_m` undoes it.
+        """
+        import open3d as o3d
+
+        edge = float(self.cuboid_m[0])
+        scale = edge / self.cuboid_m
+        cloud = o3d.geometry.PointCloud()
+        cloud.points = o3d.utility.Vector3dVector(
+            self.min_m * scale + (np.asarray(index, np.float64).reshape(-1, 3) + 0.5) * edge
+        )
+        cloud.colors = o3d.utility.Vector3dVector(np.asarray(rgb, np.float64).reshape(-1, 3))
+        return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
+            cloud, edge, self.min_m * scale, self.max_m * scale
+        )
+
+
+def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int, int]:
+    """How many whole cuboids an object of this size fills along x, y and z: rounded up, at least one."""
+    x, y, z = (max(int(np.ceil(size / edge - 1e-9)), 1) for size, edge in zip(size_m, cuboid_m, strict=True))
+    return x, y, z

@@ -1,0 +1,97 @@
+"""Strict YAML: what is refused, and that the place named is the place meant."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidarcfg.config import load, loads, replacing
+from lidarcfg.errors import ConfigError
+from lidarcfg.sensor import Sensor
+
+GOOD = "name: a\nbeams:\n  elevation_deg: [-1, 1e-05]\n"
+
+
+def refused(text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        loads(text, Sensor, "f.yaml")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name: a\nbeams: {elevation: [1, 2]}", "f.yaml:2:9: beams.elevation: unknown key without a unit; allowed: elevation_deg"),
+        ("name: a\nbeam: {}", "f.yaml:2:1: beam: unknown key; did you mean beams? allowed: name, maker, desc"),
+        ("name: a\nname: b\n", "f.yaml:2:1: name: repeated key; it was given on line 1"),
+        ("name: a\nbeams: {elevation_deg: [1, 1]}", "f.yaml:2:28: beams.elevation_deg[1]: 1 is beam 0 already"),
+        ("name: a\nbeams:\n  elevation_deg: [1, .nan]", "f.yaml:3:22: beams.elevation_deg[1]: .nan is not a finite number"),
+        ("name: a\nbeams:\n  elevation_deg: [1, -.inf]", "f.yaml:3:22: beams.elevation_deg[1]: -.inf is not a finite number"),
+        ("name: a\nbeams:\n  elevation_deg: [1, 1e999]", "f.yaml:3:22: beams.elevation_deg[1]: 1e999 is not a finite number"),
+        ("name: a\nbeams:\n  elevation_deg: [90.1]", "f.yaml:3:19: beams.elevation_deg[0]: 90.1 is outside the allowed -90 to 90"),
+        ("name: a\nbeams:\n  elevation_deg: []", "f.yaml:3:3: beams.elevation_deg: has 0 values; allowed: at least 1"),
+        ("name: a\nbeams:\n  elevation_deg: [true]", "f.yaml:3:19: beams.elevation_deg[0]: True should be a valid number"),
+        ("name: a\nbeams:\n  elevation_deg: ['1']", "f.yaml:3:19: beams.elevation_deg[0]: '1' should be a valid number"),
+        ("name: 3\nbeams:\n  elevation_deg: [1]", "f.yaml:1:1: name: 3 should be a valid string"),
+        ("name: a", "f.yaml:1:1: beams: missing"),
+        ("", "f.yaml:1:1: the file is empty"),
+        ("- 1", "f.yaml:1:1: a list of 1 should be a map of keys"),
+        ("a: [", "f.yaml:1:5: not YAML: expected the node content, but found '<stream end>'"),
+        ("a: 1\n---\nb: 1", "f.yaml:2:1: not YAML: but found another document"),
+        ("a: !!python/object:os.system x", "f.yaml:1:1: a: tag"),
+        ("3: a", "f.yaml:1:1: 3: is not a text; a key must be one"),
+        ("name: a\nbeams: &b {elevation_deg: *b}", "f.yaml:2:12: beams.elevation_deg: an alias inside itself"),
+        ("a: " + "[" * 3000, "f.yaml:"),
+        ("a: \x07", "f.yaml:1:1: not YAML"),
+        ("a: " + "9" * 5000, "f.yaml:1:1: a: '9999"),
+    ],
+)  # fmt: skip
+def test_refused(text, message):
+    assert refused(text).startswith(message)
+
+
+def test_the_core_schema():
+    sensor = loads(GOOD + "maker: on\ndescription: 'yes'\n", Sensor, "f.yaml")
+    assert sensor.beams.elevation_deg == (-1.0, 1e-05)
+    assert (sensor.maker, sensor.description) == ("on", "yes")
+
+
+def test_json_is_yaml():
+    assert loads('{"name": "a", "beams": {"elevation_deg": [0]}}', Sensor, "f.json").count == 1
+
+
+def test_errors_of_an_alias_bomb_end_soon():
+    bomb = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10))
+    assert "too many" in refused(bomb)
+
+
+@given(st.text(max_size=200))
+def test_any_text_is_an_error_or_an_answer(text):
+    try:
+        assert loads(text, Sensor, "f.yaml").count >= 1
+    except ConfigError as error:
+        assert str(error).startswith("f.yaml:")
+        assert "\n" not in str(error)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    for path, message in ((tmp_path / "none.yaml", "no such file"), (tmp_path, "is a directory")):
+        with pytest.raises(ConfigError, match=message):
+            load(path, Sensor)
+    binary = tmp_path / "b.yaml"
+    binary.write_bytes(b"name: \xff\xfe")
+    with pytest.raises(ConfigError, match=r"b.yaml:1:1: not text in UTF-8 \(byte 6\)"):
+        load(binary, Sensor)
+
+
+def test_replacing_leaves_the_old_file_until_the_new_is_whole(tmp_path):
+    path = tmp_path / "f"
+    path.write_text("old")
+    with pytest.raises(RuntimeError), replacing(path) as file:
+        file.write("new")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    with replacing(path) as file:
+        file.write("new")
+        assert path.read_text() == "old"
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["new"]

@@ -1,0 +1,81 @@
+"""The catalogue against the manuals' numbers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.sensor import catalogue, load_sensor
+
+
+def test_the_whole_catalogue_loads():
+    assert {"vlp-16", "fan-4", "fan-8", "fan-16"} <= set(catalogue())
+    for name in catalogue():
+        assert load_sensor(name).name == name
+
+
+def test_vlp_16_as_its_manual_has_it():
+    sensor = load_sensor("vlp-16")
+    # table 9-1: laser 2i at -15 + 2i degrees, laser 2i + 1 at 1 + 2i
+    assert sensor.beams.elevation_deg == tuple(-15 + i if i % 2 == 0 else i for i in range(16))
+    assert sensor.ring.tolist() == [0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15]
+    assert sensor.firing is not None
+    assert sensor.firing.offset_ns == tuple(2304 * laser for laser in range(16))
+    assert sensor.firing.sequence_ns == 16 * 2304 + 18432
+    assert sensor.packet is not None
+    assert sensor.packet.product_id == 0x22
+    modes = sensor.packet.return_modes
+    assert (modes.strongest, modes.last, modes.dual) == (0x37, 0x38, 0x39)
+
+
+def test_vertical_offsets_are_the_focal_distance_seen_under_the_elevation():
+    sensor = load_sensor("vlp-16")
+    expected = [-0.04191 * math.tan(math.radians(angle)) for angle in sensor.beams.elevation_deg]
+    assert sensor.vertical_offset_m == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("beams", [4, 8, 16])
+def test_fans_are_even(beams):
+    elevation = load_sensor(f"fan-{beams}").beams.elevation_deg
+    assert elevation == pytest.approx(np.linspace(-15, 15, beams), abs=1e-14)
+
+
+def test_the_sixteen_beam_fan_has_the_cones_of_the_vlp_16():
+    assert load_sensor("fan-16").sin_elevation == pytest.approx(
+        load_sensor("vlp-16").sin_elevation, abs=1e-16
+    )
+
+
+def test_unknown_names_are_told_with_the_known_ones():
+    with pytest.raises(
+        ConfigError, match="no sensor is called 'vlp16'; allowed: fan-16, fan-4, fan-8, vlp-16"
+    ):
+        load_sensor("vlp16")
+
+
+VLP = catalogue()["vlp-16"].read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("sequence_ns: 55296", "sequence_ns: 34560", "firing.offset_ns: a firing lies beyond the sequence's"),
+        ("[0, 2304, ", "[0, ", "firing.offset_ns: has 15 values; allowed: 16, one a beam"),
+        ("azimuth_offset_deg: [0, ", "azimuth_offset_deg: [", "beams.azimuth_offset_deg: has 15 values"),
+        (
+            "sequences_per_block: 2",
+            "sequences_per_block: 1",
+            "packet.sequences_per_block: 16 beams × 1 do not fill",
+        ),
+        ("min_m: 0.5", "min_m: 100", "range.min_m: 100.0 is not below max_m"),
+        ("product_id: 0x22", "product_id: 256", "packet.product_id: 256 should be less than or equal to 255"),
+    ],
+)
+def test_facts_that_contradict_each_other(tmp_path, old, new, message):
+    assert old in VLP
+    path = tmp_path / "s.yaml"
+    path.write_text(VLP.replace(old, new))
+    with pytest.raises(ConfigError) as caught:
+        load_sensor(path)
+    assert message in str(caught.value)

@@ -1,0 +1,166 @@
+"""Studies: loading, what an optimisation promises, and the evaluation of a rig."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.placement import study as module
+from lidarcfg.placement.study import evaluate, load_study, max_vsr, optimize, with_solver
+
+STUDIES = Path(__file__).parent.parent / "data/studies"
+SMALL = """
+region: {min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{min_m: [5, 3, 0], max_m: [7, 5, 3]}]}
+sensors:
+  - {elevation_deg: [-20, -8, 3, 12], count: 2, min: {position_m: [5, 3, 1], rpy_deg: [-20, -20, 0]}, max: {position_m: [7, 5, 2.5], rpy_deg: [20, 20, 0]}}
+  - {model: fan-4, min: {position_m: [6, 4, 1.5], rpy_rad: [0, 0, 1]}, max: {position_m: [6, 4, 2.5], rpy_rad: [0, 0, 1]}}
+solver: {bees: 8, cycles: 6, limit: 3, seed: 4}
+detection: [{name: box, size_m: [1, 1, 1]}]
+"""
+
+
+def study(tmp_path, text=SMALL):
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    return load_study(path)
+
+
+@pytest.mark.parametrize("path", sorted(STUDIES.glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_studies_that_come_with_it(path):
+    loaded = load_study(path)
+    if path.stem.startswith("liu2018"):
+        count, beams = map(int, path.stem.removeprefix("liu2018-").split("x"))
+        assert len(loaded.slots) == count
+        assert {slot.sensor.count for slot in loaded.slots} == {beams}
+        assert loaded.lower.tolist() == [[28, 9, 2.2, 0, 0, 0]] * count
+        assert loaded.upper.tolist() == [[31, 11, 3.0, 3.1415, 3.1415, 0]] * count
+        assert loaded.free.sum() == 5 * count
+        assert (loaded.solver.bees, loaded.solver.cycles) == (200, 800)
+        assert loaded.region.included.sum() == 48000 - 960
+
+
+def test_no_lidar_of_the_sedan_can_hang_upside_down():
+    loaded = load_study(STUDIES / "sedan.yaml")
+    corners = np.stack([loaded.lower, loaded.upper])
+    tilt = np.abs(corners[..., 3:5]).max(axis=0).sum(axis=1)  # roll and pitch together bound the tilt
+    assert np.degrees(tilt).max() <= 31
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        axes = [lidar.axis for lidar in loaded.lidars(loaded.poses(rng.random(int(loaded.free.sum()))))]
+        assert min(axis[2] for axis in axes) > 0.85
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("cycles: 6", "cycle: 6", "solver.cycle: unknown key; did you mean cycles?"),
+        ("bees: 8", "bees: 1", "solver.bees: 1 should be greater than or equal to 2"),
+        ("seed: 4", "method: pso", "solver.method: 'pso' should be 'abc'"),
+        ("{name: box", "{name: box, size_m: [1, 1, 1]}, {name: box", "detection[1].name: 'box' is an object already"),
+        ("[1, 1, 1]", "[1, 1, 9]", "study.yaml:7:13: detection[0]: box: size_m[2]: 9 is more than the region's 3 along z"),
+        ("[7, 5, 2.5]", "[7, 5, 0.5]", "sensors[0].max: its z is below min's"),
+        ("model: fan-4, ", "model: fan-5, ", "study.yaml:5:6: sensors[1].model: no sensor is called 'fan-5'"),
+        ("model: fan-4, ", "model: fan-4, name: lidar, count: 2, ", "study.yaml:5:5: sensors[1]: two are called 'lidar_0'"),
+        ("[5, 3, 0], max_m: [7, 5, 3]", "[0, 0, 0], max_m: [12, 8, 3]", "region.exclude: leaves no cuboid"),
+        ("[-20, -8, 3, 12]", "[-20, -8, 3, 120]", "sensors[0].elevation_deg[3]: 120 is outside the allowed -90 to 90"),
+    ],
+)  # fmt: skip
+def test_refused(tmp_path, old, new, message):
+    text = SMALL.replace(old, new)
+    assert text != SMALL
+    with pytest.raises(ConfigError) as caught:
+        study(tmp_path, text)
+    assert message in str(caught.value)
+
+
+def test_fixed_coordinates_stay_and_bounds_are_reached_exactly(tmp_path):
+    small = study(tmp_path)
+    free = int(small.free.sum())
+    assert free == 2 * 5 + 1
+    assert np.array_equal(small.poses(np.zeros(free)), small.lower)
+    assert np.array_equal(small.poses(np.ones(free)), small.upper)
+    assert small.poses(np.full(free, 0.25))[2].tolist() == [6, 4, 1.75, 0, 0, 1]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_a_seed_gives_the_same_run_on_any_number_of_threads(tmp_path, threads):
+    small = study(tmp_path)
+    first, again = optimize(small, threads=1), optimize(small, threads=threads)
+    assert again.rig == first.rig
+    assert [(c.cycle, c.evaluations, c.best_m, c.mean_m) for c in again.history] == [
+        (c.cycle, c.evaluations, c.best_m, c.mean_m) for c in first.history
+    ]
+    other = optimize(with_solver(small, seed=5), threads=threads)
+    assert other.rig != first.rig
+
+
+def test_what_a_run_reports(tmp_path):
+    small = study(tmp_path)
+    seen = []
+    found = optimize(small, threads=2, on_cycle=seen.append)
+    best = [c.best_m for c in found.history]
+    assert best == sorted(best, reverse=True)  # the history never rises
+    assert [c.cycle for c in found.history] == list(range(7))
+    assert seen == list(found.history)
+    assert found.evaluations == 8 * 2 * 6  # employed and onlooker bees, the paper's count
+    assert found.first_evaluations == 8
+    assert found.scout_evaluations > 0
+    assert found.evaluation.max_vsr_m == best[-1]
+    poses = np.array([[*m.position_m, *m.rpy_rad] for m in found.rig.mounts])
+    assert (poses >= small.lower).all()
+    assert (poses <= small.upper).all()
+    assert max_vsr(small.region, small.lidars(poses)) == best[-1]
+    middle = (small.lower + small.upper) / 2
+    assert found.middle_max_vsr_m == max_vsr(small.region, small.lidars(middle))
+    assert best[-1] < found.middle_max_vsr_m
+    endpoints = {(m.host, m.data_port) for m in found.rig.mounts}
+    assert len(endpoints) == 3
+
+
+def test_budgets(tmp_path):
+    small = study(tmp_path)
+    assert optimize(with_solver(small, evaluations=21), threads=1).evaluations == 21
+    assert with_solver(small, evaluations=21).solver.cycles is None
+    quick = optimize(with_solver(small, seconds=0.2, cycles=10**6), threads=1)
+    assert 0.2 <= quick.seconds < 5
+    assert study(tmp_path, SMALL.replace("cycles: 6, ", "")).solver.cycles == 800
+
+
+def test_an_interrupt_keeps_the_best_so_far(tmp_path):
+    def interrupt(cycle):
+        if cycle.cycle == 3:
+            raise KeyboardInterrupt
+
+    found = optimize(study(tmp_path), threads=2, on_cycle=interrupt)
+    assert found.interrupted
+    assert len(found.history) == 4
+    assert found.evaluation.max_vsr_m == found.history[-1].best_m
+
+
+def test_nothing_free_to_move(tmp_path):
+    fixed = (
+        SMALL.split("  - {elevation_deg")[0]
+        + "  - {model: fan-4, min: {position_m: [6, 4, 2], rpy_rad: [0, 0, 1]}, max: {position_m: [6, 4, 2], rpy_rad: [0, 0, 1]}}\n"
+    )
+    with pytest.raises(ConfigError, match="nothing to optimise"):
+        optimize(study(tmp_path, fixed))
+
+
+def test_an_evaluation_names_the_worst(tmp_path):
+    small = study(tmp_path)
+    found = evaluate(small, small.rig((small.lower + small.upper) / 2))
+    vsr = [worst.vsr_m for worst in found.worst]
+    assert len(vsr) == module.WORST
+    assert vsr == sorted(vsr, reverse=True)
+    assert vsr[0] == found.max_vsr_m
+    for worst in found.worst:
+        assert worst.volume_m3 / worst.surface_m2 == pytest.approx(worst.vsr_m)
+        sides = np.subtract(worst.max_m, worst.min_m)
+        assert 0 < worst.inscribed_radius_m <= sides.min() / 2 + 1e-12
+        assert 4 / 3 * np.pi * worst.inscribed_radius_m**3 < worst.volume_m3
+        assert all(
+            low < c < high for low, c, high in zip(worst.min_m, worst.centroid_m, worst.max_m, strict=True)
+        )
+        assert len(worst.gap) == 3
+    assert 0 < found.detection["box"] <= 1
