@@ -12,15 +12,17 @@ import lidarcfg
 from lidarcfg.errors import LidarcfgError
 
 if TYPE_CHECKING:
+    from lidarcfg.geometry import Array
     from lidarcfg.placement.study import Cycle, Solver
 
 FILE = click.Path(path_type=Path)
+SECOND_NS = 10**9
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 THREADS = click.IntRange(1, 1024)
 
 
 def main() -> None:
-    """Entry point: exit 0 when done, 2 with one line for the user's mistake, 130 after Ctrl-C, 1 for a bug."""
+    """Entry point: 0 when done, 2 with one line for the user's mistake, 130 after Ctrl-C, 1 for a bug."""
     try:
         code = cli.main(standalone_mode=False)
     except click.ClickException as error:
@@ -217,3 +219,171 @@ def show_sensor(name: str, quiet: bool) -> None:
     sensor = load_sensor(name)
     if not quiet:
         report.print_sensor(sensor)
+
+
+@cli.command()
+@click.argument("rig", type=FILE)
+@click.option("--scene", type=FILE, required=True, help="The scene's YAML.")
+@click.option("--duration", type=click.FloatRange(0, 86_400, min_open=True), required=True, help="Seconds.")
+@click.option("-o", "--output", type=FILE, required=True, help="The .pcap to write.")
+@click.option("--split", is_flag=True, help="One file a sensor instead, FILE-NAME.pcap.")
+@click.option("--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Where the vehicle stands in the scene.")
+@click.option("--start", metavar="TIME", help="ISO 8601, UTC unless it says.  [default: 2026-01-01T00:00:00]")
+@quiet_option
+def export(
+    rig: Path,
+    scene: Path,
+    duration: float,
+    output: Path,
+    split: bool,
+    at: str,
+    start: str | None,
+    quiet: bool,
+) -> None:
+    """Write what the sensors of RIG send while the vehicle stands in a scene, as UDP in a pcap.
+
+    The same input gives the same bytes.
+
+    \b
+    Example:
+      lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml \\
+          --at=-30,-10,0 --duration 1 -o out/two.pcap
+    """
+    from lidarcfg.capture import export as capture
+    from lidarcfg.capture.pcap import write_pcap
+    from lidarcfg.capture.scene import load_scene
+    from lidarcfg.rig import load_rig
+
+    if output.suffix != ".pcap":
+        raise click.BadParameter(f"{str(output)!r} does not end in .pcap", param_hint="-o")
+    mounted, stage = load_rig(rig), load_scene(scene)
+    duration_ns = round(duration * SECOND_NS)
+    with _share_progress("simulated", quiet) as on_share:
+        streams = capture.export(
+            mounted,
+            stage,
+            _vehicle_pose(at),
+            duration_ns,
+            start_ns=_nanoseconds(start) if start else capture.START_NS,
+            on_progress=lambda done_ns: on_share(done_ns / duration_ns),
+        )
+        if split:
+            paths = [output.with_name(f"{output.stem}-{m.name}.pcap") for m in mounted.mounts]
+            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
+        else:
+            paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
+    if not quiet:
+        for path, count in zip(paths, counts, strict=True):
+            click.echo(f"{path}: {count:,} packets, {duration:g} s of {len(mounted.mounts)} sensors")
+
+
+@cli.command()
+@click.argument("pcap", type=FILE)
+@click.option(
+    "--rig", type=FILE, help="Merge by this rig's poses; without it each source keeps its own frame."
+)
+@click.option("--model", help="What the sensor is, whatever its packets say.")
+@click.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
+@quiet_option
+def decode(pcap: Path, rig: Path | None, model: str | None, output: Path, quiet: bool) -> None:
+    """Read the LiDAR packets in PCAP, ours or a real recording, into a point cloud.
+
+    \b
+    Example:
+      lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
+    """
+    from lidarcfg.capture.decode import decode_pcap
+    from lidarcfg.cloud import save_clouds
+    from lidarcfg.rig import load_rig
+
+    clouds = decode_pcap(pcap, _note, load_rig(rig) if rig else None, model)
+    count = save_clouds(output, clouds)
+    if not quiet:
+        click.echo(f"{output}: {count:,} points")
+
+
+@cli.command()
+@click.argument("files", type=FILE, nargs=-1, required=True)
+@click.option("--rig", type=FILE, help="The rig: merges a pcap by its poses and marks its sensors.")
+@click.option("--model", help="What a pcap's sensors are, whatever their packets say.")
+@click.option("--png", type=FILE, help="Draw a still; needs no screen.")
+@click.option("--window", is_flag=True, help="Open Open3D's window.  [default, without --png]")
+@quiet_option
+def view(
+    files: tuple[Path, ...], rig: Path | None, model: str | None, png: Path | None, window: bool, quiet: bool
+) -> None:
+    """Look at the merged points of captures (.pcap) and clouds (.ply, .pcd, .npz).
+
+    \b
+    Example:
+      lidarcfg view out/two.pcap --rig out/two/rig.yaml --png out/two.png
+    """
+    from lidarcfg import view as viewer
+    from lidarcfg.capture.decode import decode_pcap
+    from lidarcfg.cloud import SUFFIXES, concatenate, load_cloud
+    from lidarcfg.rig import load_rig
+
+    mounted = load_rig(rig) if rig else None
+    clouds = []
+    for path in files:
+        if path.suffix in SUFFIXES:
+            clouds.append(load_cloud(path))
+        else:
+            clouds.extend(decode_pcap(path, _note, mounted, model))
+    merged = concatenate(clouds)
+    if png:
+        viewer.save_still(merged, png, mounted)
+        if not quiet:
+            click.echo(f"{png}: {len(merged.xyz):,} points")
+    if window or not png:
+        viewer.show_window(merged)
+
+
+def _note(message: str) -> None:
+    click.echo(f"lidarcfg: {message}", err=True)
+
+
+def _vehicle_pose(at: str) -> "Array":
+    """T_world_vehicle (4, 4) from X,Y,YAW_DEG."""
+    import math
+
+    from lidarcfg.geometry import pose
+
+    try:
+        x, y, yaw_deg = map(float, at.split(","))
+        if not all(map(math.isfinite, (x, y, yaw_deg))):
+            raise ValueError
+    except ValueError:
+        raise click.BadParameter(f"{at!r} is not three numbers X,Y,YAW_DEG", param_hint="--at") from None
+    return pose((x, y, 0.0), (0.0, 0.0, math.radians(yaw_deg)))
+
+
+def _nanoseconds(start: str) -> int:
+    """Since 1970 in UTC."""
+    from datetime import UTC, datetime
+
+    try:
+        time = datetime.fromisoformat(start)
+    except ValueError:
+        what = f"{start!r} is not a time such as 2026-01-01T00:00:00"
+        raise click.BadParameter(what, param_hint="--start") from None
+    if time.tzinfo is None:
+        time = time.replace(tzinfo=UTC)
+    since = time - datetime(1970, 1, 1, tzinfo=UTC)
+    if not 0 <= since.total_seconds() < 2**32:
+        raise click.BadParameter(f"{start!r} is outside a pcap's 1970 to 2106", param_hint="--start")
+    return (since.days * 86_400 + since.seconds) * SECOND_NS + since.microseconds * 1000
+
+
+@contextmanager
+def _share_progress(what: str, quiet: bool) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr that is told the share that is done."""
+    if quiet:
+        yield lambda share: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task(what, total=1.0)
+        yield lambda share: progress.update(task, completed=share)

@@ -138,7 +138,8 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
     for across, up, place in views:
         axes = figure.add_subplot(place)
         hidden = ({0, 1, 2} - {across, up}).pop()
-        extent = [region.min_m[across], region.max_m[across], region.min_m[up], region.max_m[up]]
+        left, right = float(region.min_m[across]), float(region.max_m[across])
+        bottom, top = float(region.min_m[up]), float(region.max_m[up])
         for mask, colour in (
             (~region.included.any(axis=hidden), (0.6, 0.6, 0.6)),
             ((found.subspaces.label == worst).any(axis=hidden), (0.84, 0.37, 0.0)),
@@ -146,9 +147,17 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
             picture = np.zeros((*mask.T.shape, 4))
             picture[..., :3] = colour
             picture[..., 3] = 0.45 * mask.T
-            axes.imshow(picture, extent=extent, origin="lower", aspect="auto", interpolation="nearest")
-        _draw_sensors(axes, rig, across, up, 0.12 * (extent[3] - extent[2]))
-        axes.set(xlim=extent[:2], ylim=extent[2:], xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
+            axes.imshow(
+                picture,
+                extent=(left, right, bottom, top),
+                origin="lower",
+                aspect="auto",
+                interpolation="nearest",
+            )
+        _draw_sensors(axes, rig, across, up, 0.12 * (top - bottom))
+        axes.set(
+            xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)"
+        )
         axes.set_title(
             {2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)")
         )

@@ -16,6 +16,7 @@ from lidarcfg.geometry import Array, pose
 from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor
 
 Port = Annotated[int, Field(ge=1, le=65535)]
+MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
@@ -25,7 +26,7 @@ DATA_PORT, TELEMETRY_PORT = 2368, 8308
 class MountFile(Model):
     """One sensor of a rig, as its file says it."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: MountName
     model: str | None = None
     elevation_deg: Elevations | None = None
     position_m: Vec3

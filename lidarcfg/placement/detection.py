@@ -1,4 +1,4 @@
-"""The object detection rate: the share of places where an object reaches into enough subspaces (paper, II-C)."""
+"""Object detection rate: the share of places where an object reaches into enough subspaces (paper, II-C)."""
 
 from typing import Annotated
 

@@ -34,6 +34,7 @@ from lidarcfg.rig import (
     HOSTS,
     TELEMETRY_PORT,
     Mount,
+    MountName,
     Rig,
     angles_rad,
     one_of,
@@ -69,7 +70,7 @@ class GroupFile(Model):
 
     model: str | None = None
     elevation_deg: Elevations | None = None
-    name: str | None = None
+    name: MountName | None = None
     count: Annotated[int, Field(ge=1, le=1000)] = 1
     min: PoseBound
     max: PoseBound
