@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +17,24 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path)
 SECOND_NS = 10**9
+
+
+class Seconds(click.FloatRange):
+    """A span of time above zero; click's own range lets NaN pass."""
+
+    name = "seconds"
+
+    def __init__(self, most: float) -> None:
+        super().__init__(0, most, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or click's error."""
+        number = float(super().convert(value, param, ctx))
+        if number != number:
+            self.fail(f"{value} is not a number of seconds", param, ctx)
+        return number
+
+
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 THREADS = click.IntRange(1, 1024)
 
@@ -76,7 +94,7 @@ def cli() -> None:
 @click.option("--solver", type=click.Choice(["abc"]), help="How to search.  [default: the study's]")
 @click.option("--cycles", type=click.IntRange(1), help="Budget: cycles of the swarm.")
 @click.option("--evaluations", type=click.IntRange(1), help="Budget: trials.")
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), help="Budget: seconds.")
+@click.option("--seconds", type=Seconds(1e9), help="Budget: seconds.")
 @quiet_option
 def optimize(
     study: Path,
@@ -110,8 +128,10 @@ def optimize(
     )
     folder = output or Path("out") / loaded.name
     folder.mkdir(parents=True, exist_ok=True)
-    with _search_progress(loaded.solver, quiet) as on_cycle:
-        found = placement.optimize(loaded, threads=threads, on_cycle=on_cycle)
+    with _progress(quiet) as on_share:
+        found = placement.optimize(
+            loaded, threads=threads, on_cycle=lambda cycle: on_share(*_search_line(loaded.solver, cycle))
+        )
     report.save_placement(loaded, found, folder)
     if not quiet:
         report.print_placement(found)
@@ -121,33 +141,16 @@ def optimize(
         sys.exit(130)
 
 
-@contextmanager
-def _search_progress(solver: "Solver", quiet: bool) -> "Iterator[Callable[[Cycle], None] | None]":
-    """A line on stderr that follows the search: best, mean, evaluations a second and the time left."""
-    if quiet:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (BarColumn(30), TextColumn("{task.description}"), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("the first food sources", total=1.0)
-
-        def on_cycle(cycle: "Cycle") -> None:
-            budgets = (
-                (cycle.cycle, solver.cycles),
-                (cycle.evaluations, solver.evaluations),
-                (cycle.seconds, solver.seconds),
-            )
-            progress.update(
-                task,
-                completed=max(spent / budget for spent, budget in budgets if budget),
-                description=f"cycle {cycle.cycle}  best {cycle.best_m:.4f} m  mean {cycle.mean_m:.4f} m  "
-                f"{cycle.evaluations / cycle.seconds:,.0f} evaluations/s",
-            )
-
-        yield on_cycle
+def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
+    """How much of the budget is spent, and how the search stands."""
+    budgets = (
+        (cycle.cycle, solver.cycles),
+        (cycle.evaluations, solver.evaluations),
+        (cycle.seconds, solver.seconds),
+    )
+    rate = cycle.evaluations / cycle.seconds
+    line = f"cycle {cycle.cycle}  best {cycle.best_m:.4f} m  mean {cycle.mean_m:.4f} m  {rate:,.0f} evaluations/s"
+    return max(spent / budget for spent, budget in budgets if budget), line
 
 
 @cli.command()
@@ -224,7 +227,7 @@ def show_sensor(name: str, quiet: bool) -> None:
 @cli.command()
 @click.argument("rig", type=FILE)
 @click.option("--scene", type=FILE, required=True, help="The scene's YAML.")
-@click.option("--duration", type=click.FloatRange(0, 86_400, min_open=True), required=True, help="Seconds.")
+@click.option("--duration", type=Seconds(86_400), required=True, help="Seconds.")
 @click.option("-o", "--output", type=FILE, required=True, help="The .pcap to write.")
 @click.option("--split", is_flag=True, help="One file a sensor instead, FILE-NAME.pcap.")
 @click.option("--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Where the vehicle stands in the scene.")
@@ -258,14 +261,16 @@ def export(
         raise click.BadParameter(f"{str(output)!r} does not end in .pcap", param_hint="-o")
     mounted, stage = load_rig(rig), load_scene(scene)
     duration_ns = round(duration * SECOND_NS)
-    with _share_progress("simulated", quiet) as on_share:
+    with _progress(quiet) as on_share:
         streams = capture.export(
             mounted,
             stage,
             _vehicle_pose(at),
             duration_ns,
             start_ns=_nanoseconds(start) if start else capture.START_NS,
-            on_progress=lambda done_ns: on_share(done_ns / duration_ns),
+            on_progress=lambda done_ns: on_share(
+                done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated"
+            ),
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{m.name}.pcap") for m in mounted.mounts]
@@ -376,14 +381,24 @@ def _nanoseconds(start: str) -> int:
 
 
 @contextmanager
-def _share_progress(what: str, quiet: bool) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr that is told the share that is done."""
+def _progress(quiet: bool) -> Iterator[Callable[[float, str], None]]:
+    """A bar on stderr that is told the share that is done and a text; it shows from the first share on."""
     if quiet:
-        yield lambda share: None
+        yield lambda share, text: None
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(what, total=1.0)
-        yield lambda share: progress.update(task, completed=share)
+    columns = (BarColumn(30), TextColumn("{task.description}"), TimeRemainingColumn())
+    progress = Progress(*columns, console=Console(stderr=True))
+    task = progress.add_task("", total=1.0)
+
+    def on_share(share: float, text: str) -> None:
+        progress.start()
+        progress.update(task, completed=share, description=text)
+
+    try:
+        yield on_share
+    finally:
+        if progress.live.is_started:
+            progress.stop()

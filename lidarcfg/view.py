@@ -89,9 +89,15 @@ def show_window(cloud: PointCloud) -> None:
         raise CloudError("there is no screen for a window; --png FILE draws a still without one")
     points = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.xyz))
     points.colors = o3d.utility.Vector3dVector(_shaded(cloud) / 255.0)
-    frame = o3d.geometry.TriangleMesh.create_coordinate_frame(1.0)
-    if not o3d.visualization.draw_geometries([points, frame], window_name="lidarcfg"):
+    window = o3d.visualization.Visualizer()
+    if not window.create_window("lidarcfg"):
         raise CloudError("Open3D could not open a window on this screen; --png FILE draws a still")
+    window.add_geometry(points)
+    window.add_geometry(o3d.geometry.TriangleMesh.create_coordinate_frame(1.0))
+    window.get_render_option().background_color = np.array(BACKGROUND) / 255.0
+    window.get_render_option().point_size = 2.0
+    window.run()
+    window.destroy_window()
 
 
 def _colour(sensor: int) -> str:

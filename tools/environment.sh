@@ -60,7 +60,7 @@ prepare() {
   [ -z "$missing" ] || install_packages $missing
   say "making the environment in .venv (about a minute, once)"
   [ -x .venv/bin/python ] || "$python" -m venv .venv
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".${extra:+[$extra]}" >&2
+  .venv/bin/python -m pip install --quiet --quiet --disable-pip-version-check --editable ".${extra:+[$extra]}" >&2
   cp pyproject.toml "$stamp"
 }
 

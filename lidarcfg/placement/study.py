@@ -396,4 +396,6 @@ def with_solver(study: Study, **changes: Any) -> Study:
     given = {key: value for key, value in changes.items() if value is not None}
     if given.keys() & BUDGETS:
         given = dict.fromkeys(BUDGETS) | given
-    return replace(study, solver=study.solver.model_copy(update=given))
+    solver = study.solver.model_copy(update=given)
+    file = study.file | {"solver": solver.model_dump(mode="json", exclude_none=True)}
+    return replace(study, solver=solver, file=file)

@@ -1,0 +1,41 @@
+"""Stills: a pinhole worked by hand, points where they belong, and clouds that cannot be drawn."""
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from lidarcfg.cloud import PointCloud
+from lidarcfg.errors import CloudError
+from lidarcfg.view import BACKGROUND, Camera, save_still
+
+
+def cloud(xyz, names=("a", "b")):
+    xyz = np.asarray(xyz, np.float64).reshape(-1, 3)
+    zeros = np.zeros(len(xyz), np.uint8)
+    sensor = (np.arange(len(xyz)) % len(names)).astype(np.uint16)
+    return PointCloud(xyz, zeros + 50, zeros, np.zeros(len(xyz), np.int64), sensor, names, zeros)
+
+
+def test_a_pinhole_by_hand():
+    camera = Camera(np.zeros(3), np.array([10.0, 0, 0]), 90.0)
+    column, row, depth = camera.project(np.array([[5, 0, 0], [5, -5, 0], [5, 0, 2.5], [-1, 0, 0]]), 200, 100)
+    assert depth == pytest.approx([5, 5, 5, -1])
+    assert column[:3] == pytest.approx([100, 200, 100])  # 45 degrees to the right is the right edge
+    assert row[:3] == pytest.approx([50, 50, 0])  # up is up
+
+
+def test_both_sensors_colours_are_in_the_picture(tmp_path):
+    rng = np.random.default_rng(1)
+    save_still(cloud(rng.uniform((-20, -10, 0), (20, 10, 3), (20_000, 3))), tmp_path / "p.png")
+    image = np.round(matplotlib.image.imread(tmp_path / "p.png")[..., :3] * 255)
+    assert image.shape == (1080, 1920, 3)
+    blue, orange = ((image[..., 2] > image[..., 0] + 60).sum(), (image[..., 0] > image[..., 2] + 60).sum())
+    assert blue > 10_000
+    assert orange > 10_000
+    assert (image == BACKGROUND).all(axis=-1).sum() > 100_000
+
+
+def test_an_empty_cloud_is_refused(tmp_path):
+    with pytest.raises(CloudError, match="the cloud is empty"):
+        save_still(cloud([]), tmp_path / "p.png")
+    assert list(tmp_path.iterdir()) == []
