@@ -149,8 +149,8 @@ def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
         (cycle.seconds, solver.seconds),
     )
     rate = cycle.evaluations / cycle.seconds
-    line = f"cycle {cycle.cycle}  best {cycle.best_m:.4f} m  mean {cycle.mean_m:.4f} m  {rate:,.0f} evaluations/s"
-    return max(spent / budget for spent, budget in budgets if budget), line
+    stand = f"cycle {cycle.cycle}  best {cycle.best_m:.4f} m  mean {cycle.mean_m:.4f} m"
+    return max(spent / budget for spent, budget in budgets if budget), f"{stand}  {rate:,.0f} evaluations/s"
 
 
 @cli.command()
