@@ -88,9 +88,7 @@ def cli() -> None:
 @click.argument("study", type=FILE)
 @click.option("-o", "--output", type=FILE, help="Folder for the results.  [default: out/STUDY]")
 @click.option("--seed", type=click.IntRange(0), help="Seed of the search.  [default: the study's]")
-@click.option(
-    "--threads", type=THREADS, help="Threads; the result is the same on any number.  [default: all]"
-)
+@click.option("--threads", type=THREADS, help="Threads; the result is the same on any number.  [default: all]")
 @click.option("--solver", type=click.Choice(["abc"]), help="How to search.  [default: the study's]")
 @click.option("--cycles", type=click.IntRange(1), help="Budget: cycles of the swarm.")
 @click.option("--evaluations", type=click.IntRange(1), help="Budget: trials.")
@@ -268,9 +266,7 @@ def export(
             _vehicle_pose(at),
             duration_ns,
             start_ns=_nanoseconds(start) if start else capture.START_NS,
-            on_progress=lambda done_ns: on_share(
-                done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated"
-            ),
+            on_progress=lambda done_ns: on_share(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated"),
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{m.name}.pcap") for m in mounted.mounts]
@@ -284,9 +280,7 @@ def export(
 
 @cli.command()
 @click.argument("pcap", type=FILE)
-@click.option(
-    "--rig", type=FILE, help="Merge by this rig's poses; without it each source keeps its own frame."
-)
+@click.option("--rig", type=FILE, help="Merge by this rig's poses; without it each source keeps its own frame.")
 @click.option("--model", help="What the sensor is, whatever its packets say.")
 @click.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
 @quiet_option

@@ -55,9 +55,7 @@ def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
     index: dict[str, int] = {}
     sensor = [_sensor(cloud, index) for cloud in clouds]
     columns = {
-        key: np.concatenate(
-            [np.empty((0, 3) if key == "xyz" else 0, kind), *(getattr(c, key) for c in clouds)]
-        )
+        key: np.concatenate([np.empty((0, 3) if key == "xyz" else 0, kind), *(getattr(c, key) for c in clouds)])
         for key, kind in FIELDS.items()
         if key != "sensor"
     }
@@ -128,9 +126,7 @@ def load_cloud(path: str | Path) -> PointCloud:
 
 def _suffix(path: Path) -> str:
     if path.suffix.lower() not in SUFFIXES:
-        raise CloudError(
-            f"{path}: {path.suffix or 'no suffix'} is not a kind of cloud; allowed: {', '.join(SUFFIXES)}"
-        )
+        raise CloudError(f"{path}: {path.suffix or 'no suffix'} is not a kind of cloud; allowed: {', '.join(SUFFIXES)}")
     return path.suffix.lower()
 
 
@@ -218,9 +214,7 @@ def _ply_layout(lines: list[str]) -> tuple[np.dtype[np.void], int]:
     elements = [word for word in words if word[0] == "element"]
     if [element[1] for element in elements] != ["vertex"]:
         raise ValueError("allowed is the element vertex, alone")
-    return np.dtype([(word[2], PLY_TYPES[word[1]]) for word in words if word[0] == "property"]), int(
-        elements[0][2]
-    )
+    return np.dtype([(word[2], PLY_TYPES[word[1]]) for word in words if word[0] == "property"]), int(elements[0][2])
 
 
 def _pcd_layout(lines: list[str]) -> tuple[np.dtype[np.void], int]:
@@ -228,6 +222,4 @@ def _pcd_layout(lines: list[str]) -> tuple[np.dtype[np.void], int]:
     if words["DATA"] != ["binary"]:
         raise ValueError("allowed is DATA binary")
     columns = zip(words["FIELDS"], words["TYPE"], words["SIZE"], strict=True)
-    return np.dtype([(name, f"<{kind.lower()}{size}") for name, kind, size in columns]), int(
-        words["POINTS"][0]
-    )
+    return np.dtype([(name, f"<{kind.lower()}{size}") for name, kind, size in columns]), int(words["POINTS"][0])

@@ -27,6 +27,14 @@ def rotation(rpy_rad: Sequence[float] | Array) -> Array:
     )
 
 
+def up(rpy_rad: ArrayLike) -> Array:
+    """(…, 3): where z of a frame turned by roll, pitch, yaw (…, 3) points; the last column of R."""
+    roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
+    cr, sr, sp = np.cos(roll), np.sin(roll), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return np.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, np.cos(pitch) * cr], axis=-1)
+
+
 def pose(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Array:
     """T_parent_child (4, 4): child → parent, from the child's position and angles in the parent."""
     T = np.eye(4)
@@ -53,6 +61,4 @@ def directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Array:
     """Unit vectors (N, 3) in the sensor frame; the maker's azimuth turns clockwise seen from above."""
     azimuth, elevation = np.asarray(azimuth_rad), np.asarray(elevation_rad)
     flat = np.cos(elevation)
-    return np.stack(
-        [flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], axis=-1
-    )
+    return np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], axis=-1)

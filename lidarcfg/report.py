@@ -63,7 +63,9 @@ def placement_dict(study: Study, found: Placement) -> dict[str, Any]:
             + found.first_evaluations
             + found.scout_evaluations
             - found.full_evaluations,
-            "cuboids": 0,
+            "cuboids": (found.evaluations + found.first_evaluations + found.scout_evaluations)
+            * study.region.included.size
+            - found.cuboids,
         },
     }
 
@@ -115,14 +117,10 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     axes = figure.subplots()
     evaluations = [cycle.evaluations for cycle in found.history]
     axes.plot(evaluations, [cycle.best_m for cycle in found.history], color=COLOURS[0], label="best")
-    axes.plot(
-        evaluations, [cycle.mean_m for cycle in found.history], color=COLOURS[5], label="mean of the swarm"
-    )
+    axes.plot(evaluations, [cycle.mean_m for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
     axes.axhline(found.middle_max_vsr_m, color="0.5", ls=":", label="middle of the bounds")
     axes.set(xlabel="evaluations", ylabel="max VSR (m)", ylim=(0, None))
-    axes.set_title(
-        f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}"
-    )
+    axes.set_title(f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}")
     axes.grid(alpha=0.3)
     axes.legend()
     return figure
@@ -155,12 +153,8 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
                 interpolation="nearest",
             )
         _draw_sensors(axes, rig, across, up, 0.12 * (top - bottom))
-        axes.set(
-            xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)"
-        )
-        axes.set_title(
-            {2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)")
-        )
+        axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
+        axes.set_title({2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"))
     figure.axes[0].legend(loc="upper right")
     figure.suptitle(f"{rig.name}: max VSR {found.max_vsr_m:.4f} m; its subspace orange, left out grey")
     return figure
@@ -202,9 +196,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     for name, rate in found.detection.items():
         console.print(f"detection rate of {name}: {rate:.4f}")
-    worst = Table(
-        "VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "beams below, by sensor", box=SIMPLE
-    )
+    worst = Table("VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "beams below, by sensor", box=SIMPLE)
     for space in found.worst:
         worst.add_row(
             f"{space.vsr_m:.4f}",

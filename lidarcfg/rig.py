@@ -119,9 +119,7 @@ def resolve_sensor(
     if model is None:
         return custom_sensor(elevation_deg or ()), None
     try:
-        return load_sensor(model, path.parent), model if model in catalogue() else str(
-            (path.parent / model).resolve()
-        )
+        return load_sensor(model, path.parent), model if model in catalogue() else str((path.parent / model).resolve())
     except ConfigError as error:
         raise error_at(path, ("sensors", index, "model"), error) from None
 

@@ -128,15 +128,11 @@ class Sensor(Model):
             what = f"has {len(self.firing.offset_ns)} values; allowed: {self.count}, one a beam"
             raise fault(what, "firing", "offset_ns")
         if self.firing and max(self.firing.offset_ns) >= self.firing.sequence_ns:
-            raise fault(
-                f"a firing lies beyond the sequence's {self.firing.sequence_ns} ns", "firing", "offset_ns"
-            )
+            raise fault(f"a firing lies beyond the sequence's {self.firing.sequence_ns} ns", "firing", "offset_ns")
         if self.range and self.range.min_m >= self.range.max_m:
             raise fault(f"{self.range.min_m} is not below max_m", "range", "min_m")
         if self.packet and self.packet.sequences_per_block * self.count != 32 * len(self.packet.block_flags):
-            what = (
-                f"{self.count} beams × {self.packet.sequences_per_block} do not fill the blocks of 32 returns"
-            )
+            what = f"{self.count} beams × {self.packet.sequences_per_block} do not fill the blocks of 32 returns"
             raise fault(what, "packet", "sequences_per_block")
         return self
 

@@ -74,9 +74,7 @@ def save_still(cloud: PointCloud, path: Path, rig: Rig | None = None) -> None:
         Line2D([], [], ls="", marker="o", color=_colour(i), label=f"{name}: {count:,} points")
         for i, (name, count) in enumerate(zip(cloud.sensor_names, counts, strict=True))
     ]
-    scene.legend(
-        handles=dots, loc="upper left", facecolor=NIGHT, edgecolor="0.4", labelcolor="w", fontsize=13
-    )
+    scene.legend(handles=dots, loc="upper left", facecolor=NIGHT, edgecolor="0.4", labelcolor="w", fontsize=13)
     with replacing(path, "wb") as file:
         figure.savefig(file, format="png", facecolor=NIGHT)
 
@@ -125,9 +123,7 @@ def _middle(cloud: PointCloud, rig: Rig | None) -> Array:
     return np.array([about[0], about[1], np.percentile(cloud.xyz[:, 2], 5)])
 
 
-def _draw_perspective(
-    axes: "Axes", xyz: Array, colours: NDArray[np.uint8], middle: Array, rig: Rig | None
-) -> None:
+def _draw_perspective(axes: "Axes", xyz: Array, colours: NDArray[np.uint8], middle: Array, rig: Rig | None) -> None:
     width, height = 1920, 626
     camera = Camera(middle + np.array([-21.0, -7.0, 7.5]), middle + np.array([8.0, 0.5, 0.5]), 74.0)
     column, row, depth = camera.project(xyz, width, height)
@@ -152,9 +148,7 @@ def _draw_perspective(
         axes.plot(x, y, color="w", lw=0.8, alpha=0.7)
         axes.plot(x[0], y[0], "o", color=_colour(i), ms=11, mec="w", mew=1.8)
         above = 26 + 22 * (i % 2)
-        axes.annotate(
-            mount.name, (x[0], y[0]), (0, above), textcoords="offset points", ha="center", color="w"
-        )
+        axes.annotate(mount.name, (x[0], y[0]), (0, above), textcoords="offset points", ha="center", color="w")
 
 
 def _draw_above(axes: "Axes", xyz: Array, colours: NDArray[np.uint8], middle: Array, rig: Rig | None) -> None:

@@ -61,11 +61,7 @@ def breadth_first(signature, included):
                 while queue:
                     a, b, c = queue.pop(0)
                     for u, v, w in neighbours(a, b, c, nx, ny, nz):
-                        if (
-                            included[u][v][w]
-                            and label[u][v][w] == OUTSIDE
-                            and signature[u][v][w] == signature[i][j][k]
-                        ):
+                        if included[u][v][w] and label[u][v][w] == OUTSIDE and signature[u][v][w] == signature[i][j][k]:
                             label[u][v][w] = count
                             queue.append((u, v, w))
                 count += 1

@@ -140,9 +140,7 @@ def test_jerry_recording(tmp_path):
 
 
 def test_other_recordings_are_refused():
-    with pytest.raises(
-        PacketError, match="no LiDAR data packets of 1206 bytes; its UDP datagrams: 1 of 1212 bytes"
-    ):
+    with pytest.raises(PacketError, match="no LiDAR data packets of 1206 bytes; its UDP datagrams: 1 of 1212 bytes"):
         whole(recording("ouster_VLI-16-one-packet.pcap"))
     with pytest.raises(PacketError, match="return mode 0x39; allowed: 0x37, 0x38"):
         whole(recording("nebula_vlp16.pcap"))
@@ -174,9 +172,7 @@ def test_the_same_bytes_again(street, second, tmp_path):
     """Whatever the chunks, and merged from one stream a sensor."""
     path = tmp_path / "again.pcap"
     told: list[int] = []
-    streams = export(
-        tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, on_progress=told.append, chunk_ns=7_000_000
-    )
+    streams = export(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, on_progress=told.append, chunk_ns=7_000_000)
     write_pcap(path, in_time_order(streams))
     assert path.read_bytes() == second.read_bytes()
     assert told == sorted(told)
@@ -245,9 +241,7 @@ def test_sources_and_the_rig(second):
 def test_capture_without_lidar(second, tmp_path):
     positions = [d for d in read_datagrams(second, no_note) if d.port == 8308]
     write_pcap(tmp_path / "a.pcap", positions[:3])
-    with pytest.raises(
-        PacketError, match="no LiDAR data packets of 1206 bytes; its UDP datagrams: 3 of 512 bytes"
-    ):
+    with pytest.raises(PacketError, match="no LiDAR data packets of 1206 bytes; its UDP datagrams: 3 of 512 bytes"):
         whole(tmp_path / "a.pcap")
     write_pcap(tmp_path / "b.pcap", [])
     with pytest.raises(PacketError, match="no UDP datagrams at all"):
@@ -258,7 +252,5 @@ def test_what_cannot_be_exported(street):
     fan = replace(mount(), sensor=custom_sensor((0.0, 1.0)))
     with pytest.raises(ConfigError, match="lidar_0: sensor 'custom' is for placement only: it has no firing"):
         export(Rig("fan", (fan,)), street, np.eye(4), SECOND_NS)
-    with pytest.raises(
-        ConfigError, match=r"0\.001 s holds no packet of lidar_0; allowed: at least 0\.0013271 s"
-    ):
+    with pytest.raises(ConfigError, match=r"0\.001 s holds no packet of lidar_0; allowed: at least 0\.0013271 s"):
         export(Rig("short", (mount(),)), street, np.eye(4), 1_000_000)

@@ -19,9 +19,7 @@ HEAVY = {"numba", "scipy", "open3d", "matplotlib"}
 
 
 def run(*words, code=0, cwd=ROOT):
-    done = subprocess.run(
-        [sys.executable, "-m", "lidarcfg", *map(str, words)], capture_output=True, text=True, cwd=cwd
-    )
+    done = subprocess.run([sys.executable, "-m", "lidarcfg", *map(str, words)], capture_output=True, text=True, cwd=cwd)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
     return done
@@ -65,15 +63,10 @@ def test_starting_up_loads_nothing_heavy(what):
 
 def test_every_public_name_is_there():
     code = "import lidarcfg; print([getattr(lidarcfg, name) for name in lidarcfg.__all__] and 'all')"
-    assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        == "all\n"
-    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "all\n"
 
 
-@pytest.mark.parametrize(
-    "command", ["optimize", "evaluate", "export", "decode", "view", "sensors", "sensors show"]
-)
+@pytest.mark.parametrize("command", ["optimize", "evaluate", "export", "decode", "view", "sensors", "sensors show"])
 def test_every_help_shows_an_example(command):
     text = run(*command.split(), "--help").stdout
     assert f"lidarcfg {command}" in text.split("Example:")[1]
@@ -131,9 +124,7 @@ def test_a_picture_of_a_capture_and_of_a_cloud(out):
     assert (out / "a.png").read_bytes() == (out / "b.png").read_bytes()
 
 
-@pytest.mark.skipif(
-    bool(os.environ.get("DISPLAY")), reason="there is a screen, and a window would open on it"
-)
+@pytest.mark.skipif(bool(os.environ.get("DISPLAY")), reason="there is a screen, and a window would open on it")
 def test_no_window_without_a_screen(out):
     assert "there is no screen for a window; --png" in one_line("view", out / "two.ply")
 

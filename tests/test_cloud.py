@@ -125,9 +125,7 @@ def test_empty_and_not_finite(tmp_path, suffix):
 
 def test_missing_fields(tmp_path):
     np.savez(tmp_path / "a.npz", xyz=np.zeros((3, 3)))
-    with pytest.raises(
-        CloudError, match="missing: intensity, ring, time_ns, sensor, return_type, sensor_names"
-    ):
+    with pytest.raises(CloudError, match="missing: intensity, ring, time_ns, sensor, return_type, sensor_names"):
         load_cloud(tmp_path / "a.npz")
     save_clouds(tmp_path / "a.ply", [cloud()])
     raw = (tmp_path / "a.ply").read_bytes().replace(b"uchar ring", b"uchar rong")

@@ -57,7 +57,5 @@ def test_rays():
 
 
 def test_placement_only_sensors_are_refused():
-    with pytest.raises(
-        ConfigError, match="'fan-16' is for placement only: it has no firing and packet facts"
-    ):
+    with pytest.raises(ConfigError, match="'fan-16' is for placement only: it has no firing and packet facts"):
         packet_period_ns(load_sensor("fan-16"))

@@ -38,9 +38,7 @@ def test_a_pose_times_its_inverse_is_nothing(position, rpy):
 
 
 def test_quarter_turns():
-    yaw, pitch, roll = (
-        geometry.rotation(a) for a in ((0, 0, math.pi / 2), (0, math.pi / 2, 0), (math.pi / 2, 0, 0))
-    )
+    yaw, pitch, roll = (geometry.rotation(a) for a in ((0, 0, math.pi / 2), (0, math.pi / 2, 0), (math.pi / 2, 0, 0)))
     assert yaw @ [1, 0, 0] == pytest.approx([0, 1, 0], abs=1e-15)  # forward turns to the left
     assert pitch @ [1, 0, 0] == pytest.approx([0, 0, -1], abs=1e-15)  # the nose goes down
     assert roll @ [0, 1, 0] == pytest.approx([0, 0, 1], abs=1e-15)  # the left side goes up

@@ -53,9 +53,7 @@ def test_an_open3d_voxel_grid_is_a_region():
     assert np.argwhere(~region.included).tolist() == [[1, 1, 1]]
     assert region.min_m == pytest.approx([1, 2, 3])
     assert region.cuboid_m == pytest.approx([0.5, 0.5, 0.5])
-    assert [axis[0] for axis in region.centres()] == pytest.approx(
-        grid.get_voxel_center_coordinate((0, 0, 0))
-    )
+    assert [axis[0] for axis in region.centres()] == pytest.approx(grid.get_voxel_center_coordinate((0, 0, 0)))
 
 
 def test_cuboids_go_through_a_scaled_copy_and_back():

@@ -28,33 +28,25 @@ def volume(scene):
 
 
 def test_volumes(tmp_path):
-    box = scene(
-        tmp_path, "boxes: [{name: b, center_m: [5, -3, 1], size_m: [2, 3, 4], yaw_deg: 30, reflectivity: 9}]"
-    )
+    box = scene(tmp_path, "boxes: [{name: b, center_m: [5, -3, 1], size_m: [2, 3, 4], yaw_deg: 30, reflectivity: 9}]")
     assert volume(box) == pytest.approx(24, rel=1e-12)
     ball = scene(tmp_path, "spheres: [{name: s, center_m: [100, 0, 1], radius_m: 2, reflectivity: 9}]")
     assert volume(ball) == pytest.approx(4 / 3 * math.pi * 8, rel=3e-3)
     assert volume(ball) < 4 / 3 * math.pi * 8
-    pole = scene(
-        tmp_path, "cylinders: [{name: c, base_m: [1, 2, 3], radius_m: 0.5, height_m: 2, reflectivity: 9}]"
-    )
+    pole = scene(tmp_path, "cylinders: [{name: c, base_m: [1, 2, 3], radius_m: 0.5, height_m: 2, reflectivity: 9}]")
     assert volume(pole) == pytest.approx(math.pi * 0.25 * 2, rel=1e-2)
 
 
 def test_facets_stay_within_a_millimetre(tmp_path):
     for radius in (0.05, 0.25, 2.0, 10.0):
-        ball = scene(
-            tmp_path, f"spheres: [{{name: s, center_m: [0, 0, 0], radius_m: {radius}, reflectivity: 9}}]"
-        )
+        ball = scene(tmp_path, f"spheres: [{{name: s, center_m: [0, 0, 0], radius_m: {radius}, reflectivity: 9}}]")
         triangles = ball.vertices_m[ball.triangles]
         edges = (triangles + np.roll(triangles, 1, axis=1)) / 2
         assert np.linalg.norm(edges, axis=2).min() > radius - 0.001
 
 
 def test_yaw_turns_left(tmp_path):
-    box = scene(
-        tmp_path, "boxes: [{name: b, center_m: [0, 0, 0], size_m: [4, 1, 1], yaw_deg: 90, reflectivity: 9}]"
-    )
+    box = scene(tmp_path, "boxes: [{name: b, center_m: [0, 0, 0], size_m: [4, 1, 1], yaw_deg: 90, reflectivity: 9}]")
     np.testing.assert_allclose(box.vertices_m.max(axis=0), [0.5, 2, 0.5], atol=1e-12)
 
 

@@ -9,8 +9,8 @@ from scipy import ndimage
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement import kernels
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radius_m, surface_m2, volume_m3, vsr_m
-from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import Subspaces, beam_gaps, lidar, segment, signatures
+from lidarcfg.placement.region import Region, excluded
+from lidarcfg.placement.subspace import Subspaces, beam_gaps, lidar, pack, segment
 from tests import naive
 
 EDGES = (0.8, 0.5, 0.25)
@@ -21,9 +21,11 @@ def bodies(array, edges=EDGES):
     """Subspaces of a hand-made label array; 0 is left out."""
     array = np.asarray(array)
     region = Region(np.zeros(3), np.array(edges) * array.shape, array > 0)
-    label, first, cuboids, internal = kernels.components(array.astype(np.int64), region.included)
+    words = region.frame(np.dtype(np.uint32)).reshape([n + 2 for n in array.shape])
+    words[1:-1, 1:-1, 1:-1] |= array.astype(np.uint32)
+    label, first, cuboids, internal = kernels.components(words.ravel(), excluded(words.dtype), region.shape)
     assert label.ravel()[first].tolist() == list(range(len(first)))
-    return Subspaces(region, label, cuboids, internal, np.zeros((len(cuboids), 0), np.int32))
+    return Subspaces(region, label, cuboids, internal, np.zeros((len(cuboids), 0), np.int64))
 
 
 def cells(subspaces, number):
@@ -96,9 +98,7 @@ def test_a_centre_on_a_cone_belongs_to_the_gap_above():
     assert gap[0, 0].tolist() == [1, 3, 3]  # straight down is on the −90° beam, straight up on the 90° one
 
 
-poses = st.tuples(
-    st.tuples(st.floats(-1, 5), st.floats(-1, 3), st.floats(-1, 2)), st.tuples(*[st.floats(-4, 4)] * 3)
-)
+poses = st.tuples(st.tuples(st.floats(-1, 5), st.floats(-1, 3), st.floats(-1, 2)), st.tuples(*[st.floats(-4, 4)] * 3))
 
 
 @settings(max_examples=60, deadline=None)
@@ -165,22 +165,20 @@ def test_a_spin_about_its_own_axis_changes_no_cone():
     assert np.array_equal(a, b)
 
 
-def test_base_n_numbers_never_overflow():
-    """Twenty LiDARs of 1,000 beams need 200 bits; distinct digits must stay distinct."""
+def test_labels_tell_apart_what_base_n_numbers_do():
+    """Twenty LiDARs of 1,000 beams: numbers of 200 bits, which no word holds."""
     rng = np.random.default_rng(1)
-    gaps = [rng.integers(0, 1001, (6, 5, 4)).astype(np.int32) for _ in range(20)]
-    gaps[0][:] = 7  # so that the first digit cannot tell them apart
-    for gap in gaps[:-1]:
-        gap[0, 0, 1] = gap[0, 0, 0]
-    gaps[-1][0, 0, :2] = 3, 4  # the last digit alone does
-    region = Region.from_boxes((0, 0, 0), (6, 5, 4), (1, 1, 1))
-    mine = signatures(region, gaps, [1001] * 20)
-    exact = [naive.base_n(d, [1001] * 20) for d in zip(*(g.ravel().tolist() for g in gaps), strict=True)]
-    assert len(np.unique(mine)) == len(set(exact)) == 120
-    small = signatures(region, gaps[:3], [1001] * 3)
-    assert small.ravel().tolist() == [
-        naive.base_n(d, [1001] * 3) for d in zip(*(g.ravel().tolist() for g in gaps[:3]), strict=True)
-    ]
+    region = Region.from_boxes((0, 0, 0), (6, 5, 4), (1, 1, 1), (((2, 2, 0), (4, 3, 4)),))
+    sine = np.sort(rng.uniform(-1, 1, 1000))
+    lidars = [lidar(rng.uniform((1, 1, 1), (5, 4, 3)), rng.uniform(-3, 3, 3), sine) for _ in range(20)]
+    digits = zip(*(beam_gaps(region, one)[region.included].tolist() for one in lidars), strict=True)
+    exact = [naive.base_n(d, [1001] * 20) for d in digits]
+    words = pack(region, lidars).reshape(8, 7, 6)[1:-1, 1:-1, 1:-1][region.included].tolist()
+    assert len(set(exact)) == len(set(words)) == len(set(zip(exact, words, strict=True)))
+    assert max(words) < 2**63
+    few = pack(region, lidars[:3]).reshape(8, 7, 6)[1:-1, 1:-1, 1:-1]
+    for shift, one in zip((0, 10, 20), lidars, strict=False):
+        assert np.array_equal((few >> shift) & 1023, beam_gaps(region, one))
 
 
 def test_subspaces_come_back_as_a_voxel_grid():

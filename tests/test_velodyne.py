@@ -69,9 +69,7 @@ def test_bytes_by_hand():
 def test_encode_is_the_twin():
     packets, fired, range_m, reflectivity = random_packets(4, first=70)
     for p, packet in enumerate(packets):
-        azimuths = [
-            round(naive.head_deg((70 + p) * 1_327_104 + b * 110_592, 600) * 100) % 36000 for b in range(12)
-        ]
+        azimuths = [round(naive.head_deg((70 + p) * 1_327_104 + b * 110_592, 600) * 100) % 36000 for b in range(12)]
         returns = []
         for sequence in range(24):
             row = []
@@ -109,16 +107,12 @@ def test_never_wraps():
     fired = firings(far, 600, 0, range(1))
     range_m = np.zeros((1, 24, 16))
     range_m[0, 0, :8] = [0.4999, 0.5, 131.07, 131.0715, 131.08, 131.072 * 2 + 1, 999, np.inf]
-    distance = encode(far, "strongest", fired, range_m, np.full(range_m.shape, 9, np.uint8))["blocks"][
-        "returns"
-    ]
+    distance = encode(far, "strongest", fired, range_m, np.full(range_m.shape, 9, np.uint8))["blocks"]["returns"]
     assert distance["distance"][0, 0, :8].tolist() == [0, 250, 65535, 0, 0, 0, 0, 0]
     assert distance["intensity"][0, 0, :8].tolist() == [0, 9, 9, 0, 0, 0, 0, 0]
 
 
-@pytest.mark.parametrize(
-    ("beams", "sequences", "flags"), [(32, 1, (0xEEFF,)), (64, 1, (0xEEFF, 0xDDFF)), (8, 4, (1,))]
-)
+@pytest.mark.parametrize(("beams", "sequences", "flags"), [(32, 1, (0xEEFF,)), (64, 1, (0xEEFF, 0xDDFF)), (8, 4, (1,))])
 def test_any_layout_of_blocks(beams, sequences, flags):
     """The facts decide: what a packet of another layout holds comes back, return for return."""
     elevation = tuple(float(e) for e in np.linspace(-25, 15, beams))
@@ -134,9 +128,7 @@ def test_any_layout_of_blocks(beams, sequences, flags):
                 }
             ),
             "firing": VLP16.firing.model_copy(update={"offset_ns": offset, "sequence_ns": 50_000}),
-            "packet": VLP16.packet.model_copy(
-                update={"block_flags": flags, "sequences_per_block": sequences}
-            ),
+            "packet": VLP16.packet.model_copy(update={"block_flags": flags, "sequences_per_block": sequences}),
         }
     )
     fired = firings(sensor, 600, AT_NS, range(50, 60))
@@ -238,9 +230,7 @@ def test_hour_wrap():
 def test_position_packet_by_another_parser():
     when = datetime(2016, 1, 21, 8, 18, 2, 340_595, tzinfo=UTC)
     time_ns = int(when.timestamp() * 10**6 + 0.5) * 1000
-    payload = position_packet(
-        time_ns, GeoOrigin(latitude_deg=36.829131, longitude_deg=-2.40757), (0, 0), math.pi / 2
-    )
+    payload = position_packet(time_ns, GeoOrigin(latitude_deg=36.829131, longitude_deg=-2.40757), (0, 0), math.pi / 2)
     telemetry = vd.TelemetryPacket(payload)
     assert telemetry.usec_since_toh == (18 * 60 + 2) * 10**6 + 340_595
     assert telemetry.pps_status == vd.TelemetryPacket.PpsStatus.LOCKED

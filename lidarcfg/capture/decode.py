@@ -121,6 +121,4 @@ def _sensor_of(where: str, datagram: Datagram) -> Sensor:
         if sensor.packet and sensor.packet.product_id == product_id:
             return sensor
     known = ", ".join(f"0x{s.packet.product_id:02X} {s.name}" for s in sensors if s.packet)
-    raise PacketError(
-        f"{where} sends the unknown product id 0x{product_id:02X}; known: {known}; or give --model"
-    )
+    raise PacketError(f"{where} sends the unknown product id 0x{product_id:02X}; known: {known}; or give --model")

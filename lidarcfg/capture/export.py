@@ -69,9 +69,7 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
         raise ConfigError(f"{mount.name}: {error}") from None
     for key in ("rotation", "range"):
         if getattr(sensor, key) is None:
-            raise ConfigError(
-                f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts"
-            )
+            raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
     if duration_ns < packet_period_ns(sensor):
         raise ConfigError(
             f"a duration of {duration_ns / SECOND_NS:g} s holds no packet of {mount.name}; "
@@ -101,9 +99,7 @@ def data_stream(
             directions.reshape(-1, 3) @ T_world_sensor[:3, :3].T,
         )
         shape = fired.time_ns.shape
-        packets = encode(
-            sensor, mount.return_mode, fired, range_m.reshape(shape), reflectivity.reshape(shape)
-        )
+        packets = encode(sensor, mount.return_mode, fired, range_m.reshape(shape), reflectivity.reshape(shape))
         for number, packet in zip(numbers, packets, strict=True):
             yield Datagram(
                 time_ns=_microseconds(start_ns + (number + 1) * period_ns),

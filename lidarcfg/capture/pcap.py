@@ -110,9 +110,7 @@ def _datagrams(file: _File, on_note: Callable[[str], None]) -> Iterator[Datagram
     except (*DAMAGE, PacketError):
         raise PacketError(f"{file.name}: not a capture; allowed: pcap and pcapng") from None
     if reader.datalink() not in LINKS:
-        raise PacketError(
-            f"{file.name}: link type {reader.datalink()} is not known; allowed: Ethernet, raw IP"
-        )
+        raise PacketError(f"{file.name}: link type {reader.datalink()} is not known; allowed: Ethernet, raw IP")
     link = LINKS[reader.datalink()]
     records = iter(reader)
     for count in itertools.count():

@@ -106,9 +106,7 @@ class SceneFile(Model):
         for kind in ("boxes", "spheres", "cylinders", "planes", "meshes"):
             for i, thing in enumerate(getattr(self, kind)):
                 if thing.name in names:
-                    raise fault(
-                        f"{thing.name!r} is an object already; each name may stand once", kind, i, "name"
-                    )
+                    raise fault(f"{thing.name!r} is an object already; each name may stand once", kind, i, "name")
                 names.add(thing.name)
         return self
 

@@ -27,9 +27,7 @@ from lidarcfg.sensor import Sensor
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
-PACKET = np.dtype(
-    [("blocks", BLOCK, (BLOCKS,)), ("stamp_us", "<u4"), ("return_mode", "u1"), ("product_id", "u1")]
-)
+PACKET = np.dtype([("blocks", BLOCK, (BLOCKS,)), ("stamp_us", "<u4"), ("return_mode", "u1"), ("product_id", "u1")])
 POSITION = np.dtype(
     {
         "names": ["stamp_us", "pps", "nmea"],
@@ -157,9 +155,7 @@ def _turning(sensor: Sensor, packets: Packets) -> tuple[Array, Array]:
 
 def _check(got: NDArray[np.integer], right: NDArray[np.bool_], what: str, allowed: tuple[int, ...]) -> None:
     if not right.all():
-        raise PacketError(
-            f"{what} 0x{got[~right][0]:02X}; allowed: {', '.join(f'0x{n:02X}' for n in allowed)}"
-        )
+        raise PacketError(f"{what} 0x{got[~right][0]:02X}; allowed: {', '.join(f'0x{n:02X}' for n in allowed)}")
 
 
 def stamp_us(time_ns: Times) -> Times:
@@ -173,9 +169,7 @@ def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:
     return past_hour + (host_time_ns - past_hour + HOUR_NS // 2) // HOUR_NS * HOUR_NS
 
 
-def position_packet(
-    time_ns: int, geo_origin: GeoOrigin, east_north_m: tuple[float, float], yaw_rad: float
-) -> bytes:
+def position_packet(time_ns: int, geo_origin: GeoOrigin, east_north_m: tuple[float, float], yaw_rad: float) -> bytes:
     """The position packet of a vehicle that stands at (x east, y north) of the world with this yaw."""
     packet = np.zeros((), POSITION)
     packet["stamp_us"] = stamp_us(np.array(time_ns, np.int64))

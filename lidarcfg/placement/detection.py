@@ -22,9 +22,7 @@ class DetectionObject(Model):
 
 def check_fits(item: DetectionObject, region: Region) -> None:
     """Raise ConfigError where an object is larger than the region."""
-    for axis, (need, have) in enumerate(
-        zip(cuboids_needed(item.size_m, region.cuboid_m), region.shape, strict=True)
-    ):
+    for axis, (need, have) in enumerate(zip(cuboids_needed(item.size_m, region.cuboid_m), region.shape, strict=True)):
         if need > have:
             size, most = item.size_m[axis], region.max_m[axis] - region.min_m[axis]
             raise ConfigError(

@@ -1,7 +1,7 @@
 """The region of interest: a box cut into equal cuboids, some of them left out."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,9 +84,7 @@ class Region:
         for box_min, box_max in exclude:
             inside = [
                 (least <= centre) & (centre < most)
-                for least, most, centre in zip(
-                    np.asarray(box_min), np.asarray(box_max), region.centres(), strict=True
-                )
+                for least, most, centre in zip(np.asarray(box_min), np.asarray(box_max), region.centres(), strict=True)
             ]
             region.included[np.ix_(*inside)] = False
         return region
@@ -98,9 +96,7 @@ class Region:
         return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
 
     @classmethod
-    def from_voxel_grid(
-        cls, grid: "open3d.geometry.VoxelGrid", cuboid_m: ArrayLike | None = None
-    ) -> "Region":
+    def from_voxel_grid(cls, grid: "open3d.geometry.VoxelGrid", cuboid_m: ArrayLike | None = None) -> "Region":
         """The region of an Open3D voxel grid: only its voxels count.
 
         Open3D's voxels are cubes. With `cuboid_m` (3,) the grid is taken for a copy in which every axis was
@@ -136,6 +132,12 @@ class Region:
         )
         return x, y, z
 
+    def frame(self, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """The padded grid of the kernels, flat: 0 where a cuboid counts, the top bit elsewhere."""
+        words = np.full([n + 2 for n in self.shape], excluded(dtype), dtype)
+        words[1:-1, 1:-1, 1:-1][self.included] = 0
+        return words.ravel()
+
     def voxel_grid(self, index: ArrayLike, rgb: ArrayLike) -> "open3d.geometry.VoxelGrid":
         """Cuboids (N, 3) by their indices as an Open3D voxel grid with colours (N, 3) in 0..1.
 
@@ -154,6 +156,16 @@ class Region:
         return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
             cloud, edge, self.min_m * scale, self.max_m * scale
         )
+
+
+def word_dtype(bits: int) -> np.dtype[Any]:
+    """The words that hold so many bits beside the top one."""
+    return np.dtype(np.uint32 if bits < 32 else np.uint64)
+
+
+def excluded(dtype: np.dtype[Any]) -> Any:
+    """The mark of what a region leaves out: the top bit of a word, in the words' own type."""
+    return dtype.type(1 << (8 * dtype.itemsize - 1))
 
 
 def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int, int]:

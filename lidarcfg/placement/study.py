@@ -1,10 +1,8 @@
 """A study: which sensors may sit where, what is asked of them, and how the answer is looked for."""
 
 import math
-import os
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,6 +16,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.bee_colony import BeeColony
 from lidarcfg.placement.detection import DetectionObject, check_fits, detection_rate
+from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.metric import (
     bounds_m,
     centroid_m,
@@ -155,17 +154,16 @@ class Study:
         return self.lower < self.upper
 
     def poses(self, unit: Array) -> Array:
-        """The poses (slots, 6) of a point of the unit cube over the free coordinates; 1 is exactly upper."""
-        out = self.lower.copy()
+        """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube; 1 is exactly upper."""
+        out = np.repeat(self.lower[None], len(unit), axis=0)
         low, high = self.lower[self.free], self.upper[self.free]
-        out[self.free] = np.where(unit == 1.0, high, np.clip(low + unit * (high - low), low, high))
+        out[:, self.free] = np.where(unit == 1.0, high, np.clip(low + unit * (high - low), low, high))
         return out
 
     def lidars(self, poses: Array) -> tuple[Lidar, ...]:
         """The cones of the sensors at these poses (slots, 6)."""
         return tuple(
-            lidar(row[:3], row[3:], slot.sensor.sin_elevation)
-            for row, slot in zip(poses, self.slots, strict=True)
+            lidar(row[:3], row[3:], slot.sensor.sin_elevation) for row, slot in zip(poses, self.slots, strict=True)
         )
 
     def rig(self, poses: Array) -> Rig:
@@ -242,6 +240,7 @@ class Placement:
     first_evaluations: int
     scout_evaluations: int
     full_evaluations: int  # so many were computed in full, first sources and scouts included
+    cuboids: int  # so many were looked at
     seconds: float
     interrupted: bool
 
@@ -285,11 +284,6 @@ def load_study(path: str | Path) -> Study:
     )
 
 
-def max_vsr(region: Region, lidars: Sequence[Lidar]) -> float:
-    """The paper's cost: the largest volume-to-surface ratio over all subspaces, in metres (eq. 10)."""
-    return float(vsr_m(segment(region, lidars)).max())
-
-
 def evaluate(study: Study, rig: Rig) -> Evaluation:
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced."""
     started = time.perf_counter()
@@ -319,10 +313,12 @@ def optimize(
     solver: Solver | None = None,
     threads: int | None = None,
     on_cycle: Callable[[Cycle], None] | None = None,
+    skip: bool = True,
 ) -> Placement:
     """Look for the rig of least max VSR. The result depends on the seed, not on the number of threads.
 
-    `solver` replaces the study's. An interrupt (Ctrl-C) ends the search and keeps the best so far.
+    `solver` replaces the study's; without `skip` everything is evaluated in full, which changes nothing but the
+    time. An interrupt (Ctrl-C) ends the search and keeps the best so far.
     Raises ConfigError where nothing is free to move.
     """
     solver = solver or study.solver
@@ -330,14 +326,11 @@ def optimize(
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
     started = time.perf_counter()
-    middle = max_vsr(study.region, study.lidars(study.poses(np.full(dimensions, 0.5))))
+    middle = study.poses(np.full((1, dimensions), 0.5))[0]
     colony = BeeColony(dimensions, solver.bees, solver.limit or solver.bees * dimensions, solver.seed)
     asked = {"first": 0, "employed": 0, "onlooker": 0, "scout": 0}
     history: list[Cycle] = []
     interrupted = False
-
-    def cost(unit: Array) -> float:
-        return max_vsr(study.region, study.lidars(study.poses(unit)))
 
     def done() -> bool:
         trials = asked["employed"] + asked["onlooker"]
@@ -347,15 +340,21 @@ def optimize(
             or (solver.seconds is not None and time.perf_counter() - started >= solver.seconds)
         )
 
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+    sines = [slot.sensor.sin_elevation for slot in study.slots]
+    with Evaluator(study.region, sines, threads, skip) as evaluator:
         try:
             while not done():
                 trials = colony.ask()
-                values = np.full(len(trials.x), math.inf)
-                left = len(values)
+                left = len(trials.x)
                 if solver.evaluations is not None and trials.phase in ("employed", "onlooker"):
                     left = min(left, solver.evaluations - asked["employed"] - asked["onlooker"])
-                values[:left] = list(pool.map(cost, trials.x[:left]))
+                values = np.full(len(trials.x), math.inf)
+                values[:left] = evaluator.max_vsr(
+                    study.poses(trials.x[:left]),
+                    trials.source[:left],
+                    study.poses(colony.x),
+                    trials.to_beat[:left],
+                )
                 asked[trials.phase] += left
                 before = colony.cycles
                 colony.tell(values)
@@ -373,19 +372,19 @@ def optimize(
                         on_cycle(history[-1])
         except KeyboardInterrupt:
             interrupted = True
-            pool.shutdown(cancel_futures=True)
     if not math.isfinite(colony.best_cost):
         raise KeyboardInterrupt
-    rig = study.rig(study.poses(colony.best_x))
+    rig = study.rig(study.poses(colony.best_x[None])[0])
     return Placement(
         rig=rig,
         evaluation=evaluate(study, rig),
-        middle_max_vsr_m=middle,
+        middle_max_vsr_m=max_vsr(study.region, study.lidars(middle)),
         history=tuple(history),
         evaluations=asked["employed"] + asked["onlooker"],
         first_evaluations=asked["first"],
         scout_evaluations=asked["scout"],
-        full_evaluations=sum(asked.values()),
+        full_evaluations=evaluator.full_evaluations,
+        cuboids=evaluator.cuboids,
         seconds=time.perf_counter() - started,
         interrupted=interrupted,
     )

@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array, rotation
+from lidarcfg.geometry import Array, up
 from lidarcfg.placement import kernels
-from lidarcfg.placement.region import Region
+from lidarcfg.placement.region import Region, excluded, word_dtype
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Subspaces:
     label: NDArray[np.int32]  # (nx, ny, nz), −1 where the region leaves a cuboid out
     cuboids: NDArray[np.int64]  # (n,) in each
     internal: NDArray[np.int64]  # (n, 3) faces inside each, across x, y and z
-    gap: NDArray[np.int32]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it
+    gap: NDArray[np.int64]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it
 
     def __len__(self) -> int:
         return len(self.cuboids)
@@ -52,7 +52,7 @@ class Subspaces:
 
 def lidar(position_m: Sequence[float], rpy_rad: Sequence[float], sin_elevation: Array) -> Lidar:
     """The cones of a sensor at this pose in the vehicle frame."""
-    return Lidar(np.asarray(position_m, np.float64), rotation(rpy_rad)[:, 2].copy(), sin_elevation)
+    return Lidar(np.asarray(position_m, np.float64), up(rpy_rad), sin_elevation)
 
 
 def rig_lidars(rig: Rig) -> tuple[Lidar, ...]:
@@ -60,33 +60,63 @@ def rig_lidars(rig: Rig) -> tuple[Lidar, ...]:
     return tuple(lidar(m.position_m, m.rpy_rad, m.sensor.sin_elevation) for m in rig.mounts)
 
 
-def beam_gaps(region: Region, lidar: Lidar) -> NDArray[np.int32]:
-    """The digit of one LiDAR: how many of its cones lie at or below each cuboid's centre, (nx, ny, nz)."""
-    return kernels.beam_gaps(*region.centres(), lidar.position_m, lidar.axis, lidar.sin_elevation)
+def thresholds(sin_elevation: Array) -> Array:
+    """(beams + 2,): −inf, sin |sin| of each beam, inf; what the kernels compare with."""
+    return np.concatenate([[-np.inf], sin_elevation * np.abs(sin_elevation), [np.inf]])
 
 
-def signatures(region: Region, gaps: Sequence[NDArray[np.int32]], bases: Sequence[int]) -> NDArray[np.int64]:
-    """The base-n number d_1 d_2 … d_n of each cuboid, (nx, ny, nz), from the LiDARs' digits and bases.
+def bits_needed(sines: Sequence[Array]) -> list[int]:
+    """How many bits the beam gap index of each LiDAR takes, from its sines of elevation (beams,)."""
+    return [sine.size.bit_length() for sine in sines]
 
-    Where a number would not fit into 63 bits, the ones that occur are numbered anew first.
+
+def pack(region: Region, lidars: Sequence[Lidar]) -> NDArray[Any]:
+    """The label of each cuboid, padded (see kernels): the paper's base-n number, in bits instead of a base.
+
+    Where a further digit would not fit, the labels that occur are numbered anew first: labels tell apart what the
+    base-n numbers do, for any number of LiDARs and beams.
     """
-    number = np.zeros(region.shape, np.int64)
-    count = 1
-    for gap, base in zip(gaps, bases, strict=True):
-        if count * base > 2**63 - 1:
-            number = np.unique(number, return_inverse=True)[1].reshape(region.shape)
-            count = int(number.max()) + 1
-        number = number * base + gap
-        count *= base
-    return number
+    bits = bits_needed([lidar.sin_elevation for lidar in lidars])
+    words = region.frame(word_dtype(sum(bits)))
+    outside = excluded(words.dtype)
+    used = 0
+    for lidar, need in zip(lidars, bits, strict=True):
+        if used + need > 63:
+            values, words = np.unique(words, return_inverse=True)
+            used = len(values).bit_length()
+            words = words.astype(np.uint64) | (values & outside)[words]
+        pose = np.concatenate([lidar.position_m, lidar.axis])[None]
+        kernels.pack_gaps(region.centres(), pose, thresholds(lidar.sin_elevation)[None], 0, used, words)
+        used += need
+    return words
+
+
+def beam_gaps(region: Region, lidar: Lidar) -> NDArray[np.int64]:
+    """The digit of one LiDAR: how many of its cones lie at or below each cuboid's centre, (nx, ny, nz)."""
+    words = pack(region, [lidar]).reshape([n + 2 for n in region.shape])
+    gap: NDArray[np.int64] = (words & ~excluded(words.dtype))[1:-1, 1:-1, 1:-1].astype(np.int64)
+    return gap
 
 
 def segment(region: Region, lidars: Sequence[Lidar]) -> Subspaces:
     """Cut a region into its connected subspaces. Raises ConfigError where no cuboid is left in it."""
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
-    gaps = [beam_gaps(region, lidar) for lidar in lidars]
-    number = signatures(region, gaps, [lidar.sin_elevation.size + 1 for lidar in lidars])
-    label, first, cuboids, internal = kernels.components(number, region.included)
-    gap = np.array([gap.ravel()[first] for gap in gaps], np.int32).reshape(len(gaps), len(first)).T
+    words = pack(region, lidars)
+    label, first, cuboids, internal = kernels.components(words, excluded(words.dtype), region.shape)
+    points = np.stack(
+        [axis[n] for axis, n in zip(region.centres(), np.unravel_index(first, region.shape), strict=True)],
+        axis=1,
+    )
+    gap = np.stack([gaps_at(points, lidar) for lidar in lidars], axis=1) if lidars else np.zeros((len(first), 0), int)
     return Subspaces(region, label, cuboids, internal, gap)
+
+
+def gaps_at(points_m: Array, lidar: Lidar) -> NDArray[np.int64]:
+    """(N,) how many of a LiDAR's cones lie at or below points (N, 3); the kernels' comparison, term by term."""
+    dx, dy, dz = (points_m - lidar.position_m).T
+    height = (dx * lidar.axis[0] + dy * lidar.axis[1]) + dz * lidar.axis[2]
+    square = (dx * dx + dy * dy) + dz * dz
+    limit = lidar.sin_elevation * np.abs(lidar.sin_elevation)
+    gap: NDArray[np.int64] = ((height * np.abs(height))[:, None] >= limit * square[:, None]).sum(axis=1)
+    return gap
