@@ -19,7 +19,7 @@ _HOME = {
     "Subspaces": "placement.subspace",
     "Study": "placement.study",
     "load_study": "placement.study",
-    "optimize": "placement.study",
+    "optimize": "placement.optimize",
     "evaluate": "placement.study",
     "Scene": "capture.scene",
     "load_scene": "capture.scene",

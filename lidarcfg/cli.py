@@ -1,5 +1,6 @@
 """The commands: each reads its inputs, makes one library call and prints one table."""
 
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,10 +14,13 @@ from lidarcfg.errors import LidarcfgError
 
 if TYPE_CHECKING:
     from lidarcfg.geometry import Array
-    from lidarcfg.placement.study import Cycle, Solver
+    from lidarcfg.placement.optimize import Cycle, Log
+    from lidarcfg.placement.study import Solver
+    from lidarcfg.rig import Rig
 
 FILE = click.Path(path_type=Path)
 SECOND_NS = 10**9
+SAVE_EVERY_S = 5.0
 
 
 class Seconds(click.FloatRange):
@@ -41,6 +45,7 @@ THREADS = click.IntRange(1, 1024)
 
 def main() -> None:
     """Entry point: 0 when done, 2 with one line for the user's mistake, 130 after Ctrl-C, 1 for a bug."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what was reached is kept
     try:
         code = cli.main(standalone_mode=False)
     except click.ClickException as error:
@@ -89,10 +94,13 @@ def cli() -> None:
 @click.option("-o", "--output", type=FILE, help="Folder for the results.  [default: out/STUDY]")
 @click.option("--seed", type=click.IntRange(0), help="Seed of the search.  [default: the study's]")
 @click.option("--threads", type=THREADS, help="Threads; the result is the same on any number.  [default: all]")
-@click.option("--solver", type=click.Choice(["abc"]), help="How to search.  [default: the study's]")
+@click.option(
+    "--solver", type=click.Choice(["auto", "abc", "cmaes", "de"]), help="How to search.  [default: the study's]"
+)
 @click.option("--cycles", type=click.IntRange(1), help="Budget: cycles of the swarm.")
 @click.option("--evaluations", type=click.IntRange(1), help="Budget: trials.")
 @click.option("--seconds", type=Seconds(1e9), help="Budget: seconds.")
+@click.option("--resume", type=FILE, metavar="DIR", help="Go on with the search whose results are in DIR.")
 @quiet_option
 def optimize(
     study: Path,
@@ -103,37 +111,50 @@ def optimize(
     cycles: int | None,
     evaluations: int | None,
     seconds: float | None,
+    resume: Path | None,
     quiet: bool,
 ) -> None:
     """Place the sensors of STUDY so that the largest subspace they cannot see is smallest.
 
-    A budget given here replaces the study's. Ctrl-C ends the search and keeps the best so far.
+    A budget given here replaces the study's. Ctrl-C ends the search and keeps the best so far; every few seconds
+    rig.yaml and search.npz are brought up to date, so that even a killed search can go on with --resume.
 
     \b
     Example:
       lidarcfg optimize data/studies/liu2018-4x16.yaml -o out/four --seed 3 --seconds 60
     """
-    from lidarcfg import report
-    from lidarcfg.placement import study as placement
+    import time
 
-    loaded = placement.with_solver(
-        placement.load_study(study),
+    from lidarcfg import report
+    from lidarcfg.placement.optimize import optimize as search
+    from lidarcfg.placement.study import load_study, with_solver
+
+    loaded = with_solver(
+        load_study(study),
         seed=seed,
         method=solver,
         cycles=cycles,
         evaluations=evaluations,
         seconds=seconds,
     )
-    folder = output or Path("out") / loaded.name
+    folder = output or resume or Path("out") / loaded.name
+    log = report.load_log(loaded, resume) if resume else None
     folder.mkdir(parents=True, exist_ok=True)
+    saved = time.monotonic()
     with _progress(quiet) as on_share:
-        found = placement.optimize(
-            loaded, threads=threads, on_cycle=lambda cycle: on_share(*_search_line(loaded.solver, cycle))
-        )
+
+        def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
+            nonlocal saved
+            on_share(*_search_line(loaded.solver, cycle))
+            if time.monotonic() - saved > SAVE_EVERY_S:
+                report.save_progress(loaded, rig, log, folder)
+                saved = time.monotonic()
+
+        found = search(loaded, threads, on_cycle, log)
     report.save_placement(loaded, found, folder)
     if not quiet:
         report.print_placement(found)
-        click.echo(f"written to {folder}/: rig.yaml result.json history.csv convergence.png rig.png")
+        click.echo(f"written to {folder}/: rig.yaml result.json history.csv convergence.png rig.png search.npz")
     if found.interrupted:
         click.echo("interrupted; the best so far is kept", err=True)
         sys.exit(130)
@@ -147,7 +168,7 @@ def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
         (cycle.seconds, solver.seconds),
     )
     rate = cycle.evaluations / cycle.seconds
-    stand = f"cycle {cycle.cycle}  best {cycle.best_m:.4f} m  mean {cycle.mean_m:.4f} m"
+    stand = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
     return max(spent / budget for spent, budget in budgets if budget), f"{stand}  {rate:,.0f} evaluations/s"
 
 
@@ -167,11 +188,12 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, quiet: 
       lidarcfg evaluate data/studies/sedan.yaml data/rigs/roof.yaml --json
     """
     from lidarcfg import report
-    from lidarcfg.placement import study as placement
+    from lidarcfg.placement.study import evaluate as judge
+    from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
 
-    loaded, mounted = placement.load_study(study), load_rig(rig)
-    found = placement.evaluate(loaded, mounted)
+    loaded, mounted = load_study(study), load_rig(rig)
+    found = judge(loaded, mounted)
     if output:
         report.save_evaluation(loaded, mounted, found, output)
     if as_json:

@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +16,9 @@ from rich.table import Table
 
 from lidarcfg import __version__
 from lidarcfg.config import replacing
-from lidarcfg.placement.study import Evaluation, Placement, Study
+from lidarcfg.errors import ConfigError
+from lidarcfg.placement.optimize import Log, Placement
+from lidarcfg.placement.study import BUDGETS, Evaluation, Study
 from lidarcfg.placement.subspace import rig_lidars
 from lidarcfg.rig import Rig, rig_to_dict, save_rig
 from lidarcfg.sensor import Sensor
@@ -50,6 +53,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
 def placement_dict(study: Study, found: Placement) -> dict[str, Any]:
     """What `optimize` writes as result.json."""
     return evaluation_dict(study, found.rig, found.evaluation) | {
+        "objective": found.objective,
         "middle_max_vsr_m": found.middle_max_vsr_m,
         "evaluations": found.evaluations,
         "first_evaluations": found.first_evaluations,
@@ -83,9 +87,9 @@ def save_evaluation(study: Study, rig: Rig, found: Evaluation, folder: Path) -> 
 
 
 def save_placement(study: Study, found: Placement, folder: Path) -> None:
-    """Write rig.yaml, result.json, history.csv, convergence.png and rig.png into `folder`."""
+    """Write rig.yaml, search.npz, result.json, history.csv, convergence.png and rig.png into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    save_rig(found.rig, folder / "rig.yaml")
+    save_progress(study, found.rig, found.log, folder)
     _write_json(placement_dict(study, found), folder / "result.json")
     with replacing(folder / "history.csv") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -93,6 +97,34 @@ def save_placement(study: Study, found: Placement, folder: Path) -> None:
         writer.writerows(asdict(cycle).values() for cycle in found.history)
     _save_figure(draw_convergence(study, found), folder / "convergence.png")
     _save_figure(draw_rig(study, found.rig, found.evaluation), folder / "rig.png")
+
+
+def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
+    """Write the best rig so far, rig.yaml, and search.npz, from which a search can go on."""
+    save_rig(rig, folder / "rig.yaml")
+    with replacing(folder / "search.npz", "wb") as file:
+        np.savez_compressed(file, cost=log.cost, seconds=log.seconds, asked=_asked(study))
+
+
+def load_log(study: Study, folder: Path) -> Log:
+    """The log in a folder's search.npz. Raises ConfigError where it is none, or of another search."""
+    path = folder / "search.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            log, asked = Log(np.asarray(file["cost"], np.float64), float(file["seconds"])), str(file["asked"])
+    except OSError as error:
+        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except (KeyError, ValueError, zipfile.BadZipFile):
+        raise ConfigError(f"{path}: is not the log of a search") from None
+    if asked != _asked(study):
+        raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
+    return log
+
+
+def _asked(study: Study) -> str:
+    """All that decides how a search goes, as one text: the study but for its budgets."""
+    solver = {key: value for key, value in study.file["solver"].items() if key not in BUDGETS}
+    return json.dumps(study.file | {"solver": solver}, sort_keys=True)
 
 
 def _write_json(values: dict[str, Any], path: Path) -> None:
@@ -116,10 +148,12 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     figure = _figure(7, 4)
     axes = figure.subplots()
     evaluations = [cycle.evaluations for cycle in found.history]
-    axes.plot(evaluations, [cycle.best_m for cycle in found.history], color=COLOURS[0], label="best")
-    axes.plot(evaluations, [cycle.mean_m for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
-    axes.axhline(found.middle_max_vsr_m, color="0.5", ls=":", label="middle of the bounds")
-    axes.set(xlabel="evaluations", ylabel="max VSR (m)", ylim=(0, None))
+    axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
+    axes.plot(evaluations, [cycle.mean for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
+    if study.objective.is_max_vsr:
+        axes.axhline(found.middle_max_vsr_m, color="0.5", ls=":", label="middle of the bounds")
+    label = "max VSR (m)" if study.objective.is_max_vsr else "objective"
+    axes.set(xlabel="evaluations", ylabel=label, ylim=(0, None))
     axes.set_title(f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}")
     axes.grid(alpha=0.3)
     axes.legend()

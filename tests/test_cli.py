@@ -86,7 +86,7 @@ def test_the_results_of_a_search(out):
     assert set(result["detection"]) == {"pedestrian", "car", "box"}
     assert {"full_evaluations", "cuboids"} <= set(result["skipped"])
     rows = (out / "two/history.csv").read_text().splitlines()
-    assert rows[0] == "cycle,evaluations,best_m,mean_m,seconds"
+    assert rows[0] == "cycle,evaluations,best,mean,seconds"
     assert float(rows[-1].split(",")[2]) == result["max_vsr_m"]
     for name in ("convergence.png", "rig.png"):
         assert (out / "two" / name).read_bytes().startswith(b"\x89PNG")

@@ -4,21 +4,22 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import load_study, optimize
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import lidar
 
 STUDY = """
 region: {{min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{{min_m: [5, 3, 0], max_m: [7, 5, 3]}}]}}
 sensors:
   - {{elevation_deg: {beams}, count: {count}, min: {{position_m: [5, 3, 1], rpy_deg: [-40, -40, 0]}}, max: {{position_m: [7, 5, 2.5], rpy_deg: [40, 190, 0]}}}}
-solver: {{bees: 12, cycles: 25, limit: {limit}, seed: {seed}}}
+solver: {{method: abc, bees: 12, cycles: 25, limit: {limit}, seed: {seed}}}
 """
 REGION = Region.from_boxes((0, 0, 0), (6, 4, 2), (0.5, 0.5, 0.25), (((2, 1, 0), (3, 2, 1)),))
 
 
 def history(found):
-    return [(c.cycle, c.evaluations, c.best_m, c.mean_m) for c in found.history]
+    return [(c.cycle, c.evaluations, c.best, c.mean) for c in found.history]
 
 
 @pytest.mark.parametrize(

@@ -4,22 +4,11 @@ It minimises over the unit cube and knows nothing of LiDARs. One phase an ask: e
 scouts. All trials of a phase are drawn from the sources as they stand at its start, and told in order.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-
-
-@dataclass(frozen=True)
-class Trials:
-    """Points to evaluate. A trial is kept only if its cost is below that of the source it came from."""
-
-    phase: str  # "first", "employed", "onlooker" or "scout"
-    x: Array  # (n, dimensions) in the unit cube
-    source: NDArray[np.int64]  # (n,) the food source each is drawn around, or would be
-    to_beat: Array  # (n,) that source's cost; a cost at or above it may be told as inf
+from lidarcfg.placement.search import Trials
 
 
 class BeeColony:
@@ -39,6 +28,16 @@ class BeeColony:
         self.best_cost = np.inf
         self.cycles = 0
         self._asked = Trials("first", self.x, np.arange(bees), self.cost.copy())
+
+    @property
+    def sources(self) -> Array:
+        """(bees, dimensions) the food sources."""
+        return self.x
+
+    @property
+    def mean_cost(self) -> float:
+        """The sources' mean cost."""
+        return float(self.cost.mean())
 
     def ask(self) -> Trials:
         """The trials of the phase that is due."""

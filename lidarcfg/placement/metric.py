@@ -31,20 +31,27 @@ def vsr_m(subspaces: Subspaces) -> Array:
     return volume_m3(subspaces) / surface_m2(subspaces)
 
 
-def inscribed_radius_m(subspaces: Subspaces, number: int) -> float:
-    """The radius of the largest sphere inside a subspace's cuboids.
+def inscribed_radii_m(subspaces: Subspaces) -> Array:
+    """(n,) the radius of the largest sphere inside each subspace's cuboids.
 
-    Exact among all centres on the lattice of half cuboids: from such a point the nearest point of an outside
-    cuboid lies on that lattice too, so the distance transform over the lattice's nodes finds it.
+    Exact among all centres on the lattice of half cuboids: from such a point the nearest point of a face lies on
+    that lattice too, so one distance transform over the lattice's nodes finds all.
     """
-    box = ndimage.find_objects(subspaces.label + 1, max_label=number + 1)[number]
-    inside = subspaces.label[box] == number
-    nodes = np.zeros([2 * n + 1 for n in inside.shape], bool)  # False: on an outside cuboid's closure
-    nodes[1:-1, 1:-1, 1:-1] = True
-    for corner in np.ndindex(3, 3, 3):
-        block = nodes[tuple(slice(c, c + 2 * n - 1, 2) for c, n in zip(corner, inside.shape, strict=True))]
-        block &= inside
-    return float(ndimage.distance_transform_edt(nodes, sampling=subspaces.region.cuboid_m / 2).max())
+    label = np.pad(subspaces.label, 1, constant_values=-1)
+    low = np.full([2 * n + 1 for n in subspaces.label.shape], np.iinfo(np.int32).max)
+    high = np.full_like(low, -1)  # the least and the greatest label of the up to eight cuboids around a node
+    for corner in np.ndindex(2, 2, 2):
+        around = label
+        for axis, side in enumerate(corner):
+            index = (np.arange(low.shape[axis]) + 1 + side) // 2
+            around = np.take(around, index, axis=axis)
+        np.minimum(low, around, out=low)
+        np.maximum(high, around, out=high)
+    inside = (low == high) & (low >= 0)  # a node of no face
+    distance = ndimage.distance_transform_edt(inside, sampling=subspaces.region.cuboid_m / 2)
+    radius = np.zeros(len(subspaces))
+    np.maximum.at(radius, low[inside], distance[inside])
+    return radius
 
 
 def centroid_m(subspaces: Subspaces, number: int) -> Array:

@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,14 +13,12 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import Model, Vec3, error_at, fault, load
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.placement.bee_colony import BeeColony
+from lidarcfg.geometry import Array, up
 from lidarcfg.placement.detection import DetectionObject, check_fits, detection_rate
-from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.metric import (
     bounds_m,
     centroid_m,
-    inscribed_radius_m,
+    inscribed_radii_m,
     surface_m2,
     volume_m3,
     vsr_m,
@@ -42,6 +40,7 @@ from lidarcfg.rig import (
 from lidarcfg.sensor import Elevations, Sensor
 
 WORST = 10  # so many of the worst subspaces are named
+Weight = Annotated[float, Field(gt=0)]
 BUDGETS = {"cycles", "evaluations", "seconds"}
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -71,12 +70,15 @@ class GroupFile(Model):
     elevation_deg: Elevations | None = None
     name: MountName | None = None
     count: Annotated[int, Field(ge=1, le=1000)] = 1
+    mirror_y_m: float | None = None  # the sensors are pairs, each the other's image in the plane y = mirror_y_m
     min: PoseBound
     max: PoseBound
 
     @model_validator(mode="after")
     def _check(self) -> "GroupFile":
         one_of(self, "model", "elevation_deg")
+        if self.mirror_y_m is not None and self.count % 2:
+            raise fault(f"needs pairs, and count is {self.count}; allowed: an even count", "mirror_y_m")
         for i, (low, high) in enumerate(zip(self.min.pose, self.max.pose, strict=True)):
             if low > high:
                 raise fault(f"its {COORDINATES[i]} is below min's; allowed: at or above it", "max")
@@ -84,17 +86,34 @@ class GroupFile(Model):
 
 
 class Objective(Model):
-    """The weights of what is minimised."""
+    """What is minimised: the weighted mean of these. Without any, the paper's max VSR alone."""
 
-    max_vsr: Annotated[float, Field(gt=0)] = 1.0
+    max_vsr: Weight | None = None  # metres
+    inscribed_radius: Weight | None = None  # metres: the largest sphere that no beam touches
+    detection: dict[str, Weight] = Field(default_factory=dict)  # by object: 1 − its detection rate
+
+    @property
+    def is_max_vsr(self) -> bool:
+        """Whether it is the paper's alone."""
+        return self.inscribed_radius is None and not self.detection
+
+
+class Constraints(Model):
+    """What a rig must keep."""
+
+    max_tilt_deg: Annotated[float, Field(ge=0, le=180)] = 180.0  # of every sensor's axis from the vertical
+    min_distance_m: Annotated[float, Field(ge=0)] = 0.0  # between any two sensors' origins
 
 
 class Solver(Model):
-    """How the answer is looked for. The first budget that is reached ends the run; by default, 800 cycles."""
+    """How the answer is looked for. The first budget that is reached ends the run.
 
-    method: Literal["abc"] = "abc"
-    bees: Annotated[int, Field(ge=2, le=1_000_000)] = 200
-    limit: Annotated[int, Field(ge=1)] | None = None  # default: bees × free dimensions
+    Without a budget: 800 cycles of `abc`, as in the paper, or 100,000 evaluations of another method.
+    """
+
+    method: Literal["auto", "abc", "cmaes", "de"] = "auto"
+    bees: Annotated[int, Field(ge=2, le=1_000_000)] = 200  # abc: food sources
+    limit: Annotated[int, Field(ge=1)] | None = None  # abc: failures of a source; default: bees × free dimensions
     cycles: Annotated[int, Field(ge=1)] | None = None
     evaluations: Annotated[int, Field(ge=1)] | None = None
     seconds: Annotated[float, Field(gt=0)] | None = None
@@ -104,7 +123,7 @@ class Solver(Model):
     @classmethod
     def _default_budget(cls, values: Any) -> Any:
         if isinstance(values, dict) and not values.keys() & BUDGETS:
-            return values | {"cycles": 800}
+            return values | ({"cycles": 800} if values.get("method") == "abc" else {"evaluations": 100_000})
         return values
 
 
@@ -114,6 +133,7 @@ class StudyFile(Model):
     region: RegionFile
     sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1)]
     objective: Objective = Objective()
+    constraints: Constraints = Constraints()
     solver: Solver = Solver()
     detection: tuple[DetectionObject, ...] = ()
 
@@ -123,6 +143,10 @@ class StudyFile(Model):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise fault(f"{name!r} is an object already; each may stand once", "detection", i, "name")
+        for name in self.objective.detection:
+            if name not in names:
+                allowed = ", ".join(names) or "none, as the study has no detection"
+                raise fault(f"no object is called so; allowed: {allowed}", "objective", "detection", name)
         return self
 
 
@@ -144,21 +168,47 @@ class Study:
     slots: tuple[Slot, ...]
     lower: Array  # (slots, 6)
     upper: Array  # (slots, 6); equal to lower: a fixed value
+    mirror: Array  # (slots,) the y of the plane in which a sensor is the image of the one before; else NaN
     solver: Solver
+    objective: Objective = field(default_factory=Objective)
+    constraints: Constraints = field(default_factory=Constraints)
     detection: tuple[DetectionObject, ...] = ()
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """(slots, 6) which coordinates vary."""
-        return self.lower < self.upper
+        """(slots, 6) which coordinates vary by themselves."""
+        return (self.lower < self.upper) & np.isnan(self.mirror)[:, None]
 
     def poses(self, unit: Array) -> Array:
         """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube; 1 is exactly upper."""
         out = np.repeat(self.lower[None], len(unit), axis=0)
         low, high = self.lower[self.free], self.upper[self.free]
         out[:, self.free] = np.where(unit == 1.0, high, np.clip(low + unit * (high - low), low, high))
+        images = np.flatnonzero(~np.isnan(self.mirror))
+        out[:, images] = out[:, images - 1] * (1, -1, 1, -1, 1, -1)
+        out[:, images, 1] += 2 * self.mirror[images]
         return out
+
+    def violation(self, poses: Array) -> Array:
+        """(n,) by how much poses (n, slots, 6) break the constraints, radians and metres added up; 0 is fine."""
+        tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
+        total: Array = np.maximum(tilt - math.radians(self.constraints.max_tilt_deg) - 1e-12, 0.0).sum(axis=1)
+        for i, j in combinations(range(len(self.slots)), 2):
+            apart = np.linalg.norm(poses[:, i, :3] - poses[:, j, :3], axis=1)
+            total += np.maximum(self.constraints.min_distance_m - apart, 0.0)
+        return total
+
+    def cost(self, poses: Array) -> float:
+        """The objective of one rig's poses (slots, 6), as it is defined."""
+        subspaces = segment(self.region, self.lidars(poses))
+        rates = {item.name: detection_rate(subspaces, item) for item in self.detection}
+        terms = [(weight, 1.0 - rates[name]) for name, weight in self.objective.detection.items()]
+        if self.objective.max_vsr is not None or self.objective.is_max_vsr:
+            terms.append((self.objective.max_vsr or 1.0, float(vsr_m(subspaces).max())))
+        if self.objective.inscribed_radius is not None:
+            terms.append((self.objective.inscribed_radius, float(inscribed_radii_m(subspaces).max())))
+        return sum(weight * value for weight, value in terms) / sum(weight for weight, _ in terms)
 
     def lidars(self, poses: Array) -> tuple[Lidar, ...]:
         """The cones of the sensors at these poses (slots, 6)."""
@@ -217,40 +267,12 @@ class Evaluation:
         return float(self.vsr_m.max())
 
 
-@dataclass(frozen=True)
-class Cycle:
-    """A line of the history: how the swarm stood at the end of a cycle."""
-
-    cycle: int
-    evaluations: int
-    best_m: float
-    mean_m: float
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Placement:
-    """The best rig found, and how."""
-
-    rig: Rig
-    evaluation: Evaluation
-    middle_max_vsr_m: float  # of the rig in the middle of the bounds
-    history: tuple[Cycle, ...]
-    evaluations: int  # trials asked of employed bees and onlookers
-    first_evaluations: int
-    scout_evaluations: int
-    full_evaluations: int  # so many were computed in full, first sources and scouts included
-    cuboids: int  # so many were looked at
-    seconds: float
-    interrupted: bool
-
-
 def load_study(path: str | Path) -> Study:
     """The study in a YAML file. Raises ConfigError with file, line and key."""
     path = Path(path)
     file = load(path, StudyFile)
     slots: list[Slot] = []
-    lower, upper = [], []
+    lower, upper, mirror = [], [], []
     for i, group in enumerate(file.sensors):
         sensor, model = resolve_sensor(path, i, group.model, group.elevation_deg)
         for number in range(group.count):
@@ -262,6 +284,7 @@ def load_study(path: str | Path) -> Study:
             slots.append(Slot(name, sensor, model))
             lower.append(group.min.pose)
             upper.append(group.max.pose)
+            mirror.append(group.mirror_y_m if group.mirror_y_m is not None and number % 2 else math.nan)
     if len(slots) > HOSTS:
         raise error_at(path, ("sensors",), f"has {len(slots)} sensors; allowed: at most {HOSTS}")
     region = Region.from_file(file.region)
@@ -278,7 +301,10 @@ def load_study(path: str | Path) -> Study:
         slots=tuple(slots),
         lower=np.array(lower, np.float64),
         upper=np.array(upper, np.float64),
+        mirror=np.array(mirror, np.float64),
         solver=file.solver,
+        objective=file.objective,
+        constraints=file.constraints,
         detection=file.detection,
         file=file.model_dump(mode="json", exclude_none=True),
     )
@@ -289,6 +315,7 @@ def evaluate(study: Study, rig: Rig) -> Evaluation:
     started = time.perf_counter()
     subspaces = segment(study.region, rig_lidars(rig))
     vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
+    radius = inscribed_radii_m(subspaces)
     worst = []
     for number in np.argsort(-vsr, kind="stable")[:WORST].tolist():
         low, high = bounds_m(subspaces, number)
@@ -297,7 +324,7 @@ def evaluate(study: Study, rig: Rig) -> Evaluation:
                 vsr_m=float(vsr[number]),
                 volume_m3=float(volume[number]),
                 surface_m2=float(surface[number]),
-                inscribed_radius_m=inscribed_radius_m(subspaces, number),
+                inscribed_radius_m=float(radius[number]),
                 centroid_m=centroid_m(subspaces, number).tolist(),
                 min_m=low.tolist(),
                 max_m=high.tolist(),
@@ -306,88 +333,6 @@ def evaluate(study: Study, rig: Rig) -> Evaluation:
         )
     detection = {item.name: detection_rate(subspaces, item) for item in study.detection}
     return Evaluation(subspaces, vsr, tuple(worst), detection, time.perf_counter() - started)
-
-
-def optimize(
-    study: Study,
-    solver: Solver | None = None,
-    threads: int | None = None,
-    on_cycle: Callable[[Cycle], None] | None = None,
-    skip: bool = True,
-) -> Placement:
-    """Look for the rig of least max VSR. The result depends on the seed, not on the number of threads.
-
-    `solver` replaces the study's; without `skip` everything is evaluated in full, which changes nothing but the
-    time. An interrupt (Ctrl-C) ends the search and keeps the best so far.
-    Raises ConfigError where nothing is free to move.
-    """
-    solver = solver or study.solver
-    dimensions = int(study.free.sum())
-    if dimensions == 0:
-        raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    started = time.perf_counter()
-    middle = study.poses(np.full((1, dimensions), 0.5))[0]
-    colony = BeeColony(dimensions, solver.bees, solver.limit or solver.bees * dimensions, solver.seed)
-    asked = {"first": 0, "employed": 0, "onlooker": 0, "scout": 0}
-    history: list[Cycle] = []
-    interrupted = False
-
-    def done() -> bool:
-        trials = asked["employed"] + asked["onlooker"]
-        return (
-            (solver.cycles is not None and colony.cycles >= solver.cycles)
-            or (solver.evaluations is not None and trials >= solver.evaluations)
-            or (solver.seconds is not None and time.perf_counter() - started >= solver.seconds)
-        )
-
-    sines = [slot.sensor.sin_elevation for slot in study.slots]
-    with Evaluator(study.region, sines, threads, skip) as evaluator:
-        try:
-            while not done():
-                trials = colony.ask()
-                left = len(trials.x)
-                if solver.evaluations is not None and trials.phase in ("employed", "onlooker"):
-                    left = min(left, solver.evaluations - asked["employed"] - asked["onlooker"])
-                values = np.full(len(trials.x), math.inf)
-                values[:left] = evaluator.max_vsr(
-                    study.poses(trials.x[:left]),
-                    trials.source[:left],
-                    study.poses(colony.x),
-                    trials.to_beat[:left],
-                )
-                asked[trials.phase] += left
-                before = colony.cycles
-                colony.tell(values)
-                if colony.cycles > before or trials.phase == "first" or done():
-                    history.append(
-                        Cycle(
-                            cycle=colony.cycles,
-                            evaluations=asked["employed"] + asked["onlooker"],
-                            best_m=colony.best_cost,
-                            mean_m=float(colony.cost.mean()),
-                            seconds=time.perf_counter() - started,
-                        )
-                    )
-                    if on_cycle:
-                        on_cycle(history[-1])
-        except KeyboardInterrupt:
-            interrupted = True
-    if not math.isfinite(colony.best_cost):
-        raise KeyboardInterrupt
-    rig = study.rig(study.poses(colony.best_x[None])[0])
-    return Placement(
-        rig=rig,
-        evaluation=evaluate(study, rig),
-        middle_max_vsr_m=max_vsr(study.region, study.lidars(middle)),
-        history=tuple(history),
-        evaluations=asked["employed"] + asked["onlooker"],
-        first_evaluations=asked["first"],
-        scout_evaluations=asked["scout"],
-        full_evaluations=evaluator.full_evaluations,
-        cuboids=evaluator.cuboids,
-        seconds=time.perf_counter() - started,
-        interrupted=interrupted,
-    )
 
 
 def with_solver(study: Study, **changes: Any) -> Study:
