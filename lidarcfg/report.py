@@ -17,9 +17,9 @@ from rich.table import Table
 from lidarcfg import __version__
 from lidarcfg.config import replacing
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement.lidar import rig_lidars
 from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.study import BUDGETS, Evaluation, Study
-from lidarcfg.placement.subspace import rig_lidars
 from lidarcfg.rig import Rig, rig_to_dict, save_rig
 from lidarcfg.sensor import Sensor
 
@@ -42,7 +42,9 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "seed": None,
         "version": __version__,
         "solver": None,
-        "detection": found.detection,
+        "detection": {name: detection.rate for name, detection in found.detection.items()},
+        "detection_half_width": {name: detection.half_width for name, detection in found.detection.items()},
+        "detection_places": {name: detection.places for name, detection in found.detection.items()},
         "worst": [asdict(worst) for worst in found.worst],
         "skipped": {"full_evaluations": 0, "cuboids": 0},
         "rig": rig_to_dict(rig),
@@ -228,19 +230,28 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
         poses.add_row(mount.name, *(f"{v:.3f}" for v in mount.position_m), *(f"{v:.2f}" for v in angles))
     console.print(poses)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
-    for name, rate in found.detection.items():
-        console.print(f"detection rate of {name}: {rate:.4f}")
-    worst = Table("VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "beams below, by sensor", box=SIMPLE)
+    for name, detection in found.detection.items():
+        how = f"± {detection.half_width:.4f}, {detection.places:,} places drawn"
+        if not detection.half_width:
+            how = f"all {detection.places:,} places counted"
+        console.print(f"detection rate of {name}: {detection.rate:.4f} ({how})")
+    worst = Table(
+        "VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "between the beams at (°), by sensor", box=SIMPLE
+    )
     for space in found.worst:
         worst.add_row(
             f"{space.vsr_m:.4f}",
             f"{space.volume_m3:.2f}",
             f"{space.inscribed_radius_m:.3f}",
             ", ".join(f"{v:.2f}" for v in space.centroid_m),
-            " ".join(map(str, space.gap)),
+            "  ".join(f"{_degrees(low)}…{_degrees(high)}" for low, high in space.between_deg),
         )
     console.print("the worst subspaces:")
     console.print(worst)
+
+
+def _degrees(angle: float | None) -> str:
+    return "" if angle is None else f"{angle:g}"
 
 
 def print_sensors(sensors: Sequence[Sensor]) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lidarcfg.placement.lidar import lidar
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import lidar, segment
+from lidarcfg.placement.subspace import segment
 from tests import naive
 
 REFERENCE = json.loads((Path(__file__).parent.parent / "data/reference/liu2018.json").read_text())

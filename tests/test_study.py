@@ -163,7 +163,9 @@ def test_an_evaluation_names_the_worst(tmp_path):
         assert 4 / 3 * np.pi * worst.inscribed_radius_m**3 < worst.volume_m3
         assert all(low < c < high for low, c, high in zip(worst.min_m, worst.centroid_m, worst.max_m, strict=True))
         assert len(worst.gap) == 3
-    assert 0 < found.detection["box"] <= 1
+        for (below, above), gap in zip(worst.between_deg[:2], worst.gap[:2], strict=True):
+            assert [below, above] == [(None, -20, -8, 3, 12)[gap], (-20, -8, 3, 12, None)[gap]]
+    assert 0 < found.detection["box"].rate <= 1
 
 
 METHODS = ("auto", "abc", "cmaes", "de")
@@ -234,8 +236,8 @@ def test_constraints_that_nothing_keeps(tmp_path):
     [
         ("{max_vsr: 3}", lambda e: e.max_vsr_m),
         ("{inscribed_radius: 1}", lambda e: max(w.inscribed_radius_m for w in e.worst)),
-        ("{detection: {box: 2}}", lambda e: 1 - e.detection["box"]),
-        ("{max_vsr: 1, detection: {box: 3}}", lambda e: (e.max_vsr_m + 3 * (1 - e.detection["box"])) / 4),
+        ("{detection: {box: 2}}", lambda e: 1 - e.detection["box"].rate),
+        ("{max_vsr: 1, detection: {box: 3}}", lambda e: (e.max_vsr_m + 3 * (1 - e.detection["box"].rate)) / 4),
     ],
 )
 def test_objectives(tmp_path, monkeypatch, objective, by_hand):

@@ -8,9 +8,10 @@ from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement import kernels
+from lidarcfg.placement.lidar import lidar
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.region import Region, excluded
-from lidarcfg.placement.subspace import Subspaces, beam_gaps, lidar, pack, segment
+from lidarcfg.placement.subspace import Subspaces, beam_gaps, pack, segment
 from tests import naive
 
 EDGES = (0.8, 0.5, 0.25)

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement import kernels
-from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement import kernels, runs
+from lidarcfg.placement.lidar import Lidar, bits_needed, thresholds
+from lidarcfg.placement.metric import vsr_m, vsr_of_counts
 from lidarcfg.placement.region import Region, excluded, word_dtype
-from lidarcfg.placement.subspace import Lidar, bits_needed, segment, thresholds
+from lidarcfg.placement.subspace import RUNS_FROM, segment
 
 CACHE_BYTES = 256 * 2**20  # for the labels of the food sources; where they would need more, none are kept
 Index = NDArray[np.int64]
@@ -49,6 +50,7 @@ class Evaluator:
         if self._fits:
             ones = [((1 << int(b)) - 1) << int(s) for b, s in zip(bits, self._shift, strict=True)]
             self._mask = np.array(ones, dtype)
+        self._grid = runs.Grid.of(region) if region.included.size >= RUNS_FROM else None
         self._frame = region.frame(dtype)
         self._edge = tuple(region.cuboid_m.tolist())
         self._poses = np.empty((0, len(bits), 6))  # of the food sources, as the next two have them
@@ -74,10 +76,10 @@ class Evaluator:
         poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn
         around, and matters for speed alone.
         """
-        if not self._fits:
+        if self._grid or not self._fits:
             self.full_evaluations += len(poses)
             self.cuboids += len(poses) * self._region.included.size
-            cost = self.map(lambda one: max_vsr(self._region, self._lidars(one)), poses)
+            cost = self.map(self._whole, poses)
             return np.where(cost < to_beat, cost, np.inf)
         cones = _cones(poses)
         moved, row = np.ones(poses.shape[:2], bool), np.zeros(len(poses), np.int64)
@@ -108,8 +110,12 @@ class Evaluator:
         self._told = source, poses, fresh
         return cost
 
-    def _lidars(self, poses: Array) -> tuple[Lidar, ...]:
-        return tuple(Lidar(row[:3], up(row[3:]), sine) for row, sine in zip(poses, self._sines, strict=True))
+    def _whole(self, poses: Array) -> float:
+        lidars = [Lidar(row[:3], up(row[3:]), sine) for row, sine in zip(poses, self._sines, strict=True)]
+        if self._grid is None:
+            return max_vsr(self._region, lidars)
+        cuboids, internal, _ = runs.count(self._grid, lidars)
+        return float(vsr_of_counts(cuboids, internal, self._region.cuboid_m).max())
 
     def _parts(self, count: int) -> list[Index]:
         """Numbers 0 … count − 1, dealt out: enough parts that no thread waits long for another."""

@@ -434,3 +434,44 @@ def detected_positions(labels: Labels, size: tuple[int, int, int], threshold: in
                 places += free
                 detected += free and found > threshold
     return detected, places
+
+
+@njit(cache=True, nogil=True)
+def detected_boxes(
+    labels: Labels, low: Array, edge: Array, boxes: Array, size: tuple[float, float, float], threshold: int
+) -> tuple[int, int]:
+    """How many of some boxes touch more than `threshold` components, and how many touch no cuboid left out.
+
+    labels (nx, ny, nz), −1 left out, of cuboids of edges (3,) from the corner low (3,) on; boxes (n, 4): middle x
+    and y, bottom z, heading. A box touches a cuboid if their insides meet: no axis of either separates the two.
+    """
+    nx, ny, nz = labels.shape
+    seen = np.empty(threshold + 1, np.int32)
+    places = detected = 0
+    for n in range(boxes.shape[0]):
+        x, y = boxes[n, 0] - low[0], boxes[n, 1] - low[1]
+        c, s = np.cos(boxes[n, 3]), np.sin(boxes[n, 3])
+        reach_x = (size[0] * abs(c) + size[1] * abs(s)) / 2
+        reach_y = (size[0] * abs(s) + size[1] * abs(c)) / 2
+        along, across = (edge[0] * abs(c) + edge[1] * abs(s)) / 2, (edge[0] * abs(s) + edge[1] * abs(c)) / 2
+        bottom = max(int(np.floor((boxes[n, 2] - low[2]) / edge[2] + 1e-9)), 0)
+        top = min(int(np.ceil((boxes[n, 2] - low[2] + size[2]) / edge[2] - 1e-9)), nz)
+        free, found = True, 0
+        for i in range(max(int((x - reach_x) / edge[0]), 0), min(int((x + reach_x) / edge[0]) + 1, nx)):
+            for j in range(max(int((y - reach_y) / edge[1]), 0), min(int((y + reach_y) / edge[1]) + 1, ny)):
+                dx, dy = (i + 0.5) * edge[0] - x, (j + 0.5) * edge[1] - y
+                if abs(dx * c + dy * s) >= size[0] / 2 + along or abs(dy * c - dx * s) >= size[1] / 2 + across:
+                    continue
+                for k in range(bottom, top):
+                    label = labels[i, j, k]
+                    free = free and label >= 0
+                    if free and found <= threshold:
+                        new = True
+                        for m in range(found):
+                            new = new and seen[m] != label
+                        if new:
+                            seen[found] = label
+                            found += 1
+        places += free
+        detected += free and found > threshold
+    return detected, places

@@ -1,17 +1,18 @@
 """How large a subspace is: the paper's volume-to-surface ratio, and the largest sphere inside."""
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.subspace import Subspaces
 
+Counts = NDArray[np.int64]
+
 
 def volume_m3(subspaces: Subspaces) -> Array:
     """(n,) the cuboids' volume (paper, eq. 8)."""
-    ex, ey, ez = subspaces.region.cuboid_m
-    volume: Array = subspaces.cuboids * (ex * ey * ez)
-    return volume
+    return _volume(subspaces.cuboids, subspaces.region.cuboid_m)
 
 
 def surface_m2(subspaces: Subspaces) -> Array:
@@ -20,15 +21,30 @@ def surface_m2(subspaces: Subspaces) -> Array:
     Faces against another subspace, an excluded cuboid or the region's wall all count. (The printed algorithm
     skips the last cuboid and counts along one axis; this is what it intends.)
     """
-    ex, ey, ez = subspaces.region.cuboid_m
-    outer = subspaces.cuboids[:, None] - subspaces.internal
-    surface: Array = 2.0 * (outer[:, 0] * (ey * ez) + outer[:, 1] * (ex * ez) + outer[:, 2] * (ex * ey))
-    return surface
+    return _surface(subspaces.cuboids, subspaces.internal, subspaces.region.cuboid_m)
 
 
 def vsr_m(subspaces: Subspaces) -> Array:
     """(n,) volume-to-surface ratio, a length (paper, eq. 7)."""
-    return volume_m3(subspaces) / surface_m2(subspaces)
+    return vsr_of_counts(subspaces.cuboids, subspaces.internal, subspaces.region.cuboid_m)
+
+
+def vsr_of_counts(cuboids: Counts, internal: Counts, cuboid_m: Array) -> Array:
+    """(n,) the same from cuboids (n,), the faces inside (n, 3) and a cuboid's edges (3,)."""
+    return _volume(cuboids, cuboid_m) / _surface(cuboids, internal, cuboid_m)
+
+
+def _volume(cuboids: Counts, cuboid_m: Array) -> Array:
+    ex, ey, ez = cuboid_m
+    volume: Array = cuboids * (ex * ey * ez)
+    return volume
+
+
+def _surface(cuboids: Counts, internal: Counts, cuboid_m: Array) -> Array:
+    ex, ey, ez = cuboid_m
+    outer = cuboids[:, None] - internal
+    surface: Array = 2.0 * (outer[:, 0] * (ey * ez) + outer[:, 1] * (ex * ez) + outer[:, 2] * (ex * ey))
+    return surface
 
 
 def inscribed_radii_m(subspaces: Subspaces) -> Array:

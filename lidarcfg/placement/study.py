@@ -14,7 +14,8 @@ from pydantic import Field, model_validator
 from lidarcfg.config import Model, Vec3, error_at, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement.detection import DetectionObject, check_fits, detection_rate
+from lidarcfg.placement.detection import Detection, DetectionObject, check_fits, detection
+from lidarcfg.placement.lidar import Lidar, lidar, rig_lidars
 from lidarcfg.placement.metric import (
     bounds_m,
     centroid_m,
@@ -24,7 +25,7 @@ from lidarcfg.placement.metric import (
     vsr_m,
 )
 from lidarcfg.placement.region import Region, RegionFile
-from lidarcfg.placement.subspace import Lidar, Subspaces, lidar, rig_lidars, segment
+from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.rig import (
     DATA_PORT,
     FIRST_HOST,
@@ -202,8 +203,8 @@ class Study:
     def cost(self, poses: Array) -> float:
         """The objective of one rig's poses (slots, 6), as it is defined."""
         subspaces = segment(self.region, self.lidars(poses))
-        rates = {item.name: detection_rate(subspaces, item) for item in self.detection}
-        terms = [(weight, 1.0 - rates[name]) for name, weight in self.objective.detection.items()]
+        wanted = self.objective.detection
+        terms = [(wanted[o.name], 1.0 - detection(subspaces, o).rate) for o in self.detection if o.name in wanted]
         if self.objective.max_vsr is not None or self.objective.is_max_vsr:
             terms.append((self.objective.max_vsr or 1.0, float(vsr_m(subspaces).max())))
         if self.objective.inscribed_radius is not None:
@@ -249,6 +250,7 @@ class Worst:
     min_m: list[float]
     max_m: list[float]
     gap: list[int]  # by sensor: so many of its beams pass below
+    between_deg: list[list[float | None]]  # by sensor: the elevations of the beams below and above; None: no beam
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,7 @@ class Evaluation:
     subspaces: Subspaces
     vsr_m: Array  # (n,) by subspace
     worst: tuple[Worst, ...]
-    detection: dict[str, float]  # by object: the share of places where it is detected
+    detection: dict[str, Detection]  # by object
     seconds: float
 
     @property
@@ -329,10 +331,19 @@ def evaluate(study: Study, rig: Rig) -> Evaluation:
                 min_m=low.tolist(),
                 max_m=high.tolist(),
                 gap=subspaces.gap[number].tolist(),
+                between_deg=[
+                    _beams_around(mount.sensor, gap)
+                    for mount, gap in zip(rig.mounts, subspaces.gap[number].tolist(), strict=True)
+                ],
             )
         )
-    detection = {item.name: detection_rate(subspaces, item) for item in study.detection}
-    return Evaluation(subspaces, vsr, tuple(worst), detection, time.perf_counter() - started)
+    rates = {item.name: detection(subspaces, item) for item in study.detection}
+    return Evaluation(subspaces, vsr, tuple(worst), rates, time.perf_counter() - started)
+
+
+def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:
+    beams = [None, *sorted(sensor.beams.elevation_deg), None]
+    return [beams[gap], beams[gap + 1]]
 
 
 def with_solver(study: Study, **changes: Any) -> Study:

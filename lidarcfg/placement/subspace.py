@@ -8,22 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array, up
-from lidarcfg.placement import kernels
+from lidarcfg.geometry import Array
+from lidarcfg.placement import kernels, runs
+from lidarcfg.placement.lidar import Lidar, bits_needed, gaps_at, thresholds
 from lidarcfg.placement.region import Region, excluded, word_dtype
-from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
     import open3d
 
 
-@dataclass(frozen=True)
-class Lidar:
-    """What placement knows of a LiDAR: cones about an axis. Its spin changes none of them."""
-
-    position_m: Array  # (3,)
-    axis: Array  # (3,) unit, the sensor's z in the vehicle frame
-    sin_elevation: Array  # (beams,) ascending
+RUNS_FROM = 300_000  # cuboids; from here on runs are faster than looking at each: see docs/benchmarks.md
 
 
 @dataclass(frozen=True)
@@ -48,26 +42,6 @@ class Subspaces:
         span = np.ptp(value) or 1.0
         level = ((value - value.min()) / span)[self.label[tuple(index.T)]]
         return self.region.voxel_grid(index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1))
-
-
-def lidar(position_m: Sequence[float], rpy_rad: Sequence[float], sin_elevation: Array) -> Lidar:
-    """The cones of a sensor at this pose in the vehicle frame."""
-    return Lidar(np.asarray(position_m, np.float64), up(rpy_rad), sin_elevation)
-
-
-def rig_lidars(rig: Rig) -> tuple[Lidar, ...]:
-    """The cones of a rig's sensors."""
-    return tuple(lidar(m.position_m, m.rpy_rad, m.sensor.sin_elevation) for m in rig.mounts)
-
-
-def thresholds(sin_elevation: Array) -> Array:
-    """(beams + 2,): −inf, sin |sin| of each beam, inf; what the kernels compare with."""
-    return np.concatenate([[-np.inf], sin_elevation * np.abs(sin_elevation), [np.inf]])
-
-
-def bits_needed(sines: Sequence[Array]) -> list[int]:
-    """How many bits the beam gap index of each LiDAR takes, from its sines of elevation (beams,)."""
-    return [sine.size.bit_length() for sine in sines]
 
 
 def pack(region: Region, lidars: Sequence[Lidar]) -> NDArray[Any]:
@@ -102,21 +76,14 @@ def segment(region: Region, lidars: Sequence[Lidar]) -> Subspaces:
     """Cut a region into its connected subspaces. Raises ConfigError where no cuboid is left in it."""
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
-    words = pack(region, lidars)
-    label, first, cuboids, internal = kernels.components(words, excluded(words.dtype), region.shape)
+    if region.included.size >= RUNS_FROM:
+        label, cuboids, internal, first = runs.label(runs.Grid.of(region), lidars)
+    else:
+        words = pack(region, lidars)
+        label, first, cuboids, internal = kernels.components(words, excluded(words.dtype), region.shape)
     points = np.stack(
         [axis[n] for axis, n in zip(region.centres(), np.unravel_index(first, region.shape), strict=True)],
         axis=1,
     )
     gap = np.stack([gaps_at(points, lidar) for lidar in lidars], axis=1) if lidars else np.zeros((len(first), 0), int)
     return Subspaces(region, label, cuboids, internal, gap)
-
-
-def gaps_at(points_m: Array, lidar: Lidar) -> NDArray[np.int64]:
-    """(N,) how many of a LiDAR's cones lie at or below points (N, 3); the kernels' comparison, term by term."""
-    dx, dy, dz = (points_m - lidar.position_m).T
-    height = (dx * lidar.axis[0] + dy * lidar.axis[1]) + dz * lidar.axis[2]
-    square = (dx * dx + dy * dy) + dz * dz
-    limit = lidar.sin_elevation * np.abs(lidar.sin_elevation)
-    gap: NDArray[np.int64] = ((height * np.abs(height))[:, None] >= limit * square[:, None]).sum(axis=1)
-    return gap
