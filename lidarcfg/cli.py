@@ -1,5 +1,6 @@
 """The commands: each reads its inputs, makes one library call and prints one table."""
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -45,7 +46,12 @@ THREADS = click.IntRange(1, 1024)
 
 def main() -> None:
     """Entry point: 0 when done, 2 with one line for the user's mistake, 130 after Ctrl-C, 1 for a bug."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what was reached is kept
+    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: what was reached is kept, nothing half-written stays
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # who read our output has gone: end quietly, as other tools do
+    sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:
         code = cli.main(standalone_mode=False)
     except click.ClickException as error:
@@ -53,11 +59,14 @@ def main() -> None:
         _fail(f"{message} (see {_command_path(error)} --help)")
     except LidarcfgError as error:
         _fail(str(error))
-    except BrokenPipeError:
-        sys.stderr.close()  # who read our output has gone; nothing is left to say
-        sys.exit(0)
     except OSError as error:
         _fail(f"{error.filename}: {(error.strerror or str(error)).lower()}" if error.filename else str(error))
+    except MemoryError:
+        _fail("out of memory; a coarser grid, fewer samples or a shorter capture need less")
+    except ImportError as error:
+        if ".so" not in str(error):
+            raise
+        _fail(f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)")
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         sys.exit(130)
@@ -70,13 +79,22 @@ def _command_path(error: click.ClickException) -> str:
 
 
 def _fail(message: str) -> None:
-    click.echo(f"lidarcfg: {message}", err=True)
+    click.echo(f"lidarcfg: {_one_line(message)}", err=True)
     sys.exit(2)
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+def _one_line(text: str) -> str:
+    """With control characters written out, as a name may hold them."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+@click.group(
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(lidarcfg.__version__, prog_name="lidarcfg")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Where should the LiDARs sit on this vehicle, and what will they hear?
 
     \b
@@ -87,12 +105,14 @@ def cli() -> None:
     lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply merged points
     lidarcfg view out/two.ply --png out/two.png                        a picture
     """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
 @cli.command()
 @click.argument("study", type=FILE)
 @click.option("-o", "--output", type=FILE, help="Folder for the results.  [default: out/STUDY]")
-@click.option("--seed", type=click.IntRange(0), help="Seed of the search.  [default: the study's]")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of the search.  [default: the study's]")
 @click.option("--threads", type=THREADS, help="Threads; the result is the same on any number.  [default: all]")
 @click.option(
     "--solver", type=click.Choice(["auto", "abc", "cmaes", "de"]), help="How to search.  [default: the study's]"
@@ -139,7 +159,7 @@ def optimize(
     )
     folder = output or resume or Path("out") / loaded.name
     log = report.load_log(loaded, resume) if resume else None
-    folder.mkdir(parents=True, exist_ok=True)
+    report.check_writable(folder)
     saved = time.monotonic()
     with _progress(quiet) as on_share:
 
@@ -347,7 +367,7 @@ def view(
     mounted = load_rig(rig) if rig else None
     clouds = []
     for path in files:
-        if path.suffix in SUFFIXES:
+        if path.suffix.lower() in SUFFIXES:
             clouds.append(load_cloud(path))
         else:
             clouds.extend(decode_pcap(path, _note, mounted, model))
@@ -361,7 +381,7 @@ def view(
 
 
 def _note(message: str) -> None:
-    click.echo(f"lidarcfg: {message}", err=True)
+    click.echo(f"lidarcfg: {_one_line(message)}", err=True)
 
 
 def _vehicle_pose(at: str) -> "Array":

@@ -5,6 +5,7 @@ line numbers. Refused: unknown or repeated keys, other types, NaN and infinities
 """
 
 import difflib
+import errno
 import math
 import os
 import re
@@ -164,7 +165,10 @@ def load(path: str | Path, model: type[M]) -> M:
 
 def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
     """The error `what` at a key of a file that was loaded, for what only shows when its parts meet."""
-    return _Document(_read(path), str(path)).error(key, str(what))
+    try:
+        return _Document(_read(path), str(path)).error(key, str(what))
+    except ConfigError:  # what came through a pipe is not there a second time
+        return ConfigError(f"{path}: {what}")
 
 
 def _read(path: str | Path) -> str:
@@ -174,6 +178,8 @@ def _read(path: str | Path) -> str:
         raise ConfigError(f"{path}:1:1: not text in UTF-8 (byte {error.start})") from None
     except OSError as error:
         raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except ValueError as error:
+        raise ConfigError(f"{str(path)!r}: {error}") from None
 
 
 def loads(text: str, model: type[M], name: str) -> M:
@@ -266,7 +272,12 @@ def _models(annotation: Any) -> Iterator[type[Model]]:
 def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     """A file to write that takes the place of `path` only when whole: a killed run leaves the old one."""
     path = Path(path)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a directory", str(path))
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
     try:
         with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
             yield file
@@ -274,6 +285,8 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename in (None, temporary):  # a full disk names no file
+            raise OSError(error.errno, error.strerror, str(path)) from None
         raise

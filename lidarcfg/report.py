@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+import tempfile
 import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart by colour-blind people
 TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns"}
+# Okabe and Ito's colours, told apart by colour-blind people
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
 
 
@@ -101,6 +102,16 @@ def save_placement(study: Study, found: Placement, folder: Path) -> None:
     _save_figure(draw_rig(study, found.rig, found.evaluation), folder / "rig.png")
 
 
+def check_writable(folder: Path) -> None:
+    """Make the folder, and raise OSError now, not after hours, where nothing can be written into it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(folder)) from None
+
+
 def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
     """Write the best rig so far, rig.yaml, and search.npz, from which a search can go on."""
     save_rig(rig, folder / "rig.yaml")
@@ -156,7 +167,10 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
         axes.axhline(found.middle_max_vsr_m, color="0.5", ls=":", label="middle of the bounds")
     label = "max VSR (m)" if study.objective.is_max_vsr else "objective"
     axes.set(xlabel="evaluations", ylabel=label, ylim=(0, None))
-    axes.set_title(f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}")
+    axes.set_title(
+        f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
+        parse_math=False,
+    )
     axes.grid(alpha=0.3)
     axes.legend()
     return figure
@@ -175,7 +189,7 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
         left, right = float(region.min_m[across]), float(region.max_m[across])
         bottom, top = float(region.min_m[up]), float(region.max_m[up])
         for mask, colour in (
-            (~region.included.any(axis=hidden), (0.6, 0.6, 0.6)),
+            ((~region.included).any(axis=hidden), (0.6, 0.6, 0.6)),
             ((found.subspaces.label == worst).any(axis=hidden), (0.84, 0.37, 0.0)),
         ):
             picture = np.zeros((*mask.T.shape, 4))
@@ -192,7 +206,8 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
         axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
         axes.set_title({2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"))
     figure.axes[0].legend(loc="upper right")
-    figure.suptitle(f"{rig.name}: max VSR {found.max_vsr_m:.4f} m; its subspace orange, left out grey")
+    title = f"{rig.name}: max VSR {found.max_vsr_m:.4f} m; its subspace orange, left out grey"
+    figure.suptitle(title, parse_math=False)
     return figure
 
 
@@ -207,7 +222,7 @@ def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -
 
 def _console() -> Console:
     """Standard output; as wide as the terminal, or wide enough for the tables where there is none."""
-    return Console(width=None if sys.stdout.isatty() else 110, highlight=False)
+    return Console(width=None if sys.stdout.isatty() else 110, highlight=False, markup=False, emoji=False)
 
 
 def print_placement(found: Placement) -> None:
@@ -273,7 +288,7 @@ def print_sensors(sensors: Sequence[Sensor]) -> None:
 def print_sensor(sensor: Sensor) -> None:
     """All that is known of a model: the beam table, then every fact with its source."""
     console = _console()
-    console.print(f"[bold]{sensor.name}[/bold]  {sensor.maker}  {sensor.description}")
+    console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
     table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)
     for laser in range(sensor.count):
         table.add_row(
@@ -291,5 +306,5 @@ def print_sensor(sensor: Sensor) -> None:
         source = values.pop("source", "")
         shown = {key: value for key, value in values.items() if key not in TABLE_KEYS}
         if values:
-            console.print(f"[bold]{part}[/bold]  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
-            console.print(f"  source: {source.strip()}", style="dim", highlight=False)
+            console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
+            console.print(f"  source: {source.strip()}", style="dim")

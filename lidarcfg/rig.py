@@ -16,11 +16,12 @@ from lidarcfg.geometry import Array, pose
 from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor
 
 Port = Annotated[int, Field(ge=1, le=65535)]
-MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]  # it becomes part of file names
+MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
-DATA_PORT, TELEMETRY_PORT = 2368, 8308
+DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0
+RETURN_MODE: ReturnMode = "strongest"
 
 
 class MountFile(Model):
@@ -35,8 +36,8 @@ class MountFile(Model):
     host: str | None = None
     data_port: Port = DATA_PORT
     telemetry_port: Port = TELEMETRY_PORT
-    rpm: Positive = 600.0
-    return_mode: ReturnMode = "strongest"
+    rpm: Positive = RPM
+    return_mode: ReturnMode = RETURN_MODE
 
     @model_validator(mode="after")
     def _check(self) -> "MountFile":
@@ -165,8 +166,8 @@ def load_rig(path: str | Path) -> Rig:
     return Rig(file.name, tuple(mounts))
 
 
-def rig_to_dict(rig: Rig, base: Path = Path()) -> dict[str, object]:
-    """The rig as its file in the folder `base` would say it."""
+def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
+    """The rig as its file would say it: in the folder `base`, or with whole paths."""
     sensors = []
     for mount in rig.mounts:
         beams: dict[str, object]
@@ -175,7 +176,7 @@ def rig_to_dict(rig: Rig, base: Path = Path()) -> dict[str, object]:
         elif mount.model in catalogue():
             beams = {"model": mount.model}
         else:
-            beams = {"model": os.path.relpath(mount.model, base)}
+            beams = {"model": os.path.relpath(mount.model, base) if base else mount.model}
         sensors.append(
             {
                 "name": mount.name,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BACKGROUND = (16, 20, 28)
-NIGHT = "#10141c"  # the same
+NIGHT = "#{:02x}{:02x}{:02x}".format(*BACKGROUND)
 BRIGHT = (
     "#56B4E9",
     "#E69F00",
@@ -74,7 +74,9 @@ def save_still(cloud: PointCloud, path: Path, rig: Rig | None = None) -> None:
         Line2D([], [], ls="", marker="o", color=_colour(i), label=f"{name}: {count:,} points")
         for i, (name, count) in enumerate(zip(cloud.sensor_names, counts, strict=True))
     ]
-    scene.legend(handles=dots, loc="upper left", facecolor=NIGHT, edgecolor="0.4", labelcolor="w", fontsize=13)
+    legend = scene.legend(handles=dots, loc="upper left", facecolor=NIGHT, edgecolor="0.4", labelcolor="w", fontsize=13)
+    for text in legend.get_texts():
+        text.set_parse_math(False)
     with replacing(path, "wb") as file:
         figure.savefig(file, format="png", facecolor=NIGHT)
 
@@ -148,7 +150,9 @@ def _draw_perspective(axes: "Axes", xyz: Array, colours: NDArray[np.uint8], midd
         axes.plot(x, y, color="w", lw=0.8, alpha=0.7)
         axes.plot(x[0], y[0], "o", color=_colour(i), ms=11, mec="w", mew=1.8)
         above = 26 + 22 * (i % 2)
-        axes.annotate(mount.name, (x[0], y[0]), (0, above), textcoords="offset points", ha="center", color="w")
+        axes.annotate(
+            mount.name, (x[0], y[0]), (0, above), textcoords="offset points", ha="center", color="w", parse_math=False
+        )
 
 
 def _draw_above(axes: "Axes", xyz: Array, colours: NDArray[np.uint8], middle: Array, rig: Rig | None) -> None:

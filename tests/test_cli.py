@@ -160,7 +160,7 @@ def test_version():
         (["optimize"], "Missing argument 'STUDY'."),
         (["optimize", "none.yaml"], "lidarcfg: none.yaml: no such file or directory"),
         (["optimize", ROOF], "roof.yaml:2:1: name: unknown key"),
-        (["optimize", STUDY, "--seed", "-1"], "Invalid value for '--seed': -1 is not in the range x>=0."),
+        (["optimize", STUDY, "--seed", "-1"], "Invalid value for '--seed': -1 is not in the range"),
         (["optimize", STUDY, "--solver", "pso"], "Invalid value for '--solver': 'pso' is not"),
         (["optimize", STUDY, "-o", ROOF], "roof.yaml: file exists"),
         (["evaluate", STUDY, STUDY], "liu2018-2x16.yaml:2:1: region: unknown key"),
@@ -177,6 +177,9 @@ def test_version():
         (["decode", STREET, "-o", "x.ply"], "street.yaml: not a capture; allowed: pcap and pcapng"),
         (["decode", "none.pcap", "-o", "x.ply"], "none.pcap: no such file or directory"),
         (["view", "none.ply", "--png", "x.png"], "none.ply: no such file or directory"),
+        (["optimize", STUDY, "--seed", "9" * 25], "Invalid value for '--seed'"),
+        (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", "."], "'.' does not end in .pcap"),
+        (["evaluate", STUDY, "a\nb.yaml"], "a\\nb.yaml: no such file or directory"),
         (["sensors", "show", "vlp16"], "no sensor is called 'vlp16'; allowed: "),
     ],
 )  # fmt: skip
@@ -211,7 +214,8 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     run("evaluate", STUDY, tmp_path / "run/rig.yaml", "--quiet")
 
 
-def test_ctrl_c_leaves_no_half_capture(tmp_path):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_stopped_export_leaves_no_half_capture(tmp_path, name):
     words = [
         sys.executable,
         "-m",
@@ -227,7 +231,67 @@ def test_ctrl_c_leaves_no_half_capture(tmp_path):
     ]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(5)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, name))
     process.communicate(timeout=60)
     assert process.returncode == 130
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_command_is_the_help():
+    assert run().stdout == run("--help").stdout
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    words = f"{sys.executable} -m lidarcfg sensors show vlp-16 | head -1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", words], capture_output=True, text=True, cwd=ROOT)
+    assert done.stderr == ""
+    assert done.returncode in (0, 128 + signal.SIGPIPE)
+
+
+def test_the_shortest_budget_still_gives_a_rig(tmp_path):
+    done = run("optimize", STUDY, "-o", tmp_path, "--seconds", "1e-9", "--quiet")
+    assert done.stderr == ""
+    assert json.loads((tmp_path / "result.json").read_text())["interrupted"] is False
+
+
+def test_a_budget_in_seconds_cuts_a_large_swarm(tmp_path):
+    study = tmp_path / "s.yaml"
+    study.write_text(Path(STUDY).read_text().replace("bees: 200", "bees: 100000"))
+    run("optimize", study, "-o", tmp_path / "o", "--seconds", 2, "--quiet")
+    assert json.loads((tmp_path / "o/result.json").read_text())["seconds"] < 60
+
+
+def test_names_that_look_like_markup_or_mathematics(tmp_path):
+    study = tmp_path / "q$\\frac$.yaml"
+    study.write_text(
+        Path(STUDY).read_text().replace("name: car", "name: '[/bold] $\\frac$'").replace("cycles: 800", "cycles: null")
+    )
+    done = run("optimize", study, "-o", tmp_path / "o", "--evaluations", 50)
+    assert "detection rate of [/bold] $\\frac$: " in done.stdout
+    assert (tmp_path / "o/convergence.png").exists()
+
+
+def test_resuming_from_what_is_none(tmp_path, out):
+    assert "search.npz: no such file" in one_line("optimize", STUDY, "--resume", tmp_path, "-o", tmp_path / "x")
+    (tmp_path / "search.npz").write_text("no")
+    assert "search.npz: is not the log of a search" in one_line("optimize", STUDY, "--resume", tmp_path)
+    words = ("optimize", STUDY, "--resume", out / "two", "-o", tmp_path / "x", "--seed", 6, "--evaluations", 500)
+    assert "is of another search; study, solver and seed must be the same" in one_line(*words)
+
+
+def test_resuming_ends_where_an_unbroken_search_does(tmp_path, out):
+    run("optimize", STUDY, "--resume", out / "two", "-o", tmp_path / "on", "--seed", 5, "--evaluations", 900, "--quiet")
+    run("optimize", STUDY, "-o", tmp_path / "whole", "--seed", 5, "--evaluations", 900, "--quiet")
+    assert (tmp_path / "on/rig.yaml").read_bytes() == (tmp_path / "whole/rig.yaml").read_bytes()
+
+
+def test_whole_paths_in_a_result(tmp_path):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models/mine.yaml").write_text("name: mine\nbeams: {elevation_deg: [-5, 5]}\n")
+    (tmp_path / "s.yaml").write_text(Path(STUDY).read_text().replace("model: vlp-16", "model: models/mine.yaml"))
+    run("optimize", tmp_path / "s.yaml", "-o", tmp_path / "a/b", "--evaluations", 20, "--quiet", cwd=tmp_path)
+    result = json.loads((tmp_path / "a/b/result.json").read_text())
+    whole = str((tmp_path / "models/mine.yaml").resolve())
+    assert result["study"]["sensors"][0]["model"] == whole
+    assert result["rig"]["sensors"][0]["model"] == whole
+    run("evaluate", tmp_path / "s.yaml", tmp_path / "a/b/rig.yaml", "--quiet", cwd="/")

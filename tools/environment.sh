@@ -20,46 +20,65 @@ find_python() {
 
 # Debian packages that are not here: what makes an environment, and what Open3D loads.
 missing_packages() {
-  "$1" -c 'import ensurepip' 2>/dev/null || echo python3-venv
-  [ "$(uname -s)" = Linux ] || return 0
-  local pair
-  for pair in libEGL.so.1:libegl1 libGL.so.1:libgl1 libusb-1.0.so.0:libusb-1.0-0 libgomp.so.1:libgomp1; do
-    "$1" -c 'import ctypes, sys; ctypes.CDLL(sys.argv[1])' "${pair%%:*}" 2>/dev/null || echo "${pair##*:}"
-  done
+  "$1" - <<'PYTHON'
+import ctypes
+import sys
+
+try:
+    import ensurepip
+
+    ensurepip.version()
+except Exception:
+    print("python3-venv")
+if sys.platform == "linux":
+    libraries = {
+        "libEGL.so.1": "libegl1",
+        "libGL.so.1": "libgl1",
+        "libusb-1.0.so.0": "libusb-1.0-0",
+        "libgomp.so.1": "libgomp1",
+    }
+    for library, package in libraries.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            print(package)
+PYTHON
 }
 
 install_packages() {
   local as_root=()
   if [ "$(id -u)" != 0 ]; then
-    if ! sudo -n true 2>/dev/null; then
-      say "system libraries are missing and this user may not install them: sudo apt-get install $*"
-      return
-    fi
+    sudo -n true 2>/dev/null || return 0
     as_root=(sudo -n)
   fi
-  if ! command -v apt-get >/dev/null; then
-    say "system libraries are missing and there is no apt-get; install what Debian calls: $*"
-    return
-  fi
-  say "installing system libraries: $*"
-  "${as_root[@]}" apt-get update -qq >&2 || true
-  if ! DEBIAN_FRONTEND=noninteractive "${as_root[@]}" apt-get install -y -qq "$@" >/dev/null; then
-    say "system libraries could not be installed: $*"
-  fi
+  command -v apt-get >/dev/null || return 0
+  say "installing system packages: $*"
+  "${as_root[@]}" apt-get update -qq >/dev/null 2>&1 || true
+  DEBIAN_FRONTEND=noninteractive "${as_root[@]}" apt-get install -y -qq "$@" >/dev/null 2>&1 || true
 }
 
 prepare() {
   local extra=$1 stamp python missing
   stamp=.venv/installed${extra:+-$extra}
-  if [ -f "$stamp" ] && cmp -s "$stamp" pyproject.toml; then
+  python=$(find_python)
+  missing=$(missing_packages "$python" | tr '\n' ' ')
+  if [ -n "$missing" ]; then
+    # shellcheck disable=SC2086  # one word a package
+    install_packages $missing
+    missing=$(missing_packages "$python" | tr '\n' ' ')
+  fi
+  [ -z "$missing" ] || say "missing, and not to be installed from here: what Debian calls $missing"
+  if [ -f "$stamp" ] && cmp -s "$stamp" pyproject.toml && .venv/bin/python -c '' 2>/dev/null; then
     return
   fi
-  python=$(find_python)
-  missing=$(missing_packages "$python")
-  # shellcheck disable=SC2086  # one word a package
-  [ -z "$missing" ] || install_packages $missing
   say "making the environment in .venv (about a minute, once)"
-  [ -x .venv/bin/python ] || "$python" -m venv .venv
+  if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
+    if ! "$python" -m venv --clear .venv >/dev/null 2>&1; then
+      rm -rf .venv
+      say "no environment can be made: $python has no working venv (Debian: apt-get install python3-venv)"
+      exit 2
+    fi
+  fi
   .venv/bin/python -m pip install --quiet --quiet --disable-pip-version-check --editable ".${extra:+[$extra]}" >&2
   cp pyproject.toml "$stamp"
 }

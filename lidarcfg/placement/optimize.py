@@ -14,6 +14,7 @@ from lidarcfg.placement.search import Search, Trials
 from lidarcfg.placement.study import Evaluation, Solver, Study, evaluate
 from lidarcfg.rig import Rig
 
+SLICE = 100  # trials between two looks at the clock, where it matters
 INFEASIBLE = 1e6  # what a rig that breaks the constraints costs, and more the more it does
 
 
@@ -117,7 +118,7 @@ def optimize(
     sines = [slot.sensor.sin_elevation for slot in study.slots]
     with Evaluator(study.region, sines, threads, skip) as evaluator:
         try:
-            while not spent():
+            while not (history and spent()):
                 trials = search.ask()
                 kind = trials.phase if trials.phase in asked else "trial"
                 count = len(trials.x)
@@ -127,10 +128,11 @@ def optimize(
                     left = count
                     if solver.evaluations is not None and kind == "trial":
                         left = min(left, solver.evaluations - asked["trial"])
-                    cost = costs(study, evaluator, search, trials, left)
+                    deadline = session + solver.seconds if solver.seconds is not None else math.inf
+                    cost = costs(study, evaluator, search, trials, left, deadline)
                     replay = replay[:0]
-                    count = left
-                    if left == len(trials.x):
+                    count = len(cost)
+                    if count == len(trials.x):
                         told.append(cost)
                 asked[kind] += count
                 least = int(np.argmin(cost))
@@ -171,16 +173,25 @@ def optimize(
     )
 
 
-def costs(study: Study, evaluator: Evaluator, search: Search, trials: Trials, count: int) -> Array:
-    """The costs of the first `count` trials, or inf for those that cannot beat what they have to."""
-    poses, to_beat = study.poses(trials.x[:count]), trials.to_beat[:count]
-    violation = study.violation(poses)
-    cost = INFEASIBLE * (1.0 + violation)
-    allowed = np.flatnonzero(violation == 0.0)
-    if study.objective.is_max_vsr:
-        cost[allowed] = evaluator.max_vsr(
-            poses[allowed], trials.source[allowed], study.poses(search.sources), to_beat[allowed]
-        )
-    else:
-        cost[allowed] = evaluator.map(study.cost, poses[allowed])
-    return cost
+def costs(study: Study, evaluator: Evaluator, search: Search, trials: Trials, count: int, deadline: float) -> Array:
+    """The costs of the first `count` trials, or inf for those that cannot beat what they have to.
+
+    Fewer where the clock passes `deadline` (time.perf_counter) on the way.
+    """
+    sources = study.poses(search.sources)
+    slices = []
+    step = count if deadline == math.inf else SLICE
+    for first in range(0, count, step):
+        part = slice(first, min(first + step, count))
+        poses, source, to_beat = study.poses(trials.x[part]), trials.source[part], trials.to_beat[part]
+        violation = study.violation(poses)
+        cost = INFEASIBLE * (1.0 + violation)
+        allowed = np.flatnonzero(violation == 0.0)
+        if study.objective.is_max_vsr:
+            cost[allowed] = evaluator.max_vsr(poses[allowed], source[allowed], sources, to_beat[allowed])
+        else:
+            cost[allowed] = evaluator.map(study.cost, poses[allowed])
+        slices.append(cost)
+        if time.perf_counter() > deadline:
+            break
+    return np.concatenate(slices)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
-from lidarcfg.config import Model, Positive, fault
+from lidarcfg.config import Model, Positive, Vec3, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import open3d
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
-Vec3 = tuple[float, float, float]
 Edges = tuple[Positive, Positive, Positive]
 AXES = "xyz"
 
@@ -170,5 +169,8 @@ def excluded(dtype: np.dtype[Any]) -> Any:
 
 def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int, int]:
     """How many whole cuboids an object of this size fills along x, y and z: rounded up, at least one."""
-    x, y, z = (max(int(np.ceil(size / edge - 1e-9)), 1) for size, edge in zip(size_m, cuboid_m, strict=True))
+    x, y, z = (
+        int(min(max(np.ceil(size / float(edge) - 1e-9), 1.0), CUBOIDS_MAX))
+        for size, edge in zip(size_m, cuboid_m, strict=True)
+    )
     return x, y, z

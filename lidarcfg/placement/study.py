@@ -3,7 +3,7 @@
 import math
 import time
 from dataclasses import dataclass, field, replace
-from itertools import combinations
+from itertools import combinations, islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,6 +30,8 @@ from lidarcfg.rig import (
     DATA_PORT,
     FIRST_HOST,
     HOSTS,
+    RETURN_MODE,
+    RPM,
     TELEMETRY_PORT,
     Mount,
     MountName,
@@ -123,7 +125,7 @@ class Solver(Model):
     @model_validator(mode="before")
     @classmethod
     def _default_budget(cls, values: Any) -> Any:
-        if isinstance(values, dict) and not values.keys() & BUDGETS:
+        if isinstance(values, dict) and all(values.get(key) is None for key in BUDGETS):
             return values | ({"cycles": 800} if values.get("method") == "abc" else {"evaluations": 100_000})
         return values
 
@@ -231,8 +233,8 @@ class Study:
                     host=str(FIRST_HOST + i),
                     data_port=DATA_PORT + i,
                     telemetry_port=TELEMETRY_PORT + i,
-                    rpm=600.0,
-                    return_mode="strongest",
+                    rpm=RPM,
+                    return_mode=RETURN_MODE,
                 )
             )
         return Rig(self.name, tuple(mounts))
@@ -308,8 +310,19 @@ def load_study(path: str | Path) -> Study:
         objective=file.objective,
         constraints=file.constraints,
         detection=file.detection,
-        file=file.model_dump(mode="json", exclude_none=True),
+        file=_resolved(file, slots),
     )
+
+
+def _resolved(file: StudyFile, slots: list[Slot]) -> dict[str, Any]:
+    """The file with its defaults filled in and its models' paths made whole."""
+    values = file.model_dump(mode="json", exclude_none=True)
+    models = iter(slots)
+    for group in values["sensors"]:
+        for slot in islice(models, group["count"]):
+            if slot.model is not None:
+                group["model"] = slot.model
+    return values
 
 
 def evaluate(study: Study, rig: Rig) -> Evaluation:
