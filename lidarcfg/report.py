@@ -86,7 +86,7 @@ def save_evaluation(study: Study, rig: Rig, found: Evaluation, folder: Path) -> 
     """Write result.json and rig.png into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     _write_json(evaluation_dict(study, rig, found), folder / "result.json")
-    _save_figure(draw_rig(study, rig, found), folder / "rig.png")
+    save_figure(draw_rig(study, rig, found), folder / "rig.png")
 
 
 def save_placement(study: Study, found: Placement, folder: Path) -> None:
@@ -98,8 +98,8 @@ def save_placement(study: Study, found: Placement, folder: Path) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(asdict(found.history[0]))
         writer.writerows(asdict(cycle).values() for cycle in found.history)
-    _save_figure(draw_convergence(study, found), folder / "convergence.png")
-    _save_figure(draw_rig(study, found.rig, found.evaluation), folder / "rig.png")
+    save_figure(draw_convergence(study, found), folder / "convergence.png")
+    save_figure(draw_rig(study, found.rig, found.evaluation), folder / "rig.png")
 
 
 def check_writable(folder: Path) -> None:
@@ -145,20 +145,22 @@ def _write_json(values: dict[str, Any], path: Path) -> None:
         file.write(to_json(values) + "\n")
 
 
-def _save_figure(figure: "Figure", path: Path) -> None:
+def save_figure(figure: "Figure", path: Path) -> None:
+    """As a PNG, whole or not at all."""
     with replacing(path, "wb") as file:
         figure.savefig(file, format="png", dpi=120)
 
 
-def _figure(width: float, height: float) -> "Figure":
+def new_figure(width_in: float, height_in: float) -> "Figure":
+    """An empty figure, in inches."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained")
+    return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def draw_convergence(study: Study, found: Placement) -> "Figure":
     """Best and mean max VSR of the food sources over the evaluations (the paper's figure 4)."""
-    figure = _figure(7, 4)
+    figure = new_figure(7, 4)
     axes = figure.subplots()
     evaluations = [cycle.evaluations for cycle in found.history]
     axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
@@ -179,7 +181,7 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
 def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
     """The rig from top, side and front: region, exclusions, the worst subspace, each sensor and its axis."""
     region = study.region
-    figure = _figure(11, 7)
+    figure = new_figure(11, 7)
     grid = figure.add_gridspec(2, 2, width_ratios=(3, 1))
     views = ((0, 1, grid[0, :]), (0, 2, grid[1, 0]), (1, 2, grid[1, 1]))
     worst = int(found.vsr_m.argmax())

@@ -79,11 +79,23 @@ def test_cma_es_begins_anew_with_twice_the_population():
     assert sizes == sorted(sizes)
 
 
-def test_auto_walks_from_the_bees_best_sources():
+def test_auto_walks_from_the_best_of_its_points():
     solver = Auto(3, 1)
-    while isinstance(solver._now, BeeColony):
-        bees = solver._now
-        solver.tell(bowl(solver.ask().x))
-    best = bees.sources[bees.cost.argmin()]
-    assert np.abs(solver.ask().x - best).mean() < 0.2
-    assert solver.best_cost <= bees.cost.min()
+    points = solver.ask().x
+    assert len(points) == 200
+    solver.tell(bowl(points))
+    best = points[bowl(points).argmin()]
+    assert np.abs(solver.ask().x - best).mean() < 0.15
+    assert solver.best_cost == bowl(points).min()
+
+
+def test_autos_later_runs_have_larger_populations():
+    solver, sizes = Auto(2, 1), []
+    while len(sizes) < 6:
+        size = len(solver.ask().x)
+        if size == 200:
+            solver.tell(bowl(solver.ask().x))
+            sizes.append(len(solver.ask().x))
+        else:
+            solver.tell(bowl(solver.ask().x))
+    assert [size // sizes[0] for size in sizes] == [1, 1, 2, 2, 4, 4]
