@@ -1,8 +1,13 @@
 """Points: merge, save, load. Files are .npz, .ply and .pcd, each with every field and exact times."""
 
 import json
+import lzma
+import os
+import struct
 import tempfile
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +23,7 @@ from lidarcfg.geometry import Array
 
 SUFFIXES = (".ply", ".pcd", ".npz")
 SECOND_NS = 10**9
-FIELDS = {
+FIELDS: dict[str, Any] = {
     "xyz": np.float64,
     "intensity": np.uint8,
     "ring": np.uint8,
@@ -34,7 +39,16 @@ PCD_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<u2"), ("time_ns", "<i8")])
 PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "ushort": "<u2"}
 PLY_TYPES |= {"char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2"}
 PLY_TYPES |= {"int32": "<i4", "uint32": "<u4", "float32": "<f4", "float64": "<f8"}
+PCD_TYPES = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
 HEADER_LINES_MAX = 10_000
+XYZ_MAX_M = np.float64(1e9)
+SECONDS_MAX = 2**63 // SECOND_NS  # so many, and the rest of one, are an int64 of nanoseconds
+# What numpy, zipfile and json raise on bytes that make no sense; an encrypted zip is a RuntimeError, as is one of an
+# odd version (NotImplementedError), and absurd sizes are OverflowError and MemoryError.
+DAMAGE = (
+    *(ValueError, KeyError, IndexError, TypeError, EOFError, OverflowError, MemoryError, RuntimeError),
+    *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
+)
 
 
 @dataclass(frozen=True)
@@ -98,30 +112,60 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
 
 
 def load_cloud(path: str | Path) -> PointCloud:
-    """The cloud in a file that `save_clouds` wrote. Raises CloudError."""
+    """The cloud in a file such as `save_clouds` writes. Raises CloudError for anything that no cloud holds."""
     path = Path(path)
     kind = _suffix(path)
     try:
-        columns = _read_npz(path) if kind == ".npz" else _read_rows(path, kind)
+        return _checked(path, _read_npz(path) if kind == ".npz" else _read_rows(path, kind))
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except (ValueError, KeyError, IndexError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise CloudError(f"{path}: not a whole {kind[1:]} file: {' '.join(str(error).split())}") from None
+    except DAMAGE as error:
+        what = " ".join(str(error).split())[:200] or type(error).__name__
+        raise CloudError(f"{path}: not a whole {kind[1:]} file: {what}") from None
+
+
+def _checked(path: Path, columns: dict[str, Any]) -> PointCloud:
+    """The columns as a cloud. Raises CloudError unless each holds what its field allows."""
     missing = [key for key in (*FIELDS, "sensor_names") if key not in columns]
     if missing:
         raise CloudError(f"{path}: missing: {', '.join(missing)}")
-    if not len(columns["xyz"]):
+    for key in FIELDS:
+        letters, kinds = ("f", "floats") if key == "xyz" else ("iu", "integers")
+        if columns[key].dtype.kind not in letters:
+            raise CloudError(f"{path}: {key} is of type {columns[key].dtype}; allowed: {kinds}")
+    xyz, names = columns["xyz"], _names(path, columns["sensor_names"])
+    if xyz.shape == (0, 3):
         raise CloudError(f"{path}: the cloud is empty")
-    if columns["xyz"].shape != (len(columns["xyz"]), 3) or any(
-        columns[key].shape != (len(columns["xyz"]),) for key in FIELDS if key != "xyz"
-    ):
+    if xyz.shape[1:] != (3,) or any(columns[key].shape != xyz.shape[:1] for key in FIELDS if key != "xyz"):
         raise CloudError(f"{path}: the fields are not of one length")
-    if not np.isfinite(columns["xyz"]).all():
-        raise CloudError(f"{path}: point {np.argwhere(~np.isfinite(columns['xyz']))[0][0]} is not finite")
-    names = tuple(str(name) for name in columns.pop("sensor_names"))
+    far = np.flatnonzero(~(abs(xyz) <= XYZ_MAX_M).all(axis=1))
+    if len(far):
+        what = f"beyond {XYZ_MAX_M:g} m" if np.isfinite(xyz[far[0]]).all() else "not finite"
+        raise CloudError(f"{path}: point {far[0]} is {what}")
+    for key, kind in FIELDS.items():
+        if key != "xyz":
+            column, allowed = columns[key], np.iinfo(kind)
+            bad = np.flatnonzero((column < allowed.min) | (column > allowed.max))
+            if len(bad):
+                what = f"point {bad[0]}: {key} is {column[bad[0]]}"
+                raise CloudError(f"{path}: {what}; allowed: {allowed.min} to {allowed.max}")
     if columns["sensor"].max() >= len(names):
         raise CloudError(f"{path}: a point is of sensor {columns['sensor'].max()}; there are {len(names)}")
     return PointCloud(sensor_names=names, **{key: columns[key].astype(FIELDS[key]) for key in FIELDS})
+
+
+def _names(path: Path, names: Any) -> tuple[str, ...]:
+    """The names of the sensors. Raises CloudError unless they are texts that can be written."""
+    if isinstance(names, np.ndarray):
+        names = names.tolist() if names.ndim == 1 else [names]
+    for name in names:
+        if not isinstance(name, str):
+            raise CloudError(f"{path}: sensor_names holds something other than a list of texts")
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            raise CloudError(f"{path}: the sensor name {name!r} is not Unicode text") from None
+    return tuple(names)
 
 
 def _suffix(path: Path) -> str:
@@ -179,23 +223,39 @@ def _pcd_header(count: int, names: list[str]) -> str:
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
-    with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-        return dict(arrays)
+    with open(path, "rb") as file:
+        arrays = np.load(file, allow_pickle=False)
+        if not isinstance(arrays, np.lib.npyio.NpzFile):
+            raise ValueError("allowed is an archive of arrays")
+        with arrays:
+            return {key: np.asarray(arrays[key]) for key in (*FIELDS, "sensor_names") if key in arrays}
 
 
 def _read_rows(path: Path, kind: str) -> dict[str, Any]:
     with open(path, "rb") as file:
         lines = _header(file, "end_header" if kind == ".ply" else "DATA")
         dtype, count = _ply_layout(lines) if kind == ".ply" else _pcd_layout(lines)
+        there = (os.fstat(file.fileno()).st_size - file.tell()) // max(dtype.itemsize, 1)
+        if not 0 <= count <= there:
+            raise ValueError(f"{count} points are announced, {there} are there")
         rows = np.fromfile(file, dtype, count)
-    if len(rows) < count:
-        raise ValueError(f"{count} points are announced, {len(rows)} are there")
-    columns: dict[str, Any] = {key: rows[key] for key in FIELDS if key in (dtype.names or ())}
-    if "time_s" in (dtype.names or ()):
-        columns["time_ns"] = rows["time_s"].astype(np.int64) * SECOND_NS + rows["time_rest_ns"]
-    columns["xyz"] = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+    fields = dtype.names or ()
+    columns: dict[str, Any] = {key: rows[key] for key in FIELDS if key in fields}
+    if {"time_s", "time_rest_ns"} <= set(fields):
+        columns["time_ns"] = _time_ns(rows["time_s"], rows["time_rest_ns"])
+    if {"x", "y", "z"} <= set(fields):
+        columns["xyz"] = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
     names = [line.split(maxsplit=2)[2] for line in lines if line.startswith(("comment sensor ", "# sensor "))]
     return columns | ({"sensor_names": [json.loads(name) for name in names]} if names else {})
+
+
+def _time_ns(time_s: NDArray[Any], rest_ns: NDArray[Any]) -> NDArray[np.int64]:
+    """Whole seconds, which may be floats, and the rest of one, exactly. Raises ValueError."""
+    if not (np.isfinite(time_s).all() and ((abs(time_s) < SECONDS_MAX) & (np.floor(time_s) == time_s)).all()):
+        raise ValueError(f"allowed for time_s are whole numbers below {SECONDS_MAX}")
+    if rest_ns.dtype.kind not in "iu" or not ((rest_ns >= 0) & (rest_ns < SECOND_NS)).all():
+        raise ValueError(f"allowed for time_rest_ns are the integers 0 to {SECOND_NS - 1}")
+    return time_s.astype(np.int64) * SECOND_NS + rest_ns.astype(np.int64)
 
 
 def _header(file: IO[bytes], last: str) -> list[str]:
@@ -219,7 +279,15 @@ def _ply_layout(lines: list[str]) -> tuple[np.dtype[np.void], int]:
 
 def _pcd_layout(lines: list[str]) -> tuple[np.dtype[np.void], int]:
     words = {line.split()[0]: line.split()[1:] for line in lines if line}
+    lacking = [key for key in ("FIELDS", "TYPE", "SIZE", "POINTS") if not words.get(key)]
+    if lacking:
+        raise ValueError(f"no {', '.join(lacking)}")
     if words["DATA"] != ["binary"]:
         raise ValueError("allowed is DATA binary")
-    columns = zip(words["FIELDS"], words["TYPE"], words["SIZE"], strict=True)
-    return np.dtype([(name, f"<{kind.lower()}{size}") for name, kind, size in columns]), int(words["POINTS"][0])
+    if words.get("COUNT", []) != ["1"] * len(words.get("COUNT", [])):
+        raise ValueError("allowed is COUNT 1 for each field")
+    types = [kind + size for kind, size in zip(words["TYPE"], words["SIZE"], strict=True)]
+    if not PCD_TYPES.issuperset(types):
+        raise ValueError(f"allowed for TYPE and SIZE are {', '.join(sorted(PCD_TYPES))}")
+    columns = zip(words["FIELDS"], types, strict=True)
+    return np.dtype([(name, f"<{kind.lower()}") for name, kind in columns]), int(words["POINTS"][0])

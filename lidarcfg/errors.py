@@ -10,7 +10,7 @@ class ConfigError(LidarcfgError):
 
 
 class SceneError(LidarcfgError):
-    """A scene cannot be built from what its file names, for example an unreadable mesh."""
+    """A scene cannot be built, for example one without anything in it."""
 
 
 class PacketError(LidarcfgError):

@@ -14,6 +14,12 @@ from lidarcfg.config import Model, Positive, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 
+BLOCKS = 12  # in a data packet
+SLOTS = 32  # returns in a block
+# How many blocks one firing of all lasers may take: a packet holds a whole number of them, and no fewer than two,
+# between which the decoder sees the head turn. So at most 192 beams have packets, and a byte holds laser and ring.
+GROUP_BLOCKS = tuple(n for n in range(1, BLOCKS) if BLOCKS % n == 0)
+
 Byte = Annotated[int, Field(ge=0, le=255)]
 Word = Annotated[int, Field(ge=0, le=65535)]
 Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
@@ -62,7 +68,7 @@ class Rotation(Model):
     source: str
     rpm_min: Positive
     rpm_max: Positive
-    rpm_step: Positive
+    rpm_step: Positive  # informative: what the maker's settings offer; nothing here reads it
 
 
 class Range(Model):
@@ -96,7 +102,7 @@ class Packet(Model):
 
     source: str
     product_id: Byte
-    block_flags: Annotated[tuple[Word, ...], Field(min_length=1)]  # by group of 32 lasers
+    block_flags: Annotated[tuple[Word, ...], Field(min_length=1)]  # by group of 32 lasers; 1, 2, 3, 4 or 6 of them
     sequences_per_block: Annotated[int, Field(ge=1, le=32)]
     return_modes: ReturnModes
 
@@ -105,7 +111,7 @@ class PositionPacket(Model):
     """The facts of the position packet (512 bytes with an NMEA sentence)."""
 
     source: str
-    rate_hz: Positive
+    rate_hz: Annotated[float, Field(gt=0, le=10_000)]
 
 
 class Sensor(Model):
@@ -131,8 +137,13 @@ class Sensor(Model):
             raise fault(f"a firing lies beyond the sequence's {self.firing.sequence_ns} ns", "firing", "offset_ns")
         if self.range and self.range.min_m >= self.range.max_m:
             raise fault(f"{self.range.min_m} is not below max_m", "range", "min_m")
-        if self.packet and self.packet.sequences_per_block * self.count != 32 * len(self.packet.block_flags):
-            what = f"{self.count} beams × {self.packet.sequences_per_block} do not fill the blocks of 32 returns"
+        if self.rotation and self.rotation.rpm_min > self.rotation.rpm_max:
+            raise fault(f"{self.rotation.rpm_min:g} is above rpm_max, {self.rotation.rpm_max:g}", "rotation", "rpm_min")
+        if self.packet and len(self.packet.block_flags) not in GROUP_BLOCKS:
+            what = f"has {len(self.packet.block_flags)} values; allowed: {', '.join(map(str, GROUP_BLOCKS))}"
+            raise fault(f"{what}, which divide a packet's {BLOCKS} blocks", "packet", "block_flags")
+        if self.packet and self.packet.sequences_per_block * self.count != SLOTS * len(self.packet.block_flags):
+            what = f"{self.count} beams × {self.packet.sequences_per_block} do not fill the blocks of {SLOTS} returns"
             raise fault(what, "packet", "sequences_per_block")
         return self
 
@@ -162,9 +173,9 @@ class Sensor(Model):
         return np.array(self.beams.vertical_offset_mm or (0.0,) * self.count) / 1000
 
     @property
-    def ring(self) -> NDArray[np.uint8]:
+    def ring(self) -> NDArray[np.uint16]:
         """(count,) by laser id: 0 is the lowest beam."""
-        return np.argsort(np.argsort(self.beams.elevation_deg)).astype(np.uint8)
+        return np.argsort(np.argsort(self.beams.elevation_deg)).astype(np.uint16)
 
 
 def catalogue() -> dict[str, Path]:

@@ -11,7 +11,7 @@ import velodyne_decoder as vd
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.export import START_NS, export, in_time_order
 from lidarcfg.capture.firing import firings, rays
-from lidarcfg.capture.pcap import read_datagrams, write_pcap
+from lidarcfg.capture.pcap import TIME_END_NS, read_datagrams, write_pcap
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.scene import load_scene
 from lidarcfg.cloud import FIELDS, concatenate
@@ -19,7 +19,7 @@ from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import custom_sensor
-from tests.capture_fixtures import STREET, alone, mount, no_note, recording, tilted_rig
+from tests.capture_fixtures import STREET, alone, mount, no_note, recording, scene, tilted_rig
 from tests.naive_capture import nmea_checksum
 
 SECOND_NS = 10**9
@@ -75,6 +75,7 @@ def test_every_return(street, second, index):
     assert (cloud.intensity[mine] == reflectivity).all()
     sensor = rig.mounts[index].sensor
     assert (cloud.ring[mine] == sensor.ring[laser]).all()
+    assert cloud.ring.dtype == np.uint8
 
     xyz = transform(inverse(rig.mounts[index].T_vehicle_sensor), cloud.xyz[mine])
     xyz[:, 2] -= sensor.vertical_offset_m[laser]
@@ -254,3 +255,45 @@ def test_what_cannot_be_exported(street):
         export(Rig("fan", (fan,)), street, np.eye(4), SECOND_NS)
     with pytest.raises(ConfigError, match=r"0\.001 s holds no packet of lidar_0; allowed: at least 0\.0013271 s"):
         export(Rig("short", (mount(),)), street, np.eye(4), 1_000_000)
+
+
+def test_the_last_seconds_of_a_pcap(street, tmp_path):
+    """A capture may end with the pcap's last microsecond; one that would go on is refused before it is written."""
+    rig, duration_ns = tilted_rig(), 10 * PERIOD_NS
+    last_ns = TIME_END_NS - duration_ns - PERIOD_NS // 2 - 501  # the second sensor starts half a packet later
+    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, street, np.eye(4), duration_ns, last_ns)))
+    times = [datagram.time_ns for datagram in read_datagrams(tmp_path / "a.pcap", no_note)]
+    assert times == sorted(times)
+    assert times[-1] == TIME_END_NS - 1000
+    for start_ns, length_ns in (
+        (last_ns + 1, duration_ns),
+        (TIME_END_NS - 2 * SECOND_NS, 3 * SECOND_NS),
+        (-1, duration_ns),
+    ):
+        with pytest.raises(ConfigError, match="leave the time that a pcap can say, 1970 to 2106-02-07T06:28:16 UTC"):
+            export(rig, street, np.eye(4), length_ns, start_ns)
+
+
+@pytest.mark.parametrize(("x", "y"), [(5e5, 5e6), (-1e8, 1e8)])
+def test_far_places(tmp_path, x, y):
+    """UTM coordinates and the furthest allowed: the capture is that of the origin, but for the position packets."""
+    rig = Rig("one", (mount(),))
+    clouds = []
+    for at in ((0.0, 0.0), (x, y)):
+        box = f"boxes: [{{name: b, center_m: [{at[0] + 10:.1f}, {at[1]:.1f}, 1], size_m: [2, 2, 2], reflectivity: 9}}]"
+        stage = scene(tmp_path, f"ground: {{reflectivity: 10}}\n{box}")
+        T = pose((*at, 0.0), (0.0, 0.0, 0.0))
+        write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, T, SECOND_NS // 10)))
+        clouds.append(whole(tmp_path / "a.pcap"))
+    assert len(clouds[0].xyz) > 1000
+    np.testing.assert_allclose(clouds[1].xyz, clouds[0].xyz, atol=0.003)
+
+
+@pytest.mark.parametrize("value", [1.001e8, -1e20, np.nan, np.inf])
+def test_places_beyond_the_world(street, value):
+    T = np.eye(4)
+    T[1, 3] = value
+    with pytest.raises(ConfigError, match=r"the vehicle stands at y = .* m; allowed: -1e\+08 to 1e\+08"):
+        export(Rig("one", (mount(),)), street, T, SECOND_NS)
+    with pytest.raises(ConfigError, match=r"lidar_0 stands at z = .* m; allowed: -1e\+08 to 1e\+08"):
+        export(Rig("one", (mount(position_m=(0.0, 0.0, value)),)), street, np.eye(4), SECOND_NS)

@@ -1,9 +1,14 @@
 """Clouds: exact through all three kinds of file, readable by Open3D and numpy, and what is refused."""
 
+import io
 import json
+import zipfile
+from contextlib import suppress
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lidarcfg.cloud import FIELDS, PointCloud, concatenate, load_cloud, save_clouds
 from lidarcfg.errors import CloudError
@@ -148,3 +153,165 @@ def test_no_such_file_or_folder(tmp_path):
             load_cloud(tmp_path / f"none.{suffix}")
         with pytest.raises(CloudError, match="no such file"):
             save_clouds(tmp_path / "none" / f"a.{suffix}", [cloud()])
+
+
+def columns(**other) -> dict[str, object]:
+    """A sound cloud's arrays, with others in their place."""
+    ours = cloud(5)
+    return {key: getattr(ours, key) for key in FIELDS} | {"sensor_names": np.array(ours.sensor_names)} | other
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"xyz": np.array([["a", "b", "c"]] * 5)}, "xyz is of type <U1; allowed: floats"),
+        ({"xyz": np.array(1.0)}, "the fields are not of one length"),
+        ({"xyz": np.zeros(5)}, "the fields are not of one length"),
+        ({"xyz": np.zeros((5, 4))}, "the fields are not of one length"),
+        ({"xyz": np.zeros((5, 3), complex)}, "xyz is of type complex128; allowed: floats"),
+        ({"xyz": np.zeros((5, 3), int)}, "xyz is of type int64; allowed: floats"),
+        ({"xyz": np.full((5, 3), 1e308)}, "point 0 is beyond 1e+09 m"),
+        ({"xyz": np.full((5, 3), np.inf, np.float16)}, "point 0 is not finite"),
+        ({"xyz": np.frombuffer(b"\x01\x00\x80\x7f" * 15, "<f4").reshape(5, 3)}, "point 0 is not finite"),
+        ({"intensity": np.array([1, 2, 3, 300, 5])}, "point 3: intensity is 300; allowed: 0 to 255"),
+        ({"intensity": np.full(5, np.nan)}, "intensity is of type float64; allowed: integers"),
+        ({"ring": np.array([1, 2, 3, 4, 5] * 2, np.uint8)}, "the fields are not of one length"),
+        ({"ring": np.ones(5, bool)}, "ring is of type bool; allowed: integers"),
+        ({"time_ns": np.array(["now"] * 5)}, "time_ns is of type <U3; allowed: integers"),
+        ({"time_ns": np.full(5, 1e300)}, "time_ns is of type float64; allowed: integers"),
+        ({"time_ns": np.full(5, 2**63, np.uint64)}, "point 0: time_ns is 9223372036854775808; allowed: -92233720"),
+        ({"sensor": np.array(["left"] * 5)}, "sensor is of type <U4; allowed: integers"),
+        ({"sensor": np.full(5, np.nan)}, "sensor is of type float64; allowed: integers"),
+        ({"sensor": np.array([0, 0, -1, 0, 0])}, "point 2: sensor is -1; allowed: 0 to 65535"),
+        ({"sensor": np.full(5, 2)}, "a point is of sensor 2; there are 2"),
+        ({"sensor_names": np.array("left")}, "sensor_names holds something other than a list of texts"),
+        ({"sensor_names": np.array([b"left", b"right"])}, "sensor_names holds something other than a list of texts"),
+        ({"sensor_names": np.array([["left", "right"]])}, "sensor_names holds something other than a list of texts"),
+        ({"sensor_names": np.array(["left", "\ud800"])}, r"the sensor name '\ud800' is not Unicode text"),
+        ({"return_type": np.array([object()] * 5)}, "not a whole npz file: Object arrays cannot be loaded"),
+    ],
+)
+def test_columns_that_no_cloud_holds(tmp_path, other, message):
+    np.savez(tmp_path / "a.npz", **columns(**other))
+    with pytest.raises(CloudError, match=r"a\.npz: ") as error:
+        load_cloud(tmp_path / "a.npz")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_other_integers_and_floats_are_taken(tmp_path):
+    ours = cloud(5)
+    wide = {key: getattr(ours, key).astype(">i8") for key in FIELDS if key != "xyz"}
+    np.savez(tmp_path / "a.npz", **columns(**wide, xyz=ours.xyz.astype(np.float16), more=np.array([object()])))
+    assert_same(
+        load_cloud(tmp_path / "a.npz"), PointCloud(**vars(ours) | {"xyz": np.float64(ours.xyz.astype(np.float16))})
+    )
+
+
+def repacked(raw: bytes, compression: int = zipfile.ZIP_STORED, **members: bytes) -> bytes:
+    """The archive with some of its members replaced."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(raw)) as old, zipfile.ZipFile(out, "w", compression) as new:
+        for name in old.namelist():
+            new.writestr(name, members.get(name.removesuffix(".npy"), old.read(name)))
+    return out.getvalue()
+
+
+def npy(descr: str, shape: str) -> bytes:
+    """A .npy file that announces what it does not hold."""
+    header = f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(40)
+
+
+@pytest.mark.parametrize(
+    "ring",
+    [
+        b"text",
+        npy("<f8", "(99999999999999,)"),
+        npy("<f8", "(" + "9" * 40 + ",)"),
+        npy("<f8", "(-1,)"),
+        npy("<f8", "(5"),
+        npy("(5,", "(5,)"),
+    ],
+)
+def test_an_array_that_lies(tmp_path, ring):
+    save_clouds(tmp_path / "a.npz", [cloud()])
+    (tmp_path / "a.npz").write_bytes(repacked((tmp_path / "a.npz").read_bytes(), ring=ring))
+    with pytest.raises(CloudError, match=r"a\.npz: "):
+        load_cloud(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_damaged_archives(tmp_path, compression):
+    """Every byte of the first member turned, and the versions and flags of all."""
+    save_clouds(tmp_path / "a.npz", [cloud(5)])
+    raw = repacked((tmp_path / "a.npz").read_bytes(), compression)
+    (tmp_path / "a.npz").write_bytes(raw)
+    assert_same(load_cloud(tmp_path / "a.npz"), cloud(5))
+    central = raw.index(b"PK\x01\x02")
+    for i in (*range(4, 200), *range(central, central + 46)):
+        (tmp_path / "a.npz").write_bytes(raw[:i] + bytes([raw[i] ^ 0xFF]) + raw[i + 1 :])
+        with suppress(CloudError):
+            load_cloud(tmp_path / "a.npz")
+
+
+def test_npy_is_not_npz(tmp_path):
+    with open(tmp_path / "a.npz", "wb") as file:
+        np.save(file, np.zeros((5, 3)))
+    with pytest.raises(CloudError, match="not a whole npz file: allowed is an archive of arrays"):
+        load_cloud(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "old", "new", "message"),
+    [
+        ("ply", b"vertex 50", b"vertex 99999999999999", "99999999999999 points are announced, 50 are there"),
+        ("ply", b"vertex 50", b"vertex 1" + b"0" * 30, "points are announced, 50 are there"),
+        ("ply", b"vertex 50", b"vertex -1", "-1 points are announced, 50 are there"),
+        ("ply", b"double x", b"double w", "missing: xyz"),
+        ("ply", b"uchar intensity", b"char intensity", ": intensity is -"),
+        ("ply", b"int time_rest_ns", b"float time_rest_ns", "allowed for time_rest_ns are the integers 0 to 999999999"),
+        ("ply", b'"left"', b"5", "sensor_names holds something other than a list of texts"),
+        ("ply", b'"left"', b'"\\ud800"', r"the sensor name '\ud800' is not Unicode text"),
+        ("pcd", b"POINTS 50", b"POINTS 99999999999999", "99999999999999 points are announced, 50 are there"),
+        ("pcd", b"POINTS 50", b"POINTS 1" + b"0" * 30, "points are announced, 50 are there"),
+        ("pcd", b"POINTS 50", b"POINTS -1", "-1 points are announced, 50 are there"),
+        ("pcd", b"COUNT 1 1", b"COUNT 1 7", "allowed is COUNT 1 for each field"),
+        ("pcd", b"TYPE F F F U", b"TYPE F F F S", "allowed for TYPE and SIZE are F4, F8, I1"),
+        ("pcd", b"TYPE F F F", b"TYPE I I I", "xyz is of type int64; allowed: floats"),
+        ("pcd", b"POINTS 50\n", b"", "no POINTS"),
+    ],
+)
+def test_headers_that_lie(tmp_path, suffix, old, new, message):
+    path = tmp_path / f"a.{suffix}"
+    save_clouds(path, [cloud()])
+    raw = path.read_bytes()
+    assert old in raw
+    path.write_bytes(raw.replace(old, new, 1))
+    with pytest.raises(CloudError, match=rf"a\.{suffix}: ") as error:
+        load_cloud(path)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize("time_s", [1e300, np.nan, np.inf, 0.5, -1e10])
+def test_ply_times_that_are_none(tmp_path, time_s):
+    save_clouds(tmp_path / "a.ply", [cloud()])
+    raw = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(raw[:-12] + np.float64(time_s).tobytes() + raw[-4:])
+    with pytest.raises(CloudError, match="allowed for time_s are whole numbers below 9223372036"):
+        load_cloud(tmp_path / "a.ply")
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.sampled_from(["ply", "pcd", "npz"]), st.lists(st.tuples(st.integers(0, 700), st.integers(0, 255)), max_size=4)
+)
+def test_any_damage_ends_well(tmp_path_factory, suffix, changes):
+    path = tmp_path_factory.getbasetemp() / f"fuzz.{suffix}"
+    save_clouds(path, [cloud(3)])
+    raw = bytearray(path.read_bytes())
+    for place, value in changes:
+        raw[place % len(raw)] = value
+    path.write_bytes(raw)
+    with suppress(CloudError):
+        load_cloud(path)

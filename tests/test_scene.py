@@ -1,11 +1,13 @@
 """Scenes: shapes against solid geometry, the street, and what is refused."""
 
+import errno
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lidarcfg.capture.scene import load_scene
+from lidarcfg.capture.scene import load_scene, read_mesh
 from lidarcfg.errors import ConfigError, LidarcfgError, SceneError
 from tests.capture_fixtures import STREET, scene
 
@@ -38,7 +40,7 @@ def test_volumes(tmp_path):
 
 
 def test_facets_stay_within_a_millimetre(tmp_path):
-    for radius in (0.05, 0.25, 2.0, 10.0):
+    for radius in (0.05, 0.25, 2.0, 10.0, 26.0):
         ball = scene(tmp_path, f"spheres: [{{name: s, center_m: [0, 0, 0], radius_m: {radius}, reflectivity: 9}}]")
         triangles = ball.vertices_m[ball.triangles]
         edges = (triangles + np.roll(triangles, 1, axis=1)) / 2
@@ -103,6 +105,35 @@ def test_street():
             "meshes: [{name: m, file: none.ply, position_m: [0, 0, 0], reflectivity: 1}]",
             "none.ply: no such file",
         ),
+        (
+            "meshes: [{name: m, file: ., position_m: [0, 0, 0], reflectivity: 1}]",
+            ": is a directory",
+        ),
+        (
+            'meshes: [{name: m, file: "a\\0b", position_m: [0, 0, 0], reflectivity: 1}]',
+            "embedded null byte",
+        ),
+        (
+            "spheres: [{name: s, center_m: [0, 0, 0], radius_m: 1e14, reflectivity: 1}]",
+            "less than or equal to 100000000",
+        ),
+        (
+            "spheres: [{name: s, center_m: [0, 0, 2e8], radius_m: 1, reflectivity: 1}]",
+            "less than or equal to 100000000",
+        ),
+        (
+            "cylinders: [{name: s, base_m: [0, -2e8, 0], radius_m: 1, height_m: 1, reflectivity: 1}]",
+            "greater than or equal to -100000000",
+        ),
+        (
+            "boxes: [{name: b, center_m: [0, 0, 0], size_m: [1, 1, 1e9], reflectivity: 1}]",
+            "less than or equal to 100000000",
+        ),
+        (
+            "planes: [{name: p, center_m: [0, 0, 0], size_m: [1, 1e9], reflectivity: 1}]",
+            "less than or equal to 100000000",
+        ),
+        ("ground: {z_m: 1e300, reflectivity: 1}", "ground.z_m: 1e+300 should be less than or equal to 100000000"),
     ],
 )
 def test_refused(tmp_path, text, message):
@@ -124,10 +155,37 @@ def test_refused(tmp_path, text, message):
 )
 def test_unsound_mesh(tmp_path, capfd, content, message):
     (tmp_path / "m.ply").write_text(content)
-    with pytest.raises(SceneError, match=r"scene\.yaml: m: .*m\.ply") as error:
+    with pytest.raises(ConfigError, match=r"scene\.yaml:2:20: meshes\[0\]\.file: .*m\.ply: ") as error:
         scene(tmp_path, "meshes: [{name: m, file: m.ply, position_m: [0, 0, 0], reflectivity: 1}]")
     assert message in str(error.value)
     assert capfd.readouterr() == ("", "")
+
+
+def test_mesh_without_permission(tmp_path, monkeypatch):
+    (tmp_path / "m.ply").write_text("")
+
+    def refuse(path, mode):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(SceneError, match=r"m\.ply: permission denied"):
+        read_mesh(tmp_path / "m.ply")
+
+
+@pytest.mark.parametrize(("vertex", "scale"), [("1e30", 1), ("1e5", 1e4), ("1e307", 1e7)])
+def test_mesh_that_is_too_large(tmp_path, vertex, scale):
+    text = PLY.format(n=3, m=1).replace("float", "double") + f"0 0 0\n1 0 0\n0 {vertex} 0\n3 0 1 2\n"
+    (tmp_path / "m.ply").write_text(text)
+    with pytest.raises(ConfigError, match=r"meshes\[0\]\.file: m\.ply: vertex 2 is beyond 1e\+08 m with the scale"):
+        scene(
+            tmp_path, f"meshes: [{{name: m, file: m.ply, position_m: [0, 0, 0], scale: {scale:.1f}, reflectivity: 1}}]"
+        )
+
+
+def test_the_largest_things(tmp_path):
+    """Also at UTM coordinates."""
+    ball = scene(tmp_path, "spheres: [{name: s, center_m: [5e5, 1e7, -1e8], radius_m: 1e8, reflectivity: 9}]")
+    assert volume(ball) == pytest.approx(4 / 3 * math.pi * 1e24, rel=1e-3)
 
 
 def test_no_file(tmp_path):

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
 
 
 def test_the_whole_catalogue_loads():
@@ -53,6 +54,35 @@ def test_unknown_names_are_told_with_the_known_ones():
 VLP = catalogue()["vlp-16"].read_text()
 
 
+def of_beams(count: int, flags: int, sequences: int) -> dict[str, object]:
+    """A VLP-16 with other beams in other blocks, as its file would say it."""
+    facts = load_sensor("vlp-16").model_dump()
+    facts["beams"] = {"elevation_deg": tuple(i * 0.25 - 60 for i in range(count))}
+    facts["firing"] |= {"offset_ns": (0,) * count}
+    facts["packet"] |= {"block_flags": (0xEEFF,) * flags, "sequences_per_block": sequences}
+    return facts
+
+
+@pytest.mark.parametrize(("beams", "flags", "sequences"), [(80, 5, 2), (224, 7, 1), (384, 12, 1), (192, 12, 2)])
+def test_a_packet_holds_whole_firing_sequences(beams, flags, sequences):
+    with pytest.raises(
+        ValidationError, match=f"has {flags} values; allowed: 1, 2, 3, 4, 6, which divide a packet's 12"
+    ):
+        Sensor.model_validate(of_beams(beams, flags, sequences))
+
+
+@pytest.mark.parametrize("flags", [1, 2, 3, 4, 6])
+def test_what_has_packets_has_rings_of_a_byte(flags):
+    sensor = Sensor.model_validate(of_beams(32 * flags, flags, 1))
+    assert sensor.ring.tolist() == list(range(32 * flags))
+    assert sensor.ring.max() <= 255
+
+
+def test_rings_of_a_placement_sensor_do_not_wrap():
+    ring = custom_sensor(tuple(i * 0.25 for i in range(300))).ring
+    assert ring.tolist() == list(range(300))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -64,6 +94,9 @@ VLP = catalogue()["vlp-16"].read_text()
             "sequences_per_block: 1",
             "packet.sequences_per_block: 16 beams × 1 do not fill",
         ),
+        ("rpm_min: 300", "rpm_min: 1201", "rotation.rpm_min: 1201 is above rpm_max, 1200"),
+        ("rate_hz: 147", "rate_hz: 10001", "position_packet.rate_hz: 10001 should be less than or equal to 10000"),
+        ("rate_hz: 147", "rate_hz: 0", "position_packet.rate_hz: 0 should be greater than 0"),
         ("min_m: 0.5", "min_m: 100", "range.min_m: 100.0 is not below max_m"),
         ("product_id: 0x22", "product_id: 256", "packet.product_id: 256 should be less than or equal to 255"),
     ],

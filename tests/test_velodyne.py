@@ -112,11 +112,14 @@ def test_never_wraps():
     assert distance["intensity"][0, 0, :8].tolist() == [0, 9, 9, 0, 0, 0, 0, 0]
 
 
-@pytest.mark.parametrize(("beams", "sequences", "flags"), [(32, 1, (0xEEFF,)), (64, 1, (0xEEFF, 0xDDFF)), (8, 4, (1,))])
+@pytest.mark.parametrize(
+    ("beams", "sequences", "flags"),
+    [(32, 1, (0xEEFF,)), (64, 1, (0xEEFF, 0xDDFF)), (8, 4, (1,)), (96, 1, (1, 2, 3)), (192, 1, (1, 2, 3, 4, 5, 6))],
+)
 def test_any_layout_of_blocks(beams, sequences, flags):
     """The facts decide: what a packet of another layout holds comes back, return for return."""
     elevation = tuple(float(e) for e in np.linspace(-25, 15, beams))
-    offset = tuple(600 * (i // 2) for i in range(beams))
+    offset = tuple(500 * (i // 2) for i in range(beams))
     sensor = VLP16.model_copy(
         update={
             "name": "other",
@@ -260,3 +263,30 @@ def test_a_metre_on_earth():
     """On the equator WGS 84 has 111319.49 m a degree of longitude and 110574.28 m one of latitude."""
     latitude, longitude = geographic(GeoOrigin(), (111_319.4908, 110_574.2758))
     assert (latitude, longitude) == pytest.approx((1, 1), abs=1e-8)
+
+
+@pytest.mark.parametrize("east_north_m", [(5e5, 5e6), (-5e5, 9.9e6), (8e5, 0)])
+def test_utm_coordinates_have_a_fix(east_north_m):
+    sentence = gprmc(0, GeoOrigin(), east_north_m, 0.0)
+    assert sentence.split(b",")[2] == b"A"
+    assert float(sentence.split(b",")[3]) == pytest.approx(east_north_m[1] / 110_574.2758 // 1 * 100, abs=60)
+
+
+@pytest.mark.parametrize("north_m", [1.0001e7, -1.0001e7, 1e8])
+def test_beyond_a_pole_there_is_no_fix(north_m):
+    """As receivers say it: status V, mode N, time and date only; the sentence stays within its 128 bytes."""
+    when = int(datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC).timestamp()) * 10**9
+    sentence = gprmc(when, GeoOrigin(), (3.0, north_m), 1.0)
+    body = b"GPRMC,030405.00,V,,,,,,,020126,,,N"
+    assert sentence == b"$%s*%s\r\n" % (body, naive.nmea_checksum(sentence).encode())
+    assert len(sentence.split(b",")) == len(gprmc(when, GeoOrigin(), (0, 0), 0).split(b","))
+    telemetry = vd.TelemetryPacket(position_packet(when, GeoOrigin(), (3.0, north_m), 1.0))
+    assert telemetry.nmea_sentence.strip().encode() == sentence.strip()
+
+
+def test_longitude_wraps():
+    degree_m = 111_319.4908
+    for east_deg, expected in ((179, 179), (181, -179), (359, -1), (-181, 179), (898, 178)):
+        assert geographic(GeoOrigin(), (east_deg * degree_m, 0))[1] == pytest.approx(expected, abs=1e-6)
+    assert b",00000.0000000,E," in gprmc(0, GeoOrigin(), (0, 1e6), 0.0)
+    assert abs(geographic(GeoOrigin(latitude_deg=89.0), (1e8, 0))[1]) <= 180

@@ -52,7 +52,7 @@ class _Source:
         return PointCloud(
             xyz=xyz if self._T_cloud_sensor is None else transform(self._T_cloud_sensor, xyz),
             intensity=returns.intensity,
-            ring=self._sensor.ring[returns.laser],
+            ring=self._sensor.ring[returns.laser].astype(np.uint8),  # packets have no more beams
             time_ns=returns.time_ns,
             sensor=np.full(len(xyz), self._index, np.uint16),
             sensor_names=names,

@@ -1,15 +1,15 @@
 """What a rig's sensors send while the vehicle stands in a scene."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from heapq import merge
 from operator import attrgetter
 
 from lidarcfg.capture.firing import firing_facts, firings, packet_period_ns, rays
-from lidarcfg.capture.pcap import Datagram
+from lidarcfg.capture.pcap import TIME_END_NS, Datagram
 from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.scene import Scene
+from lidarcfg.capture.scene import COORDINATE_MAX_M, Scene
 from lidarcfg.capture.velodyne import encode, position_packet
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, transform
@@ -45,10 +45,14 @@ def export(
 
     for mount in rig.mounts:
         check_exportable(mount, duration_ns)
+        check_place(mount.name, mount.position_m)
+    check_place("the vehicle", T_world_vehicle[:3, 3])
+    starts_ns = [start_ns + i * packet_period_ns(m.sensor) // len(rig.mounts) for i, m in enumerate(rig.mounts)]
+    if start_ns < 0 or _microseconds(max(starts_ns) + duration_ns) >= TIME_END_NS:
+        raise ConfigError("start and duration leave the time that a pcap can say, 1970 to 2106-02-07T06:28:16 UTC")
     raycaster = Raycaster(scene, T_world_vehicle[:3, 3])
     streams = []
-    for i, mount in enumerate(rig.mounts):
-        first_ns = start_ns + i * packet_period_ns(mount.sensor) // len(rig.mounts)
+    for i, (mount, first_ns) in enumerate(zip(rig.mounts, starts_ns, strict=True)):
         data = data_stream(mount, raycaster, T_world_vehicle, first_ns, duration_ns, progress(i), chunk_ns)
         position = position_stream(mount, scene, T_world_vehicle, first_ns, duration_ns)
         streams.append(in_time_order([data, position]))
@@ -75,6 +79,14 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
             f"a duration of {duration_ns / SECOND_NS:g} s holds no packet of {mount.name}; "
             f"allowed: at least {packet_period_ns(sensor) / SECOND_NS:g} s"
         )
+
+
+def check_place(name: str, position_m: Sequence[float] | Array) -> None:
+    """Raises ConfigError unless what is called `name` stands where a scene can be."""
+    for axis, value in zip("xyz", position_m, strict=True):
+        if not abs(value) <= COORDINATE_MAX_M:
+            allowed = f"{-COORDINATE_MAX_M:g} to {COORDINATE_MAX_M:g}"
+            raise ConfigError(f"{name} stands at {axis} = {value:g} m; allowed: {allowed}")
 
 
 def data_stream(

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, directions
-from lidarcfg.sensor import Firing, Packet, Sensor
+from lidarcfg.sensor import BLOCKS, Firing, Packet, Sensor
 
-BLOCKS = 12  # in a data packet
-SLOTS = 32  # returns in a block
 MINUTE_NS = 60 * 10**9
 
 Times = NDArray[np.int64]

@@ -15,6 +15,7 @@ from lidarcfg.config import replacing
 from lidarcfg.errors import PacketError
 
 SNAPLEN = 65535
+TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC
 RECORD_MAX = 262144  # bytes; libpcap allows no longer record
 BROADCAST = "255.255.255.255"
 MAC_MAKER = bytes.fromhex("607688")  # Velodyne's, seen in recordings

@@ -5,6 +5,7 @@ Round things, up to a radius of 26 m, are cut into facets that stay within `FACE
 
 import math
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,22 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, Positive, Vec3, fault, load
+from lidarcfg.config import Model, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.sensor import Byte
 
 FACET_ERROR_M = 0.001  # half a range step of the finest sensor
+COORDINATE_MAX_M = 1e8  # metres; UTM reaches 1e7
 GROUND = "ground"
 
-Size3 = tuple[Positive, Positive, Positive]
+Metres = Annotated[float, Field(ge=-COORDINATE_MAX_M, le=COORDINATE_MAX_M)]
+Size = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
+Position = tuple[Metres, Metres, Metres]
 Mesh = tuple[Array, NDArray[np.int64]]  # vertices (V, 3) in metres, triangles (T, 3)
 
 
 class Ground(Model):
     """The horizontal plane that everything stands on, without end."""
 
-    z_m: float = 0.0
+    z_m: Metres = 0.0
     reflectivity: Byte  # as the sensor is calibrated: 0-100 diffuse in per cent, 101-255 retro-reflectors
 
 
@@ -44,31 +48,31 @@ class Thing(Model):
 class Box(Thing):
     """A box, turned about the vertical."""
 
-    center_m: Vec3
-    size_m: Size3  # along its own x, y, z
+    center_m: Position
+    size_m: tuple[Size, Size, Size]  # along its own x, y, z
     yaw_deg: float = 0.0
 
 
 class Sphere(Thing):
     """A ball."""
 
-    center_m: Vec3
-    radius_m: Positive
+    center_m: Position
+    radius_m: Size
 
 
 class Cylinder(Thing):
     """A vertical, closed cylinder."""
 
-    base_m: Vec3  # centre of the lower end
-    radius_m: Positive
-    height_m: Positive
+    base_m: Position  # centre of the lower end
+    radius_m: Size
+    height_m: Size
 
 
 class Plane(Thing):
     """A rectangle in its own xy plane, seen from both sides."""
 
-    center_m: Vec3
-    size_m: tuple[Positive, Positive]
+    center_m: Position
+    size_m: tuple[Size, Size]
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
 
 
@@ -76,7 +80,7 @@ class MeshFile(Thing):
     """A triangle mesh in a file that Open3D reads."""
 
     file: Annotated[str, Field(min_length=1)]  # relative to the scene's file
-    position_m: Vec3
+    position_m: Position
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
     scale: Positive = 1.0
 
@@ -124,7 +128,7 @@ class Scene:
 
 
 def load_scene(path: str | Path) -> Scene:
-    """The scene in a YAML file. Raises ConfigError, and SceneError for a mesh that cannot be used."""
+    """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
     path = Path(path)
     file = load(path, SceneFile)
     things: list[tuple[str, int, Mesh]] = []
@@ -134,11 +138,11 @@ def load_scene(path: str | Path) -> Scene:
     things += [(sphere.name, sphere.reflectivity, sphere_mesh(sphere)) for sphere in file.spheres]
     things += [(cylinder.name, cylinder.reflectivity, cylinder_mesh(cylinder)) for cylinder in file.cylinders]
     things += [(plane.name, plane.reflectivity, plane_mesh(plane)) for plane in file.planes]
-    for item in file.meshes:
+    for i, item in enumerate(file.meshes):
         try:
             things.append((item.name, item.reflectivity, placed(read_mesh(path.parent / item.file), item)))
         except SceneError as error:
-            raise SceneError(f"{path}: {item.name}: {error}") from None
+            raise error_at(path, ("meshes", i, "file"), error) from None
     if not things:
         raise SceneError(f"{path}: the scene is empty; give a ground or an object")
 
@@ -204,8 +208,12 @@ def _facets(radius_m: float, error_m: float) -> int:
 
 
 def placed(mesh: Mesh, item: MeshFile) -> Mesh:
-    """The mesh in the world frame."""
+    """The mesh in the world frame. Raises SceneError if its scale makes it too large."""
     vertices, triangles = mesh
+    far = np.flatnonzero((abs(vertices) > COORDINATE_MAX_M / item.scale).any(axis=1))
+    if len(far):
+        what = f"vertex {far[0]} is beyond {COORDINATE_MAX_M:g} m with the scale {item.scale:g}"
+        raise SceneError(f"{item.file}: {what}")
     return transform(pose(item.position_m, np.radians(item.rpy_deg)), vertices * item.scale), triangles
 
 
@@ -213,8 +221,7 @@ def read_mesh(path: Path) -> Mesh:
     """The mesh in a file. Raises SceneError if there is none, or not a sound one."""
     import open3d as o3d
 
-    if not path.is_file():
-        raise SceneError(f"{path}: no such file")
+    _check_readable(path)
     with _silence(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)
@@ -227,6 +234,20 @@ def read_mesh(path: Path) -> Mesh:
         bad = triangles[(triangles < 0) | (triangles >= len(vertices))][0]
         raise SceneError(f"{path}: a triangle names vertex {bad}; there are {len(vertices)}")
     return vertices, triangles
+
+
+def _check_readable(path: Path) -> None:
+    """Raises SceneError, as Open3D does not tell a file that it cannot open from one without triangles."""
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            path.open("rb").close()
+    except OSError as error:
+        raise SceneError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except ValueError as error:
+        raise SceneError(f"{str(path)!r}: {error}") from None
+    if not stat.S_ISREG(mode):
+        raise SceneError(f"{path}: is {'a directory' if stat.S_ISDIR(mode) else 'not a regular file'}")
 
 
 @contextmanager

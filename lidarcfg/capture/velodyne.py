@@ -11,19 +11,11 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.firing import (
-    BLOCKS,
-    SLOTS,
-    Firings,
-    Times,
-    firing_facts,
-    packet_offsets_ns,
-    packet_period_ns,
-)
+from lidarcfg.capture.firing import Firings, Times, firing_facts, packet_offsets_ns, packet_period_ns
 from lidarcfg.capture.scene import GeoOrigin
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensor import BLOCKS, SLOTS, Sensor
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
@@ -179,22 +171,29 @@ def position_packet(time_ns: int, geo_origin: GeoOrigin, east_north_m: tuple[flo
 
 
 def gprmc(time_ns: int, geo_origin: GeoOrigin, east_north_m: tuple[float, float], yaw_rad: float) -> bytes:
-    """The NMEA sentence, with checksum and CR LF, of a vehicle that stands still."""
+    """The NMEA sentence, with checksum and CR LF, of a vehicle that stands still.
+
+    Where the plane of `geographic` leaves the Earth's latitudes there is no fix: status V and no position.
+    """
     latitude_deg, longitude_deg = geographic(geo_origin, east_north_m)
     now = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=time_ns // 10**9)
-    course_deg = round(90 - math.degrees(yaw_rad), 1) % 360
-    body = (
-        f"GPRMC,{now:%H%M%S}.00,A,{_degrees(latitude_deg, 2, 'NS')},{_degrees(longitude_deg, 3, 'EW')}"
-        f",0.000,{course_deg:.1f},{now:%d%m%y},0.0,E,A"
-    ).encode()
-    checksum = 0
+    if abs(latitude_deg) <= 90:
+        course_deg = round(90 - math.degrees(yaw_rad), 1) % 360
+        place = f"{_degrees(latitude_deg, 2, 'NS')},{_degrees(longitude_deg, 3, 'EW')}"
+        text = f"GPRMC,{now:%H%M%S}.00,A,{place},0.000,{course_deg:.1f},{now:%d%m%y},0.0,E,A"
+    else:
+        text = f"GPRMC,{now:%H%M%S}.00,V,,,,,,,{now:%d%m%y},,,N"
+    body, checksum = text.encode(), 0
     for byte in body:
         checksum ^= byte
     return b"$%s*%02X\r\n" % (body, checksum)
 
 
 def geographic(origin: GeoOrigin, east_north_m: tuple[float, float]) -> tuple[float, float]:
-    """Latitude and longitude in degrees of a point on the plane that touches WGS 84 at the origin."""
+    """Latitude and longitude in degrees of a point on the plane that touches WGS 84 at the origin.
+
+    Longitude is within ±180; latitude is beyond ±90 where the plane reaches further than a pole.
+    """
     east, north = east_north_m
     latitude = math.radians(origin.latitude_deg)
     w2 = 1 - WGS84_E2 * math.sin(latitude) ** 2

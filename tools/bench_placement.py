@@ -1,0 +1,174 @@
+#!/usr/bin/env python3
+"""How fast placement is, as medians of several runs, beside the natural pipeline from the package index.
+
+    .venv/bin/python -m pip install connected-components-3d
+    .venv/bin/python tools/bench_placement.py
+
+Prints the tables of docs/benchmarks.md.
+"""
+
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import cc3d
+import numpy as np
+
+import lidarcfg
+from lidarcfg.placement import kernels, runs
+from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.metric import vsr_of_counts
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.region import Region, excluded
+from lidarcfg.placement.study import Study, load_study, with_solver
+from lidarcfg.placement.subspace import pack
+
+ROOT = Path(__file__).parent.parent
+SEED, RIGS = 1, 5
+
+
+def timed(function: Callable[[], object], repeats: int) -> list[float]:
+    """Seconds of some runs after one that is not counted."""
+    function()
+    out = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        function()
+        out.append(time.perf_counter() - started)
+    return out
+
+
+def row(name: str, seconds: list[float], note: str = "") -> None:
+    """One line of a table, in milliseconds."""
+    middle, least, most = (1e3 * f(seconds) for f in (statistics.median, min, max))
+    print(f"| {name} | {middle:.2f} | {least:.2f} to {most:.2f} | {note} |", flush=True)
+
+
+def flat(region: Region, lidars: list[Lidar]) -> float:
+    """Max VSR by looking at every cuboid."""
+    words = pack(region, lidars)
+    _, _, cuboids, internal = kernels.components(words, excluded(words.dtype), region.shape)
+    return float(vsr_of_counts(cuboids, internal, region.cuboid_m).max())
+
+
+def by_runs(region: Region, grid: runs.Grid, lidars: list[Lidar]) -> float:
+    """Max VSR by runs of cuboids."""
+    cuboids, internal, _ = runs.count(grid, lidars)
+    return float(vsr_of_counts(cuboids, internal, region.cuboid_m).max())
+
+
+def pipeline(region: Region, lidars: list[Lidar]) -> float:
+    """Max VSR as one would write it: numpy, connected-components-3d, bincount."""
+    x, y, z = np.meshgrid(*region.centres(), indexing="ij", sparse=True)
+    label = np.zeros(region.shape, np.uint32)
+    for one in lidars:
+        dx, dy, dz = x - one.position_m[0], y - one.position_m[1], z - one.position_m[2]
+        sine = (dx * one.axis[0] + dy * one.axis[1] + dz * one.axis[2]) / np.sqrt(dx * dx + dy * dy + dz * dz)
+        label = label * (one.sin_elevation.size + 1) + np.searchsorted(one.sin_elevation, sine, "right").astype(
+            np.uint32
+        )
+    part = cc3d.connected_components(np.where(region.included, label + 1, 0), connectivity=6)
+    count = part.max() + 1
+    internal = []
+    for axis in range(3):
+        low, high = np.take(part, range(part.shape[axis] - 1), axis), np.take(part, range(1, part.shape[axis]), axis)
+        internal.append(np.bincount(low[low == high], minlength=count))
+    cuboids = np.bincount(part.ravel(), minlength=count)[1:]
+    return float(vsr_of_counts(cuboids, np.stack(internal, axis=1)[1:], region.cuboid_m).max())
+
+
+def rigs(study: Study) -> list[tuple[str, list[Lidar]]]:
+    """Rigs at random in the bounds, and one near an optimum, where subspaces are many and small."""
+    rng = np.random.default_rng(SEED)
+    poses = study.poses(rng.random((RIGS, int(study.free.sum()))))
+    found = optimize(with_solver(study, method="abc", bees=40, cycles=60)).rig.mounts
+    best = np.array([[*mount.position_m, *mount.rpy_rad] for mount in found])
+    named = [("at random", p) for p in poses] + [("near an optimum", best)]
+    return [(name, list(study.lidars(p))) for name, p in named]
+
+
+def evaluations(study: Study) -> None:
+    """One evaluation, in full, on one thread."""
+    print("\n| one evaluation, 48,000 cuboids, 4 × 16 beams, one thread | median (ms) | spread | |\n|---|---|---|---|")
+    seconds: dict[tuple[str, str], list[float]] = {}
+    for name, lidars in rigs(study):
+        assert abs(flat(study.region, lidars) - pipeline(study.region, lidars)) < 1e-12
+        for label, function in (("lidarcfg", flat), ("numpy + cc3d + bincount", pipeline)):
+            seconds.setdefault((label, name), []).extend(timed(partial(function, study.region, lidars), 15))
+    for (label, name), values in seconds.items():
+        ours = statistics.median(seconds["lidarcfg", name])
+        ratio = statistics.median(values) / ours
+        row(f"{label}, rigs {name}", values, "" if label == "lidarcfg" else f"{ratio:.1f} × ours")
+
+
+def fine_grids(study: Study) -> None:
+    """The same on finer and finer grids, by runs and by looking at every cuboid."""
+    print("\n| edges | cuboids | by runs, median (ms) | at every cuboid (ms) | runs against the grid before |")
+    print("|---|---|---|---|---|")
+    before = None
+    all_rigs = rigs(study)
+    for part in (1, 2, 4, 8):
+        edge = np.array([1, 0.5, 0.2]) / part
+        region = Region.from_boxes((0, 0, 0), (60, 20, 4), edge, (((27, 8, 0), (33, 12, 4)),))
+        grid = runs.Grid.of(region)
+        values = [s for _, one in all_rigs for s in timed(partial(by_runs, region, grid, one), 3)]
+        middle = statistics.median(values)
+        whole = [s for _, one in all_rigs[-2:] for s in timed(partial(flat, region, one), 1)] if part < 8 else None
+        beside = f"{1e3 * statistics.median(whole):.1f}" if whole else "–"
+        growth = f"{middle / before:.1f} ×" if before else ""
+        print(f"| 1/{part} | {region.included.size:,} | {1e3 * middle:.1f} | {beside} | {growth} |", flush=True)
+        before = middle
+
+
+PAPERS_RUN = """
+import json, resource, sys
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.study import load_study, with_solver
+study = load_study(sys.argv[1])
+optimize(with_solver(study, bees=10, cycles=2))
+found = optimize(study, threads=int(sys.argv[2]))
+all_asked = found.evaluations + found.first_evaluations + found.scout_evaluations
+skipped, memory = 1 - found.full_evaluations / all_asked, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(json.dumps({"seconds": found.seconds, "max_vsr_m": found.objective,
+    "evaluations": found.evaluations, "skipped": skipped, "mb": memory}))
+"""
+
+
+def papers_run() -> None:
+    """4 × 16 beams, 200 bees × 800 cycles, in a process of its own."""
+    print("\n| the paper's run, 4 × 16 beams | seconds | ms an evaluation | settled early | max VSR (m) | peak (MB) |")
+    print("|---|---|---|---|---|---|")
+    study = str(ROOT / "data/studies/liu2018-4x16.yaml")
+    for threads in (2, 1):
+        words = [sys.executable, "-c", PAPERS_RUN, study, str(threads)]
+        one = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+        share = 1e3 * one["seconds"] / one["evaluations"]
+        print(
+            f"| {threads} threads | {one['seconds']:.1f} | {share:.3f} | {one['skipped']:.1%} | {one['max_vsr_m']:.6f} "
+            f"| {one['mb']:.0f} |",
+            flush=True,
+        )
+
+
+def main() -> None:
+    study = load_study(ROOT / "data/studies/liu2018-4x16.yaml")
+    print(
+        f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, Python {platform.python_version()}, "
+        f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, seed {SEED}"
+    )
+    evaluations(study)
+    fine_grids(study)
+    papers_run()
+    print(f"\npeak memory of this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()
