@@ -191,6 +191,14 @@ def test_mistakes_get_one_line(words, message, tmp_path):
     assert list(tmp_path.iterdir()) == []  # nothing half-written
 
 
+def wait_for(folder, pattern=None):
+    """Until the file is there, or a file like the pattern in the folder."""
+    deadline = time.monotonic() + 180
+    while not (any(folder.glob(pattern)) if pattern else folder.exists()):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
 def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     words = [
         sys.executable,
@@ -204,9 +212,9 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path):
         "100000",
     ]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(12)
+    wait_for(tmp_path / "run/search.npz")
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=180)
     assert process.returncode == 130
     assert "the best so far is kept" in errors
     result = json.loads((tmp_path / "run/result.json").read_text())
@@ -230,9 +238,9 @@ def test_a_stopped_export_leaves_no_half_capture(tmp_path, name):
         str(tmp_path / "x.pcap"),
     ]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(5)
+    wait_for(tmp_path, "*.part")
     process.send_signal(getattr(signal, name))
-    process.communicate(timeout=60)
+    process.communicate(timeout=180)
     assert process.returncode == 130
     assert list(tmp_path.iterdir()) == []
 
