@@ -191,6 +191,17 @@ def test_mistakes_get_one_line(words, message, tmp_path):
     assert list(tmp_path.iterdir()) == []  # nothing half-written
 
 
+def started(words):
+    """A process that heeds Ctrl-C even where these tests run in the background, which ignores it."""
+    return subprocess.Popen(
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
 def wait_for(folder, pattern=None):
     """Until the file is there, or a file like the pattern in the folder."""
     deadline = time.monotonic() + 180
@@ -211,7 +222,7 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path):
         "--cycles",
         "100000",
     ]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = started(words)
     wait_for(tmp_path / "run/search.npz")
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=180)
@@ -237,7 +248,7 @@ def test_a_stopped_export_leaves_no_half_capture(tmp_path, name):
         "-o",
         str(tmp_path / "x.pcap"),
     ]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = started(words)
     wait_for(tmp_path, "*.part")
     process.send_signal(getattr(signal, name))
     process.communicate(timeout=180)
