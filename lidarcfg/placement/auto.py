@@ -1,7 +1,7 @@
 """The default search: CMA-ES from the best of many random points, again and again.
 
-Of what was tried at 10,000 evaluations (docs/benchmarks.md) it does best or nearly so on each study: bees before
-CMA-ES cost evaluations and brought none back. Every second run has twice the population of the one before.
+Of what was tried at 10,000 evaluations (docs/benchmarks.md) it is among the best on four LiDARs of 16 beams and
+within 1 % on two of 8; bees before CMA-ES brought no more. Every second run has twice the population.
 """
 
 import numpy as np
