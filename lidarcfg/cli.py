@@ -318,7 +318,7 @@ def export(
             paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
     if not quiet:
         for path, count in zip(paths, counts, strict=True):
-            click.echo(f"{path}: {count:,} packets, {duration:g} s of {len(mounted.mounts)} sensors")
+            click.echo(f"{path}: {count:,} packets, {duration:g} s")
 
 
 @cli.command()
