@@ -314,4 +314,6 @@ def test_any_damage_ends_well(tmp_path_factory, suffix, changes):
         raw[place % len(raw)] = value
     path.write_bytes(raw)
     with suppress(CloudError):
-        load_cloud(path)
+        loaded = load_cloud(path)
+        assert np.isfinite(loaded.xyz).all()
+        assert (loaded.sensor < len(loaded.sensor_names)).all()
