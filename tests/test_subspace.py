@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import kernels
+from lidarcfg.placement import rows, runs
 from lidarcfg.placement.lidar import lidar
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
-from lidarcfg.placement.region import Region, excluded
-from lidarcfg.placement.subspace import Subspaces, beam_gaps, pack, segment
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import Subspaces, beam_gaps, segment
 from tests import naive
 
 EDGES = (0.8, 0.5, 0.25)
@@ -22,9 +22,12 @@ def bodies(array, edges=EDGES):
     """Subspaces of a hand-made label array; 0 is left out."""
     array = np.asarray(array)
     region = Region(np.zeros(3), np.array(edges) * array.shape, array > 0)
-    words = region.frame(np.dtype(np.uint32)).reshape([n + 2 for n in array.shape])
-    words[1:-1, 1:-1, 1:-1] |= array.astype(np.uint32)
-    label, first, cuboids, internal = kernels.components(words.ravel(), excluded(words.dtype), region.shape)
+    padded = np.pad(array, 1).transpose(2, 1, 0)
+    alike = [(padded == np.roll(padded, 1, axis)) & (padded > 0) for axis in (2, 1, 0)]
+    bits = np.zeros((3, *padded.shape[:2], 64 * -(-array.shape[0] // 64)), bool)
+    bits[..., : array.shape[0]] = np.stack(alike)[..., 1:-1]
+    links = np.packbits(bits, axis=-1, bitorder="little").view(np.uint64).reshape(3, -1)
+    label, cuboids, internal, first = rows.bodies(region, links)
     assert label.ravel()[first].tolist() == list(range(len(first)))
     return Subspaces(region, label, cuboids, internal, np.zeros((len(cuboids), 0), np.int64))
 
@@ -171,16 +174,27 @@ def test_labels_tell_apart_what_base_n_numbers_do():
     """Twenty LiDARs of 1,000 beams: numbers of 200 bits, which no word holds."""
     rng = np.random.default_rng(1)
     region = Region.from_boxes((0, 0, 0), (6, 5, 4), (1, 1, 1), (((2, 2, 0), (4, 3, 4)),))
-    sine = np.sort(rng.uniform(-1, 1, 1000))
-    lidars = [lidar(rng.uniform((1, 1, 1), (5, 4, 3)), rng.uniform(-3, 3, 3), sine) for _ in range(20)]
-    digits = zip(*(beam_gaps(region, one)[region.included].tolist() for one in lidars), strict=True)
-    exact = [naive.base_n(d, [1001] * 20) for d in digits]
-    words = pack(region, lidars).reshape(8, 7, 6)[1:-1, 1:-1, 1:-1][region.included].tolist()
-    assert len(set(exact)) == len(set(words)) == len(set(zip(exact, words, strict=True)))
-    assert max(words) < 2**63
-    few = pack(region, lidars[:3]).reshape(8, 7, 6)[1:-1, 1:-1, 1:-1]
-    for shift, one in zip((0, 10, 20), lidars, strict=False):
-        assert np.array_equal((few >> shift) & 1023, beam_gaps(region, one))
+    elevation = np.sort(rng.uniform(-80, 80, 1000))
+    sensors = [(rng.uniform((1, 1, 1), (5, 4, 3)).tolist(), rng.uniform(-3, 3, 3).tolist()) for _ in range(20)]
+    lidars = [lidar(*sensor, np.sin(np.radians(elevation))) for sensor in sensors]
+    digits = np.stack([beam_gaps(region, one) for one in lidars], axis=-1).tolist()
+    assert digits[0][3][2] == [naive.digit((0.5, 3.5, 2.5), *sensor, elevation) for sensor in sensors]
+    number = [[[naive.base_n(cell, [1001] * 20) for cell in line] for line in layer] for layer in digits]
+    label, count = naive.breadth_first(number, region.included.tolist())
+    assert segment(region, lidars).label.tolist() == label
+    assert count > 90
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(poses, max_size=3), st.integers(1, 200), st.integers(1, 3), st.integers(1, 3), st.integers(0, 99))
+def test_rows_longer_than_a_word(sensors, nx, ny, nz, seed):
+    """Rows of up to four words give what runs give, with cuboids left out anywhere."""
+    region = Region(np.zeros(3), np.array([4.0, 2.0, 1.0]), np.random.default_rng(seed).random((nx, ny, nz)) < 0.95)
+    lidars = [lidar(*sensor, np.sin(np.radians(FAN))) for sensor in sensors]
+    for mine, theirs in zip(rows.label(region, lidars), runs.label(runs.Grid.of(region), lidars), strict=True):
+        assert np.array_equal(mine, theirs)
+    if region.included.any():
+        assert rows.max_vsr(rows.Grid.of(region), lidars) == vsr_m(segment(region, lidars)).max()
 
 
 def test_subspaces_come_back_as_a_voxel_grid():

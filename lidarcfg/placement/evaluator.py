@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement import kernels, runs
-from lidarcfg.placement.lidar import Lidar, bits_needed, thresholds
+from lidarcfg.placement import kernels, rows, runs
+from lidarcfg.placement.lidar import Lidar
 from lidarcfg.placement.metric import vsr_m, vsr_of_counts
-from lidarcfg.placement.region import Region, excluded, word_dtype
+from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import RUNS_FROM, segment
 
-CACHE_BYTES = 256 * 2**20  # for the labels of the food sources; where they would need more, none are kept
+CACHE_BYTES = 256 * 2**20  # for the links of the food sources; where they would need more, none are kept
 Index = NDArray[np.int64]
 
 
@@ -39,22 +39,12 @@ class Evaluator:
         self._region, self._sines, self._skip = region, sines, skip
         self._threads = threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads)
-        bits = np.array(bits_needed(sines))
-        self._fits = bits.sum() < 64
-        dtype = word_dtype(int(bits.sum()))
-        self._excluded = excluded(dtype)
-        self._shift = np.cumsum(bits) - bits
-        self._threshold = np.full((len(bits), max(sine.size for sine in sines) + 2), np.inf)
-        for row, sine in zip(self._threshold, sines, strict=True):
-            row[: sine.size + 2] = thresholds(sine)
-        if self._fits:
-            ones = [((1 << int(b)) - 1) << int(s) for b, s in zip(bits, self._shift, strict=True)]
-            self._mask = np.array(ones, dtype)
-        self._grid = runs.Grid.of(region) if region.included.size >= RUNS_FROM else None
-        self._frame = region.frame(dtype)
-        self._edge = tuple(region.cuboid_m.tolist())
-        self._poses = np.empty((0, len(bits), 6))  # of the food sources, as the next two have them
-        self._words = self._frame[None]  # (sources, padded), or the bare frame
+        origin = np.zeros(3)
+        self._square = rows.cones([Lidar(origin, origin, sine) for sine in sines])[:, 6:]
+        self._runs = runs.Grid.of(region) if region.included.size >= RUNS_FROM else None
+        self._grid = rows.Grid.of(region)
+        self._poses = np.empty((0, len(sines), 6))  # of the food sources, as the next two have them
+        self._links = np.empty((0, len(sines), *self._grid.links.shape), np.uint64)  # (sources, …), or none
         self._witness = np.empty((0, kernels.WITNESSES), np.int64)  # (sources, …)
         self._told: tuple[Index, Array, Index] = (np.empty(0, np.int64), self._poses, self._witness)
         self.full_evaluations = 0
@@ -76,46 +66,48 @@ class Evaluator:
         poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn
         around, and matters for speed alone.
         """
-        if self._grid or not self._fits:
+        if self._runs:
             self.full_evaluations += len(poses)
             self.cuboids += len(poses) * self._region.included.size
-            cost = self.map(self._whole, poses)
+            cost = self.map(self._by_runs, poses)
             return np.where(cost < to_beat, cost, np.inf)
-        cones = _cones(poses)
-        moved, row = np.ones(poses.shape[:2], bool), np.zeros(len(poses), np.int64)
+        cones = self._cones(poses)
+        moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
         if not self._skip:
             to_beat = np.full(len(poses), np.inf)
-        witness = np.full((len(poses), kernels.WITNESSES), -1, np.int64)
         if np.isfinite(to_beat).any():
             self._follow(source_poses)
             witness = self._witness[source]
-            if len(self._words) == len(source_poses):
-                moved, row = (poses != source_poses[source]).any(axis=2), source
+            if len(self._links):
+                moved = (poses != source_poses[source]).any(axis=2)
         cost = np.full(len(poses), np.inf)
         refuter = np.full(len(poses), -1, np.int64)
         fresh = np.full_like(witness, -1)
 
         def run(trials: Index) -> tuple[int, int]:
             return kernels.try_out(
-                trials, to_beat, moved, cones, self._threshold, self._shift, self._mask,
-                self._region.centres(), self._edge, self._frame, self._words, row, witness, self._excluded,
-                cost, refuter, fresh,
-            )  # fmt: skip
+                trials, to_beat, moved, cones, source, self._links, witness, self._grid, cost, refuter, fresh
+            )
 
-        for full, touched in self._pool.map(run, self._parts(len(poses))):
+        nx, ny, nz = self._region.shape
+        for full, cut in self._pool.map(run, self._parts(len(poses))):
             self.full_evaluations += full
-            self.cuboids += touched
+            self.cuboids += full * nx * ny * nz + cut * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, refuter)
         self._told = source, poses, fresh
         return cost
 
-    def _whole(self, poses: Array) -> float:
+    def _by_runs(self, poses: Array) -> float:
+        assert self._runs
         lidars = [Lidar(row[:3], up(row[3:]), sine) for row, sine in zip(poses, self._sines, strict=True)]
-        if self._grid is None:
-            return max_vsr(self._region, lidars)
-        cuboids, internal, _ = runs.count(self._grid, lidars)
+        cuboids, internal, _ = runs.count(self._runs, lidars)
         return float(vsr_of_counts(cuboids, internal, self._region.cuboid_m).max())
+
+    def _cones(self, poses: Array) -> Array:
+        """(n, lidars, 6 + beams): position, axis, and what centres are compared with."""
+        square = np.broadcast_to(self._square, (len(poses), *self._square.shape))
+        return np.concatenate([poses[..., :3], up(poses[..., 3:]), square], axis=-1)
 
     def _parts(self, count: int) -> list[Index]:
         """Numbers 0 … count − 1, dealt out: enough parts that no thread waits long for another."""
@@ -123,35 +115,25 @@ class Evaluator:
         return [np.arange(first, count, parts) for first in range(parts)]
 
     def _follow(self, source_poses: Array) -> None:
-        """Bring the labels and witnesses of the food sources up to date."""
+        """Bring the links and witnesses of the food sources up to date."""
         if len(self._poses) != len(source_poses):
             self._poses = np.full_like(source_poses, np.nan)
             self._witness = np.full((len(source_poses), kernels.WITNESSES), -1, np.int64)
-            if len(source_poses) * self._frame.nbytes <= CACHE_BYTES:
-                self._words = np.tile(self._frame, (len(source_poses), 1))
+            fits = len(source_poses) * len(self._sines) * self._grid.links.nbytes <= CACHE_BYTES
+            self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
         changed = (self._poses != source_poses).any(axis=2)
-        rows = np.flatnonzero(changed.any(axis=1))
+        stale = np.flatnonzero(changed.any(axis=1))
         source, poses, fresh = self._told
-        self._witness[rows] = -1
+        self._witness[stale] = -1
         new = np.flatnonzero((poses == source_poses[source]).all(axis=(1, 2)))
         self._witness[source[new]] = np.where(
             changed[source[new]].any(axis=1)[:, None], fresh[new], self._witness[source[new]]
         )
-        if len(self._words) == len(source_poses):
-            cones = _cones(source_poses)
-            parts = [rows[part] for part in self._parts(len(rows))]
-            list(
-                self._pool.map(
-                    lambda part: kernels.renew(
-                        part, self._words, changed, cones, self._threshold, self._shift, self._mask,
-                        self._region.centres(),
-                    ),
-                    parts,
-                )
-            )  # fmt: skip
+        if len(self._links):
+            cones = self._cones(source_poses)
+
+            def renew(part: Index) -> None:
+                kernels.renew(stale[part], self._links, changed, cones, self._grid)
+
+            list(self._pool.map(renew, self._parts(len(stale))))
         self._poses = source_poses.copy()
-
-
-def _cones(poses: Array) -> Array:
-    """(…, 6): position and axis, from position and angles."""
-    return np.concatenate([poses[..., :3], up(poses[..., 3:])], axis=-1)

@@ -29,18 +29,8 @@ def rig_lidars(rig: Rig) -> tuple[Lidar, ...]:
     return tuple(lidar(m.position_m, m.rpy_rad, m.sensor.sin_elevation) for m in rig.mounts)
 
 
-def thresholds(sin_elevation: Array) -> Array:
-    """(beams + 2,): −inf, sin |sin| of each beam, inf; what the kernels compare with."""
-    return np.concatenate([[-np.inf], sin_elevation * np.abs(sin_elevation), [np.inf]])
-
-
-def bits_needed(sines: Sequence[Array]) -> list[int]:
-    """How many bits the beam gap index of each LiDAR takes, from its sines of elevation (beams,)."""
-    return [sine.size.bit_length() for sine in sines]
-
-
 def gaps_at(points_m: Array, lidar: Lidar) -> NDArray[np.int64]:
-    """(N,) how many of a LiDAR's cones lie at or below points (N, 3); the kernels' comparison, term by term."""
+    """(N,) how many of a LiDAR's cones lie at or below points (N, 3); compares term by term as rows.py does."""
     dx, dy, dz = (points_m - lidar.position_m).T
     height = (dx * lidar.axis[0] + dy * lidar.axis[1]) + dz * lidar.axis[2]
     square = (dx * dx + dy * dy) + dz * dz

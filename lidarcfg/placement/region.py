@@ -1,7 +1,7 @@
 """The region of interest: a box cut into equal cuboids, some of them left out."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,12 +131,6 @@ class Region:
         )
         return x, y, z
 
-    def frame(self, dtype: np.dtype[Any]) -> NDArray[Any]:
-        """The padded grid of the kernels, flat: 0 where a cuboid counts, the top bit elsewhere."""
-        words = np.full([n + 2 for n in self.shape], excluded(dtype), dtype)
-        words[1:-1, 1:-1, 1:-1][self.included] = 0
-        return words.ravel()
-
     def voxel_grid(self, index: ArrayLike, rgb: ArrayLike) -> "open3d.geometry.VoxelGrid":
         """Cuboids (N, 3) by their indices as an Open3D voxel grid with colours (N, 3) in 0..1.
 
@@ -155,16 +149,6 @@ class Region:
         return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
             cloud, edge, self.min_m * scale, self.max_m * scale
         )
-
-
-def word_dtype(bits: int) -> np.dtype[Any]:
-    """The words that hold so many bits beside the top one."""
-    return np.dtype(np.uint32 if bits < 32 else np.uint64)
-
-
-def excluded(dtype: np.dtype[Any]) -> Any:
-    """The mark of what a region leaves out: the top bit of a word, in the words' own type."""
-    return dtype.type(1 << (8 * dtype.itemsize - 1))
 
 
 def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int, int]:

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numba.cpython.unsafe.numbers import trailing_zeros
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.lidar import Lidar
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.rows import lowest
 
 Counts = NDArray[np.int64]
 Labels = NDArray[np.int32]
@@ -184,7 +184,7 @@ def _emit(flips: Labels, marks: Marks, signature: Words, runs: Runs, row: int) -
         rest = bits[block]
         bits[block] = 0
         while rest:
-            i = (block << 6) + np.int64(trailing_zeros(rest))  # type: ignore[call-arg]  # numba passes the first
+            i = (block << 6) + np.int64(lowest(rest))
             rest &= rest - ONE
             for w in range(words):
                 signature[w] += change[i, w]

@@ -2,22 +2,22 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement import kernels, runs
-from lidarcfg.placement.lidar import Lidar, bits_needed, gaps_at, thresholds
-from lidarcfg.placement.region import Region, excluded, word_dtype
+from lidarcfg.placement import rows, runs
+from lidarcfg.placement.lidar import Lidar, gaps_at
+from lidarcfg.placement.region import Region
 
 if TYPE_CHECKING:
     import open3d
 
 
-RUNS_FROM = 300_000  # cuboids; from here on runs are faster than looking at each: see docs/benchmarks.md
+RUNS_FROM = 3_000_000  # cuboids; from here on runs are faster than rows: see docs/benchmarks.md
 
 
 @dataclass(frozen=True)
@@ -44,32 +44,9 @@ class Subspaces:
         return self.region.voxel_grid(index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1))
 
 
-def pack(region: Region, lidars: Sequence[Lidar]) -> NDArray[Any]:
-    """The label of each cuboid, padded (see kernels): the paper's base-n number, in bits instead of a base.
-
-    Where a further digit would not fit, the labels that occur are numbered anew first: labels tell apart what the
-    base-n numbers do, for any number of LiDARs and beams.
-    """
-    bits = bits_needed([lidar.sin_elevation for lidar in lidars])
-    words = region.frame(word_dtype(sum(bits)))
-    outside = excluded(words.dtype)
-    used = 0
-    for lidar, need in zip(lidars, bits, strict=True):
-        if used + need > 63:
-            values, words = np.unique(words, return_inverse=True)
-            used = len(values).bit_length()
-            words = words.astype(np.uint64) | (values & outside)[words]
-        pose = np.concatenate([lidar.position_m, lidar.axis])[None]
-        kernels.pack_gaps(region.centres(), pose, thresholds(lidar.sin_elevation)[None], 0, used, words)
-        used += need
-    return words
-
-
 def beam_gaps(region: Region, lidar: Lidar) -> NDArray[np.int64]:
     """The digit of one LiDAR: how many of its cones lie at or below each cuboid's centre, (nx, ny, nz)."""
-    words = pack(region, [lidar]).reshape([n + 2 for n in region.shape])
-    gap: NDArray[np.int64] = (words & ~excluded(words.dtype))[1:-1, 1:-1, 1:-1].astype(np.int64)
-    return gap
+    return rows.digits(region, lidar)
 
 
 def segment(region: Region, lidars: Sequence[Lidar]) -> Subspaces:
@@ -79,8 +56,7 @@ def segment(region: Region, lidars: Sequence[Lidar]) -> Subspaces:
     if region.included.size >= RUNS_FROM:
         label, cuboids, internal, first = runs.label(runs.Grid.of(region), lidars)
     else:
-        words = pack(region, lidars)
-        label, first, cuboids, internal = kernels.components(words, excluded(words.dtype), region.shape)
+        label, cuboids, internal, first = rows.label(region, lidars)
     points = np.stack(
         [axis[n] for axis, n in zip(region.centres(), np.unravel_index(first, region.shape), strict=True)],
         axis=1,
