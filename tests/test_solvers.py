@@ -7,6 +7,7 @@ from lidarcfg.placement.auto import Auto
 from lidarcfg.placement.bee_colony import BeeColony
 from lidarcfg.placement.cma_es import CmaEs
 from lidarcfg.placement.differential_evolution import DifferentialEvolution
+from lidarcfg.placement.success_history import SuccessHistory
 
 SOLVERS = {
     "abc": lambda dimensions, seed: BeeColony(dimensions, 20, 20 * dimensions, seed),
@@ -89,13 +90,57 @@ def test_auto_walks_from_the_best_of_its_points():
     assert solver.best_cost == bowl(points).min()
 
 
-def test_autos_later_runs_have_larger_populations():
+def test_autos_runs_take_turns_and_grow():
     solver, sizes = Auto(2, 1), []
-    while len(sizes) < 6:
-        size = len(solver.ask().x)
-        if size == 200:
-            solver.tell(bowl(solver.ask().x))
+    while len(sizes) < 9:
+        before, runs = solver.ask(), solver._runs
+        solver.tell(bowl(before.x))
+        if len(before.x) == 200 or (solver._runs > runs and solver._runs % 3 == 2):
             sizes.append(len(solver.ask().x))
-        else:
-            solver.tell(bowl(solver.ask().x))
-    assert [size // sizes[0] for size in sizes] == [1, 1, 2, 2, 4, 4]
+    assert sizes == [30, 60, 36] * 2 + [60, 120, 36]
+
+
+def test_success_history_shrinks_to_four_points_that_lie_deep():
+    """18 points a dimension at first, 4 at the end, in a straight line between (Tanabe and Fukunaga 2014, eq. 10)."""
+    solver = SuccessHistory(4, np.random.default_rng(1), 6000)
+    used, best = 0, np.inf
+    while not solver.over:
+        asked = solver.ask()
+        assert len(asked.x) == (max(4, round(72 - 68 * used / 6000)) if used else 72)
+        assert np.isfinite(asked.to_beat).all() == (used > 0)
+        cost = bowl(asked.x)
+        cost[cost >= asked.to_beat] = np.inf  # all that an evaluator says of them
+        solver.tell(cost)
+        used, best = used + len(asked.x), min(best, cost.min())
+        assert np.array_equal(bowl(solver.sources[asked.source]), np.minimum(cost, asked.to_beat))
+    assert used >= 6000
+    assert best < 1e-6
+
+
+def test_success_history_learns_what_paid():
+    """Weighted Lehmer means over the trials that beat their points (eq. 7 to 9), by hand."""
+    solver = SuccessHistory(2, np.random.default_rng(2), 10000)
+    solver.tell(np.ones(36))
+    f, cr = solver._drawn
+    cost = np.full(len(f), 2.0)
+    cost[[3, 8]] = 0.5, 0.75  # gains 0.5 and 0.25
+    solver.tell(cost)
+    assert solver._f[0] == pytest.approx((2 * f[3] ** 2 + f[8] ** 2) / (2 * f[3] + f[8]))
+    assert solver._cr[0] == pytest.approx((2 * cr[3] ** 2 + cr[8] ** 2) / (2 * cr[3] + cr[8]))
+    assert solver._f[1:].tolist() == [0.5] * 5
+
+
+def test_success_history_finds_what_hides_among_hills():
+    """Rastrigin's function: 11^4 valleys, one of them the deepest."""
+
+    def hills(x):
+        y = 10.24 * (x - 0.4)
+        return (y**2 - 10 * np.cos(2 * np.pi * y) + 10).sum(axis=1)
+
+    solver = SuccessHistory(4, np.random.default_rng(3), 20000)
+    found = np.inf
+    while not solver.over:
+        cost = hills(solver.ask().x)
+        found = min(found, cost.min())
+        solver.tell(cost)
+    assert found < 1e-6

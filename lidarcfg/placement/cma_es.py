@@ -12,16 +12,16 @@ STEP = 0.25  # the first standard deviation, in the unit cube
 class CmaEs:
     """A search by covariance matrix adaptation (Hansen; restarts after Auger and Hansen 2005, IPOP).
 
-    It begins at `start` (dimensions,) or anywhere, with `larger` times the usual population. `over` says that it has
+    It begins at `start` (dimensions,) or anywhere, with the usual population or another. `over` says that it has
     stopped and begun anew since.
     """
 
     def __init__(
-        self, dimensions: int, seed: int, start: Array | None = None, step: float = STEP, larger: int = 1
+        self, dimensions: int, seed: int, start: Array | None = None, step: float = STEP, population: int = 0
     ) -> None:
         self._rng = np.random.default_rng(seed)
         self._dimensions, self._step = dimensions, step
-        self._population = larger * (4 + int(3 * np.log(dimensions)))
+        self._population = population or 4 + int(3 * np.log(dimensions))
         self.cycles = 0
         self.best_x, self.best_cost = self._rng.random(dimensions), np.inf
         self.mean_cost = np.inf

@@ -43,7 +43,8 @@ class Evaluator:
         self._square = rows.cones([Lidar(origin, origin, sine) for sine in sines])[:, 6:]
         self._runs = runs.Grid.of(region) if region.included.size >= RUNS_FROM else None
         self._grid = rows.Grid.of(region)
-        self._poses = np.empty((0, len(sines), 6))  # of the food sources, as the next two have them
+        self._poses = np.empty((0, len(sines), 6))  # of the food sources, as _witness has them
+        self._linked = self._poses  # and as _links has them
         self._links = np.empty((0, len(sines), *self._grid.links.shape), np.uint64)  # (sources, …), or none
         self._witness = np.empty((0, kernels.WITNESSES), np.int64)  # (sources, …)
         self._told: tuple[Index, Array, Index] = (np.empty(0, np.int64), self._poses, self._witness)
@@ -80,6 +81,7 @@ class Evaluator:
             witness = self._witness[source]
             if len(self._links):
                 moved = (poses != source_poses[source]).any(axis=2)
+                self._renew(np.unique(source[~moved.all(axis=1)]))
         cost = np.full(len(poses), np.inf)
         refuter = np.full(len(poses), -1, np.int64)
         fresh = np.full_like(witness, -1)
@@ -115,25 +117,29 @@ class Evaluator:
         return [np.arange(first, count, parts) for first in range(parts)]
 
     def _follow(self, source_poses: Array) -> None:
-        """Bring the links and witnesses of the food sources up to date."""
+        """Bring the witnesses of the food sources up to date."""
         if len(self._poses) != len(source_poses):
             self._poses = np.full_like(source_poses, np.nan)
+            self._linked = np.full_like(source_poses, np.nan)
             self._witness = np.full((len(source_poses), kernels.WITNESSES), -1, np.int64)
             fits = len(source_poses) * len(self._sines) * self._grid.links.nbytes <= CACHE_BYTES
             self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
-        changed = (self._poses != source_poses).any(axis=2)
-        stale = np.flatnonzero(changed.any(axis=1))
-        source, poses, fresh = self._told
-        self._witness[stale] = -1
-        new = np.flatnonzero((poses == source_poses[source]).all(axis=(1, 2)))
-        self._witness[source[new]] = np.where(
-            changed[source[new]].any(axis=1)[:, None], fresh[new], self._witness[source[new]]
-        )
-        if len(self._links):
-            cones = self._cones(source_poses)
-
-            def renew(part: Index) -> None:
-                kernels.renew(stale[part], self._links, changed, cones, self._grid)
-
-            list(self._pool.map(renew, self._parts(len(stale))))
+        changed = (self._poses != source_poses).any(axis=(1, 2))
+        source, poses, fresh = (of[self._told[0] < len(source_poses)] for of in self._told)
+        self._witness[changed] = -1
+        new = np.flatnonzero((poses == source_poses[source]).all(axis=(1, 2)) & changed[source])
+        self._witness[source[new]] = fresh[new]
         self._poses = source_poses.copy()
+
+    def _renew(self, sources: Index) -> None:
+        """Bring the links of some food sources up to date."""
+        changed = np.zeros(self._poses.shape[:2], bool)
+        changed[sources] = (self._linked[sources] != self._poses[sources]).any(axis=2)
+        stale = np.flatnonzero(changed.any(axis=1))
+        cones = self._cones(self._poses)
+
+        def renew(part: Index) -> None:
+            kernels.renew(stale[part], self._links, changed, cones, self._grid)
+
+        list(self._pool.map(renew, self._parts(len(stale))))
+        self._linked[sources] = self._poses[sources]
