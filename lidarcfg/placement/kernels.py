@@ -54,7 +54,6 @@ def try_out(
                     for row in range(fixed.shape[1]):
                         fixed[axis, row] &= links[source[t], lidar, axis, row]
         work.left[:] = grid.included
-        work.known[:] = -1
         values[:], cuboids[:] = -1.0, -1
         cost[t], refuter[t] = np.inf, -1
         rows = 0

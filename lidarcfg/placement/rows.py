@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -107,7 +106,10 @@ def _ones(_: Any, word: Any) -> Any:
 
 
 def _lowest(_: Any, word: Any) -> Any:
-    return types.int64(types.uint64), lambda _c, builder, _s, args: builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
+    def generate(context: Any, builder: Any, _: Any, args: Any) -> Any:
+        return builder.cttz(args[0], context.get_constant(types.boolean, False))
+
+    return types.int64(types.uint64), generate
 
 
 ones: Any = intrinsic(_ones)  # how many bits of a word are 1
@@ -276,7 +278,7 @@ def flood(grid: Grid, links: Words, cones: Array, moved: Counts, stamp: int, cub
     row = cuboid >> 6
     if lazily:
         _enter(grid, cones, moved, cuboid, bounds)
-        known[row] = stamp
+        known[row], cut = stamp, 1
         y, z = ys[row % step_z // step_y - 1], zs[row // step_z - 1]
         inside[row] = _inside(xs, y, z, row % step_y << 6, cones, moved, bounds, scratch)
     stack[0, 0], stack[0, 1] = row, BIT[cuboid & 63]
@@ -415,19 +417,16 @@ def worst(grid: Grid, links: Words, enough: float, work: Work, values: Array, cu
     worst: see links_needed.
     """
     step_y, step_z = steps(grid)
-    left, included, edge, known = work.left, grid.included, grid.edge, work.known
+    left, included, edge = work.left, grid.included, grid.edge
     none, nothing = np.empty((0, 6)), np.empty(0, np.int64)
     need = np.empty(9, np.int64)
     links_needed(values[-1], edge, need)
-    known[:] = -1
-    stamp = 0
     for row in range(step_z, included.size - step_z):
         if left[row] == NONE:
             continue
         word = promising(row, step_y, step_z, need, included, links) & left[row]
         while word != NONE:
-            stamp += 1
-            flood(grid, links, none, nothing, stamp, row << 6 | lowest(word), work)
+            flood(grid, links, none, nothing, 0, row << 6 | lowest(word), work)
             word &= left[row]
             if keep(vsr(work.flooded, edge), middle(work), values, cuboids):
                 if values[0] >= enough:
@@ -453,7 +452,7 @@ def _bodies(grid: Grid, links: Words, label: Labels) -> tuple[Counts, Counts, Co
                 row = (k + 1) * step_z + (j + 1) * step_y + (i >> 6)
                 if work.left[row] & BIT[i & 63] == NONE:
                     continue
-                flood(grid, links, none, nothing, total, row << 6 | i & 63, work)
+                flood(grid, links, none, nothing, 0, row << 6 | i & 63, work)
                 for step in range(work.flooded[4]):
                     row, bits = int(work.reached[step, 0]), work.reached[step, 1]
                     at, b, c = row % step_y << 6, row % step_z // step_y - 1, row // step_z - 1
