@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from lidarcfg.config import Model, Positive, Vec3, error_at, fault, load, replacing
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, pose
+from lidarcfg.realism import Realism
 from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor
 
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -38,6 +39,7 @@ class MountFile(Model):
     telemetry_port: Port = TELEMETRY_PORT
     rpm: Positive = RPM
     return_mode: ReturnMode = RETURN_MODE
+    realism: Realism | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "MountFile":
@@ -98,6 +100,7 @@ class Mount:
     telemetry_port: int
     rpm: float
     return_mode: ReturnMode
+    realism: Realism | None = None  # None: exact
 
     @property
     def T_vehicle_sensor(self) -> Array:  # noqa: N802
@@ -161,6 +164,7 @@ def load_rig(path: str | Path) -> Rig:
                 telemetry_port=mount.telemetry_port,
                 rpm=mount.rpm,
                 return_mode=mount.return_mode,
+                realism=mount.realism,
             )
         )
     return Rig(file.name, tuple(mounts))
@@ -188,6 +192,7 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 "telemetry_port": mount.telemetry_port,
                 "rpm": mount.rpm,
                 "return_mode": mount.return_mode,
+                **({"realism": mount.realism.model_dump(exclude_none=True)} if mount.realism else {}),
             }
         )
     return {"name": rig.name, "sensors": sensors}
