@@ -1,0 +1,192 @@
+"""float32 beside float64: wrong labels, wrong ranges, and the speed that either gives."""
+
+# mypy: disallow-untyped-decorators=False
+import time
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+from accuracy_page import ROOT, table
+from accuracy_rays import nearest_triangle, with_ground
+from numba import njit
+from numpy.typing import NDArray
+
+from lidarcfg.capture.scene import load_scene
+from lidarcfg.geometry import Array, directions
+from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import load_study
+from lidarcfg.placement.subspace import beam_gaps
+from lidarcfg.report import COLOURS, new_figure, save_figure
+from lidarcfg.sensor import load_sensor
+
+OTHER_SURFACE_MM = 1.0  # further off on another triangle, a ray has met something else
+AWAY_M = (0.0, 1e2, 1e3, 1e4, 1e5, 1e6)
+
+
+@njit(cache=True, nogil=True)
+def digits(x: Array, y: Array, z: Array, position: Array, axis: Array, limit: Array, out: NDArray[np.uint8]) -> None:
+    """The comparison of placement/rows.py, cuboid by cuboid, in the precision of its arguments."""
+    for i in range(len(x)):
+        for j in range(len(y)):
+            for k in range(len(z)):
+                dx, dy, dz = x[i] - position[0], y[j] - position[1], z[k] - position[2]
+                height = (dx * axis[0] + dy * axis[1]) + dz * axis[2]
+                square, signed = (dx * dx + dy * dy) + dz * dz, height * abs(height)
+                count = 0
+                for b in range(len(limit)):
+                    count += signed >= limit[b] * square
+                out[i, j, k] = count
+
+
+def labelled(region: Region, lidar: Lidar, away_m: float, dtype: type, local: bool) -> tuple[NDArray[np.uint8], float]:
+    """The digits of one LiDAR in a precision, and the seconds; the study stands `away_m` from the origin.
+
+    `local`: positions relative to the LiDAR are taken in float64 first.
+    """
+    arrays = [axis + away_m for axis in region.centres()]
+    position = lidar.position_m + away_m
+    if local:
+        arrays = [axis - at for axis, at in zip(arrays, position, strict=True)]
+        position = np.zeros(3)
+    limit = lidar.sin_elevation * abs(lidar.sin_elevation)
+    given = [np.ascontiguousarray(array, dtype) for array in (*arrays, position, lidar.axis, limit)]
+    out = np.empty(region.shape, np.uint8)
+    started = time.perf_counter()
+    digits(*given, out)
+    return out, time.perf_counter() - started
+
+
+def labels(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
+    """The table of wrong labels, and them by way."""
+    study = load_study(ROOT / "data/studies/liu2018-4x16.yaml")
+    cut = 1 if quick else 2  # of the paper's edges
+    region = Region.from_boxes(study.region.min_m, study.region.max_m, study.region.cuboid_m / cut)
+    rng = np.random.default_rng(1)
+    poses = study.poses(rng.random((1 if quick else 5, int(study.free.sum()))))
+    lidars = [lidar for rig in poses for lidar in study.lidars(rig)]
+    truth = [beam_gaps(region, lidar) for lidar in lidars]
+    wrong: dict[str, list[float]] = {}
+    seconds: dict[str, list[float]] = {}
+    ways = {"float64": (np.float64, False), "float32, relative": (np.float32, True), "float32": (np.float32, False)}
+    for name, (dtype, local) in ways.items():
+        labelled(region, lidars[0], 0.0, dtype, local)  # compiles
+        for away_m in AWAY_M:
+            share = []
+            for lidar, right in zip(lidars, truth, strict=True):
+                found, took = labelled(region, lidar, away_m, dtype, local)
+                share.append(np.mean(found != right))
+                seconds.setdefault(name, []).append(took)
+            wrong.setdefault(name, []).append(1e6 * float(np.mean(share)))
+    cells = region.included.size
+    rows = [
+        (name, f"{cells / np.median(seconds[name]) / 1e6:.0f}", *(f"{value:,.2f}" for value in values))
+        for name, values in wrong.items()
+    ]
+    header = ("labels in", "million cuboids/s", *(f"{away_m:g} m" for away_m in AWAY_M))
+    return [
+        *table(header, rows),
+        "",
+        f"Wrong digits per million, {len(lidars)} LiDARs × {cells:,} cuboids, by how far the study stands from the "
+        "origin. One plain loop in either precision, one thread.",
+    ], wrong
+
+
+def rays(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
+    """The table of range errors, and the 99.9 % of them by way."""
+    count = 2_000 if quick else 60_000
+    scene = load_scene(ROOT / "data/scenes/street.yaml")
+    vertices, triangles = with_ground(scene)
+    rng = np.random.default_rng(1)
+    elevation = rng.choice(load_sensor("vlp-16").elevation_rad, count)
+    towards = directions(rng.uniform(0, 2 * np.pi, count), elevation)
+    start = np.array([0.3, 0.5, 1.9])
+    origins = np.tile(start, (count, 1))
+    truth, which = nearest_triangle(vertices, triangles, origins, towards)
+    rows, most = [], {}
+    for name, local in (("float32, relative", True), ("float32", False)):
+        for away_m in AWAY_M:
+            offset = np.array([away_m, away_m, 0.0])
+            base = start + offset if local else np.zeros(3)
+            moved, given = vertices + offset - base, np.hstack([origins + offset - base, towards])
+            caster = o3d.t.geometry.RaycastingScene()
+            caster.add_triangles(
+                o3d.core.Tensor.from_numpy(moved.astype(np.float32)),
+                o3d.core.Tensor.from_numpy(triangles.astype(np.uint32)),
+            )
+            tensor = o3d.core.Tensor.from_numpy(np.tile(given, (1 if quick else 10, 1)).astype(np.float32))
+            caster.cast_rays(tensor[:100], nthreads=1)
+            started = time.perf_counter()
+            hits = caster.cast_rays(tensor, nthreads=1)
+            casting = time.perf_counter() - started
+            range_m = hits["t_hit"].numpy()[:count].astype(np.float64)
+            triangle = hits["primitive_ids"].numpy()[:count].astype(np.int64)
+            hit = np.isfinite(range_m) & np.isfinite(truth)
+            same = hit & (triangle == which)
+            error_mm = 1000 * abs(np.subtract(range_m, truth, where=hit, out=np.zeros(count)))
+            other = (np.isfinite(range_m) != np.isfinite(truth)) | hit & ~same & (error_mm > OTHER_SURFACE_MM)
+            error_mm = error_mm[hit & ~other]
+            started = time.perf_counter()
+            exact = on_triangle(moved, triangles, given, triangle, same)
+            again = time.perf_counter() - started
+            exact_mm = 1000 * abs(exact - truth[same])
+            most.setdefault(name, []).append(float(np.quantile(error_mm, 0.999)))
+            rows.append(
+                (
+                    name,
+                    f"{away_m:g}",
+                    f"{len(tensor) / casting / 1e6:.1f}",
+                    f"{np.median(error_mm):.4f}",
+                    f"{np.quantile(error_mm, 0.999):.4f}",
+                    f"{error_mm.max():.3f}",
+                    f"{1e6 * other.mean():,.0f}",
+                    f"{exact_mm.max():.1e}",
+                    f"{same.sum() / again / 1e6:.1f}",
+                )
+            )
+    header = (
+        "rays in",
+        "away (m)",
+        "million rays/s",
+        "median (mm)",
+        "99.9 % (mm)",
+        "worst (mm)",
+        "other surface (per million)",
+        "worst once recomputed (mm)",
+        "million recomputed/s",
+    )
+    return [
+        *table(header, rows),
+        "",
+        f"{count:,} rays of a VLP-16 in the street, {len(triangles):,} triangles, one thread; truth: every triangle in "
+        "float64. Recomputed: the range to the triangle that was hit, in float64 with numpy.",
+    ], most
+
+
+def on_triangle(
+    vertices: Array, triangles: NDArray[np.int64], rays: Array, which: NDArray[np.int64], mask: NDArray[np.bool_]
+) -> Array:
+    """Ranges of the rays (N, 6) in `mask` to the planes of the triangles that they hit, in float64."""
+    a, b, c = vertices[triangles[which[mask]]].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    ratio: Array = ((a - rays[mask, :3]) * normal).sum(1) / (rays[mask, 3:] * normal).sum(1)
+    return ratio
+
+
+def run(quick: bool, plots: Path) -> list[str]:
+    """The section's lines; draws precision.png."""
+    label_lines, wrong = labels(quick)
+    ray_lines, most = rays(quick)
+    figure = new_figure(9, 4)
+    left, right = figure.subplots(1, 2)
+    colours = dict(zip(wrong, COLOURS, strict=False))
+    for axes, values, unit in ((left, wrong, "wrong labels (per million)"), (right, most, "99.9 % range error (mm)")):
+        for name, line in values.items():
+            axes.plot(AWAY_M, line, "o-", color=colours[name], label=name)
+        axes.set_xscale("symlog", linthresh=100.0)
+        axes.set_yscale("symlog", linthresh=1e-3)
+        axes.set(xlabel="distance of the study or scene from the origin (m)", ylabel=unit, ylim=(0, None))
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8)
+    save_figure(figure, plots / "precision.png")
+    return [*label_lines, "", *ray_lines]

@@ -1,0 +1,114 @@
+"""Where rays meet a scene, in float64 and without Open3D: closed forms, and plain loops over triangles."""
+
+# mypy: disallow-untyped-decorators=False
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from lidarcfg.capture.scene import Scene
+from lidarcfg.geometry import Array, rotation
+
+INSIDE = 1e-12  # by so much of a triangle a ray may pass beside it, so that none slips between two
+GROUND_HALF_SIZE_M = 1000.0
+
+
+@njit(cache=True)
+def nearest_triangle(vertices: Array, triangles: NDArray[np.int64], origins: Array, rays: Array) -> tuple[Array, Array]:
+    """Ranges (N,) to the first of triangles (T, 3) that each ray meets, inf for none, and which (Möller-Trumbore)."""
+    ranges, which = np.full(len(rays), np.inf), np.full(len(rays), -1)
+    for t in range(len(triangles)):
+        a = vertices[triangles[t, 0]]
+        e, f = vertices[triangles[t, 1]] - a, vertices[triangles[t, 2]] - a
+        for n in range(len(rays)):
+            dx, dy, dz = rays[n]
+            px, py, pz = dy * f[2] - dz * f[1], dz * f[0] - dx * f[2], dx * f[1] - dy * f[0]
+            determinant = e[0] * px + e[1] * py + e[2] * pz
+            if determinant == 0.0:
+                continue
+            sx, sy, sz = origins[n, 0] - a[0], origins[n, 1] - a[1], origins[n, 2] - a[2]
+            u = (sx * px + sy * py + sz * pz) / determinant
+            if u < -INSIDE or u > 1 + INSIDE:
+                continue
+            qx, qy, qz = sy * e[2] - sz * e[1], sz * e[0] - sx * e[2], sx * e[1] - sy * e[0]
+            v = (dx * qx + dy * qy + dz * qz) / determinant
+            if v < -INSIDE or u + v > 1 + INSIDE:
+                continue
+            distance = (f[0] * qx + f[1] * qy + f[2] * qz) / determinant
+            if 0.0 < distance < ranges[n]:
+                ranges[n], which[n] = distance, t
+    return ranges, which
+
+
+def with_ground(scene: Scene) -> tuple[Array, NDArray[np.int64]]:
+    """The scene's triangles with two for its ground."""
+    assert scene.file.ground
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_HALF_SIZE_M
+    square[:, 2] = scene.file.ground.z_m
+    first = len(scene.vertices_m)
+    pair = first + np.array([[0, 1, 2], [0, 2, 3]])
+    return np.concatenate([scene.vertices_m, square]), np.concatenate([scene.triangles, pair])
+
+
+def exact_ranges(scene: Scene, origins: Array, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Ranges (N,) to the scene's true shapes, inf for nothing, and whether what was met is round (N,).
+
+    Meshes are their triangles; all else is a closed form.
+    """
+    file = scene.file
+    flat, curved = [np.full(len(rays), np.inf)], [np.full(len(rays), np.inf)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if file.ground:
+            flat.append(_positive((file.ground.z_m - origins[:, 2]) / rays[:, 2]))
+        for box in file.boxes:
+            turn = rotation((0.0, 0.0, np.radians(box.yaw_deg)))
+            flat.append(_box((origins - box.center_m) @ turn, rays @ turn, np.array(box.size_m) / 2))
+        for plane in file.planes:
+            turn = rotation(np.radians(plane.rpy_deg))
+            flat.append(_rectangle((origins - plane.center_m) @ turn, rays @ turn, np.array(plane.size_m) / 2))
+        curved += [_sphere(origins - sphere.center_m, rays, sphere.radius_m) for sphere in file.spheres]
+        for cylinder in file.cylinders:
+            curved.append(_cylinder(origins - cylinder.base_m, rays, cylinder.radius_m, cylinder.height_m))
+    meshes = [scene.names.index(mesh.name) for mesh in file.meshes]
+    triangles = scene.triangles[np.isin(scene.triangle_object, meshes)]
+    flat.append(nearest_triangle(scene.vertices_m, triangles, origins, rays)[0])
+    nearest_flat, nearest_curved = np.min(flat, axis=0), np.min(curved, axis=0)
+    return np.minimum(nearest_flat, nearest_curved), nearest_curved < nearest_flat
+
+
+def _positive(distance: Array) -> Array:
+    return np.where(distance > 0, distance, np.inf)
+
+
+def _root(a: Array, half_b: Array, c: Array) -> Array:
+    """The lesser root of a t² + 2 half_b t + c."""
+    inside = half_b**2 - a * c
+    return np.where(inside >= 0, _positive((-half_b - np.sqrt(np.maximum(inside, 0))) / a), np.inf)
+
+
+def _box(p: Array, d: Array, half: Array) -> Array:
+    """By slabs."""
+    near, far = (-half - p) / d, (half - p) / d
+    enter, leave = np.minimum(near, far).max(axis=1), np.maximum(near, far).min(axis=1)
+    return np.where(enter <= leave, _positive(enter), np.inf)
+
+
+def _rectangle(p: Array, d: Array, half: Array) -> Array:
+    distance = -p[:, 2] / d[:, 2]
+    at = abs(p[:, :2] + distance[:, None] * d[:, :2])
+    return np.where((at <= half).all(axis=1), _positive(distance), np.inf)
+
+
+def _sphere(p: Array, d: Array, radius: float) -> Array:
+    return _root(np.ones(len(p)), (p * d).sum(1), (p * p).sum(1) - radius**2)
+
+
+def _cylinder(p: Array, d: Array, radius: float, height: float) -> Array:
+    """The side between its ends, and the ends."""
+    side = _root((d[:, :2] ** 2).sum(1), (p[:, :2] * d[:, :2]).sum(1), (p[:, :2] ** 2).sum(1) - radius**2)
+    z = p[:, 2] + side * d[:, 2]
+    hits = [np.where((z >= 0) & (z <= height), side, np.inf)]
+    for end in (0.0, height):
+        distance = _positive((end - p[:, 2]) / d[:, 2])
+        at = p[:, :2] + distance[:, None] * d[:, :2]
+        hits.append(np.where((at**2).sum(1) <= radius**2, distance, np.inf))
+    return np.min(hits, axis=0)
