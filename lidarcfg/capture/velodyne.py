@@ -62,13 +62,7 @@ def encode(
     What the sensor does not measure, or the packet cannot say, is no return. Raises ConfigError.
     """
     firing, facts = firing_facts(sensor)
-    if sensor.range is None:
-        raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no range facts")
-    unit = sensor.range.resolution_m
-    seen = (range_m >= sensor.range.min_m) & (range_m <= sensor.range.max_m)
-    distance = np.rint(np.where(seen, range_m, 0) / unit)
-    distance[distance > DISTANCE_MAX] = 0
-
+    distance = wire_distance(sensor, range_m)
     groups, first_laser = len(facts.block_flags), int(np.argmin(firing.offset_ns))
     head = firings.azimuth_rad[:, :: facts.sequences_per_block, first_laser]
     azimuth = np.rint(head / RADIANS).astype(np.int64) % TURN
@@ -83,6 +77,19 @@ def encode(
     packets["return_mode"] = getattr(facts.return_modes, return_mode)
     packets["product_id"] = facts.product_id
     return packets
+
+
+def wire_distance(sensor: Sensor, range_m: Array) -> Array:
+    """What the packet says of ranges (P, S, L) or (P, S, L, 2) in metres: whole units, 0 for no return.
+
+    Raises ConfigError.
+    """
+    if sensor.range is None:
+        raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no range facts")
+    seen = (range_m >= sensor.range.min_m) & (range_m <= sensor.range.max_m)
+    distance = np.rint(np.where(seen, range_m, 0) / sensor.range.resolution_m)
+    distance[distance > DISTANCE_MAX] = 0
+    return distance
 
 
 def decode(sensor: Sensor, packets: Packets, host_time_ns: Times, count: int | None = None) -> Returns:
