@@ -29,6 +29,12 @@ from lidarcfg.errors import ConfigError
 Key = tuple[str | int, ...]  # where in the file: ("sensors", 0, "model")
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
+COORDINATE_MAX_M = 1e8  # metres; UTM reaches 1e7
+ANGLE_MAX = 1e8  # radians or degrees
+Metres = Annotated[float, Field(ge=-COORDINATE_MAX_M, le=COORDINATE_MAX_M)]
+Position = tuple[Metres, Metres, Metres]
+Angle = Annotated[float, Field(ge=-ANGLE_MAX, le=ANGLE_MAX)]
+Angles = tuple[Angle, Angle, Angle]
 NODES_MAX = 1_000_000  # more than that is an alias bomb, not a configuration
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, Positive, Vec3, error_at, fault, load, replacing
+from lidarcfg.config import Angles, Model, Position, Positive, Vec3, error_at, fault, load, replacing
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism
@@ -31,9 +31,9 @@ class MountFile(Model):
     name: MountName
     model: str | None = None
     elevation_deg: Elevations | None = None
-    position_m: Vec3
-    rpy_rad: Vec3 | None = None
-    rpy_deg: Vec3 | None = None
+    position_m: Position
+    rpy_rad: Angles | None = None
+    rpy_deg: Angles | None = None
     host: str | None = None
     data_port: Port = DATA_PORT
     telemetry_port: Port = TELEMETRY_PORT

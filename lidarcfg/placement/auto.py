@@ -9,7 +9,7 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cma_es import CmaEs
-from lidarcfg.placement.search import Trials
+from lidarcfg.placement.search import Trials, checked
 from lidarcfg.placement.success_history import SuccessHistory
 
 POINTS, STEP = 200, 0.15  # random points before CMA-ES, and its first standard deviation, in the unit cube
@@ -42,7 +42,7 @@ class Auto:
     def tell(self, cost: Array) -> None:
         """The costs (n,) of what was asked."""
         x = self.ask().x
-        best = int(np.argmin(cost))
+        best = int(np.argmin(checked(cost)))
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = x[best].copy(), float(cost[best])
         self.cycles += 1

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.search import Trials
+from lidarcfg.placement.search import Trials, checked
 
 
 class BeeColony:
@@ -46,7 +46,7 @@ class BeeColony:
     def tell(self, cost: Array) -> None:
         """The costs (n,) of what was asked, in its order."""
         trials = self._asked
-        for x, source, value in zip(trials.x, trials.source, cost, strict=True):
+        for x, source, value in zip(trials.x, trials.source, checked(cost), strict=True):
             if trials.phase in ("first", "scout") or value < self.cost[source]:
                 self.x[source], self.cost[source], self.failures[source] = x, value, 0
             else:

@@ -4,7 +4,7 @@ import cma
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.search import Trials
+from lidarcfg.placement.search import Trials, checked
 
 STEP = 0.25  # the first standard deviation, in the unit cube
 
@@ -51,7 +51,7 @@ class CmaEs:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the generation."""
-        self._es.tell(self._asked, list(cost))
+        self._es.tell(self._asked, list(checked(cost)))
         best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = np.array(self._asked[best]), float(cost[best])

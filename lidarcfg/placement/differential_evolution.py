@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.search import Trials
+from lidarcfg.placement.search import Trials, checked
 
 
 class DifferentialEvolution:
@@ -56,7 +56,7 @@ class DifferentialEvolution:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the generation."""
-        best = int(np.argmin(cost))
+        best = int(np.argmin(checked(cost)))
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = self._asked[best].copy(), float(cost[best])
         self.mean_cost = float(np.mean(cost))

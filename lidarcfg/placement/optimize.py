@@ -10,7 +10,7 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
-from lidarcfg.placement.search import Search, Trials
+from lidarcfg.placement.search import Search, Trials, checked
 from lidarcfg.placement.study import Evaluation, Solver, Study, evaluate
 from lidarcfg.rig import Rig
 
@@ -194,4 +194,4 @@ def costs(study: Study, evaluator: Evaluator, search: Search, trials: Trials, co
         slices.append(cost)
         if time.perf_counter() > deadline:
             break
-    return np.concatenate(slices)
+    return checked(np.concatenate(slices))

@@ -1,13 +1,14 @@
 """The region of interest: a box cut into equal cuboids, some of them left out."""
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, Positive, Vec3, fault
+from lidarcfg.config import COORDINATE_MAX_M, Model, Position, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 
@@ -15,15 +16,17 @@ if TYPE_CHECKING:
     import open3d
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
-Edges = tuple[Positive, Positive, Positive]
+NEAREST_M, NEAREST = 1e-9, 1e-12  # centres are at least so far apart; the second relative to the coordinates
+Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
+Edges = tuple[Edge, Edge, Edge]
 AXES = "xyz"
 
 
 class BoxFile(Model):
     """A box: min <= p < max."""
 
-    min_m: Vec3
-    max_m: Vec3
+    min_m: Position
+    max_m: Position
 
     @model_validator(mode="after")
     def _check(self) -> "BoxFile":
@@ -49,7 +52,12 @@ class RegionFile(BoxFile):
             total *= count
             if total > CUBOIDS_MAX:
                 raise fault(f"makes more than the {CUBOIDS_MAX:,} cuboids allowed", "cuboid_m")
-            if abs(count * edge - length) > 1e-9 * length:
+            far = max(abs(self.min_m[axis]), abs(self.max_m[axis]))
+            least = max(NEAREST_M, NEAREST * far)
+            if edge < least:
+                what = f"{edge:g} is too little for coordinates up to {far:g}; allowed: at least {least:g}"
+                raise fault(what, "cuboid_m", axis)
+            if abs(count * edge - length) > 1e-9 * length + math.ulp(far):  # the corners are rounded, too
                 fewer = max(int(length / edge), 1)
                 near = sorted({f"{length / n:.12g}" for n in (fewer, fewer + 1)}, key=float)
                 what = f"{edge:g} does not divide the region's {length:g} along {AXES[axis]}"

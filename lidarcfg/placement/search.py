@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import Array
 
 
@@ -38,4 +39,14 @@ class Search(Protocol):
         """The trials that are due."""
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of what was asked, in its order."""
+        """The costs (n,) of what was asked, in its order. Raises LidarcfgError where one is not a number."""
+
+
+def checked(cost: Array) -> Array:
+    """Costs (n,), each a number or inf. Raises LidarcfgError: NaN is no result, and would pass for the least."""
+    wrong = np.flatnonzero(~(cost > -np.inf))
+    if len(wrong):
+        raise LidarcfgError(
+            f"the cost of trial {wrong[0]} of {len(cost)} is {cost[wrong[0]]}; allowed: numbers, and inf"
+        )
+    return cost

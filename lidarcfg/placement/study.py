@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, Vec3, error_at, fault, load
+from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, error_at, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.detection import Detection, DetectionObject, check_fits, detection
@@ -43,7 +43,7 @@ from lidarcfg.rig import (
 from lidarcfg.sensor import Elevations, Sensor
 
 WORST = 10  # so many of the worst subspaces are named
-Weight = Annotated[float, Field(gt=0)]
+Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
 BUDGETS = {"cycles", "evaluations", "seconds"}
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -51,9 +51,9 @@ COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 class PoseBound(Model):
     """A bound on a pose."""
 
-    position_m: Vec3
-    rpy_rad: Vec3 | None = None
-    rpy_deg: Vec3 | None = None
+    position_m: Position
+    rpy_rad: Angles | None = None
+    rpy_deg: Angles | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "PoseBound":
@@ -73,7 +73,7 @@ class GroupFile(Model):
     elevation_deg: Elevations | None = None
     name: MountName | None = None
     count: Annotated[int, Field(ge=1, le=1000)] = 1
-    mirror_y_m: float | None = None  # the sensors are pairs, each the other's image in the plane y = mirror_y_m
+    mirror_y_m: Metres | None = None  # the sensors are pairs, each the other's image in the plane y = mirror_y_m
     min: PoseBound
     max: PoseBound
 
@@ -105,7 +105,7 @@ class Constraints(Model):
     """What a rig must keep."""
 
     max_tilt_deg: Annotated[float, Field(ge=0, le=180)] = 180.0  # of every sensor's axis from the vertical
-    min_distance_m: Annotated[float, Field(ge=0)] = 0.0  # between any two sensors' origins
+    min_distance_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)] = 0.0  # between any two sensors' origins
 
 
 class Solver(Model):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.search import Trials
+from lidarcfg.placement.search import Trials, checked
 
 POINTS = 18  # of the first population, a dimension
 FEWEST = 4
@@ -49,7 +49,7 @@ class SuccessHistory:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of what was asked, in its order; inf will do for one no better than its point's."""
-        trials = self._asked
+        trials, cost = self._asked, checked(cost)
         if self._used:
             self._learn(trials, cost)
         else:
@@ -71,6 +71,8 @@ class SuccessHistory:
             return
         f, cr = (drawn[better] for drawn in self._drawn)
         gain = self._cost[point[better]] - cost[better]
+        if np.isinf(gain).any():  # they outweigh all others
+            gain = np.isinf(gain).astype(np.float64)
         weight = gain / gain.sum()
         self._f[self._next] = (weight * f**2).sum() / (weight * f).sum()
         if self._cr[self._next] >= 0.0:
