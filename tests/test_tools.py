@@ -70,10 +70,13 @@ def test_drawing_every_place_once_is_counting(tool, study):
     assert module.on_grid(spaces, "pedestrian", every) == detection(spaces, module.item("pedestrian")).rate
 
 
-def test_the_comparisons_twin(tool, study):
-    module = tool("accuracy_precision")
+@pytest.mark.parametrize("factor", [1, 0.5])
+def test_the_comparisons_twin(tool, study, factor):
+    """Also where a row along x has more than 64 cuboids."""
+    region = tool("accuracy_optimum").recut(study, factor).region
     (one, _) = study.lidars(study.poses(np.full((1, int(study.free.sum())), 0.3))[0])
-    assert (module.labelled(study.region, one, 0.0, np.float64, False)[0] == beam_gaps(study.region, one)).all()
+    found, _ = tool("accuracy_precision").labelled(region, one, 0.0, np.float64, False)
+    assert (found == beam_gaps(region, one)).all()
 
 
 def test_recut(tool, study):

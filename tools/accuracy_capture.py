@@ -131,17 +131,17 @@ def run(quick: bool, plots: Path) -> list[str]:
             values = errors.by_quantity[quantity]
             median, most = np.quantile(values, (0.5, 0.999))
             bound = f"{BOUNDS[quantity]:g}" if BOUNDS.get(quantity) else "–"
-            rows.append((quantity, case, f"{median:.4f}", f"{most:.4f}", f"{values.max():.4f}", bound))
+            rows.append((quantity, case, f"{median:.4g}", f"{most:.4g}", f"{values.max():.4g}", bound))
     figure = new_figure(9, 6)
     for axes, quantity in zip(
         figure.subplots(2, 2).flat, ("range, flat things (mm)", "azimuth (°)", "time (µs)", "xyz (mm)"), strict=True
     ):
         for (case, errors), colour in zip(cases.items(), COLOURS, strict=False):
             values = np.sort(errors.by_quantity[quantity])
-            axes.plot(values, np.linspace(0, 100, len(values)), color=colour, label=case)
+            axes.plot(values, np.linspace(100, 100 / len(values), len(values)), color=colour, label=case)
         if BOUNDS.get(quantity):
             axes.axvline(BOUNDS[quantity], color="0.4", ls=":", label="bound")
-        axes.set(xlabel=f"error of {quantity}", ylabel="returns at most so far off (%)")
+        axes.set(xlabel=f"error of {quantity}", ylabel="returns further off (%)", yscale="log")
         axes.grid(alpha=0.3)
     figure.axes[0].legend(fontsize=8)
     save_figure(figure, plots / "capture.png")

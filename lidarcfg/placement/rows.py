@@ -516,6 +516,7 @@ def digits(region: Region, lidar: Lidar) -> Counts:
     link(grid, grid.links, cone, np.arange(1), work)
     nx, ny, nz = region.shape
     beyond = work.beyond.reshape(nz + 2, ny + 2, -1, cone.shape[1] - 6)[1:-1, 1:-1]
-    bits = np.unpackbits(np.moveaxis(beyond, 3, 0).astype("<u8").view(np.uint8), axis=-1, bitorder="little")
+    words = np.ascontiguousarray(np.moveaxis(beyond, 3, 0), "<u8")
+    bits = np.unpackbits(words.view(np.uint8), axis=-1, bitorder="little")
     out: Counts = bits.sum(axis=0, dtype=np.int64)[..., :nx].transpose(2, 1, 0)
     return out
