@@ -16,9 +16,10 @@ from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor
 
+Azimuth = Annotated[float, Field(ge=0, le=360)]
 Port = Annotated[int, Field(ge=1, le=65535)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
-ReturnMode = Literal["strongest"]
+ReturnMode = Literal["strongest", "last", "dual"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
 DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0
@@ -39,11 +40,17 @@ class MountFile(Model):
     telemetry_port: Port = TELEMETRY_PORT
     rpm: Positive = RPM
     return_mode: ReturnMode = RETURN_MODE
+    sector_deg: tuple[Azimuth, Azimuth] | None = None
+    phase_deg: Azimuth | None = None
     realism: Realism | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "MountFile":
         one_of(self, "model", "elevation_deg")
+        if self.sector_deg is not None and self.sector_deg[0] == self.sector_deg[1]:
+            raise fault(f"{self.sector_deg[0]:g} to {self.sector_deg[1]:g} is empty", "sector_deg")
+        if self.phase_deg is not None and self.rpm % 60:
+            raise fault(f"needs whole turns a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg")
         if self.rpy_rad is not None and self.rpy_deg is not None:
             raise fault("stands beside rpy_rad; give one of them", "rpy_deg")
         if self.host is not None:
@@ -100,6 +107,8 @@ class Mount:
     telemetry_port: int
     rpm: float
     return_mode: ReturnMode
+    sector_deg: tuple[float, float] | None = None  # from, to, clockwise: outside it nothing is fired; None: all around
+    phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
     realism: Realism | None = None  # None: exact
 
     @property
@@ -164,6 +173,8 @@ def load_rig(path: str | Path) -> Rig:
                 telemetry_port=mount.telemetry_port,
                 rpm=mount.rpm,
                 return_mode=mount.return_mode,
+                sector_deg=mount.sector_deg,
+                phase_deg=mount.phase_deg,
                 realism=mount.realism,
             )
         )
@@ -192,6 +203,8 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 "telemetry_port": mount.telemetry_port,
                 "rpm": mount.rpm,
                 "return_mode": mount.return_mode,
+                **({"sector_deg": list(mount.sector_deg)} if mount.sector_deg else {}),
+                **({"phase_deg": mount.phase_deg} if mount.phase_deg is not None else {}),
                 **({"realism": mount.realism.model_dump(exclude_none=True)} if mount.realism else {}),
             }
         )
