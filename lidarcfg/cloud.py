@@ -61,7 +61,13 @@ class PointCloud:
     time_ns: NDArray[np.int64]  # (N,) device time since 1970
     sensor: NDArray[np.uint16]  # (N,) index into sensor_names
     sensor_names: tuple[str, ...]
-    return_type: NDArray[np.uint8]  # (N,) 0 strongest, 1 last
+    return_type: NDArray[np.uint8]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest
+
+    @classmethod
+    def none(cls, sensor_names: tuple[str, ...]) -> "PointCloud":
+        """No points of these sensors."""
+        columns = {key: np.empty((0, 3) if key == "xyz" else 0, kind) for key, kind in FIELDS.items()}
+        return cls(sensor_names=sensor_names, **columns)
 
 
 def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:

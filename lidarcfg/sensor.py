@@ -4,7 +4,7 @@ The files in `sensors/` are the only home of beam tables: optimiser, simulator, 
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,13 @@ from lidarcfg.geometry import Array
 
 BLOCKS = 12  # in a data packet
 SLOTS = 32  # returns in a block
-# How many blocks one firing of all lasers may take: a packet holds a whole number of them, and no fewer than two,
-# between which the decoder sees the head turn. So at most 192 beams have packets, and a byte holds laser and ring.
+# How many blocks one firing of all lasers may take: a packet holds a whole number of them, and no fewer than two
+# (one with dual returns). So at most 192 beams have packets, and a byte holds laser and ring.
 GROUP_BLOCKS = tuple(n for n in range(1, BLOCKS) if BLOCKS % n == 0)
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 Word = Annotated[int, Field(ge=0, le=65535)]
-Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
+Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
 
 
 def _check_elevations(value: tuple[float, ...]) -> tuple[float, ...]:
@@ -38,19 +38,26 @@ Elevations = Annotated[tuple[float, ...], Field(min_length=1), AfterValidator(_c
 
 
 class Beams(Model):
-    """The lasers by their id, which is their place in the packet."""
+    """The lasers by their id, which is their place in the packet. A table that is not given is all zero."""
 
     source: str = ""
     elevation_deg: Elevations
-    azimuth_offset_deg: tuple[float, ...] = ()  # added to the head's azimuth; none: all zero
-    vertical_offset_mm: tuple[float, ...] = ()  # added to z after r sin(elevation); none: all zero
+    azimuth_offset_deg: tuple[float, ...] = ()  # added to the head's azimuth
+    vertical_offset_mm: tuple[float, ...] = ()  # of the beam's start, up: added to z after r sin(elevation)
+    across_offset_mm: tuple[float, ...] = ()  # of the beam's start, upwards at a right angle to the beam
+    lateral_offset_mm: tuple[float, ...] = ()  # of the beam's start, to the left
+    distance_offset_mm: tuple[float, ...] = ()  # added to what the packet says
+    near_x_offset_mm: tuple[float, ...] = ()  # instead of it, at 2.4 m to the side
+    near_y_offset_mm: tuple[float, ...] = ()  # instead of it, at 1.93 m ahead
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "Beams":
-        for key in ("azimuth_offset_deg", "vertical_offset_mm"):
-            if len(getattr(self, key)) not in (0, len(self.elevation_deg)):
+        for key in type(self).model_fields:
+            if key.endswith(("_deg", "_mm")) and len(getattr(self, key)) not in (0, len(self.elevation_deg)):
                 count = len(getattr(self, key))
                 raise fault(f"has {count} values; allowed: {len(self.elevation_deg)}, one a beam", key)
+        if bool(self.near_x_offset_mm) != bool(self.near_y_offset_mm):
+            raise fault("stand without the other; give both or neither of near_x_offset_mm and near_y_offset_mm")
         return self
 
 
@@ -58,7 +65,7 @@ class Firing(Model):
     """When each laser fires within a firing sequence."""
 
     source: str
-    offset_ns: tuple[Nanoseconds, ...]  # by laser id, from the sequence's first firing
+    offset_ns: tuple[Nanoseconds, ...]  # by laser id; 0 is the packet's stamp, and so on a sequence later
     sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one sequence to the next
 
 
@@ -89,6 +96,9 @@ class Optics(Model):
     divergence_mrad: tuple[Positive, Positive]  # horizontal, vertical
 
 
+Return = Literal["strongest", "last"]
+
+
 class ReturnModes(Model):
     """The codes in the packet's return mode byte."""
 
@@ -97,14 +107,46 @@ class ReturnModes(Model):
     dual: Byte
 
 
+class Dual(Model):
+    """Where a packet with dual returns has its blocks: all blocks of a sequence stand in it twice."""
+
+    source: str
+    order: Annotated[tuple[Return, Return], Field(min_length=2, max_length=2)]  # the first block, the second
+    by: Literal["block", "sequence"]  # what is repeated: each block, or all blocks of the sequence
+
+
+class Status(Model):
+    """The status bytes that stand in place of return mode and product id: clock, state and calibration."""
+
+    source: str
+    letters: Annotated[str, Field(pattern="^[A-Z]+$")]  # the types that open a cycle, one a packet
+    warnings: Annotated[str, Field(pattern="^[A-Z]?$")]  # the type of the warning byte, if it has its own
+    checksum: Literal["crc16", "length"]  # what ends the calibration
+
+
 class Packet(Model):
     """The facts of the data packet (1206 bytes: 12 blocks of 32 returns)."""
 
     source: str
-    product_id: Byte
+    product_id: Byte | None = None  # neither this nor return_modes: status bytes stand there
+    old_product_ids: tuple[Byte, ...] = ()  # what early firmware sends
     block_flags: Annotated[tuple[Word, ...], Field(min_length=1)]  # by group of 32 lasers; 1, 2, 3, 4 or 6 of them
     sequences_per_block: Annotated[int, Field(ge=1, le=32)]
-    return_modes: ReturnModes
+    return_modes: ReturnModes | None = None
+    status: Status | None = None
+    dual: Dual | None = None  # none: the sensor has no such mode
+
+    @model_validator(mode="after")
+    def _check(self) -> "Packet":
+        given = (self.product_id is not None, self.return_modes is not None, self.status is None)
+        if len(set(given)) > 1:
+            raise fault("give product_id and return_modes, or status")
+        return self
+
+    @property
+    def product_ids(self) -> tuple[int, ...]:
+        """What the product id byte may be; nothing if status bytes stand there."""
+        return () if self.product_id is None else (self.product_id, *self.old_product_ids)
 
 
 class PositionPacket(Model):
@@ -133,7 +175,7 @@ class Sensor(Model):
         if self.firing and len(self.firing.offset_ns) != self.count:
             what = f"has {len(self.firing.offset_ns)} values; allowed: {self.count}, one a beam"
             raise fault(what, "firing", "offset_ns")
-        if self.firing and max(self.firing.offset_ns) >= self.firing.sequence_ns:
+        if self.firing and max(self.firing.offset_ns) - min(self.firing.offset_ns) >= self.firing.sequence_ns:
             raise fault(f"a firing lies beyond the sequence's {self.firing.sequence_ns} ns", "firing", "offset_ns")
         if self.range and self.range.min_m >= self.range.max_m:
             raise fault(f"{self.range.min_m} is not below max_m", "range", "min_m")
@@ -165,12 +207,35 @@ class Sensor(Model):
     @property
     def azimuth_offset_rad(self) -> Array:
         """(count,) by laser id."""
-        return np.radians(np.array(self.beams.azimuth_offset_deg or (0.0,) * self.count, np.float64))
+        return np.radians(self._table("azimuth_offset_deg"))
 
     @property
     def vertical_offset_m(self) -> Array:
         """(count,) by laser id: the beam starts this far above the sensor's origin."""
-        return np.array(self.beams.vertical_offset_mm or (0.0,) * self.count) / 1000
+        return self.beam_origin_m[:, 2]
+
+    @property
+    def beam_origin_m(self) -> Array:
+        """(count, 3) by laser id: where the beam starts, as forward, left and up of the beam's own azimuth."""
+        across = self._table("across_offset_mm")
+        forward = -across * np.sin(self.elevation_rad)
+        up = self._table("vertical_offset_mm") + across * np.cos(self.elevation_rad)
+        return np.stack([forward, self._table("lateral_offset_mm"), up], axis=-1) / 1000
+
+    @property
+    def distance_offset_m(self) -> Array:
+        """(count,) by laser id: added to what the packet says."""
+        return self._table("distance_offset_mm") / 1000
+
+    @property
+    def near_offset_m(self) -> Array | None:
+        """(count, 2) by laser id: the same near by, to the side and ahead; None: as far off."""
+        if not self.beams.near_x_offset_mm:
+            return None
+        return np.stack([self._table("near_x_offset_mm"), self._table("near_y_offset_mm")], axis=-1) / 1000
+
+    def _table(self, key: str) -> Array:
+        return np.array(getattr(self.beams, key) or (0.0,) * self.count, np.float64)
 
     @property
     def ring(self) -> NDArray[np.uint16]:

@@ -1,6 +1,7 @@
 """When and where each laser fires: a sensor fires on its own clock while its head turns."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -11,7 +12,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, directions
 from lidarcfg.sensor import BLOCKS, Firing, Packet, Sensor
 
-MINUTE_NS = 60 * 10**9
+SECOND_NS = 10**9
+MINUTE_NS = 60 * SECOND_NS
 
 Times = NDArray[np.int64]
 
@@ -32,38 +34,95 @@ def firing_facts(sensor: Sensor) -> tuple[Firing, Packet]:
     return sensor.firing, sensor.packet
 
 
-def packet_offsets_ns(sensor: Sensor) -> Times:
-    """(S, L): when each laser fires, after the packet's first firing."""
+def head_offset_ns(sensor: Sensor) -> int:
+    """The sequence's first firing, after the packet's stamp: where the head points then is the block's azimuth."""
+    return min(firing_facts(sensor)[0].offset_ns)
+
+
+def packet_offsets_ns(sensor: Sensor, dual: bool = False) -> Times:
+    """(S, L): when each laser fires, after the packet's stamp. With dual returns S is smaller."""
     firing, packet = firing_facts(sensor)
-    sequences = BLOCKS * packet.sequences_per_block // len(packet.block_flags)
+    sequences = BLOCKS // (len(packet.block_flags) * (1 + dual)) * packet.sequences_per_block
     return np.arange(sequences)[:, None] * firing.sequence_ns + np.array(firing.offset_ns, np.int64)
 
 
-def packet_period_ns(sensor: Sensor) -> int:
-    """From one packet's first firing to the next one's."""
+def packet_period_ns(sensor: Sensor, dual: bool = False) -> int:
+    """From one packet's stamp to the next one's."""
     firing, _ = firing_facts(sensor)
-    return len(packet_offsets_ns(sensor)) * firing.sequence_ns
+    return len(packet_offsets_ns(sensor, dual)) * firing.sequence_ns
 
 
-def firings(sensor: Sensor, rpm: float, start_ns: int, packets: range) -> Firings:
+def firings(
+    sensor: Sensor, rpm: float, start_ns: int, packets: range, dual: bool = False, phase_deg: float | None = None
+) -> Firings:
     """The firings of the packets with these numbers; packet 0 starts at `start_ns` with azimuth 0.
 
-    The turns up to each packet are counted in whole numbers, so an hour adds no drift.
+    With a phase lock the head points to `phase_deg` at each whole second instead, for which `rpm` must be whole
+    turns a second. The turns up to each packet are counted in whole numbers, so an hour adds no drift.
     """
-    offsets = packet_offsets_ns(sensor)
-    period_ns = packet_period_ns(sensor)
+    offsets = packet_offsets_ns(sensor, dual)
+    period_ns = packet_period_ns(sensor, dual)
     turn_ns = MINUTE_NS / Fraction(rpm)
     whole, part = turn_ns.numerator, turn_ns.denominator
-    turned = np.array([n * period_ns * part % whole / whole for n in packets], np.float64)
-    turns = turned[:, None, None] + offsets * (rpm / MINUTE_NS)
+    into_ns, ahead = (0, 0.0) if phase_deg is None else (start_ns % SECOND_NS, phase_deg / 360)
+    turned = np.array([(into_ns + n * period_ns) * part % whole / whole for n in packets], np.float64)
+    turns = turned[:, None, None] + offsets * (rpm / MINUTE_NS) + ahead
     first_ns = start_ns + np.array(packets, np.int64) * period_ns
     return Firings(first_ns[:, None, None] + offsets, turns % 1.0 * (2 * math.pi))
+
+
+def firing_chunks(
+    sensor: Sensor,
+    rpm: float,
+    start_ns: int,
+    packets: int,
+    chunk: int,
+    dual: bool = False,
+    phase_deg: float | None = None,
+    sector_deg: tuple[float, float] | None = None,
+) -> Iterator[Firings]:
+    """The firings of so many packets' time, `chunk` packets at once. Without a sector each chunk is full.
+
+    With one, only the blocks whose azimuth is within `sector_deg` (from, to; clockwise) are fired, and packets are
+    filled with them across the gap, as a VLP-32C's are in a recording; what does not fill a packet is not sent.
+    """
+    first_laser = int(np.argmin(firing_facts(sensor)[0].offset_ns))
+    together = firing_facts(sensor)[1].sequences_per_block  # sequences that share a block's azimuth
+    left = Firings(np.empty((0, together, sensor.count), np.int64), np.empty((0, together, sensor.count)))
+    for first in range(0, packets, chunk):
+        fired = firings(sensor, rpm, start_ns, range(first, min(first + chunk, packets)), dual, phase_deg)
+        if sector_deg is None:
+            yield fired
+            continue
+        low, high = sector_deg
+        shape, size = left.time_ns.shape[1:], fired.time_ns.shape[1] // together  # of a block; blocks in a packet
+        time_ns, azimuth_rad = fired.time_ns.reshape(-1, *shape), fired.azimuth_rad.reshape(-1, *shape)
+        inside = (np.degrees(azimuth_rad[:, 0, first_laser]) - low) % 360 <= (high - low) % 360
+        time_ns = np.concatenate([left.time_ns, time_ns[inside]])
+        azimuth_rad = np.concatenate([left.azimuth_rad, azimuth_rad[inside]])
+        full = len(time_ns) // size * size
+        left = Firings(time_ns[full:], azimuth_rad[full:])
+        whole = (-1, size * together, sensor.count)
+        yield Firings(time_ns[:full].reshape(whole), azimuth_rad[:full].reshape(whole))
+
+
+def packet_stamps_ns(sensor: Sensor, firings: Firings) -> tuple[Times, Times]:
+    """(P,) when each packet is stamped and when it is complete, a sequence after its last one began."""
+    firing, _ = firing_facts(sensor)
+    first = firings.time_ns[:, :, 0] - firing.offset_ns[0]
+    return first[:, 0], first[:, -1] + firing.sequence_ns
 
 
 def rays(sensor: Sensor, firings: Firings) -> tuple[Array, Array]:
     """Origins and unit directions (P, S, L, 3) of the firings' rays in the sensor frame."""
     azimuth = firings.azimuth_rad + sensor.azimuth_offset_rad
     ray_directions = directions(azimuth, sensor.elevation_rad)
-    origins = np.zeros((sensor.count, 3))
-    origins[:, 2] = sensor.vertical_offset_m
-    return np.broadcast_to(origins, ray_directions.shape), ray_directions
+    forward, left, up = sensor.beam_origin_m.T
+    origins = np.empty_like(ray_directions)
+    origins[..., 2] = up
+    if forward.any() or left.any():
+        origins[..., 0] = forward * np.cos(azimuth) + left * np.sin(azimuth)
+        origins[..., 1] = left * np.cos(azimuth) - forward * np.sin(azimuth)
+    else:
+        origins[..., :2] = 0
+    return origins, ray_directions

@@ -5,17 +5,27 @@ sensor's YAML.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.firing import Firings, Times, firing_facts, packet_offsets_ns, packet_period_ns
+from lidarcfg.capture.firing import (
+    Firings,
+    Times,
+    firing_facts,
+    head_offset_ns,
+    packet_offsets_ns,
+    packet_period_ns,
+    packet_stamps_ns,
+)
 from lidarcfg.capture.scene import GeoOrigin
+from lidarcfg.capture.status import status_bytes
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.sensor import BLOCKS, SLOTS, Sensor
+from lidarcfg.sensor import BLOCKS, SLOTS, Packet, Range, Sensor
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
@@ -32,9 +42,9 @@ POSITION = np.dtype(
 TURN = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000
 DISTANCE_MAX = 65535  # units; 0 is no return
+RETURNS = ("strongest", "last")  # the last axis of dual returns
 HOUR_NS = 3600 * 10**9
 HOUR_US = 3600 * 10**6
-STAMP_SLACK_US = 2  # successive packets are this near to the period
 PPS_LOCKED = 2
 WGS84_A_M, WGS84_E2 = 6378137.0, 6.69437999014e-3  # semi-major axis, eccentricity squared
 
@@ -51,7 +61,7 @@ class Returns:
     time_ns: Times  # (N,) device time
     laser: NDArray[np.uint8]  # (N,)
     intensity: NDArray[np.uint8]  # (N,)
-    return_type: NDArray[np.uint8]  # (N,) 0 strongest, 1 last
+    return_type: NDArray[np.uint8]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest
 
 
 def encode(
@@ -59,102 +69,181 @@ def encode(
 ) -> Packets:
     """Packets (P,) of firings and what they met: range (P, S, L) in metres (inf: nothing), reflectivity.
 
-    What the sensor does not measure, or the packet cannot say, is no return. Raises ConfigError.
+    With dual returns both are (P, S, L, 2): strongest (or second strongest, if the last is the strongest) and
+    last, equal where there is one return only. What the sensor does not measure, or the packet cannot say, is no
+    return. Raises ConfigError.
     """
     firing, facts = firing_facts(sensor)
-    distance = wire_distance(sensor, range_m)
-    groups, first_laser = len(facts.block_flags), int(np.argmin(firing.offset_ns))
-    head = firings.azimuth_rad[:, :: facts.sequences_per_block, first_laser]
-    azimuth = np.rint(head / RADIANS).astype(np.int64) % TURN
+    dual = return_mode == "dual"
+    _check_encodable(sensor, dual)
+    distance = wire_distance(sensor, np.moveaxis(range_m, -1, -2) if dual else range_m)
+    distance = np.moveaxis(distance, -1, -2) if dual else distance
 
+    order, span = slots(facts, dual), _span(facts, dual)
+    first_laser = int(np.argmin(firing.offset_ns))
+    head = firings.azimuth_rad[:, :: facts.sequences_per_block, first_laser]
     packets = np.zeros(len(range_m), PACKET)
-    blocks = packets["blocks"]
-    blocks["flag"] = np.resize(facts.block_flags, BLOCKS)
-    blocks["azimuth"] = np.repeat(azimuth, groups, axis=1)
-    blocks["returns"]["distance"] = distance.reshape(blocks["returns"].shape)
-    blocks["returns"]["intensity"] = np.where(distance > 0, reflectivity, 0).reshape(blocks["returns"].shape)
-    packets["stamp_us"] = stamp_us(firings.time_ns[:, 0, first_laser])
-    packets["return_mode"] = getattr(facts.return_modes, return_mode)
-    packets["product_id"] = facts.product_id
+    blocks = packets["blocks"][:, : len(order)]
+    blocks["flag"] = np.tile(_flags(facts, dual), len(order) // span)
+    blocks["azimuth"] = np.repeat(np.rint(head / RADIANS).astype(np.int64) % TURN, span, axis=1)
+    blocks["returns"]["distance"] = distance.reshape(len(packets), -1)[:, order]
+    intensity = np.where(distance > 0, reflectivity, 0).reshape(len(packets), -1)
+    blocks["returns"]["intensity"] = intensity[:, order]
+    stamps_ns, _ = packet_stamps_ns(sensor, firings)
+    packets["stamp_us"] = stamp_us(stamps_ns)
+    if facts.return_modes:
+        packets["return_mode"] = getattr(facts.return_modes, return_mode)
+        packets["product_id"] = facts.product_id
+    elif facts.status:
+        types, values = status_bytes(sensor, facts.status, return_mode, stamps_ns, packet_period_ns(sensor, dual))
+        packets["return_mode"], packets["product_id"] = types, values
     return packets
 
 
 def wire_distance(sensor: Sensor, range_m: Array) -> Array:
-    """What the packet says of ranges (P, S, L) or (P, S, L, 2) in metres: whole units, 0 for no return.
-
-    Raises ConfigError.
-    """
-    if sensor.range is None:
-        raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no range facts")
-    seen = (range_m >= sensor.range.min_m) & (range_m <= sensor.range.max_m)
-    distance = np.rint(np.where(seen, range_m, 0) / sensor.range.resolution_m)
-    distance[distance > DISTANCE_MAX] = 0
+    """What the packet says of ranges (…, L) in metres: whole units, 0 for what it cannot say or is not measured."""
+    facts = range_facts(sensor)
+    seen = (range_m >= facts.min_m) & (range_m <= facts.max_m)
+    distance = np.rint((np.where(seen, range_m, 0) - sensor.distance_offset_m) / facts.resolution_m)
+    distance[~seen | (distance < 0) | (distance > DISTANCE_MAX)] = 0
     return distance
 
 
-def decode(sensor: Sensor, packets: Packets, host_time_ns: Times, count: int | None = None) -> Returns:
-    """The returns of the first `count` packets (all, if not given) of one sensor's successive packets (P,).
+def _check_encodable(sensor: Sensor, dual: bool) -> None:
+    _, facts = firing_facts(sensor)
+    if dual and facts.dual is None:
+        raise ConfigError(f"sensor {sensor.name!r} has no dual returns")
+    if sensor.near_offset_m is not None:
+        raise ConfigError(f"sensor {sensor.name!r} measures unevenly near by, which only decoding knows")
 
-    The others only say how far the head turns in the last block. Raises PacketError, ConfigError.
+
+def _span(facts: Packet, dual: bool) -> int:
+    """How many blocks hold one block's time of all lasers."""
+    return len(facts.block_flags) * (1 + dual)
+
+
+def _flags(facts: Packet, dual: bool) -> tuple[int, ...]:
+    """The flags of those blocks."""
+    if dual and facts.dual and facts.dual.by == "block":
+        return tuple(flag for flag in facts.block_flags for _ in range(2))
+    return facts.block_flags * (1 + dual)
+
+
+def slots(facts: Packet, dual: bool) -> NDArray[np.int64]:
+    """(blocks, 32): which number of a packet's (S, L) firings, or (S, L, 2) returns, stands in each slot.
+
+    Blocks at the end that are not used are left out.
     """
-    firing, facts = firing_facts(sensor)
-    if sensor.range is None:
-        raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no range facts")
-    modes, flags = packets["return_mode"], packets["blocks"]["flag"]
-    single = facts.return_modes.strongest, facts.return_modes.last
-    _check(modes, np.isin(modes, single), f"{sensor.name}: return mode", single)
-    wanted = np.resize(facts.block_flags, BLOCKS)
-    _check(flags, flags == wanted, f"not a packet of {sensor.name}: block flag", facts.block_flags)
-
-    offsets = packet_offsets_ns(sensor)
-    group_ns = facts.sequences_per_block * firing.sequence_ns
-    into_group = (offsets % group_ns / group_ns).ravel()  # share of the step to the next block
-    group = (offsets // group_ns).ravel()
-    laser = np.broadcast_to(np.arange(sensor.count, dtype=np.uint8), offsets.shape).ravel()
-
-    start, step = _turning(sensor, packets)
-    returns = packets["blocks"]["returns"][:count].reshape(-1, BLOCKS * SLOTS)
-    packet, slot = np.nonzero(returns["distance"])
-    beam = laser[slot]
-    range_m = returns["distance"][packet, slot] * sensor.range.resolution_m
-    azimuth = start[packet, group[slot]] + step[packet, group[slot]] * into_group[slot]
-    azimuth_rad = azimuth * RADIANS % (2 * math.pi) + sensor.azimuth_offset_rad[beam]
-    flat = range_m * np.cos(sensor.elevation_rad)[beam]
-    xyz = np.empty((len(range_m), 3))
-    xyz[:, 0] = flat * np.cos(azimuth_rad)
-    xyz[:, 1] = -flat * np.sin(azimuth_rad)
-    xyz[:, 2] = range_m * np.sin(sensor.elevation_rad)[beam] + sensor.vertical_offset_m[beam]
-    return Returns(
-        xyz_m=xyz,
-        range_m=range_m,
-        azimuth_rad=azimuth_rad,
-        time_ns=device_time_ns(packets["stamp_us"], host_time_ns)[packet] + offsets.ravel()[slot],
-        laser=beam,
-        intensity=returns["intensity"][packet, slot],
-        return_type=(modes == facts.return_modes.last).astype(np.uint8)[packet],
-    )
+    times, groups = BLOCKS // _span(facts, dual), len(facts.block_flags)
+    numbers = np.arange(times * groups * SLOTS * (1 + dual)).reshape(times, groups, SLOTS, 1 + dual)
+    if dual and facts.dual:
+        numbers = numbers[..., [RETURNS.index(name) for name in facts.dual.order]]
+        numbers = np.moveaxis(numbers, -1, 2 if facts.dual.by == "block" else 1)
+    return numbers.reshape(-1, SLOTS)
 
 
-def _turning(sensor: Sensor, packets: Packets) -> tuple[Array, Array]:
-    """Azimuth at the start of each block group and the turn to the next (P, groups), in hundredths.
+def is_dual(facts: Packet, packets: Packets) -> NDArray[np.bool_]:
+    """(P,) whether each packet holds dual returns: it says so or, where it cannot, repeats its azimuths."""
+    if facts.return_modes:
+        return np.asarray(packets["return_mode"] == facts.return_modes.dual)
+    azimuth, groups = packets["blocks"]["azimuth"], len(facts.block_flags)
+    if facts.dual is None or 2 * groups >= BLOCKS:
+        return np.zeros(len(packets), np.bool_)
+    return np.asarray((azimuth[:, 0] == azimuth[:, groups]) & (azimuth[:, 0] != azimuth[:, 2 * groups]))
 
-    The last group looks into the next packet if that follows at once, else turns as the one before it.
+
+def decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice = slice(None)) -> Returns:
+    """The returns of this `part` (all, if not given) of one sensor's successive packets (P,).
+
+    The others only say how the head turns before and after. Raises PacketError, ConfigError.
     """
     _, facts = firing_facts(sensor)
-    azimuth = packets["blocks"]["azimuth"][:, :: len(facts.block_flags)].astype(np.float64)
-    step = np.empty_like(azimuth)
-    step[:, :-1] = np.diff(azimuth, axis=1)
-    step[:, -1] = step[:, -2]
+    if facts.return_modes:
+        allowed = facts.return_modes.strongest, facts.return_modes.last, facts.return_modes.dual
+        modes = packets["return_mode"]
+        _check(modes, np.isin(modes, allowed if facts.dual else allowed[:2]), f"{sensor.name}: return mode", allowed)
+    dual = is_dual(facts, packets)
+    edges = [0, *(np.flatnonzero(np.diff(dual)) + 1).tolist(), len(packets)]
+    first, last, _ = part.indices(len(packets))
+    runs = []
+    for start, stop in pairwise(edges):
+        within = slice(max(first - start, 0), max(min(last, stop) - start, 0))
+        runs.append(_decode(sensor, packets[start:stop], host_time_ns[start:stop], within, bool(dual[start:].any())))
+    return Returns(**{f.name: np.concatenate([getattr(r, f.name) for r in runs]) for f in fields(Returns)})
+
+
+def _decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice, dual: bool) -> Returns:
+    """The same of packets that are all dual, or all not."""
+    from lidarcfg.capture import kernels  # loads numba, which encoding does without
+
+    firing, facts = firing_facts(sensor)
+    order, span = slots(facts, dual), _span(facts, dual)
+    used = packets["blocks"][:, : len(order)]
+    wanted = np.tile(_flags(facts, dual), len(order) // span)
+    _check(used["flag"], used["flag"] == wanted, f"not a packet of {sensor.name}: block flag", facts.block_flags)
+
+    offsets = packet_offsets_ns(sensor, dual)
+    group_ns = facts.sequences_per_block * firing.sequence_ns
+    fired, kind = order.ravel() // (1 + dual), order.ravel() % (1 + dual)
+    other = np.full(order.size, -1)
+    if dual:
+        pairs = np.argsort(order.ravel()).reshape(-1, 2)
+        other[pairs] = pairs[:, ::-1]
+    offset_ns, group = offsets.ravel()[fired], np.repeat(np.arange(len(order) // span), span * SLOTS)
+    azimuth = np.ascontiguousarray(used["azimuth"][:, ::span], np.int64)
     stamp = packets["stamp_us"].astype(np.int64)
-    gap_us = (stamp[1:] - stamp[:-1]) % HOUR_US
-    follows = np.flatnonzero(abs(gap_us - packet_period_ns(sensor) / 1000) <= STAMP_SLACK_US)
-    step[follows, -1] = azimuth[follows + 1, 0] - azimuth[follows, -1]
-    return azimuth, (step + TURN / 2) % TURN - TURN / 2
+    turn, late_ns = kernels.turning(azimuth, stamp, packet_period_ns(sensor, dual), group_ns)
+
+    returns = used["returns"][part].reshape(-1, order.size)
+    distance = np.ascontiguousarray(returns["distance"])
+    last = facts.return_modes is not None and packets["return_mode"][part] == facts.return_modes.last
+    near = sensor.near_offset_m
+    size = np.count_nonzero(distance)
+    out = Returns(
+        xyz_m=np.empty((size, 3)),
+        range_m=np.empty(size),
+        azimuth_rad=np.empty(size),
+        time_ns=np.empty(size, np.int64),
+        laser=np.empty(size, np.uint8),
+        intensity=np.empty(size, np.uint8),
+        return_type=np.empty(size, np.uint8),
+    )
+    columns = [getattr(out, field.name) for field in fields(out)]
+    count = kernels.points(
+        distance,
+        np.ascontiguousarray(returns["intensity"]),
+        azimuth[part],
+        turn[part],
+        late_ns[part],
+        device_time_ns(packets["stamp_us"][part], host_time_ns[part]),
+        np.broadcast_to(last, len(distance)).astype(np.uint8),
+        np.broadcast_to(np.arange(sensor.count), offsets.shape).ravel()[fired],
+        group,
+        (offset_ns - head_offset_ns(sensor)) / group_ns - group,  # share of the turn to the next block
+        offset_ns,
+        kind.astype(np.uint8),
+        other,
+        sensor.elevation_rad,
+        sensor.azimuth_offset_rad,
+        sensor.beam_origin_m,
+        sensor.distance_offset_m,
+        np.empty((0, 2)) if near is None else near,
+        range_facts(sensor).resolution_m,
+        *columns,
+    )
+    return Returns(*(column[:count] for column in columns))
 
 
 def _check(got: NDArray[np.integer], right: NDArray[np.bool_], what: str, allowed: tuple[int, ...]) -> None:
     if not right.all():
         raise PacketError(f"{what} 0x{got[~right][0]:02X}; allowed: {', '.join(f'0x{n:02X}' for n in allowed)}")
+
+
+def range_facts(sensor: Sensor) -> Range:
+    """The sensor's range limits and resolution. Raises ConfigError if it is for placement only."""
+    if sensor.range is None:
+        raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no range facts")
+    return sensor.range
 
 
 def stamp_us(time_ns: Times) -> Times:

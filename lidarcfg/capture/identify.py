@@ -1,0 +1,77 @@
+"""Which sensor model sends these packets: by product id, block flags and the time between packets."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.capture.firing import firing_facts, packet_period_ns
+from lidarcfg.capture.velodyne import HOUR_US, Packets, is_dual
+from lidarcfg.errors import PacketError
+from lidarcfg.sensor import Sensor, catalogue, load_sensor
+
+PERIOD_SLACK = 0.1  # of the period, in the time between packets
+
+
+def identify(where: str, packets: Packets) -> Sensor:
+    """The catalogue's sensor that sends these successive packets (P,). Raises PacketError, which begins with `where`.
+
+    Where several share a product id, the time between packets decides, and then the one that is not old firmware.
+    """
+    product_id = packets["product_id"][0]
+    sensors = [sensor for sensor in map(load_sensor, catalogue()) if sensor.packet]
+    named = [s for s in sensors if product_id in firing_facts(s)[1].product_ids]
+    bare = [s for s in sensors if not firing_facts(s)[1].product_ids and _has_flags(s, packets)]
+    candidates = bare or named
+    if not candidates:
+        known = ", ".join(f"0x{s.packet.product_id:02X} {s.name}" for s in sensors if s.packet and s.packet.product_ids)
+        raise PacketError(f"{where} sends the unknown product id 0x{product_id:02X}; known: {known}; or give --model")
+    gap_us = _gap_us(packets)
+    fits = [s for s in candidates if _fits(s, packets, gap_us)]
+    if not fits:
+        raise PacketError(f"{where} sends a packet every {gap_us:g} us; {_periods(candidates, packets)}; give --model")
+    if gap_us:
+        fits.sort(key=lambda s: abs(gap_us - _period_us(s, packets)))  # stable: else in the order of names
+    elif any(s.firing != fits[0].firing for s in fits):
+        raise PacketError(f"{where} may be {' or '.join(s.name for s in fits)}; give --model")
+    return fits[0]
+
+
+def alike(sensor: Sensor) -> tuple[str, ...]:
+    """The names of the sensor and of those in the catalogue whose packets are the same, as a Puck LITE's are."""
+    others = (other for other in map(load_sensor, catalogue()) if other.packet and other.name != sensor.name)
+    same = (o for o in others if (o.beams, o.firing) == (sensor.beams, sensor.firing))
+    return (sensor.name, *(other.name for other in same))
+
+
+def check_period(where: str, sensor: Sensor, packets: Packets) -> None:
+    """Raises PacketError unless these successive packets (P,) come as this sensor's do."""
+    gap_us = _gap_us(packets)
+    if not _fits(sensor, packets, gap_us):
+        raise PacketError(f"{where} sends a packet every {gap_us:g} us; {_periods([sensor], packets)}")
+
+
+def _has_flags(sensor: Sensor, packets: Packets) -> bool:
+    _, facts = firing_facts(sensor)
+    return set(packets["blocks"]["flag"][0, : 2 * len(facts.block_flags)].tolist()) == set(facts.block_flags)
+
+
+def _gap_us(packets: Packets) -> float:
+    """The usual time between packets; 0 if that is not known."""
+    stamp_us: NDArray[np.int64] = packets["stamp_us"].astype(np.int64)
+    gaps = np.diff(stamp_us) % HOUR_US
+    gaps = gaps[(gaps > 0) & (gaps < HOUR_US // 2)]
+    return float(np.median(gaps)) if len(gaps) else 0.0
+
+
+def _period_us(sensor: Sensor, packets: Packets) -> float:
+    dual = is_dual(firing_facts(sensor)[1], packets)
+    return packet_period_ns(sensor, bool(dual.mean() > 0.5)) / 1000
+
+
+def _fits(sensor: Sensor, packets: Packets, gap_us: float) -> bool:
+    """Whether the gap is the sensor's period or, with packets lost, a few of them."""
+    periods = gap_us / _period_us(sensor, packets)
+    return not gap_us or (round(periods) >= 1 and abs(periods - round(periods)) <= PERIOD_SLACK)
+
+
+def _periods(sensors: list[Sensor], packets: Packets) -> str:
+    return ", ".join(f"{s.name} would every {_period_us(s, packets):g}" for s in sensors)

@@ -1,0 +1,199 @@
+"""One sensor's stream of data packets: put in order, decoded, counted."""
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lidarcfg.capture.firing import Times, firing_facts, packet_period_ns
+from lidarcfg.capture.identify import alike, check_period, identify
+from lidarcfg.capture.pcap import Datagram
+from lidarcfg.capture.velodyne import HOUR_US, PACKET, TURN, Packets, decode, device_time_ns, is_dual
+from lidarcfg.cloud import PointCloud
+from lidarcfg.errors import PacketError
+from lidarcfg.geometry import Array, transform
+from lidarcfg.sensor import Beams, Sensor, Status, catalogue
+
+ENOUGH = 16  # packets, to tell a model by the time between them
+HELD = 8  # packets at the end of a chunk that wait for those that they overtook
+PERIOD_SLACK = 0.1  # of the period, in the time between packets
+TURN_MAX = 300  # hundredths of a degree between a packet's blocks, where no sector is left out
+SAME_AZIMUTH = 100  # hundredths of a degree: gaps that near begin at the same edge of a sector
+
+
+@dataclass(frozen=True)
+class SourceStats:
+    """What one source sent."""
+
+    name: str
+    models: tuple[str, ...]  # that its packets may be of
+    return_modes: tuple[str, ...]
+    packets: int
+    lost: int  # by the gaps between stamps; the gap of a sector that is not sent does not count
+    duplicates: int
+    reordered: int
+    rpm: float  # mean; NaN where no two packets follow each other
+
+
+class Source:
+    """A sensor's stream: decodes what has come, but keeps packets until their successors are known.
+
+    `where` is file and endpoint, for errors. Without a sensor the packets must say what they are; if `trusted`,
+    they must say the sensor's product id. `carried` looks for the beams, and the mode of single returns, that
+    status bytes carry: they stand in for those of the catalogue's example unit.
+    """
+
+    def __init__(
+        self,
+        where: str,
+        name: str,
+        index: int,
+        sensor: Sensor | None,
+        T_cloud_sensor: Array | None,
+        trusted: bool,
+        carried: Callable[[Status], tuple[Beams, str] | None],
+        on_note: Callable[[str], None],
+    ) -> None:
+        self._where, self._name, self._index = where, name, index
+        self._given, self._T_cloud_sensor = sensor, T_cloud_sensor
+        self._trusted, self._carried, self._on_note = trusted, carried, on_note
+        self._sensor: Sensor | None = None  # not known until enough packets have come
+        self._last_only = False  # what status bytes say of single returns
+        self._payloads: list[bytes] = []
+        self._times_ns: list[int] = []
+        self._decoded = 0  # of the packets kept: 1 for the one before those that are to come
+        self._count: Counter[str] = Counter()
+        self._modes: set[str] = set()
+        self._turned, self._passed_us = 0, 0
+        self._gaps: list[tuple[int, int]] = []  # azimuth before the gap, packets missing
+        self._edges: list[int] = []  # azimuths where a packet goes on elsewhere
+
+    def add(self, datagram: Datagram) -> None:
+        """One more packet."""
+        self._payloads.append(datagram.payload)
+        self._times_ns.append(datagram.time_ns)
+
+    def take(self, names: tuple[str, ...], last: bool) -> PointCloud | None:
+        """What can be decoded now; with `last`, everything. Raises PacketError, ConfigError."""
+        if self._sensor is None and len(self._payloads) < ENOUGH and not last:
+            return None
+        sensor = self._sensor = self._sensor or self._recognised()
+        packets, times_ns = self._in_order(sensor)
+        self._check_ids(sensor, packets)
+        stop = len(packets) if last else max(len(packets) - HELD, self._decoded)
+        part = slice(self._decoded, stop)
+        try:
+            returns = decode(sensor, packets, times_ns, part)
+        except PacketError as error:
+            raise PacketError(f"{self._where}: {error}") from None
+        self._observe(sensor, packets, part)
+        keep = max(stop - 1, 0)
+        self._payloads = [packet.tobytes() for packet in packets[keep:]]
+        self._times_ns = times_ns[keep:].tolist()
+        self._decoded = min(stop, 1)
+        xyz = returns.xyz_m
+        return PointCloud(
+            xyz=xyz if self._T_cloud_sensor is None else transform(self._T_cloud_sensor, xyz),
+            intensity=returns.intensity,
+            ring=sensor.ring.astype(np.uint8)[returns.laser],  # packets have no more beams
+            time_ns=returns.time_ns,
+            sensor=np.full(len(xyz), self._index, np.uint16),
+            sensor_names=names,
+            return_type=np.ones_like(returns.return_type) if self._last_only else returns.return_type,
+        )
+
+    def _recognised(self) -> Sensor:
+        """The sensor that is given or sends these packets, with the beams that they carry."""
+        packets = np.frombuffer(b"".join(self._payloads), PACKET)
+        if self._given:
+            self._check_ids(self._given, packets)
+            check_period(self._where, self._given, packets)
+        sensor = self._given or identify(self._where, packets)
+        _, facts = firing_facts(sensor)
+        if facts.status is None or sensor.name not in catalogue():
+            return sensor
+        found = self._carried(facts.status)
+        if found is None:
+            self._on_note(f"{self._where}: no whole calibration in its packets; {sensor.name}'s example unit is taken")
+            return sensor
+        beams, mode = found
+        self._last_only = mode == "last"
+        return sensor.model_copy(update={"beams": beams})
+
+    def _check_ids(self, sensor: Sensor, packets: Packets) -> None:
+        """Raises PacketError if a packet says that it is of another model."""
+        _, facts = firing_facts(sensor)
+        wrong = ~np.isin(packets["product_id"], facts.product_ids)
+        if self._trusted and facts.product_ids and wrong.any():
+            raise PacketError(
+                f"{self._where} sends product id 0x{packets['product_id'][wrong][0]:02X}, not "
+                f"{sensor.name}'s 0x{facts.product_id:02X}; --model says what it is all the same"
+            )
+
+    def _in_order(self, sensor: Sensor) -> tuple[Packets, Times]:
+        """The packets kept, in the order of their stamps and without doubles.
+
+        A clock that is set back starts anew: only what is out of place by a few packets is put right.
+        """
+        packets, times_ns = np.frombuffer(b"".join(self._payloads), PACKET), np.array(self._times_ns, np.int64)
+        device_ns = device_time_ns(packets["stamp_us"], times_ns)
+        gap_ns = np.diff(device_ns, prepend=device_ns[:1])
+        if (gap_ns[1:] > 0).all():
+            return packets, times_ns
+        anew = gap_ns < -HELD * packet_period_ns(sensor)
+        self._count["reordered"] += int(((gap_ns < 0) & ~anew).sum())
+        order = np.lexsort((device_ns, np.cumsum(anew)))
+        if self._decoded:  # stays before all that is to come
+            order = np.concatenate([[0], order[order != 0]])
+        packets, times_ns = packets[order], times_ns[order]
+        raw = packets.view(np.uint8).reshape(len(packets), -1)
+        double = np.append(False, (raw[1:] == raw[:-1]).all(axis=1))
+        self._count["duplicates"] += int(double.sum())
+        return packets[~double], times_ns[~double]
+
+    def _observe(self, sensor: Sensor, packets: Packets, part: slice) -> None:
+        """Count what is decoded, together with what went before it."""
+        _, facts = firing_facts(sensor)
+        decoded = packets[part]
+        self._count["packets"] += len(decoded)
+        if facts.return_modes:
+            codes = {code: name for name, code in facts.return_modes.model_dump().items()}
+            self._modes |= {codes[code] for code in np.unique(decoded["return_mode"]).tolist()}
+        else:
+            single = "last" if self._last_only else "strongest"
+            self._modes |= {"dual" if dual else single for dual in np.unique(is_dual(facts, decoded)).tolist()}
+        packets = packets[max(part.start - 1, 0) : part.stop]
+        azimuth, stamp_us = packets["blocks"]["azimuth"].astype(np.int64), packets["stamp_us"].astype(np.int64)
+        gap_us = np.diff(stamp_us) % HOUR_US
+        single_us, dual_us = (packet_period_ns(sensor, dual) / 1000 for dual in (False, True))
+        period_us = np.where(is_dual(facts, packets[:-1]), dual_us, single_us)
+        follows = abs(gap_us - period_us) <= PERIOD_SLACK * period_us
+        self._turned += int((np.diff(azimuth[:, 0]) % TURN)[follows].sum())
+        self._passed_us += int(gap_us[follows].sum())
+        for i in np.flatnonzero((gap_us > 1.5 * period_us) & (gap_us < HOUR_US // 2)):
+            steps = np.diff(azimuth[i]) % TURN
+            edges = np.flatnonzero(steps > TURN_MAX)
+            if len(edges):
+                self._edges.append(int(azimuth[i, edges[0]]))
+            else:
+                self._gaps.append((int(azimuth[i, -1]), round(gap_us[i] / period_us[i]) - 1))
+
+    def stats(self) -> SourceStats:
+        """What has been decoded."""
+        assert self._sensor is not None
+        lost = 0
+        for azimuth, packets in self._gaps:
+            away = [abs((azimuth - edge + TURN // 2) % TURN - TURN // 2) for edge in self._edges]
+            lost += packets if min(away, default=TURN) > SAME_AZIMUTH else 0
+        return SourceStats(
+            name=self._name,
+            models=alike(self._sensor),
+            return_modes=tuple(sorted(self._modes)),
+            packets=self._count["packets"],
+            lost=lost,
+            duplicates=self._count["duplicates"],
+            reordered=self._count["reordered"],
+            rpm=self._turned / TURN / (self._passed_us / 6e7) if self._passed_us else math.nan,
+        )

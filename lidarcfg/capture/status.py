@@ -1,0 +1,123 @@
+"""Status bytes: what some models send instead of return mode and product id, one type and value a packet.
+
+After each cycle's letters (clock and state) come seven bytes of the calibration: a mark, two thresholds, a record of
+28 bytes for each laser, and the unit's settings; as velodyne_decoder reads them, after the HDL-64E manual.
+"""
+
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.sensor import Beams, Sensor, Status
+
+MARK = b"UNIT#"
+HEAD, ROW, ROWS, RECORD = 7, 7, 4, 28  # bytes; rows of a record, of which the calibration takes three
+LASERS = 64
+LENGTH = HEAD + LASERS * RECORD + 3 * ROW
+MODE_AT, WARNING_AT = LENGTH - 5, LENGTH - 4
+MODES = {"strongest": 0, "last": 1, "dual": 2}
+LASER = np.dtype(
+    [
+        *[
+            ("id", "u1"),
+            ("elevation", "<i2"),
+            ("rotation", "<i2"),
+            ("far", "<i2"),
+            ("near_x", "<i2"),
+            ("near_y", "<i2"),
+        ],
+        *[("across", "<i2"), ("lateral", "<i2"), ("focal_distance", "<i2"), ("focal_slope", "<i2")],
+        *[("intensity_min", "u1"), ("intensity_max", "u1")],
+    ]
+)  # hundredths of a degree, millimetres
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16 with polynomial 0x8005, from 0, most significant bit first."""
+    value = 0
+    for byte in data:
+        value ^= byte << 8
+        for _ in range(8):
+            value = (value << 1 ^ (0x8005 if value & 0x8000 else 0)) & 0xFFFF
+    return value
+
+
+def calibration(sensor: Sensor, status: Status, return_mode: str) -> bytes:
+    """The calibration of a sensor's beams, as its status bytes carry it. Times and thresholds are left at zero."""
+    table = np.zeros(LASERS, LASER)
+    beams = sensor.beams
+    table["id"] = np.arange(LASERS)
+    table["elevation"] = np.rint(np.array(beams.elevation_deg) * 100)
+    table["rotation"] = -np.rint(np.degrees(sensor.azimuth_offset_rad) * 100)
+    for key in ("far", "near_x", "near_y"):
+        table[key] = np.rint(sensor.distance_offset_m * 1000)
+    for key in ("across", "lateral"):
+        table[key] = np.rint(np.array(getattr(beams, f"{key}_offset_mm") or (0.0,) * LASERS))
+    table["intensity_max"] = 255
+    out = bytearray(LENGTH)
+    out[: len(MARK)] = MARK
+    for i, row in enumerate(table):
+        out[HEAD + i * RECORD : HEAD + i * RECORD + LASER.itemsize] = row.tobytes()
+    out[-RECORD : -RECORD + 6] = bytes([0, 1, 1, 0, 0, 0])  # calibrated at: 2000-01-01
+    out[MODE_AT] = MODES[return_mode]
+    records = [bytes(out[HEAD + i * RECORD : HEAD + (i + 1) * RECORD]) for i in range(LASERS)]
+    checksum = crc16(b"".join(record[1:21] for record in records)) if status.checksum == "crc16" else LENGTH
+    out[-2:] = checksum.to_bytes(2, "little")
+    return bytes(out)
+
+
+def status_bytes(
+    sensor: Sensor, status: Status, return_mode: str, stamp_ns: NDArray[np.int64], period_ns: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Types (P,) and values (P,) of the packets with these stamps: the same whatever packets they come with."""
+    carried = calibration(sensor, status, return_mode)
+    cycle = len(status.letters) + ROW
+    types, values = np.zeros(len(stamp_ns), np.uint8), np.zeros(len(stamp_ns), np.uint8)
+    for i, time_ns in enumerate(stamp_ns.tolist()):
+        turns, place = divmod(time_ns // period_ns, cycle)
+        if place < len(status.letters):
+            letter = status.letters[place]
+            now = datetime.fromtimestamp(time_ns // 10**9, UTC)
+            clock = {"H": now.hour, "M": now.minute, "S": now.second, "D": now.day, "N": now.month, "Y": now.year % 100}
+            types[i], values[i] = ord(letter), clock.get(letter, 0)
+        else:
+            at = (turns * ROW + place - len(status.letters)) % LENGTH
+            warning = status.warnings and at == WARNING_AT
+            types[i] = ord(status.warnings) if warning else ord("1") + at % ROW
+            values[i] = carried[at]
+    return types, values
+
+
+def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8]) -> tuple[Beams, str] | None:
+    """Beams and return mode that the status bytes of successive packets (P,) carry; None if not whole and sound."""
+    letters = np.isin(types, np.frombuffer(status.letters.encode(), np.uint8))
+    stream = values[~letters].tobytes()
+    at = stream.find(MARK)
+    while at >= 0 and at + LENGTH <= len(stream):
+        found = stream[at : at + LENGTH]
+        records = [found[HEAD + i * RECORD :][:RECORD] for i in range(LASERS)]
+        checksum = crc16(b"".join(record[1:21] for record in records)) if status.checksum == "crc16" else LENGTH
+        table = np.frombuffer(b"".join(record[: LASER.itemsize] for record in records), LASER)
+        if int.from_bytes(found[-2:], "little") == checksum and (table["id"] == np.arange(LASERS)).all():
+            modes = {code: name for name, code in MODES.items()}
+            return _beams(table), modes.get(found[MODE_AT], "strongest")
+        at = stream.find(MARK, at + 1)
+    return None
+
+
+def _beams(table: NDArray[np.void]) -> Beams:
+    def column(key: str, scale: float = 1) -> tuple[float, ...]:
+        return tuple((table[key] * scale).round(9).tolist())
+
+    near = (table["near_x"] != table["far"]).any() or (table["near_y"] != table["far"]).any()
+    return Beams(
+        source="the capture's status bytes",
+        elevation_deg=column("elevation", 0.01),
+        azimuth_offset_deg=column("rotation", -0.01),
+        across_offset_mm=column("across"),
+        lateral_offset_mm=column("lateral"),
+        distance_offset_mm=column("far"),
+        near_x_offset_mm=column("near_x") if near else (),
+        near_y_offset_mm=column("near_y") if near else (),
+    )
