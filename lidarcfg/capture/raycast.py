@@ -1,54 +1,164 @@
-"""How far each ray gets: Open3D's RaycastingScene, in a local frame that float32 is fine enough for."""
+"""How far each ray gets: the ground in closed form, all else by Open3D's RaycastingScene in a local frame.
+
+What stands still is built once. What moves is built once in a frame of its own, and rays are cast in that frame.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.scene import Scene
+from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared, rotated
 from lidarcfg.geometry import Array
 
-# The ground reaches this far from the local origin. As two triangles: measured at 2 m height, ranges to
-# 100 m are 0.0014 mm off (median; at most 0.02 mm), and smaller tiles are slower and no better.
-GROUND_HALF_SIZE_M = 1000.0
+LOCAL_M = 1000.0  # at so much from a local origin a float32 steps by 0.06 mm
+PARTS_MAX = 4  # local origins kept at a time, as a rig may stand across their borders
 NOTHING = -1
+
+Mask = NDArray[np.bool_]
+
+
+class Hits(NamedTuple):
+    """What N rays meet first."""
+
+    range_m: Array  # (N,) inf: nothing
+    reflectivity: NDArray[np.uint8]  # (N,) 0: nothing
+    object: NDArray[np.int32]  # (N,) -1: nothing
+    normal: NDArray[np.float32]  # (N, 3) of the surface, towards either side; 0: nothing
+
+
+@dataclass(frozen=True)
+class Mover:
+    """An object that moves: a ball around its place holds it whichever way it turns."""
+
+    object: int
+    path: Path3
+    place_m: Array  # (3,) at time 0
+    radius_m: float
+    part: Any  # Open3D's scene, relative to the place
 
 
 class Raycaster:
-    """A scene to cast rays in, near `origin_m` (3,) of the world.
+    """A scene to cast rays in, near `origin_m` (3,) of the world; what moves has its time 0 at `zero_ns`.
 
-    Coordinates relative to that origin are taken in float64 and only then rounded to float32.
+    Coordinates relative to a local origin, the nearest of a grid of `LOCAL_M` about that point, are taken in float64
+    and only then rounded to float32.
     """
 
-    def __init__(self, scene: Scene, origin_m: Array) -> None:
-        import open3d as o3d
-
+    def __init__(self, scene: Scene, origin_m: Array, zero_ns: int = 0) -> None:
+        self.scene = scene
+        self.movers = tuple(_mover(scene, index) for index, motion in enumerate(scene.motion) if motion)
+        self.zero_ns = zero_ns
+        moving = np.isin(scene.triangle_object, [mover.object for mover in self.movers])
+        self.still_triangles = scene.triangles[~moving]  # (T, 3) indices of the scene's vertices
+        self._still_object = scene.triangle_object[~moving]
         self._origin_m = np.array(origin_m, np.float64)
-        vertices = scene.vertices_m - self._origin_m
-        triangles, self._triangle_object = scene.triangles, scene.triangle_object
-        if scene.file.ground:
-            square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_HALF_SIZE_M
-            square[:, 2] = scene.file.ground.z_m - self._origin_m[2]
-            triangles = np.concatenate([triangles, len(vertices) + np.array([[0, 1, 2], [0, 2, 3]])])
-            vertices = np.concatenate([vertices, square])
-            self._triangle_object = np.concatenate([self._triangle_object, np.zeros(2, np.int32)])
-        self._reflectivity = scene.reflectivity
-        self._scene = o3d.t.geometry.RaycastingScene()
-        tensor = o3d.core.Tensor.from_numpy
-        self._scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
+        self._parts: dict[bytes, Any] = {}
 
-    def cast(self, origins_m: Array, directions: Array) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
-        """Rays (N, 3) from points of the world along unit vectors: what each meets first.
+    def _local(self, place_m: Array) -> tuple[Array, Any]:
+        """The local origin for rays from a place (3,), and what stands still, relative to it."""
+        cell = np.rint((place_m - self._origin_m) / LOCAL_M)
+        origin_m = self._origin_m + cell * LOCAL_M
+        key = cell.tobytes()
+        if key not in self._parts:
+            if len(self._parts) == PARTS_MAX:
+                del self._parts[next(iter(self._parts))]
+            self._parts[key] = _part(self.scene.vertices_m - origin_m, self.still_triangles)
+        return origin_m, self._parts[key]
 
-        Returns range (N,) in metres (inf: nothing), reflectivity (N,), object (N,) (-1: nothing).
+    def cast(
+        self,
+        origins_m: Array,
+        directions: Array,
+        time_ns: NDArray[np.int64] | None = None,
+        may_meet: Mask | None = None,
+    ) -> Hits:
+        """Rays (N, 3) from points of the world along unit vectors at times (N,): what each meets first.
+
+        Without times everything stands where it does at time 0. `may_meet` (1 + movers, N) says which rays can
+        meet what stands still, and each mover; the others are not cast. Raises ConfigError outside timed poses.
         """
-        import open3d as o3d
+        count = len(directions)
+        hits = Hits(
+            range_m=np.full(count, np.inf),
+            reflectivity=np.zeros(count, np.uint8),
+            object=np.full(count, NOTHING, np.int32),
+            normal=np.zeros((count, 3), np.float32),
+        )
+        rows = None if may_meet is None else [np.flatnonzero(row) for row in may_meet]
+        first = slice(None) if rows is None else rows[0]
+        if count and len(self.still_triangles):
+            local_m, part = self._local(origins_m[0])
+            _nearer(hits, first, part, self._still_object, origins_m[first] - local_m, directions[first])
+        if self.scene.file.ground:
+            self._ground(hits, first, origins_m, directions, self.scene.file.ground.z_m)
+        for i, mover in enumerate(self.movers, 1):
+            which = np.arange(count) if rows is None else rows[i]
+            if len(which):
+                seconds = np.zeros(len(which)) if time_ns is None else (time_ns[which] - self.zero_ns) / SECOND_NS
+                R, t = mover.path.at(seconds)
+                inverse = R.transpose(0, 2, 1)
+                local = rotated(inverse, origins_m[which] - mover.place_m - t)
+                index = np.array([mover.object], np.int32)
+                _nearer(hits, which, mover.part, index, local, rotated(inverse, directions[which]), R)
+        np.copyto(hits.reflectivity, self.scene.reflectivity[hits.object], where=hits.object != NOTHING)
+        return hits
 
-        rays = np.empty((len(directions), 6), np.float32)
-        rays[:, :3] = origins_m - self._origin_m
-        rays[:, 3:] = directions
-        hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-        range_m = hits["t_hit"].numpy().astype(np.float64)
-        hit = np.isfinite(range_m)
-        objects = np.full(len(rays), NOTHING, np.int32)
-        objects[hit] = self._triangle_object[hits["primitive_ids"].numpy()[hit]]
-        reflectivity = np.where(hit, self._reflectivity[objects], 0).astype(np.uint8)
-        return range_m, reflectivity, objects
+    def _ground(
+        self, hits: Hits, which: slice | NDArray[np.intp], origins_m: Array, directions: Array, z_m: float
+    ) -> None:
+        """The plane, without end and from both sides, in float64."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            range_m = (z_m - origins_m[which, 2]) / directions[which, 2]
+        closer = (range_m > 0) & (range_m < hits.range_m[which])
+        index = np.flatnonzero(closer) if isinstance(which, slice) else which[closer]
+        hits.range_m[index], hits.object[index], hits.normal[index] = range_m[closer], 0, (0, 0, 1)
+
+
+def _mover(scene: Scene, index: int) -> Mover:
+    motion, place_m = scene.motion[index], scene.place_m[index]
+    assert motion is not None
+    triangles = scene.triangles[scene.triangle_object == index]
+    used, local = np.unique(triangles, return_inverse=True)
+    vertices = scene.vertices_m[used] - place_m
+    radius_m = float(np.linalg.norm(vertices, axis=1).max())
+    return Mover(index, prepared(motion), place_m, radius_m, _part(vertices, local.reshape(-1, 3)))
+
+
+def _part(vertices_m: Array, triangles: NDArray[np.int64]) -> Any:
+    import open3d as o3d
+
+    part = o3d.t.geometry.RaycastingScene()
+    if len(triangles):
+        tensor = o3d.core.Tensor.from_numpy
+        part.add_triangles(tensor(vertices_m.astype(np.float32)), tensor(triangles.astype(np.uint32)))
+    return part
+
+
+def _nearer(
+    hits: Hits,
+    which: slice | NDArray[np.intp],
+    part: Any,
+    objects: NDArray[np.int32],
+    origins_m: Array,
+    directions: Array,
+    R: Array | None = None,
+) -> None:
+    """Cast rays in a part's own frame and keep in `hits` what is nearer; R brings its normals into the world.
+
+    `objects` is one a triangle, or one for all.
+    """
+    import open3d as o3d
+
+    rays = np.empty((len(directions), 6), np.float32)
+    rays[:, :3], rays[:, 3:] = origins_m, directions
+    found = part.cast_rays(o3d.core.Tensor.from_numpy(rays))
+    range_m = found["t_hit"].numpy()
+    closer = np.flatnonzero(range_m < hits.range_m[which])
+    index = closer if isinstance(which, slice) else which[closer]
+    hits.range_m[index] = range_m[closer]
+    hits.object[index] = objects[found["primitive_ids"].numpy()[closer]] if len(objects) > 1 else objects[0]
+    normal = found["primitive_normals"].numpy()[closer]
+    hits.normal[index] = normal if R is None else rotated(R if len(R) == 1 else R[closer], normal.astype(np.float64))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from lidarcfg.capture.trajectory import Motion
 from lidarcfg.config import Model, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
@@ -24,6 +25,7 @@ from lidarcfg.sensor import Byte
 FACET_ERROR_M = 0.001  # half a range step of the finest sensor
 COORDINATE_MAX_M = 1e8  # metres; UTM reaches 1e7
 GROUND = "ground"
+PLACES = ("center_m", "base_m", "position_m")  # what places an object, whatever its kind
 
 Metres = Annotated[float, Field(ge=-COORDINATE_MAX_M, le=COORDINATE_MAX_M)]
 Size = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
@@ -43,6 +45,7 @@ class Thing(Model):
 
     name: Annotated[str, Field(min_length=1)]
     reflectivity: Byte
+    motion: Motion | None = None  # from its place at time 0, in the world's axes; it turns about its place
 
 
 class Box(Thing):
@@ -85,6 +88,13 @@ class MeshFile(Thing):
     scale: Positive = 1.0
 
 
+class Weather(Model):
+    """What hangs in the air everywhere; `returns.py` says what it does to a beam."""
+
+    fog_visibility_m: Annotated[float, Field(ge=1)] | None = None  # meteorological
+    rain_mm_h: Positive | None = None
+
+
 class GeoOrigin(Model):
     """Where on Earth the world's origin is; x points east and y north."""
 
@@ -103,6 +113,7 @@ class SceneFile(Model):
     planes: tuple[Plane, ...] = ()
     meshes: tuple[MeshFile, ...] = ()
     geo_origin: GeoOrigin = GeoOrigin()
+    weather: Weather = Weather()
 
     @model_validator(mode="after")
     def _check(self) -> "SceneFile":
@@ -124,38 +135,47 @@ class Scene:
     reflectivity: NDArray[np.uint8]  # (objects,)
     vertices_m: Array  # (V, 3) in the world frame
     triangles: NDArray[np.int64]  # (T, 3) indices of vertices
-    triangle_object: NDArray[np.int32]  # (T,) index of the object
+    triangle_object: NDArray[np.int32]  # (T,) index of the object, ascending
+    motion: tuple[Motion | None, ...]  # (objects,) None: it does not move
+    place_m: Array  # (objects, 3) what a moving object turns about, at time 0
 
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
     path = Path(path)
     file = load(path, SceneFile)
-    things: list[tuple[str, int, Mesh]] = []
+    things: list[tuple[Ground | Thing, Mesh]] = []
     if file.ground:
-        things.append((GROUND, file.ground.reflectivity, (np.empty((0, 3)), np.empty((0, 3), np.int64))))
-    things += [(box.name, box.reflectivity, box_mesh(box)) for box in file.boxes]
-    things += [(sphere.name, sphere.reflectivity, sphere_mesh(sphere)) for sphere in file.spheres]
-    things += [(cylinder.name, cylinder.reflectivity, cylinder_mesh(cylinder)) for cylinder in file.cylinders]
-    things += [(plane.name, plane.reflectivity, plane_mesh(plane)) for plane in file.planes]
+        things.append((file.ground, (np.empty((0, 3)), np.empty((0, 3), np.int64))))
+    things += [(box, box_mesh(box)) for box in file.boxes]
+    things += [(sphere, sphere_mesh(sphere)) for sphere in file.spheres]
+    things += [(cylinder, cylinder_mesh(cylinder)) for cylinder in file.cylinders]
+    things += [(plane, plane_mesh(plane)) for plane in file.planes]
     for i, item in enumerate(file.meshes):
         try:
-            things.append((item.name, item.reflectivity, placed(read_mesh(path.parent / item.file), item)))
+            things.append((item, placed(read_mesh(path.parent / item.file), item)))
         except SceneError as error:
             raise error_at(path, ("meshes", i, "file"), error) from None
     if not things:
         raise SceneError(f"{path}: the scene is empty; give a ground or an object")
 
-    meshes = [mesh for _, _, mesh in things]
+    meshes = [mesh for _, mesh in things]
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     return Scene(
         file=file,
-        names=tuple(name for name, _, _ in things),
-        reflectivity=np.array([reflectivity for _, reflectivity, _ in things], np.uint8),
+        names=tuple(getattr(thing, "name", GROUND) for thing, _ in things),
+        reflectivity=np.array([thing.reflectivity for thing, _ in things], np.uint8),
         vertices_m=np.concatenate([vertices for vertices, _ in meshes]),
         triangles=np.concatenate([mesh[1] + start for mesh, start in zip(meshes, first, strict=False)]),
         triangle_object=np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh[1]) for mesh in meshes]),
+        motion=tuple(getattr(thing, "motion", None) for thing, _ in things),
+        place_m=np.array([_place_m(thing) for thing, _ in things]),
     )
+
+
+def _place_m(thing: Ground | Thing) -> Position:
+    """Where its file puts an object; the ground moves nowhere."""
+    return next((getattr(thing, key) for key in PLACES if hasattr(thing, key)), (0.0, 0.0, 0.0))
 
 
 def box_mesh(box: Box) -> Mesh:

@@ -1,0 +1,77 @@
+"""What is true of a capture's returns, written beside it: object, exact range and noise, one record a return."""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from shutil import copyfileobj
+from types import TracebackType
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.capture.firing import Times
+from lidarcfg.capture.returns import Echoes
+from lidarcfg.config import replacing
+from lidarcfg.geometry import Array
+
+RECORD = np.dtype(
+    [
+        ("sensor", "<u2"),  # index into sensor_names
+        ("time_ns", "<i8"),  # of the firing, exact
+        ("laser", "u1"),
+        ("return_type", "u1"),  # 0 strongest, 1 last; an identical pair is one return, 0
+        ("object", "<i4"),  # index into object_names; -1: rain or fog
+        ("range_m", "<f8"),  # exact, along the beam
+        ("noise_m", "<f8"),  # added to it before it was rounded
+    ]
+)
+
+
+def records(sensor_index: int, return_mode: str, time_ns: Times, found: Echoes, distance: Array) -> NDArray[np.void]:
+    """The records of firings (P, S, L) whose echoes are (N, R) and on the wire distances (N, R), 0 for none."""
+    sent = distance > 0
+    if sent.shape[1] == 2:
+        sent[:, 1] &= (distance[:, 0] != distance[:, 1]) | (found.reflectivity[:, 0] != found.reflectivity[:, 1])
+    firing, slot = np.nonzero(sent)
+    out = np.empty(len(firing), RECORD)
+    out["sensor"] = sensor_index
+    out["time_ns"] = time_ns.ravel()[firing]
+    out["laser"] = firing % time_ns.shape[2]
+    out["return_type"] = slot if sent.shape[1] == 2 else int(return_mode == "last")
+    for key in ("object", "range_m", "noise_m"):
+        out[key] = getattr(found, key)[firing, slot]
+    return out
+
+
+class TruthFile:
+    """Records of all sensors as they come, sensor by sensor in the .npz once `save` is called; memory stays flat."""
+
+    def __init__(self, path: Path, sensor_names: Sequence[str], object_names: Sequence[str]) -> None:
+        self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}
+        self._bodies: list[IO[bytes]] = [tempfile.TemporaryFile(dir=path.parent) for _ in sensor_names]  # noqa: SIM115
+
+    def __enter__(self) -> "TruthFile":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        for body in self._bodies:
+            body.close()
+
+    def add(self, found: NDArray[np.void]) -> None:
+        """Records of one sensor, later than those before."""
+        if len(found):
+            self._bodies[found["sensor"][0]].write(found.tobytes())
+
+    def save(self) -> int:
+        """Write the file, whole or not at all, and return how many records."""
+        with tempfile.TemporaryFile(dir=self._path.parent) as whole, replacing(self._path, "wb") as file:
+            for body in self._bodies:
+                body.seek(0)
+                copyfileobj(body, whole, 1 << 20)
+            whole.flush()
+            count = whole.tell() // RECORD.itemsize
+            rows = np.memmap(whole, RECORD, "r", shape=(count,)) if count else np.empty(0, RECORD)
+            names = {key: np.array(value, np.str_) for key, value in self._names.items()}
+            np.savez(file, **names, **{key: rows[key] for key in RECORD.names or ()})  # type: ignore[arg-type]
+        return count
