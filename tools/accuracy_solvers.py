@@ -15,7 +15,7 @@ from lidarcfg.report import COLOURS, new_figure, save_figure
 
 STUDIES = {"2 × 8 beams": "liu2018-2x8", "4 × 16 beams": "liu2018-4x16", "sedan": "sedan"}
 METHODS = ("auto", "cmaes", "de", "abc")
-MARKS_S = (1.0, 3.0, 8.0)
+MARKS_S = (0.5, 2.0, 6.0)
 
 
 def search(job: tuple[str, str, int, float]) -> tuple[Array, Array]:
