@@ -92,12 +92,12 @@ def test_auto_walks_from_the_best_of_its_points():
 
 def test_autos_runs_take_turns_and_grow():
     solver, sizes = Auto(2, 1), []
-    while len(sizes) < 9:
+    while len(sizes) < 12:
         before, runs = solver.ask(), solver._runs
         solver.tell(bowl(before.x))
-        if len(before.x) == 200 or (solver._runs > runs and solver._runs % 3 == 2):
+        if len(before.x) == 200 or (solver._runs > runs and solver._runs % 4 == 3):
             sizes.append(len(solver.ask().x))
-    assert sizes == [30, 60, 36] * 2 + [60, 120, 36]
+    assert sizes == [30, 60, 120, 36] * 2 + [60, 120, 240, 36]
 
 
 def test_success_history_shrinks_to_four_points_that_lie_deep():

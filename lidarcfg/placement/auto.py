@@ -1,7 +1,7 @@
 """The default search: what won over several studies (docs/benchmarks.md), one after the other until time is up.
 
 CMA-ES from the best of some random points is quickest to a good rig, and with a larger population finds a better
-one where many LiDARs move. But it goes downhill from where it stands. Every third run is differential evolution
+one where many LiDARs move. But it goes downhill from where it stands. Every fourth run is differential evolution
 (L-SHADE), which looks around longer; on two LiDARs of 8 beams it alone found the best rigs known.
 """
 
@@ -13,12 +13,13 @@ from lidarcfg.placement.search import Trials, checked
 from lidarcfg.placement.success_history import SuccessHistory
 
 POINTS, STEP = 200, 0.15  # random points before CMA-ES, and its first standard deviation, in the unit cube
-POPULATION = 30  # of the first CMA-ES; the second has twice as many
+POPULATION = 30  # of the first CMA-ES; the next two have twice as many each
+RUNS = 4  # to a round
 EVALUATIONS = 4000  # of a differential evolution, a dimension
 
 
 class Auto:
-    """A search by runs, three to a round; from the third round on, every second round is twice as large."""
+    """A search by runs, four to a round; from the third round on, every second round is twice as large."""
 
     def __init__(self, dimensions: int, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
@@ -46,18 +47,18 @@ class Auto:
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = x[best].copy(), float(cost[best])
         self.cycles += 1
-        round_, run = divmod(self._runs, 3)
+        round_, run = divmod(self._runs, RUNS)
         if self._walk is None:
             self.mean_cost = float(np.mean(cost))
-            population = POPULATION * (run + 1) * 2 ** (round_ // 2)
+            population = POPULATION * 2 ** (run + round_ // 2)
             self._walk = CmaEs(self._dimensions, int(self._rng.integers(2**63)), x[best], STEP, population)
             return
         self._walk.tell(cost)
         self.mean_cost = self._walk.mean_cost
         if self._walk.over:
             self._runs += 1
-            round_, run = divmod(self._runs, 3)
+            round_, run = divmod(self._runs, RUNS)
             self._walk, self._points = None, self._rng.random((POINTS, self._dimensions))
-            if run == 2:
+            if run == RUNS - 1:
                 evaluations = EVALUATIONS * self._dimensions * 2 ** (round_ // 2)
                 self._walk = SuccessHistory(self._dimensions, self._rng, evaluations)
