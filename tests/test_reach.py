@@ -8,7 +8,7 @@ from lidarcfg.capture.firing import firings, rays
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.reach import Reach, balls
-from lidarcfg.capture.trajectory import Arc, Motion, Trajectory, prepared, rotated
+from lidarcfg.capture.trajectory import Arc, Motion, Trajectory, prepared
 from lidarcfg.geometry import pose, transform
 from lidarcfg.rig import Rig
 from tests.capture_fixtures import mount, scene, tilted_rig
@@ -46,9 +46,8 @@ def test_what_is_left_out_meets_nothing(tmp_path, seed):
         fired = firings(sensor.sensor, 1200, START_NS, range(first, first + 100))
         time_ns = fired.time_ns.ravel()
         origins, axes = (values.reshape(-1, 3) for values in rays(sensor.sensor, fired))
-        R, t = way.at(time_ns)
-        starts = rotated(R, transform(sensor.T_vehicle_sensor, origins)) + t
-        along = rotated(R, axes @ sensor.T_vehicle_sensor[:3, :3].T)
+        starts = way.world(transform(sensor.T_vehicle_sensor, origins), time_ns)
+        along = way.world(transform(sensor.T_vehicle_sensor, origins + axes), time_ns) - starts
         masks = reach.masks(fired.time_ns, fired.azimuth_rad).reshape(-1, len(time_ns))
         assert len(masks) == 1 + len(caster.movers)
         for row, mask in enumerate(masks):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import velodyne_decoder as vd
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.export import START_NS, export, in_time_order
@@ -145,7 +146,7 @@ def test_objects_that_move(tmp_path):
     assert set(reflectivity) == {9}
     assert {stage.names[i] for i in objects} == {"s"}
     turned = (np.radians(30 * seconds) + np.pi / 4) % (np.pi / 2) - np.pi / 4
-    range_m, _, _, normal = caster.cast(origins, np.tile([1.0, 0, 0], (31, 1)), time_ns)
+    range_m, _, _, normal = caster.cast(origins, np.tile([1.0, 0, 0], (31, 1)), time_ns, normals=True)
     np.testing.assert_allclose(range_m, 10 - 1 / np.cos(turned), atol=1e-5)
     np.testing.assert_allclose(abs(normal[:, 0]), np.cos(turned), atol=1e-6)
 
@@ -168,3 +169,18 @@ def test_a_way_that_ends_too_soon(tmp_path):
         export(Rig("one", (mount(),)), scene(tmp_path, moving), STAND, SECOND_NS)
     with pytest.raises(ConfigError, match="the vehicle may get 2e"):
         export(Rig("one", (mount(),)), stage, drive(Motion(velocity_m_s=(1e5, 0, 0))), 20_000 * SECOND_NS)
+
+
+def test_position_packets_move(tmp_path):
+    """Ten metres a second to the north-east: 19.438 knots, course 45, and the place of each moment, by another decoder."""
+    stage = scene(tmp_path, "ground: {reflectivity: 9}\ngeo_origin: {latitude_deg: 0, longitude_deg: 0}")
+    way = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))))
+    sent = [d for d in export(Rig("one", (mount(),)), stage, way, SECOND_NS)[0] if d.port == 8308]
+    assert len(sent) == 147
+    for number, datagram in enumerate(sent):
+        words = vd.TelemetryPacket(datagram.payload).nmea_sentence.split(",")
+        assert (words[7], words[8]) == ("19.438", "45.0")
+        north_m = 10 * number / 147 * np.sqrt(0.5)
+        minutes = north_m / 110574.3 * 60  # metres in a degree of latitude at the equator
+        assert words[3][:2] == "00"
+        assert float(words[3][2:]) == pytest.approx(minutes, abs=2e-7)

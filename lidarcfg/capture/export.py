@@ -25,6 +25,7 @@ from lidarcfg.rig import Mount, Rig
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export repeats
 CHUNK_NS = 100_000_000
 SECOND_NS = 10**9
+POSITIONS = 1024  # position packets at a time
 SLOWEST_M_S = 0.1  # a vehicle that is slower has its heading for a course
 
 OnTruth = Callable[[NDArray[np.void]], None]
@@ -169,21 +170,26 @@ def position_stream(
     if mount.sensor.position_packet is None:
         return
     period_ns = SECOND_NS / Fraction(mount.sensor.position_packet.rate_hz)
-    for number in range(math.ceil(duration_ns / period_ns)):
-        time_ns = start_ns + int(number * period_ns)
-        T_world_vehicle, velocity_m_s = trajectory.pose(time_ns), trajectory.velocity_m_s(time_ns)
-        east, north = map(float, T_world_vehicle[:2, 3])
-        speed_m_s = math.hypot(*velocity_m_s[:2])
-        ahead = velocity_m_s if speed_m_s >= SLOWEST_M_S else T_world_vehicle[:3, 0]
-        course_rad = math.atan2(ahead[1], ahead[0])
-        yield Datagram(
-            time_ns=_microseconds(time_ns),
-            host=mount.host,
-            source_port=mount.telemetry_port,
-            port=mount.telemetry_port,
-            payload=position_packet(time_ns, scene.file.geo_origin, (east, north), course_rad),
-            counted=True,
-        )
+    total = math.ceil(duration_ns / period_ns)
+    for first in range(0, total, POSITIONS):
+        numbers = range(first, min(first + POSITIONS, total))
+        times_ns = start_ns + np.array([int(number * period_ns) for number in numbers], np.int64)
+        place_m = trajectory.world(np.zeros((len(numbers), 3)), times_ns)
+        ahead_m = trajectory.world(np.tile([1.0, 0.0, 0.0], (len(numbers), 1)), times_ns) - place_m
+        velocity_m_s = trajectory.velocity_m_s(times_ns)
+        speed_m_s = np.hypot(*velocity_m_s[:, :2].T)
+        ahead = np.where(speed_m_s[:, None] >= SLOWEST_M_S, velocity_m_s, ahead_m)
+        course_rad = np.arctan2(ahead[:, 1], ahead[:, 0])
+        columns = (values.tolist() for values in (times_ns, place_m, course_rad, speed_m_s))
+        for time_ns, (east, north, _), course, speed in zip(*columns, strict=True):
+            yield Datagram(
+                time_ns=_microseconds(time_ns),
+                host=mount.host,
+                source_port=mount.telemetry_port,
+                port=mount.telemetry_port,
+                payload=position_packet(time_ns, scene.file.geo_origin, (east, north), course, speed),
+                counted=True,
+            )
 
 
 def _microseconds(time_ns: int) -> int:

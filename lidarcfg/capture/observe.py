@@ -73,11 +73,12 @@ class Observer:
     ) -> tuple[Hits, Callable[[], Array]]:
         """Sub-rays (n, K, 3) of the sensor frame: hits (n × K), and the cosines of incidence when asked for."""
         width, T_vehicle_sensor = directions.shape[1], self._mount.T_vehicle_sensor
-        R, t = self._stage.trajectory.at(time_ns)
-        starts = rotated(R, transform(T_vehicle_sensor, origins)) + t
+        trajectory = self._stage.trajectory
+        R, t = trajectory.motion(time_ns)
+        starts = transform(trajectory.T_world_start, rotated(R, transform(T_vehicle_sensor, origins)) + t)
         if width > 1:
             starts, time_ns = np.repeat(starts, width, axis=0), np.repeat(time_ns, width)
             R = R if len(R) == 1 else np.repeat(R, width, axis=0)
-        along = rotated(R, directions.reshape(-1, 3) @ T_vehicle_sensor[:3, :3].T)
-        hits = self._stage.caster.cast(starts, along, time_ns, may_meet)
+        along = rotated(R, directions.reshape(-1, 3) @ T_vehicle_sensor[:3, :3].T) @ trajectory.T_world_start[:3, :3].T
+        hits = self._stage.caster.cast(starts, along, time_ns, may_meet, normals=not self._exact)
         return hits, lambda: abs(np.einsum("ij,ij->i", hits.normal, along))

@@ -26,7 +26,7 @@ class Hits(NamedTuple):
     range_m: Array  # (N,) inf: nothing
     reflectivity: NDArray[np.uint8]  # (N,) 0: nothing
     object: NDArray[np.int32]  # (N,) -1: nothing
-    normal: NDArray[np.float32]  # (N, 3) of the surface, towards either side; 0: nothing
+    normal: NDArray[np.float32]  # (N, 3) of the surface, towards either side; 0: nothing; (0, 3): not asked for
 
 
 @dataclass(frozen=True)
@@ -74,18 +74,20 @@ class Raycaster:
         directions: Array,
         time_ns: NDArray[np.int64] | None = None,
         may_meet: Mask | None = None,
+        normals: bool = False,
     ) -> Hits:
         """Rays (N, 3) from points of the world along unit vectors at times (N,): what each meets first.
 
         Without times everything stands where it does at time 0. `may_meet` (1 + movers, N) says which rays can
-        meet what stands still, and each mover; the others are not cast. Raises ConfigError outside timed poses.
+        meet what stands still, and each mover; the others are not cast. Normals come only if asked for.
+        Raises ConfigError outside timed poses.
         """
         count = len(directions)
         hits = Hits(
             range_m=np.full(count, np.inf),
             reflectivity=np.zeros(count, np.uint8),
             object=np.full(count, NOTHING, np.int32),
-            normal=np.zeros((count, 3), np.float32),
+            normal=np.zeros((count if normals else 0, 3), np.float32),
         )
         rows = None if may_meet is None else [np.flatnonzero(row) for row in may_meet]
         first = slice(None) if rows is None else rows[0]
@@ -114,7 +116,9 @@ class Raycaster:
             range_m = (z_m - origins_m[which, 2]) / directions[which, 2]
         closer = (range_m > 0) & (range_m < hits.range_m[which])
         index = np.flatnonzero(closer) if isinstance(which, slice) else which[closer]
-        hits.range_m[index], hits.object[index], hits.normal[index] = range_m[closer], 0, (0, 0, 1)
+        hits.range_m[index], hits.object[index] = range_m[closer], 0
+        if len(hits.normal):
+            hits.normal[index] = 0, 0, 1
 
 
 def _mover(scene: Scene, index: int) -> Mover:
@@ -160,5 +164,7 @@ def _nearer(
     index = closer if isinstance(which, slice) else which[closer]
     hits.range_m[index] = range_m[closer]
     hits.object[index] = objects[found["primitive_ids"].numpy()[closer]] if len(objects) > 1 else objects[0]
+    if not len(hits.normal):
+        return
     normal = found["primitive_normals"].numpy()[closer]
     hits.normal[index] = normal if R is None else rotated(R if len(R) == 1 else R[closer], normal.astype(np.float64))

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import Model, Vec3, fault, load
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array, rotation
+from lidarcfg.geometry import Array, rotation, transform
 
 SECOND_NS = 10**9
 TUM = ".tum"  # text lines of time_s x y z qx qy qz qw, as the TUM RGB-D benchmark defined and evo reads them
@@ -75,7 +75,7 @@ STANDING = Motion(velocity_m_s=(0.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class Path3:
-    """A motion made ready: rotations (n, 3, 3) and positions (n, 3) at any n times; n = 1 rotations: it never turns."""
+    """A motion made ready: rotations and positions at any times."""
 
     motion: Motion
     times_s: Array  # (K,) of the timed poses; empty for the other kinds
@@ -83,7 +83,12 @@ class Path3:
     quaternions_xyzw: Array  # (K, 4)
 
     def at(self, seconds: Array) -> tuple[Array, Array]:
-        """R (n, 3, 3) or (1, 3, 3), and t (n, 3), at the times (n,). Raises ConfigError outside the timed poses."""
+        """R (n, 3, 3) and t (n, 3) at the times (n,), with 1 for n where it does not turn, or not move.
+
+        Raises ConfigError outside the timed poses.
+        """
+        if self.motion == STANDING:
+            return np.eye(3)[None], np.zeros((1, 3))
         if self.motion.velocity_m_s is not None:
             return np.eye(3)[None], seconds[:, None] * np.array(self.motion.velocity_m_s)
         if self.motion.arc is not None:
@@ -158,31 +163,34 @@ class Trajectory:
     path: Path3
     zero_ns: int  # the motion's time 0
 
-    def at(self, time_ns: NDArray[np.int64]) -> tuple[Array, Array]:
-        """R_world_vehicle (n, 3, 3) or (1, 3, 3), and its place (n, 3), at the times (n,). Raises ConfigError."""
-        R, t = self.path.at((time_ns - self.zero_ns) / SECOND_NS)
-        return self.T_world_start[:3, :3] @ R, t @ self.T_world_start[:3, :3].T + self.T_world_start[:3, 3]
+    def world(self, points: Array, time_ns: NDArray[np.int64]) -> Array:
+        """Points (n, 3) of the vehicle frame, each seen at its time (n,), in the world: the motion taken out.
+
+        Raises ConfigError outside the timed poses.
+        """
+        R, t = self.motion(time_ns)
+        return transform(self.T_world_start, rotated(R, points) + t)
+
+    def motion(self, time_ns: NDArray[np.int64]) -> tuple[Array, Array]:
+        """R (n or 1, 3, 3) and t (n or 1, 3) from the vehicle's frame into the one where it started."""
+        return self.path.at((time_ns - self.zero_ns) / SECOND_NS)
 
     def pose(self, time_ns: int) -> Array:
         """T_world_vehicle (4, 4) at one time."""
-        R, t = self.at(np.array([time_ns]))
+        R, t = self.motion(np.array([time_ns]))
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R[0], t[0]
-        return T
+        return np.asarray(self.T_world_start @ T)
 
-    def world(self, points: Array, time_ns: NDArray[np.int64]) -> Array:
-        """Points (n, 3) of the vehicle frame, each seen at its time (n,), in the world: the motion taken out."""
-        R, t = self.at(time_ns)
-        return rotated(R, points) + t
-
-    def velocity_m_s(self, time_ns: int) -> Array:
-        """(3,) in the world: over the millisecond around the time, or what of it the poses cover."""
-        ends = np.array([time_ns - STEP_NS // 2, time_ns + STEP_NS // 2])
+    def velocity_m_s(self, time_ns: NDArray[np.int64]) -> Array:
+        """(n, 3) in the world: over the millisecond around the times (n,), or what of it the poses cover."""
+        if self.path.motion == STANDING:
+            return np.zeros((len(time_ns), 3))
+        ends = np.stack([time_ns - STEP_NS // 2, time_ns + STEP_NS // 2])
         if len(self.path.times_s):
-            span_ns = self.zero_ns + np.round(self.path.times_s[[0, -1]] * SECOND_NS).astype(np.int64)
-            ends = np.clip(ends, *span_ns)
-        place = self.at(ends)[1]
-        return np.asarray((place[1] - place[0]) * (SECOND_NS / max(int(ends[1] - ends[0]), 1)))
+            ends = np.clip(ends, *(self.zero_ns + np.round(self.path.times_s[[0, -1]] * SECOND_NS).astype(np.int64)))
+        before, after = (self.motion(end)[1] @ self.T_world_start[:3, :3].T for end in ends)
+        return np.asarray((after - before) * (SECOND_NS / np.diff(ends, axis=0).T))
 
 
 def standing(T_world_vehicle: Array) -> Trajectory:

@@ -46,6 +46,7 @@ RETURNS = ("strongest", "last")  # the last axis of dual returns
 HOUR_NS = 3600 * 10**9
 HOUR_US = 3600 * 10**6
 PPS_LOCKED = 2
+KNOT_M_S = 1852 / 3600
 WGS84_A_M, WGS84_E2 = 6378137.0, 6.69437999014e-3  # semi-major axis, eccentricity squared
 
 Packets = NDArray[np.void]
@@ -257,26 +258,38 @@ def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:
     return past_hour + (host_time_ns - past_hour + HOUR_NS // 2) // HOUR_NS * HOUR_NS
 
 
-def position_packet(time_ns: int, geo_origin: GeoOrigin, east_north_m: tuple[float, float], yaw_rad: float) -> bytes:
-    """The position packet of a vehicle that stands at (x east, y north) of the world with this yaw."""
+def position_packet(
+    time_ns: int,
+    geo_origin: GeoOrigin,
+    east_north_m: tuple[float, float],
+    course_rad: float,
+    speed_m_s: float = 0.0,
+) -> bytes:
+    """The position packet of a vehicle at (x east, y north) of the world on this course (its yaw if it stands)."""
     packet = np.zeros((), POSITION)
     packet["stamp_us"] = stamp_us(np.array(time_ns, np.int64))
     packet["pps"] = PPS_LOCKED
-    packet["nmea"] = gprmc(time_ns, geo_origin, east_north_m, yaw_rad)
+    packet["nmea"] = gprmc(time_ns, geo_origin, east_north_m, course_rad, speed_m_s)
     return packet.tobytes()
 
 
-def gprmc(time_ns: int, geo_origin: GeoOrigin, east_north_m: tuple[float, float], yaw_rad: float) -> bytes:
-    """The NMEA sentence, with checksum and CR LF, of a vehicle that stands still.
+def gprmc(
+    time_ns: int,
+    geo_origin: GeoOrigin,
+    east_north_m: tuple[float, float],
+    course_rad: float,
+    speed_m_s: float = 0.0,
+) -> bytes:
+    """The NMEA sentence, with checksum and CR LF, of a vehicle at a place; speed is in knots, course from north.
 
     Where the plane of `geographic` leaves the Earth's latitudes there is no fix: status V and no position.
     """
     latitude_deg, longitude_deg = geographic(geo_origin, east_north_m)
     now = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=time_ns // 10**9)
     if abs(latitude_deg) <= 90:
-        course_deg = round(90 - math.degrees(yaw_rad), 1) % 360
+        course_deg = round(90 - math.degrees(course_rad), 1) % 360
         place = f"{_degrees(latitude_deg, 2, 'NS')},{_degrees(longitude_deg, 3, 'EW')}"
-        text = f"GPRMC,{now:%H%M%S}.00,A,{place},0.000,{course_deg:.1f},{now:%d%m%y},0.0,E,A"
+        text = f"GPRMC,{now:%H%M%S}.00,A,{place},{speed_m_s / KNOT_M_S:.3f},{course_deg:.1f},{now:%d%m%y},0.0,E,A"
     else:
         text = f"GPRMC,{now:%H%M%S}.00,V,,,,,,,{now:%d%m%y},,,N"
     body, checksum = text.encode(), 0
