@@ -44,7 +44,6 @@ class Beams(Model):
     elevation_deg: Elevations
     azimuth_offset_deg: tuple[float, ...] = ()  # added to the head's azimuth
     vertical_offset_mm: tuple[float, ...] = ()  # of the beam's start, up: added to z after r sin(elevation)
-    across_offset_mm: tuple[float, ...] = ()  # of the beam's start, upwards at a right angle to the beam
     lateral_offset_mm: tuple[float, ...] = ()  # of the beam's start, to the left
     distance_offset_mm: tuple[float, ...] = ()  # added to what the packet says
     near_x_offset_mm: tuple[float, ...] = ()  # instead of it, at 2.4 m to the side
@@ -134,6 +133,7 @@ class Packet(Model):
     sequences_per_block: Annotated[int, Field(ge=1, le=32)]
     return_modes: ReturnModes | None = None
     status: Status | None = None
+    sent_as: str = ""  # the model whose packets these are, byte for byte: captures are taken for its
     dual: Dual | None = None  # none: the sensor has no such mode
 
     @model_validator(mode="after")
@@ -212,15 +212,12 @@ class Sensor(Model):
     @property
     def vertical_offset_m(self) -> Array:
         """(count,) by laser id: the beam starts this far above the sensor's origin."""
-        return self.beam_origin_m[:, 2]
+        return self._table("vertical_offset_mm") / 1000
 
     @property
-    def beam_origin_m(self) -> Array:
-        """(count, 3) by laser id: where the beam starts, as forward, left and up of the beam's own azimuth."""
-        across = self._table("across_offset_mm")
-        forward = -across * np.sin(self.elevation_rad)
-        up = self._table("vertical_offset_mm") + across * np.cos(self.elevation_rad)
-        return np.stack([forward, self._table("lateral_offset_mm"), up], axis=-1) / 1000
+    def lateral_offset_m(self) -> Array:
+        """(count,) by laser id: and this far to the left of where it points."""
+        return self._table("lateral_offset_mm") / 1000
 
     @property
     def distance_offset_m(self) -> Array:

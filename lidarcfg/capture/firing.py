@@ -117,12 +117,10 @@ def rays(sensor: Sensor, firings: Firings) -> tuple[Array, Array]:
     """Origins and unit directions (P, S, L, 3) of the firings' rays in the sensor frame."""
     azimuth = firings.azimuth_rad + sensor.azimuth_offset_rad
     ray_directions = directions(azimuth, sensor.elevation_rad)
-    forward, left, up = sensor.beam_origin_m.T
-    origins = np.empty_like(ray_directions)
-    origins[..., 2] = up
-    if forward.any() or left.any():
-        origins[..., 0] = forward * np.cos(azimuth) + left * np.sin(azimuth)
-        origins[..., 1] = left * np.cos(azimuth) - forward * np.sin(azimuth)
-    else:
-        origins[..., :2] = 0
-    return origins, ray_directions
+    left = sensor.lateral_offset_m
+    if not left.any():  # the usual case needs no memory
+        origins = np.zeros((sensor.count, 3))
+        origins[:, 2] = sensor.vertical_offset_m
+        return np.broadcast_to(origins, ray_directions.shape), ray_directions
+    up = np.broadcast_to(sensor.vertical_offset_m, azimuth.shape)
+    return np.stack([left * np.sin(azimuth), left * np.cos(azimuth), up], axis=-1), ray_directions

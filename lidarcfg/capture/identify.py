@@ -17,7 +17,7 @@ def identify(where: str, packets: Packets) -> Sensor:
     Where several share a product id, the time between packets decides, and then the one that is not old firmware.
     """
     product_id = packets["product_id"][0]
-    sensors = [sensor for sensor in map(load_sensor, catalogue()) if sensor.packet]
+    sensors = [sensor for sensor in map(load_sensor, catalogue()) if sensor.packet and not sensor.packet.sent_as]
     named = [s for s in sensors if product_id in firing_facts(s)[1].product_ids]
     bare = [s for s in sensors if not firing_facts(s)[1].product_ids and _has_flags(s, packets)]
     candidates = bare or named
@@ -37,9 +37,8 @@ def identify(where: str, packets: Packets) -> Sensor:
 
 def alike(sensor: Sensor) -> tuple[str, ...]:
     """The names of the sensor and of those in the catalogue whose packets are the same, as a Puck LITE's are."""
-    others = (other for other in map(load_sensor, catalogue()) if other.packet and other.name != sensor.name)
-    same = (o for o in others if (o.beams, o.firing) == (sensor.beams, sensor.firing))
-    return (sensor.name, *(other.name for other in same))
+    others = (other for other in map(load_sensor, catalogue()) if other.packet and other.packet.sent_as)
+    return (sensor.name, *(o.name for o in others if o.packet and o.packet.sent_as == sensor.name))
 
 
 def check_period(where: str, sensor: Sensor, packets: Packets) -> None:

@@ -79,7 +79,7 @@ def turning(azimuth, stamp_us, period_ns, group_ns):  # type: ignore[no-untyped-
 def points(  # type: ignore[no-untyped-def]
     distance, intensity, azimuth, turn, late_ns, stamp_ns, kind,  # packets
     laser, group, share, offset_ns, slot_kind, other,  # slots
-    elevation, azimuth_offset, origin, distance_offset, near_offset,  # lasers
+    elevation, azimuth_offset, left, up, distance_offset, near_offset,  # lasers
     unit_m,
     xyz, range_m, azimuth_rad, time_ns, beam, strength, return_type,  # out
 ):  # fmt: skip
@@ -121,16 +121,15 @@ def points(  # type: ignore[no-untyped-def]
             c, s = cos_g * cos_d - sin_g * sin_d, sin_g * cos_d + cos_g * sin_d
             c, s = c * cos_o[b] - s * sin_o[b], s * cos_o[b] + c * sin_o[b]
             r = raw * unit_m + distance_offset[b]
-            forward, left, up = origin[b, 0], origin[b, 1], origin[b, 2]
             ahead = side = r
             if len(near_offset):
-                flat = r * cos_w[b] + forward
-                x, y = abs(flat * s - left * c), abs(flat * c + left * s)
+                flat = r * cos_w[b]
+                x, y = abs(flat * s - left[b] * c), abs(flat * c + left[b] * s)
                 side = r + (near_offset[b, 0] - distance_offset[b]) * (FAR_M - x) / (FAR_M - NEAR_X_M)
                 ahead = r + (near_offset[b, 1] - distance_offset[b]) * (FAR_M - y) / (FAR_M - NEAR_Y_M)
-            xyz[count, 0] = (ahead * cos_w[b] + forward) * c + left * s
-            xyz[count, 1] = left * c - (side * cos_w[b] + forward) * s
-            xyz[count, 2] = ahead * sin_w[b] + up
+            xyz[count, 0] = ahead * cos_w[b] * c + left[b] * s
+            xyz[count, 1] = left[b] * c - side * cos_w[b] * s
+            xyz[count, 2] = ahead * sin_w[b] + up[b]
             range_m[count] = r
             azimuth_rad[count] = (azimuth[p, g] * RADIANS + delta + azimuth_offset[b]) % (2 * math.pi)
             time_ns[count] = stamp_ns[p] + offset_ns[n] + late_ns[p, g]

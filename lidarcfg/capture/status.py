@@ -27,7 +27,7 @@ LASER = np.dtype(
             ("near_x", "<i2"),
             ("near_y", "<i2"),
         ],
-        *[("across", "<i2"), ("lateral", "<i2"), ("focal_distance", "<i2"), ("focal_slope", "<i2")],
+        *[("vertical", "<i2"), ("lateral", "<i2"), ("focal_distance", "<i2"), ("focal_slope", "<i2")],
         *[("intensity_min", "u1"), ("intensity_max", "u1")],
     ]
 )  # hundredths of a degree, millimetres
@@ -52,7 +52,7 @@ def calibration(sensor: Sensor, status: Status, return_mode: str) -> bytes:
     table["rotation"] = -np.rint(np.degrees(sensor.azimuth_offset_rad) * 100)
     for key in ("far", "near_x", "near_y"):
         table[key] = np.rint(sensor.distance_offset_m * 1000)
-    for key in ("across", "lateral"):
+    for key in ("vertical", "lateral"):
         table[key] = np.rint(np.array(getattr(beams, f"{key}_offset_mm") or (0.0,) * LASERS))
     table["intensity_max"] = 255
     out = bytearray(LENGTH)
@@ -115,7 +115,7 @@ def _beams(table: NDArray[np.void]) -> Beams:
         source="the capture's status bytes",
         elevation_deg=column("elevation", 0.01),
         azimuth_offset_deg=column("rotation", -0.01),
-        across_offset_mm=column("across"),
+        vertical_offset_mm=column("vertical"),
         lateral_offset_mm=column("lateral"),
         distance_offset_mm=column("far"),
         near_x_offset_mm=column("near_x") if near else (),
