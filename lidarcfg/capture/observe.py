@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Firings, Times, rays
 from lidarcfg.capture.raycast import NOTHING, Hits, Mask, Raycaster
@@ -15,6 +17,7 @@ from lidarcfg.geometry import Array, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 
+T = TypeVar("T", bound=np.generic)
 EXACT, CLEAR = Realism(), Weather()
 
 
@@ -46,24 +49,31 @@ class Observer:
         sensor, count = self._mount.sensor, fired.time_ns.size
         first, self._fired = self._fired, self._fired + count
         origins, axes = (values.reshape(-1, 3) for values in rays(sensor, fired))
-        masks = self._reach.masks(fired.time_ns, fired.azimuth_rad).reshape(-1, count) if self._reach else None
-        rows = np.arange(count) if masks is None else np.flatnonzero(masks.any(axis=0))
-        directions, shares = wide(axes[rows], sensor, self._realism)
+        masks = self._reach.masks(fired.time_ns, fired.azimuth_rad) if self._reach else None
+        may_meet, time_ns = None, fired.time_ns.ravel()
+        rows: NDArray[np.intp] | slice = slice(None)
+        if masks is not None:
+            masks = masks.reshape(-1, count)
+            rows = np.flatnonzero(masks.any(axis=0))
+            origins, axes, time_ns, may_meet = origins[rows], axes[rows], time_ns[rows], masks[:, rows]
+        directions, shares = wide(axes, sensor, self._realism)
+        hits, cosine = self._cast(origins, directions, time_ns, may_meet)
         width = len(shares)
-        may_meet = None if masks is None else np.repeat(masks[:, rows], width, axis=1)
-        hits, cosine = self._cast(origins[rows], directions, fired.time_ns.ravel()[rows], may_meet)
-        self._stage.on_rays(count * width, len(rows) * width)
+        self._stage.on_rays(count * width, len(hits.range_m))
 
-        range_m = np.full((count, width), np.inf)
-        reflectivity = np.zeros((count, width), np.uint8)
-        objects = np.full((count, width), NOTHING, np.int32)
-        for whole, part in ((range_m, hits.range_m), (reflectivity, hits.reflectivity), (objects, hits.object)):
-            whole[rows] = part.reshape(-1, width)
+        def whole(values: NDArray[T], missing: float) -> NDArray[T]:
+            """Of all firings (N, K), from those that were cast."""
+            if masks is None:
+                return values.reshape(count, width)
+            out = np.full((count, width), missing, values.dtype)
+            out[rows] = values.reshape(-1, width)
+            return out
+
+        range_m, reflectivity = whole(hits.range_m, np.inf), whole(hits.reflectivity, 0)
+        objects = whole(hits.object, NOTHING)
         if self._exact:
             return single(range_m, reflectivity, objects, self._mount.return_mode)
-        slant = np.ones((count, width))
-        slant[rows] = cosine().reshape(-1, width)
-        met = Met(range_m, reflectivity, objects, slant)
+        met = Met(range_m, reflectivity, objects, whole(cosine(), 1))
         return echoes(sensor, self._realism, self._weather, self._index, first, shares, met).reported(
             self._mount.return_mode
         )
@@ -72,13 +82,19 @@ class Observer:
         self, origins: Array, directions: Array, time_ns: Times, may_meet: Mask | None
     ) -> tuple[Hits, Callable[[], Array]]:
         """Sub-rays (n, K, 3) of the sensor frame: hits (n × K), and the cosines of incidence when asked for."""
-        width, T_vehicle_sensor = directions.shape[1], self._mount.T_vehicle_sensor
-        trajectory = self._stage.trajectory
+        width, mount, trajectory = directions.shape[1], self._mount, self._stage.trajectory
         R, t = trajectory.motion(time_ns)
-        starts = transform(trajectory.T_world_start, rotated(R, transform(T_vehicle_sensor, origins)) + t)
+        if len(t) == 1:  # it stands
+            T_world_sensor = trajectory.pose(int(time_ns[0]) if len(time_ns) else 0) @ mount.T_vehicle_sensor
+            starts, along = transform(T_world_sensor, origins), directions.reshape(-1, 3) @ T_world_sensor[:3, :3].T
+        else:
+            starts = rotated(R, transform(mount.T_vehicle_sensor, origins)) + t
+            starts = transform(trajectory.T_world_start, starts)
+            R = R if len(R) == 1 else np.repeat(R, width, axis=0)
+            along = rotated(R, directions.reshape(-1, 3) @ mount.T_vehicle_sensor[:3, :3].T)
+            along = along @ trajectory.T_world_start[:3, :3].T
         if width > 1:
             starts, time_ns = np.repeat(starts, width, axis=0), np.repeat(time_ns, width)
-            R = R if len(R) == 1 else np.repeat(R, width, axis=0)
-        along = rotated(R, directions.reshape(-1, 3) @ T_vehicle_sensor[:3, :3].T) @ trajectory.T_world_start[:3, :3].T
+            may_meet = None if may_meet is None else np.repeat(may_meet, width, axis=1)
         hits = self._stage.caster.cast(starts, along, time_ns, may_meet, normals=not self._exact)
         return hits, lambda: abs(np.einsum("ij,ij->i", hits.normal, along))

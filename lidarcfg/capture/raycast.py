@@ -3,6 +3,7 @@
 What stands still is built once. What moves is built once in a frame of its own, and rays are cast in that frame.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ PARTS_MAX = 4  # local origins kept at a time, as a rig may stand across their b
 NOTHING = -1
 
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp] | None  # None: all
 
 
 class Hits(NamedTuple):
@@ -54,6 +56,7 @@ class Raycaster:
         moving = np.isin(scene.triangle_object, [mover.object for mover in self.movers])
         self.still_triangles = scene.triangles[~moving]  # (T, 3) indices of the scene's vertices
         self._still_object = scene.triangle_object[~moving]
+        self._reflectivity = np.append(scene.reflectivity, np.uint8(0))  # the last, -1, is nothing's
         self._origin_m = np.array(origin_m, np.float64)
         self._parts: dict[bytes, Any] = {}
 
@@ -90,12 +93,13 @@ class Raycaster:
             normal=np.zeros((count if normals else 0, 3), np.float32),
         )
         rows = None if may_meet is None else [np.flatnonzero(row) for row in may_meet]
-        first = slice(None) if rows is None else rows[0]
-        if count and len(self.still_triangles):
-            local_m, part = self._local(origins_m[0])
-            _nearer(hits, first, part, self._still_object, origins_m[first] - local_m, directions[first])
+        first = None if rows is None or len(rows[0]) == count else rows[0]
         if self.scene.file.ground:
             self._ground(hits, first, origins_m, directions, self.scene.file.ground.z_m)
+        if count and len(self.still_triangles):
+            local_m, part = self._local(origins_m[0])
+            starts, along = (origins_m, directions) if first is None else (origins_m[first], directions[first])
+            _nearer(hits, first, part, self._still_object, starts - local_m, along)
         for i, mover in enumerate(self.movers, 1):
             which = np.arange(count) if rows is None else rows[i]
             if len(which):
@@ -105,20 +109,17 @@ class Raycaster:
                 local = rotated(inverse, origins_m[which] - mover.place_m - t)
                 index = np.array([mover.object], np.int32)
                 _nearer(hits, which, mover.part, index, local, rotated(inverse, directions[which]), R)
-        np.copyto(hits.reflectivity, self.scene.reflectivity[hits.object], where=hits.object != NOTHING)
+        np.take(self._reflectivity, hits.object, out=hits.reflectivity, mode="wrap")
         return hits
 
-    def _ground(
-        self, hits: Hits, which: slice | NDArray[np.intp], origins_m: Array, directions: Array, z_m: float
-    ) -> None:
+    def _ground(self, hits: Hits, which: Rows, origins_m: Array, directions: Array, z_m: float) -> None:
         """The plane, without end and from both sides, in float64."""
+        up_m, rise = origins_m[:, 2], directions[:, 2]
+        if which is not None:
+            up_m, rise = up_m[which], rise[which]
         with np.errstate(divide="ignore", invalid="ignore"):
-            range_m = (z_m - origins_m[which, 2]) / directions[which, 2]
-        closer = (range_m > 0) & (range_m < hits.range_m[which])
-        index = np.flatnonzero(closer) if isinstance(which, slice) else which[closer]
-        hits.range_m[index], hits.object[index] = range_m[closer], 0
-        if len(hits.normal):
-            hits.normal[index] = 0, 0, 1
+            range_m = (z_m - up_m) / rise
+        _keep(hits, which, range_m, range_m > 0, np.zeros(1, np.int32), lambda: np.array([[0, 0, 1]], np.float32))
 
 
 def _mover(scene: Scene, index: int) -> Mover:
@@ -143,7 +144,7 @@ def _part(vertices_m: Array, triangles: NDArray[np.int64]) -> Any:
 
 def _nearer(
     hits: Hits,
-    which: slice | NDArray[np.intp],
+    which: Rows,
     part: Any,
     objects: NDArray[np.int32],
     origins_m: Array,
@@ -160,11 +161,35 @@ def _nearer(
     rays[:, :3], rays[:, 3:] = origins_m, directions
     found = part.cast_rays(o3d.core.Tensor.from_numpy(rays))
     range_m = found["t_hit"].numpy()
-    closer = np.flatnonzero(range_m < hits.range_m[which])
-    index = closer if isinstance(which, slice) else which[closer]
-    hits.range_m[index] = range_m[closer]
-    hits.object[index] = objects[found["primitive_ids"].numpy()[closer]] if len(objects) > 1 else objects[0]
-    if not len(hits.normal):
+
+    def normals() -> NDArray[np.float32]:
+        normal: NDArray[np.float32] = found["primitive_normals"].numpy()
+        return normal if R is None else rotated(R, normal.astype(np.float64)).astype(np.float32)
+
+    owners = objects if len(objects) == 1 else objects.take(found["primitive_ids"].numpy(), mode="clip")
+    _keep(hits, which, range_m, range_m < np.inf, owners, normals)
+
+
+def _keep(
+    hits: Hits,
+    which: Rows,
+    range_m: NDArray[np.floating],
+    valid: Mask,
+    objects: NDArray[np.int32],
+    normals: Callable[[], NDArray[np.float32]],
+) -> None:
+    """In `hits`, of the rows `which`, what is valid and nearer; objects and normals are one a row or one for all."""
+    if which is None:
+        closer = valid & (range_m < hits.range_m)
+        np.copyto(hits.range_m, range_m, where=closer)
+        np.copyto(hits.object, objects, where=closer)
+        if len(hits.normal):
+            np.copyto(hits.normal, normals(), where=closer[:, None])
         return
-    normal = found["primitive_normals"].numpy()[closer]
-    hits.normal[index] = normal if R is None else rotated(R if len(R) == 1 else R[closer], normal.astype(np.float64))
+    closer = valid & (range_m < hits.range_m[which])
+    index = which[closer]
+    hits.range_m[index] = range_m[closer]
+    hits.object[index] = objects if len(objects) == 1 else objects[closer]
+    if len(hits.normal):
+        normal = normals()
+        hits.normal[index] = normal if len(normal) == 1 else normal[closer]

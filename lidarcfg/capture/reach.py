@@ -18,10 +18,11 @@ from lidarcfg.capture.trajectory import SECOND_NS, Trajectory
 from lidarcfg.geometry import Array
 from lidarcfg.rig import Mount
 
-SECTORS = 180
-BALLS = 512  # about so many; a piece is as large as that asks, but not below PIECE_MIN_M
+SECTORS = 120
+BALLS = 256  # about so many; a piece is as large as that asks, but not below PIECE_MIN_M
 PIECE_MIN_M = 2.0
 TRAVEL_M, TURN_RAD = 2.0, math.radians(2)  # how far a table may be carried along
+WORTH = 0.1  # a table that leaves out less than this share costs more than it saves
 SLACK_M, SLACK_RAD = 0.01, 1e-4  # far more than float32 rays are off
 BLOCK = 4_000_000  # pairs of cones and balls at a time
 
@@ -87,8 +88,11 @@ class Reach:
         self._table: Mask = np.empty((0, 0), np.bool_)
         self._from_ns, self._to_ns = 0, -1
 
-    def masks(self, time_ns: NDArray[np.int64], azimuth_rad: Array) -> Mask:
-        """(1 + movers, …): whether the firings (…, L) may meet what stands still, and each mover, in range."""
+    def masks(self, time_ns: NDArray[np.int64], azimuth_rad: Array) -> Mask | None:
+        """(1 + movers, …): whether the firings (…, L) may meet what stands still, and each mover, in range.
+
+        None: so many may that it is not worth telling.
+        """
         first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
         if not self._from_ns <= first_ns <= last_ns <= self._to_ns:
             half_ns = max(int(self._half_s * SECOND_NS), (last_ns - first_ns + 1) // 2)
@@ -97,9 +101,11 @@ class Reach:
                 end_ns = self._trajectory.zero_ns + int(self._trajectory.path.times_s[-1] * SECOND_NS)
                 self._to_ns = max(min(self._to_ns, end_ns), last_ns)
             self._table = self._still_table((self._from_ns + self._to_ns) // 2)
+        tables = [self._table, *self._mover_tables(first_ns, last_ns)]
+        if min(table.mean() for table in tables) > 1 - WORTH:
+            return None
         sector = (azimuth_rad * (SECTORS / (2 * math.pi))).astype(np.intp) % SECTORS
         laser = np.arange(self._mount.sensor.count)
-        tables = [self._table, *self._mover_tables(first_ns, last_ns)]
         return np.stack([table[sector, laser] for table in tables])
 
     def _frame(self, middle_ns: int, half_ns: int) -> tuple[Array, Array, float, float]:
