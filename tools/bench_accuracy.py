@@ -17,7 +17,11 @@ from pathlib import Path
 
 from accuracy_page import PAGE, heading, write_section
 
-SECTIONS = ("vsr", "optimum", "detection", "precision", "solvers", "capture")
+SECTIONS = [
+    name
+    for name in ("vsr", "optimum", "detection", "precision", "solvers", "capture")
+    if Path(__file__).with_name(f"accuracy_{name}.py").is_file()
+]
 
 
 def main(arguments: list[str] | None = None) -> None:
