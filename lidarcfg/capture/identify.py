@@ -24,6 +24,10 @@ def identify(where: str, packets: Packets) -> Sensor:
     if not candidates:
         known = ", ".join(f"0x{s.packet.product_id:02X} {s.name}" for s in sensors if s.packet and s.packet.product_ids)
         raise PacketError(f"{where} sends the unknown product id 0x{product_id:02X}; known: {known}; or give --model")
+    other = packets["product_id"] != product_id
+    if other.any() and not bare:
+        second = packets["product_id"][other][0]
+        raise PacketError(f"{where} sends product ids 0x{product_id:02X} and 0x{second:02X}: two models on one port")
     gap_us = _gap_us(packets)
     fits = [s for s in candidates if _fits(s, packets, gap_us)]
     if not fits:

@@ -61,12 +61,16 @@ def turning(azimuth, stamp_us, period_ns, group_ns):  # type: ignore[no-untyped-
         if not cut:
             continue
         missing = 0.0  # hundredths that the head turned while nothing was fired
+        turned, steady = 0.0, 0
         for k in range(groups):
-            if jump[k] and (k + 1 < groups or gap_ns > 0):
+            if not jump[k]:
+                turned += turn[p, k]
+                steady += 1
+            elif k + 1 < groups or gap_ns > 0:
                 missing += max(ahead[k] % TURN - turn[p, k], 0)
         spare_ns = float(gap_ns - period_ns)
         if not 0 < spare_ns < SECOND_NS:
-            spare_ns = missing / least * group_ns if least > 0 else 0.0
+            spare_ns = missing * steady / turned * group_ns if turned > 0 else 0.0
         passed = 0.0
         for k in range(groups - 1):
             if jump[k]:
@@ -125,8 +129,8 @@ def points(  # type: ignore[no-untyped-def]
             if len(near_offset):
                 flat = r * cos_w[b]
                 x, y = abs(flat * s - left[b] * c), abs(flat * c + left[b] * s)
-                side = r + (near_offset[b, 0] - distance_offset[b]) * (FAR_M - x) / (FAR_M - NEAR_X_M)
-                ahead = r + (near_offset[b, 1] - distance_offset[b]) * (FAR_M - y) / (FAR_M - NEAR_Y_M)
+                side = r + (near_offset[b, 0] - distance_offset[b]) * max(FAR_M - x, 0) / (FAR_M - NEAR_X_M)
+                ahead = r + (near_offset[b, 1] - distance_offset[b]) * max(FAR_M - y, 0) / (FAR_M - NEAR_Y_M)
             xyz[count, 0] = ahead * cos_w[b] * c + left[b] * s
             xyz[count, 1] = left[b] * c - side * cos_w[b] * s
             xyz[count, 2] = ahead * sin_w[b] + up[b]

@@ -143,7 +143,8 @@ class Source:
         if (gap_ns[1:] > 0).all():
             return packets, times_ns
         anew = gap_ns < -HELD * packet_period_ns(sensor)
-        self._count["reordered"] += int(((gap_ns < 0) & ~anew).sum())
+        late_ns = np.maximum.accumulate(device_ns) - device_ns
+        self._count["reordered"] += int(((late_ns > 0) & (late_ns <= HELD * packet_period_ns(sensor))).sum())
         order = np.lexsort((device_ns, np.cumsum(anew)))
         if self._decoded:  # stays before all that is to come
             order = np.concatenate([[0], order[order != 0]])

@@ -94,8 +94,9 @@ def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.u
     letters = np.isin(types, np.frombuffer(status.letters.encode(), np.uint8))
     stream = values[~letters].tobytes()
     at = stream.find(MARK)
-    while at >= 0 and at + LENGTH <= len(stream):
+    while at >= 0 and len(stream) >= LENGTH:
         found = stream[at : at + LENGTH]
+        found += stream[len(stream) - LENGTH : at][: LENGTH - len(found)]  # what is cut off came a round before
         records = [found[HEAD + i * RECORD :][:RECORD] for i in range(LASERS)]
         checksum = crc16(b"".join(record[1:21] for record in records)) if status.checksum == "crc16" else LENGTH
         table = np.frombuffer(b"".join(record[: LASER.itemsize] for record in records), LASER)
