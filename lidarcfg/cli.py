@@ -38,8 +38,14 @@ class Seconds(click.FloatRange):
         """The number, or click's error."""
         number = float(super().convert(value, param, ctx))
         if number != number:
-            self.fail(f"{value} is not a number of seconds", param, ctx)
+            self.fail(f"{value} is not a number", param, ctx)
         return number
+
+
+class Share(Seconds):
+    """A relative error: above zero, at most one."""
+
+    name = "share"
 
 
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
@@ -200,11 +206,14 @@ def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
 @click.argument("rig", type=FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 @click.option("-o", "--output", type=FILE, help="Folder for result.json and rig.png.")
+@click.option("--tolerance", type=Share(1), help="Also the analytic max VSR, to this relative error.")
 @quiet_option
-def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, quiet: bool) -> None:
+def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool) -> None:
     """How well RIG sees in the region of STUDY: max VSR, the worst subspaces, detection rates.
 
-    The beams are the rig's; region and objects are the study's, whose bounds are not enforced.
+    The beams are the rig's; region and objects are the study's, whose bounds are not enforced. With --tolerance
+    the cuboids are halved until the max VSR of the subspaces themselves, which the cuboids' faces overrate the
+    surface of, is known to it.
 
     \b
     Example:
@@ -216,7 +225,7 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, quiet: 
     from lidarcfg.rig import load_rig
 
     loaded, mounted = load_study(study), load_rig(rig)
-    found = judge(loaded, mounted)
+    found = judge(loaded, mounted, tolerance)
     if output:
         report.save_evaluation(loaded, mounted, found, output)
     if as_json:

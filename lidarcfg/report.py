@@ -18,6 +18,7 @@ from rich.table import Table
 from lidarcfg import __version__
 from lidarcfg.config import replacing
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.lidar import rig_lidars
 from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.study import BUDGETS, Evaluation, Study
@@ -36,7 +37,9 @@ COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
     """What `evaluate --json` prints and every result.json carries."""
     return {
+        "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
+        "analytic": found.analytic and asdict(found.analytic) | {"reached": found.analytic.reached},
         "subspaces": len(found.subspaces),
         "evaluations": 1,
         "seconds": found.seconds,
@@ -247,6 +250,8 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
         poses.add_row(mount.name, *(f"{v:.3f}" for v in mount.position_m), *(f"{v:.2f}" for v in angles))
     console.print(poses)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
+    if found.analytic:
+        console.print(_analytic_line(found.analytic))
     for name, detection in found.detection.items():
         how = f"± {detection.half_width:.4f}, {detection.places:,} places drawn"
         if not detection.half_width:
@@ -265,6 +270,18 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
         )
     console.print("the worst subspaces:")
     console.print(worst)
+
+
+def _analytic_line(found: Analytic) -> str:
+    edges = " × ".join(f"{edge:g}" for edge in found.cuboid_m)
+    reached = f"within the tolerance of {found.tolerance:.3g}"
+    if not found.reached:
+        share = found.error_m / found.max_vsr_m
+        reached = f"NOT within the tolerance of {found.tolerance:.3g}, but of {share:.2g}: no finer grid is tried"
+    return (
+        f"analytic max VSR {found.max_vsr_m:.6f} ± {found.error_m:.6f} m, {reached} "
+        f"({found.cuboids:,} cuboids of {edges} m, {found.seconds:.2f} s)"
+    )
 
 
 def _degrees(angle: float | None) -> str:

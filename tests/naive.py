@@ -167,3 +167,35 @@ def released_max_vsr(roi, cuboid, exclude, poses, elevation_deg):
                 if label.get((i + step * di, j + step * dj, k + step * dk)) != mine:
                     surface[mine] = surface.get(mine, 0.0) + area[axis]
     return max(volume[mine] / surface[mine] for mine in volume)
+
+
+def crossings(origin, direction, low, high, position, axis, elevation_deg, steps=300):
+    """Where the line origin + s · direction crosses one cone: (s, |n·direction|) by small steps and bisection."""
+
+    def side(s):
+        d = [origin[i] + s * direction[i] - position[i] for i in range(3)]
+        return sum(d[i] * axis[i] for i in range(3)) - math.sin(math.radians(elevation_deg)) * math.hypot(*d)
+
+    found = []
+    ends = [low + (high - low) * i / steps for i in range(steps + 1)]
+    for a, b in zip(ends, ends[1:], strict=False):
+        if (side(a) >= 0) == (side(b) >= 0):
+            continue
+        for _ in range(60):
+            middle = (a + b) / 2
+            a, b = (middle, b) if (side(middle) >= 0) == (side(a) >= 0) else (a, middle)
+        point = [origin[i] + a * direction[i] for i in range(3)]
+        gradient = []
+        for i in range(3):
+            ahead, behind = list(point), list(point)
+            ahead[i], behind[i] = point[i] + 1e-6, point[i] - 1e-6
+            values = []
+            for p in (ahead, behind):
+                d = [p[n] - position[n] for n in range(3)]
+                values.append(
+                    sum(d[n] * axis[n] for n in range(3)) - math.sin(math.radians(elevation_deg)) * math.hypot(*d)
+                )
+            gradient.append((values[0] - values[1]) / 2e-6)
+        weight = abs(sum(g * e for g, e in zip(gradient, direction, strict=True))) / math.hypot(*gradient)
+        found.append((a, weight))
+    return found

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, error_at, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, up
+from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.detection import Detection, DetectionObject, check_fits, detection
 from lidarcfg.placement.lidar import Lidar, lidar, rig_lidars
 from lidarcfg.placement.metric import (
@@ -263,11 +264,12 @@ class Evaluation:
     vsr_m: Array  # (n,) by subspace
     worst: tuple[Worst, ...]
     detection: dict[str, Detection]  # by object
+    analytic: Analytic | None  # if a tolerance was asked for
     seconds: float
 
     @property
     def max_vsr_m(self) -> float:
-        """The paper's cost."""
+        """The paper's cost, by the cuboids' faces."""
         return float(self.vsr_m.max())
 
 
@@ -325,9 +327,14 @@ def _resolved(file: StudyFile, slots: list[Slot]) -> dict[str, Any]:
     return values
 
 
-def evaluate(study: Study, rig: Rig) -> Evaluation:
-    """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced."""
+def evaluate(study: Study, rig: Rig, tolerance: float | None = None) -> Evaluation:
+    """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
+
+    With a relative tolerance also the analytic max VSR, to that tolerance. Raises ConfigError where it is not
+    above 0, or where the region has too many cuboids to refine.
+    """
     started = time.perf_counter()
+    converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance)
     subspaces = segment(study.region, rig_lidars(rig))
     vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
     radius = inscribed_radii_m(subspaces)
@@ -351,7 +358,7 @@ def evaluate(study: Study, rig: Rig) -> Evaluation:
             )
         )
     rates = {item.name: detection(subspaces, item) for item in study.detection}
-    return Evaluation(subspaces, vsr, tuple(worst), rates, time.perf_counter() - started)
+    return Evaluation(subspaces, vsr, tuple(worst), rates, converged, time.perf_counter() - started)
 
 
 def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:

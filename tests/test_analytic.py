@@ -1,0 +1,196 @@
+"""The analytic measure against closed forms, quadrature, and points on the cones with cuboids of 1/16 the edge."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy import integrate as quadrature
+from scipy import ndimage
+
+from lidarcfg.geometry import up
+from lidarcfg.placement.analytic import analytic, crossings, integrate
+from lidarcfg.placement.lidar import Lidar, gaps_at
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import segment
+from tests import naive
+
+UP = (0.0, 0.0, 1.0)
+TURNS, STEPS = 360, 160  # of the points on a cone
+
+
+def cones(position, axis, elevation_deg):
+    axis = np.asarray(axis, float)
+    return Lidar(np.asarray(position, float), axis / np.linalg.norm(axis), np.sin(np.radians(elevation_deg)))
+
+
+def bodies(region, lidars):
+    """{digits: (volume, surface)} of the subspaces."""
+    subspaces = segment(region, lidars)
+    seen = integrate(subspaces, lidars)
+    joined = seen.joined()
+    wholes = np.unique(seen.whole)
+    out = {tuple(subspaces.gap[j].tolist()): (joined.volume_m3[j], joined.surface_m2[j]) for j in wholes}
+    assert len(out) == len(wholes)
+    return out
+
+
+def test_a_plane_along_the_walls():
+    region = Region.from_boxes((0, 0, 0), (2, 1.5, 1), (0.1, 0.1, 0.1))
+    found = bodies(region, [cones((0.7, 0.6, 0.3123), UP, [0.0])])
+    for digit, height in ((0, 0.3123), (1, 1 - 0.3123)):
+        assert found[(digit,)] == pytest.approx((3 * height, 2 * (3 + 3.5 * height)), rel=5e-4)
+
+
+def test_a_plane_cuts_a_corner_off():
+    region = Region.from_boxes((0, 0, 0), (1, 1, 1), (0.05, 0.05, 0.05))
+    found = bodies(region, [cones((1 / 3, 1 / 3, 1 / 3), (1, 1, 1), [0.0])])
+    assert found[(0,)] == pytest.approx((1 / 6, 1.5 + math.sqrt(3) / 2), rel=2e-3)
+    assert found[(1,)] == pytest.approx((5 / 6, 4.5 + math.sqrt(3) / 2), rel=2e-3)
+
+
+def cone(height, radius):
+    """Volume and lateral surface."""
+    return math.pi * radius**2 * height / 3, math.pi * radius * math.hypot(height, radius)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 90.0, 180.0, 270.0])
+def test_a_cone_a_frustum_and_a_gap_between_two(tilt):
+    """Their axes along z, y, −z and −y; the apex on a wall, behind it, and on a wall again."""
+    axis = up((math.radians(tilt), 0.0, 0.0))
+    region = Region.from_boxes((-1, -1, -1), (1, 1, 1), (0.05, 0.05, 0.05))
+    steep, flat = 1 / math.tan(math.radians(75)), 1 / math.tan(math.radians(68))
+
+    v, s = cone(2.0, 2 * steep)
+    found = bodies(region, [cones(-axis, axis, [75])])
+    assert found[(1,)] == pytest.approx((v, s + math.pi * (2 * steep) ** 2), rel=2e-3)
+
+    found = bodies(region, [cones(-1.4 * axis, axis, [75])])
+    (v1, s1), (v0, s0) = cone(2.4, 2.4 * steep), cone(0.4, 0.4 * steep)
+    assert found[(1,)] == pytest.approx((v1 - v0, s1 - s0 + math.pi * (2.4**2 + 0.4**2) * steep**2), rel=2e-3)
+
+    found = bodies(region, [cones(-axis, axis, [68, 75])])
+    (v1, s1), (v0, s0) = cone(2.0, 2 * flat), cone(2.0, 2 * steep)
+    assert found[(1,)] == pytest.approx((v1 - v0, s1 + s0 + 4 * math.pi * (flat**2 - steep**2)), rel=2e-3)
+
+
+def test_a_cone_through_walls_is_what_quadrature_says():
+    """z >= r tan θ over a rectangle; every part of it is an integral over one angle, or along one wall."""
+    a, b, height, slope = 1.5, 1.0, 1.0, math.tan(math.radians(35))
+
+    def radius(angle):
+        wall = min(a / max(abs(math.cos(angle)), 1e-300), b / max(abs(math.sin(angle)), 1e-300))
+        return min(wall, height / slope)
+
+    def quarter(function):
+        kinks = [math.atan2(b, a), math.acos(min(a * slope / height, 1)), math.asin(min(b * slope / height, 1))]
+        return 4 * quadrature.quad(function, 0, math.pi / 2, points=kinks, epsabs=1e-12, epsrel=1e-12, limit=200)[0]
+
+    def wall(far, half):  # at distance `far`, from −half to half
+        edge = min(half, math.sqrt(max((height / slope) ** 2 - far**2, 0)))
+        return 2 * quadrature.quad(lambda w: height - slope * math.hypot(far, w), 0, edge, epsabs=1e-12)[0]
+
+    volume = quarter(lambda t: height * radius(t) ** 2 / 2 - slope * radius(t) ** 3 / 3)
+    flat = quarter(lambda t: radius(t) ** 2 / 2)
+    surface = flat + flat * math.hypot(1, slope) + 2 * wall(a, b) + 2 * wall(b, a)
+    worst = 0.0
+    for edge in (0.1, 0.05, 0.025):
+        region = Region.from_boxes((-a, -b, 0), (a, b, height), (edge, edge, edge))
+        v, s = bodies(region, [cones((0, 0, 0), UP, [35])])[(1,)]
+        worst = max(abs(v / volume - 1), abs(s / surface - 1))
+        assert worst < 0.02 * edge
+    assert volume / surface == pytest.approx(v / s, rel=2e-4)
+
+
+angle = st.floats(-math.pi, math.pi)
+
+
+@settings(max_examples=25, deadline=None)
+@given(angle, angle, st.tuples(*[st.floats(-1, 1)] * 3), st.floats(-1, 1), st.floats(-1, 1), st.floats(-85, 85))
+def test_crossings_are_where_small_steps_find_them(roll, pitch, position, u, v, elevation):
+    assume(math.dist((u, v), position[1:]) > 1e-3)  # no line through the apex
+    axis = up((roll, pitch, 0.0))
+    row = np.array([[*position, *axis, math.sin(math.radians(elevation)), np.nan]])
+    at, weight = np.empty(4), np.empty(4)
+    count = crossings(u, v, row, -1.0, 1.0, at, weight)
+    wanted = naive.crossings((0.0, u, v), (1.0, 0.0, 0.0), -1.0, 1.0, position, axis, elevation)
+    if count != len(wanted):  # two within a step, or one on an end
+        assert (count - len(wanted)) % 2 == 0 or min(abs(at[:count]), default=1) > 1 - 1e-9
+        return
+    for k, (s, n) in enumerate(wanted):
+        assert at[k] == pytest.approx(s, abs=1e-9)
+        if math.dist((s, u, v), position) > 1e-2:
+            assert weight[k] == pytest.approx(n, abs=1e-4)
+
+
+def brute_force(region, lidars, fine):
+    """The largest V/S: volumes by cuboids of 1/fine the edge, surfaces by points on the cones and by their faces."""
+    included = region.included
+    for n in range(3):
+        included = included.repeat(fine, n)
+    edge = region.cuboid_m / fine
+    axes = [region.min_m[n] + (np.arange(included.shape[n]) + 0.5) * edge[n] for n in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    bases = [lidar.sin_elevation.size + 1 for lidar in lidars]
+
+    def signature(points):
+        return np.ravel_multi_index([gaps_at(points, lidar) for lidar in lidars], bases)
+
+    grid = np.where(included, signature(centres).reshape(included.shape), -1)
+    label, of, count = np.full(grid.shape, -1), [], 0
+    for value in np.unique(grid[included]):
+        part, parts = ndimage.label(grid == value)
+        label[part > 0] = part[part > 0] + count - 1
+        count += parts
+        of += [value] * parts
+    size = np.bincount(label[included], minlength=count)
+    surface = np.zeros(count)
+    for n in range(3):  # faces against walls and exclusions
+        padded = np.pad(label, [(1, 1) if m == n else (0, 0) for m in range(3)], constant_values=-1)
+        area = np.prod(np.delete(edge, n))
+        low, high = padded.take(range(padded.shape[n] - 1), n), padded.take(range(1, padded.shape[n]), n)
+        for one, other in ((low, high), (high, low)):
+            surface += area * np.bincount(one[(one >= 0) & (other < 0)], minlength=count)
+    of = np.array(of)
+    for lidar in lidars:
+        across = np.linalg.svd(lidar.axis[None])[2][1:]  # two directions at right angles to the axis
+        turn, reach = np.meshgrid((np.arange(TURNS) + 0.5) / TURNS * 2 * np.pi, (np.arange(STEPS) + 0.5) / STEPS * 2.0)
+        out = np.cos(turn)[..., None] * across[0] + np.sin(turn)[..., None] * across[1]
+        for sine in lidar.sin_elevation:
+            cosine = math.sqrt(1 - sine**2)
+            points = lidar.position_m + reach[..., None] * (sine * lidar.axis + cosine * out)
+            normal = cosine * lidar.axis - sine * out
+            area = reach * cosine * (2 * np.pi / TURNS) * (2.0 / STEPS)
+            cell = np.floor((points - region.min_m) / edge).astype(int)
+            inside = ((cell >= 0) & (cell < grid.shape)).all(axis=-1)
+            inside[inside] = included[tuple(cell[inside].T)]
+            for side in (-1e-9, 1e-9):
+                wanted = signature(points[inside] + side * normal[inside])
+                owner = np.full(len(wanted), -1)
+                for step in np.ndindex(3, 3, 3):
+                    near = np.clip(cell[inside] + np.array(step) - 1, 0, np.array(grid.shape) - 1)
+                    one = label[tuple(near.T)]
+                    good = (one >= 0) & (of[one] == wanted) & ((owner < 0) | (size[one] > size[owner]))
+                    owner[good] = one[good]
+                surface += np.bincount(owner[owner >= 0], area[inside][owner >= 0], count)
+    large = size > 0.01 * size.sum()
+    return (size[large] * np.prod(edge) / surface[large]).max()
+
+
+RIG = [
+    cones((0.7, 0.45, 0.22), (0.3, 0.2, 1), [-30, -10, 12, 30]),
+    cones((0.8, 0.55, 0.28), (-0.5, 0.6, 0.7), [-25, 0, 25]),
+    cones((0.75, 0.5, 0.3), (0.9, 0.1, -0.4), [-15, 15]),
+]
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_tilted_lidars_are_what_brute_force_says(count):
+    vehicle = ((0.625, 0.375, 0.125), (0.875, 0.625, 0.375))
+    region = Region.from_boxes((0, 0, 0), (1.5, 1, 0.5), (0.125, 0.125, 0.125), (vehicle,))
+    truth = brute_force(region, RIG[:count], 16)
+    found = analytic(region, RIG[:count], 0.01)
+    print(truth, found)
+    assert found.reached
+    assert found.max_vsr_m == pytest.approx(truth, abs=found.error_m + 2e-3 * truth)
