@@ -14,6 +14,7 @@ import lidarcfg
 from lidarcfg.errors import LidarcfgError
 
 if TYPE_CHECKING:
+    from lidarcfg.capture.source import SourceStats
     from lidarcfg.capture.trajectory import Trajectory
     from lidarcfg.geometry import Array
     from lidarcfg.placement.optimize import Cycle, Log
@@ -375,6 +376,7 @@ def export(
 @click.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]")
 @click.option("--start", metavar="TIME", help="When the trajectory starts; " + START_HELP)
 @click.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
+@click.option("--stats", is_flag=True, help="Say of each source: model, return mode, rpm, lost packets.")
 @quiet_option
 def decode(
     pcap: Path,
@@ -384,6 +386,7 @@ def decode(
     at: str | None,
     start: str | None,
     output: Path,
+    stats: bool,
     quiet: bool,
 ) -> None:
     """Read the LiDAR packets in PCAP, ours or a real recording, into a point cloud.
@@ -405,13 +408,20 @@ def decode(
         raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")
     if (at or start) and not trajectory:
         raise click.UsageError("--at and --start say where and when a --trajectory starts")
-    clouds = decode_pcap(pcap, _note, load_rig(rig) if rig else None, model)
+    seen: list[SourceStats] = []
+    clouds = decode_pcap(pcap, _note, load_rig(rig) if rig else None, model, on_stats=seen.append if stats else None)
     if trajectory:
         way = _way(trajectory, at or "0,0,0", _nanoseconds(start) if start else START_NS)
         clouds = (replace(cloud, xyz=way.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
     count = save_clouds(output, clouds)
     if not quiet:
         click.echo(f"{output}: {count:,} points")
+    for source in seen:
+        click.echo(
+            f"{source.name}: {' or '.join(source.models)}, {' and '.join(source.return_modes)}, {source.rpm:.1f} rpm, "
+            f"{source.packets:,} packets, {source.lost:,} lost, {source.duplicates:,} doubled, "
+            f"{source.reordered:,} out of order"
+        )
 
 
 @cli.command()

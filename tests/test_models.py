@@ -201,13 +201,13 @@ def calibrations(tmp_path_factory):
     return found
 
 
-def agree(ours, xyz, time_s, intensity, ring, slow_s, unturned_ns=0, turned_deg=0.025):
+def agree(ours, xyz, time_s, intensity, ring, slow_s, unturned_ns=0):
     """Point for point; before `unturned_ns` the other decoder does not know yet how fast the head turns."""
     assert len(ours.xyz) == len(xyz)
     mine, theirs = order(ours.xyz, ours.ring, ours.time_ns / 1e9), order(xyz, ring, time_s)
     a, b = ours.xyz[mine], xyz[theirs]
     far, time_ns = np.linalg.norm(a, axis=1), ours.time_ns[mine]
-    turned = np.where(time_ns < unturned_ns, 0.16, turned_deg)
+    turned = np.where(time_ns < unturned_ns, 0.16, 0.025)
     assert (np.linalg.norm(a - b, axis=1) <= 2e-4 + far * np.radians(turned)).all()
     assert abs(a[:, 2] - b[:, 2]).max() < 2e-4
     assert abs(far - np.linalg.norm(b, axis=1)).max() < 5e-4
@@ -390,7 +390,7 @@ def test_a_unit_has_its_own_calibration(tmp_path):
     ours = whole(tmp_path / "a.pcap")  # no note: recognised, and its calibration found
     _, calibration = vd.hdl64e.read_calibration_from_pcap(str(tmp_path / "a.pcap"))
     xyz, time_s, intensity, ring, _ = elsewhere(tmp_path / "a.pcap", vd.Model.HDL64E_S3, calibration)
-    agree(ours, xyz, time_s, intensity, ring, 2e-6, turned_deg=0.03)
+    agree(ours, xyz, time_s, intensity, ring, 2e-6)
     assert (ours.return_type == 1).all()
     even = decode(unit, packets[:20], packet_stamps_ns(unit, fired)[1][:20])
     assert 0.01 < abs(even.xyz_m - ours.xyz).max() < 0.2

@@ -126,11 +126,11 @@ def points(  # type: ignore[no-untyped-def]
             c, s = c * cos_o[b] - s * sin_o[b], s * cos_o[b] + c * sin_o[b]
             r = raw * unit_m + distance_offset[b]
             ahead = side = r
-            if len(near_offset):
-                flat = r * cos_w[b]
+            flat = r * cos_w[b]
+            if len(near_offset) and raw * unit_m < FAR_M:
                 x, y = abs(flat * s - left[b] * c), abs(flat * c + left[b] * s)
-                side = r + (near_offset[b, 0] - distance_offset[b]) * max(FAR_M - x, 0) / (FAR_M - NEAR_X_M)
-                ahead = r + (near_offset[b, 1] - distance_offset[b]) * max(FAR_M - y, 0) / (FAR_M - NEAR_Y_M)
+                side = r + (near_offset[b, 0] - distance_offset[b]) * (FAR_M - x) / (FAR_M - NEAR_X_M)
+                ahead = r + (near_offset[b, 1] - distance_offset[b]) * (FAR_M - y) / (FAR_M - NEAR_Y_M)
             xyz[count, 0] = ahead * cos_w[b] * c + left[b] * s
             xyz[count, 1] = left[b] * c - side * cos_w[b] * s
             xyz[count, 2] = ahead * sin_w[b] + up[b]
