@@ -87,6 +87,16 @@ def test_edges_differ_between_the_returns(tmp_path):
             assert cloud.xyz[last, 0] == pytest.approx(20, abs=0.01)
 
 
+def test_flat_ground_is_one_echo(tmp_path):
+    """A wide beam that meets the ground at a flat angle covers many metres of it, and still is one echo."""
+    stage = scene(tmp_path, "ground: {reflectivity: 40}")
+    rig = Rig("one", (replace(mount(), return_mode="dual", realism=Realism(divergence=True)),))
+    cloud, _ = with_truth(tmp_path, rig, stage)
+    assert len(cloud.xyz) > 10_000
+    assert not (cloud.return_type == 1).any()
+    assert np.hypot(*cloud.xyz.T[:2]).max() > 30
+
+
 def test_off_is_exact(street, tmp_path):
     """A seed alone changes nothing; each imperfection changes something, in the same way again."""
     made = {}

@@ -126,7 +126,11 @@ def echoes(
     albedo = met.reflectivity / 100
     light = shares * np.where(met.reflectivity > DIFFUSE_MAX, albedo, albedo * met.cosine)
     byte = shares * met.reflectivity.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tangent = np.sqrt(np.maximum(1 - met.cosine**2, 0)) / met.cosine
+        slant_m = np.nan_to_num(range_m * tangent * _step_rad(sensor), nan=0.0, posinf=0.0)
     if alpha:
+        slant_m = np.column_stack([slant_m, np.zeros(count)])
         drop_m, drop_albedo = _droplets(sensor, realism, sensor_index, first, count, alpha)
         drop_m = np.where(drop_m < range_m.min(axis=1), drop_m, np.inf)
         range_m = np.column_stack([range_m, drop_m])
@@ -138,7 +142,7 @@ def echoes(
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
-    found = _clusters(range_m, power, byte, objects, least)
+    found = _clusters(range_m, power, byte, objects, slant_m, least)
     if realism.dropout_share:
         lost = uniforms(realism, sensor_index, DROPOUT, first, count) < realism.dropout_share
         found.range_m[lost] = np.inf
@@ -151,15 +155,29 @@ def echoes(
     return found
 
 
-def _clusters(range_m: Array, power: Array, byte: Array, objects: NDArray[np.int32], least: float) -> Echoes:
-    """Sub-rays whose ranges follow within the separation are one echo, at the mean range that their power weighs."""
+def _step_rad(sensor: Sensor) -> float:
+    """From one sub-ray to the next, at most."""
+    return max(sensor.optics.divergence_mrad) / 1000 * float(NODES[-1]) if sensor.optics else 0.0
+
+
+def _clusters(
+    range_m: Array, power: Array, byte: Array, objects: NDArray[np.int32], slant_m: Array, least: float
+) -> Echoes:
+    """Sub-rays whose ranges follow within the separation are one echo, at the mean range that their power weighs.
+
+    So are neighbours on one object that lie no further apart than its slant has it: a surface met at a flat angle is
+    one echo, though its few sub-rays are far apart.
+    """
     order = np.argsort(range_m, axis=1)
-    range_m, power, byte = (np.take_along_axis(column, order, axis=1) for column in (range_m, power, byte))
+    range_m, power, byte, slant_m = (
+        np.take_along_axis(column, order, axis=1) for column in (range_m, power, byte, slant_m)
+    )
     objects = np.take_along_axis(objects, order, axis=1)
     met = np.isfinite(range_m)
     near = np.where(met, range_m, 0)
     starts = met.copy()
-    starts[:, 1:] &= ~(np.diff(near, axis=1) <= SEPARATION_M)
+    slack_m = np.where(objects[:, 1:] == objects[:, :-1], np.maximum(slant_m[:, 1:], slant_m[:, :-1]), 0)
+    starts[:, 1:] &= ~(np.diff(near, axis=1) <= SEPARATION_M + slack_m)
     cluster = np.where(met, np.cumsum(starts, axis=1) - 1, -1)
     rows, kinds = len(range_m), range_m.shape[1]
     total, mean, shine, best = (np.zeros((rows, kinds)) for _ in range(4))
