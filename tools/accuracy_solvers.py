@@ -15,6 +15,7 @@ from lidarcfg.report import COLOURS, new_figure, save_figure
 
 STUDIES = {"2 × 8 beams": "liu2018-2x8", "4 × 16 beams": "liu2018-4x16", "sedan": "sedan"}
 METHODS = ("auto", "cmaes", "de", "abc")
+KNOWN_M = {"liu2018-2x8": 0.2840}  # the least of longer searches, where it is less: docs/paper.md
 MARKS_S = (0.5, 2.0, 6.0)
 
 
@@ -45,6 +46,7 @@ def run(quick: bool, plots: Path) -> list[str]:
         figure.subplots(1, len(studies), sharey=True, squeeze=False)[0], studies.items(), strict=True
     ):
         least = min(best[-1] for job, (_, best) in found.items() if job[0] == file)
+        least = min(least, KNOWN_M.get(file, np.inf))
         for method, colour in zip(METHODS, COLOURS, strict=False):
             curves = [found[file, method, seed, seconds] for seed in range(1, seeds + 1)]
             regret = 100 * (np.array([held(at_s, *curve) for curve in curves]) / least - 1)
@@ -53,16 +55,17 @@ def run(quick: bool, plots: Path) -> list[str]:
             then = 100 * (np.array([held(np.array(marks), *curve) for curve in curves]) / least - 1)
             spread = [f"{np.median(c):.1f} ({c.min():.1f} to {c.max():.1f})" for c in then.T]
             rows.append((title, f"`{method}`", *spread))
-        axes.set(xlabel="time (s)", title=f"{title}, least {least:.4f} m", xscale="log", ylim=(0, 40))
+        axes.set(xlabel="time (s)", title=f"{title}, least {least:.4f} m", xscale="log", ylim=(0, 150))
+        axes.set_yscale("symlog", linthresh=1)
         axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("regret (% over the least of all runs)")
+    figure.axes[0].set_ylabel("regret (% over the least known)")
     figure.axes[0].legend(fontsize=8)
     save_figure(figure, plots / "solvers.png")
     return [
         *table(("study", "solver", *(f"regret after {mark:g} s (%)" for mark in marks)), rows),
         "",
         f"Median, and least to most, of {seeds} seeds; one thread a search, {os.cpu_count()} searches at a time. "
-        "Regret: by how much max VSR lies over the least that any of these runs found.",
+        "Regret: by how much max VSR lies over the least that is known, from these runs or from longer ones.",
     ]
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Run time against error: every estimate of the project beside its truth, and the seconds it takes.
 
-    .venv/bin/python tools/bench_accuracy.py                       all sections, about ten minutes on two free cores
+    .venv/bin/python tools/bench_accuracy.py                       all sections, about a quarter of an hour on two cores
     .venv/bin/python tools/bench_accuracy.py optimum detection     some of them
     .venv/bin/python tools/bench_accuracy.py --quick capture       whether it runs: prints, leaves docs/ alone
 
