@@ -68,8 +68,8 @@ def decode_pcap(
 
 def _taken(sources: dict[Endpoint, Source], names: tuple[str, ...], last: bool) -> PointCloud:
     """What all sources have, as one cloud."""
-    clouds = (source.take(names, last) for source in sources.values())
-    return concatenate([PointCloud.none(names), *(cloud for cloud in clouds if cloud)])
+    clouds = [cloud for source in sources.values() if (cloud := source.take(names, last))]
+    return clouds[0] if len(clouds) == 1 else concatenate([PointCloud.none(names), *clouds])
 
 
 def _source(

@@ -1,4 +1,7 @@
-"""Datagrams in capture files. The only module that knows dpkt, Ethernet, IP and UDP."""
+"""Datagrams in capture files. The only module that knows dpkt, Ethernet, IP and UDP.
+
+dpkt makes headers and reads pcapng; the frames of data packets, which are many, are taken apart here.
+"""
 
 import itertools
 import socket
@@ -19,8 +22,21 @@ TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 
 RECORD_MAX = 262144  # bytes; libpcap allows no longer record
 BROADCAST = "255.255.255.255"
 MAC_MAKER = bytes.fromhex("607688")  # Velodyne's, seen in recordings
-ETHERNET, RAW_IP, LINUX_COOKED = dpkt.pcap.DLT_EN10MB, dpkt.pcap.DLT_RAW, dpkt.pcap.DLT_LINUX_SLL
-LINKS = {ETHERNET: dpkt.ethernet.Ethernet, RAW_IP: dpkt.ip.IP, LINUX_COOKED: dpkt.sll.SLL, 101: dpkt.ip.IP}
+ETHERNET = dpkt.pcap.DLT_EN10MB
+LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP header, and where its kind is told
+    ETHERNET: (14, 12),
+    dpkt.pcap.DLT_LINUX_SLL: (16, 14),
+    dpkt.pcap.DLT_RAW: (0, None),
+    101: (0, None),  # raw IP, as files have it
+}
+VLAN, IPV4 = (b"\x81\x00", b"\x88\xa8", b"\x91\x00"), b"\x08\x00"
+PORTS = struct.Struct(">HH")
+PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
+    struct.pack(order + "I", magic): (order, unit_ns)
+    for order in "<>"
+    for magic, unit_ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
+}
+BUFFER = 1 << 20
 DAMAGE = (dpkt.Error, ValueError, struct.error)  # what dpkt raises on bytes that make no sense
 
 
@@ -72,23 +88,6 @@ def _frame(datagram: Datagram, **ip_fields: int) -> Any:
     return dpkt.ethernet.Ethernet(src=MAC_MAKER + address[1:], dst=b"\xff" * 6, data=ip)
 
 
-class _File:
-    """A file that remembers whether the last read came out short, and refuses absurd ones."""
-
-    def __init__(self, file: IO[bytes], name: str) -> None:
-        self.name = name
-        self.short = False
-        self.seek = file.seek
-        self._file = file
-
-    def read(self, size: int) -> bytes:
-        if not 0 <= size <= RECORD_MAX:
-            raise PacketError(f"{self.name}: a record of {size} bytes; allowed: at most {RECORD_MAX}")
-        data = self._file.read(size)
-        self.short = len(data) < size
-        return data
-
-
 def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator[Datagram]:
     """The UDP datagrams of a pcap (µs or ns, either byte order) or pcapng, one by one.
 
@@ -96,49 +95,108 @@ def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator
     records before it are read and `on_note` is told. Raises PacketError.
     """
     try:
-        with open(path, "rb") as file:
-            if not file.read(1):
+        with open(path, "rb", BUFFER) as file:
+            magic = file.read(4)
+            if not magic:
                 raise PacketError(f"{path}: the file is empty")
             file.seek(0)
-            yield from _datagrams(_File(file, str(path)), on_note)
+            records = _pcap_records if magic in PCAP_MAGIC else _other_records
+            for link, time_ns, frame in records(file, str(path), on_note):
+                if datagram := _datagram(link, time_ns, frame):
+                    yield datagram
     except OSError as error:
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
-def _datagrams(file: _File, on_note: Callable[[str], None]) -> Iterator[Datagram]:
+Record = tuple[int, int, bytes]  # link type, time in ns, frame
+
+
+def _pcap_records(file: IO[bytes], name: str, on_note: Callable[[str], None]) -> Iterator[Record]:
+    """The records of a classic pcap."""
+    header = file.read(24)
+    if len(header) < 24:
+        raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng")
+    order, unit_ns = PCAP_MAGIC[header[:4]]
+    link = _checked_link(struct.unpack_from(order + "I", header, 20)[0] & 0xFFFF, name)  # the rest says of checksums
+    record = struct.Struct(order + "IIII")
+    for count in itertools.count():
+        head = file.read(16)
+        if not head:
+            return
+        if len(head) == 16:
+            seconds, fraction, size, _ = record.unpack(head)
+            _check_size(size, name)
+            frame = file.read(size)
+            if len(frame) == size:
+                yield link, seconds * 10**9 + fraction * unit_ns, frame
+                continue
+        on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")
+        return
+
+
+class _File:
+    """A file that remembers whether the last read came out short, and refuses absurd ones."""
+
+    def __init__(self, file: IO[bytes], name: str) -> None:
+        self.short = False
+        self.seek = file.seek
+        self._file, self._name = file, name
+
+    def read(self, size: int) -> bytes:
+        _check_size(size, self._name)
+        data = self._file.read(size)
+        self.short = len(data) < size
+        return data
+
+
+def _other_records(file: IO[bytes], name: str, on_note: Callable[[str], None]) -> Iterator[Record]:
+    """The records of what dpkt knows besides, which is pcapng above all."""
+    watched = _File(file, name)
     try:
-        reader = dpkt.pcap.UniversalReader(file)
+        reader = dpkt.pcap.UniversalReader(watched)
     except (*DAMAGE, PacketError):
-        raise PacketError(f"{file.name}: not a capture; allowed: pcap and pcapng") from None
-    if reader.datalink() not in LINKS:
-        raise PacketError(f"{file.name}: link type {reader.datalink()} is not known; allowed: Ethernet, raw IP")
-    link = LINKS[reader.datalink()]
+        raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng") from None
+    link = _checked_link(reader.datalink(), name)
     records = iter(reader)
     for count in itertools.count():
         try:
             time_s, frame = next(records)
-            whole = not file.short
+            whole = not watched.short
         except StopIteration:
             return
         except DAMAGE:
             whole = False
         if not whole:
-            on_note(f"{file.name}: cut off or damaged after {count} records; what is whole was read")
+            on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")
             return
-        try:
-            ip = link(frame)
-        except DAMAGE:
-            continue
-        if not isinstance(ip, dpkt.ip.IP):
-            ip = ip.data
-        if isinstance(ip, dpkt.ip.IP) and isinstance(ip.data, dpkt.udp.UDP) and not ip.mf:
-            yield Datagram(
-                time_ns=_nanoseconds(time_s),
-                host=socket.inet_ntoa(ip.src),
-                source_port=ip.data.sport,
-                port=ip.data.dport,
-                payload=bytes(ip.data.data),
-            )
+        yield link, _nanoseconds(time_s), frame
+
+
+def _check_size(size: int, name: str) -> None:
+    if not 0 <= size <= RECORD_MAX:
+        raise PacketError(f"{name}: a record of {size} bytes; allowed: at most {RECORD_MAX}")
+
+
+def _checked_link(link: int, name: str) -> int:
+    if link not in LINK_HEADERS:
+        raise PacketError(f"{name}: link type {link} is not known; allowed: Ethernet, raw IP")
+    return link
+
+
+def _datagram(link: int, time_ns: int, frame: bytes) -> Datagram | None:
+    """What the frame holds behind its link header and VLAN tags, if that is UDP over IPv4 and no fragment."""
+    at, kind = LINK_HEADERS[link]
+    while kind is not None and frame[kind : kind + 2] in VLAN:
+        at, kind = at + 4, kind + 4
+    if (kind is not None and frame[kind : kind + 2] != IPV4) or len(frame) < at + 28 or frame[at] >> 4 != 4:
+        return None
+    udp = at + (frame[at] & 15) * 4
+    size, fragment = int.from_bytes(frame[at + 2 : at + 4]), int.from_bytes(frame[at + 6 : at + 8]) & 0x3FFF
+    if frame[at + 9] != socket.IPPROTO_UDP or fragment or udp < at + 20 or len(frame) < udp + 8:
+        return None
+    source_port, port = PORTS.unpack_from(frame, udp)
+    end = at + size if size else len(frame)
+    return Datagram(time_ns, socket.inet_ntoa(frame[at + 12 : at + 16]), source_port, port, frame[udp + 8 : end])
 
 
 def _nanoseconds(time_s: float | Decimal) -> int:

@@ -170,6 +170,8 @@ def decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice = 
     for start, stop in pairwise(edges):
         within = slice(max(first - start, 0), max(min(last, stop) - start, 0))
         runs.append(_decode(sensor, packets[start:stop], host_time_ns[start:stop], within, bool(dual[start:].any())))
+    if len(runs) == 1:
+        return runs[0]
     return Returns(**{f.name: np.concatenate([getattr(r, f.name) for r in runs]) for f in fields(Returns)})
 
 
@@ -195,8 +197,8 @@ def _decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice, 
     stamp = packets["stamp_us"].astype(np.int64)
     turn, late_ns = kernels.turning(azimuth, stamp, packet_period_ns(sensor, dual), group_ns)
 
-    returns = used["returns"][part].reshape(-1, order.size)
-    distance = np.ascontiguousarray(returns["distance"])
+    returns = used["returns"][part]
+    distance = np.ascontiguousarray(returns["distance"]).reshape(-1, order.size)
     last = facts.return_modes is not None and packets["return_mode"][part] == facts.return_modes.last
     near = sensor.near_offset_m
     size = np.count_nonzero(distance)
@@ -212,7 +214,7 @@ def _decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice, 
     columns = [getattr(out, field.name) for field in fields(out)]
     count = kernels.points(
         distance,
-        np.ascontiguousarray(returns["intensity"]),
+        np.ascontiguousarray(returns["intensity"]).reshape(-1, order.size),
         azimuth[part],
         turn[part],
         late_ns[part],
