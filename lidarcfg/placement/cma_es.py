@@ -7,6 +7,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.search import Trials, checked
 
 STEP = 0.25  # the first standard deviation, in the unit cube
+HUGE = 1e300  # what inf is told as: cma subtracts costs
 
 
 class CmaEs:
@@ -51,7 +52,7 @@ class CmaEs:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the generation."""
-        self._es.tell(self._asked, list(checked(cost)))
+        self._es.tell(self._asked, list(np.minimum(checked(cost), HUGE)))
         best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = np.array(self._asked[best]), float(cost[best])

@@ -20,12 +20,12 @@ class DifferentialEvolution:
     def __init__(self, dimensions: int, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
         self._dimensions = dimensions
-        self._out: SimpleQueue[Array] = SimpleQueue()
+        self._out: SimpleQueue[Array | Exception] = SimpleQueue()
         self._in: SimpleQueue[Array] = SimpleQueue()
         self.cycles = 0
         self.best_x, self.best_cost, self.mean_cost = np.full(dimensions, 0.5), np.inf, np.inf
         Thread(target=self._run, daemon=True).start()  # waits for ever when nobody tells; ends with the process
-        self._asked = self._out.get()
+        self._asked = self._due()
 
     @property
     def sources(self) -> Array:
@@ -33,17 +33,28 @@ class DifferentialEvolution:
         return self.best_x[None]
 
     def _run(self) -> None:
-        while True:
-            differential_evolution(
-                self._objective,
-                [(0.0, 1.0)] * self._dimensions,
-                maxiter=10**9,
-                tol=1e-9,
-                polish=False,
-                vectorized=True,
-                updating="deferred",
-                rng=self._rng,
-            )
+        try:
+            while True:
+                with np.errstate(over="ignore", invalid="ignore"):  # SciPy's spread of costs that are inf or huge
+                    differential_evolution(
+                        self._objective,
+                        [(0.0, 1.0)] * self._dimensions,
+                        maxiter=10**9,
+                        tol=1e-9,
+                        polish=False,
+                        vectorized=True,
+                        updating="deferred",
+                        rng=self._rng,
+                    )
+        except Exception as error:  # for who waits
+            self._out.put(error)
+
+    def _due(self) -> Array:
+        """The next generation from the thread, or what has gone wrong there."""
+        due = self._out.get()
+        if isinstance(due, Exception):
+            raise due
+        return due
 
     def _objective(self, x: Array) -> Array:
         self._out.put(x.T.copy())
@@ -62,4 +73,4 @@ class DifferentialEvolution:
         self.mean_cost = float(np.mean(cost))
         self.cycles += 1
         self._in.put(np.asarray(cost, np.float64))
-        self._asked = self._out.get()
+        self._asked = self._due()

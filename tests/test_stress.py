@@ -1,0 +1,762 @@
+"""Where numbers go wrong: labels against 50 digits, odd poses and places, rays that graze, files full of nonsense.
+
+tools/stress.py runs the same cases by the million.
+"""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.firing import firings, packet_period_ns, rays
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.capture.raycast import Raycaster
+from lidarcfg.capture.scene import load_scene
+from lidarcfg.capture.velodyne import PACKET, decode
+from lidarcfg.cloud import concatenate
+from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.geometry import inverse, pose, transform
+from lidarcfg.placement import optimize as optimize_module
+from lidarcfg.placement import region as region_module
+from lidarcfg.placement import rows
+from lidarcfg.placement.auto import Auto
+from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.lidar import Lidar, gaps_at, rig_lidars
+from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import Study, load_study
+from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.success_history import SuccessHistory
+from lidarcfg.rig import Rig, load_rig, save_rig
+from lidarcfg.sensor import load_sensor
+from tests import oracle
+from tests.capture_fixtures import mount, no_note, scene
+from tests.test_runs import check
+from tests.test_scene import PLY
+from tests.test_solvers import SOLVERS
+
+ROOT = Path(__file__).parent.parent
+FAN = tuple(np.arange(-15.0, 16.0, 2.0))
+
+
+def labels_of(region, lidars):
+    """The labels, which rows and runs along every axis, and the plain evaluation, have alike."""
+    label = check(region, lidars)
+    assert np.array_equal(rows.label(region, lidars)[0], label)
+    return label
+
+
+def points_of(region):
+    return np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+# Labels against 50 digits
+
+
+def test_labels_of_random_rigs():
+    rng, tally = np.random.default_rng(1), oracle.Tally()
+    for _ in range(25):
+        edge, low = 10 ** rng.uniform(-2, 1, 3), rng.uniform(-1, 1, 3) * 10 ** rng.uniform(0, 4)
+        region = Region(low, low + (12, 10, 8) * edge, np.ones((12, 10, 8), bool))
+        position = low + rng.uniform(-0.5, 1.5, 3) * (12, 10, 8) * edge
+        known, exact = oracle.sensor(position, oracle.angles(rng), oracle.FANS[rng.integers(3)])
+        tally.add(exact, points_of(region), rows.digits(region, known).ravel())
+    assert tally.wrong_outside == 0
+
+
+def test_labels_within_1e_15_of_a_cone():
+    """Rows, runs and single points agree there; what is on the wrong side is nearer than a quarter of the band."""
+    rng, tally = np.random.default_rng(2), oracle.Tally()
+    for _ in range(60):
+        known, exact, points, along = oracle.along_a_cone(rng)
+        line = oracle.Line(points, along)
+        digit = rows.digits(line, known).ravel()
+        assert np.array_equal(digit, gaps_at(points, known))
+        labels_of(line, [known])
+        tally.add(exact, points, digit)
+    assert tally.near > 2000
+    assert tally.wrong_outside == 0
+    assert 0 < tally.worst < 2
+
+
+def test_the_oracle_sees_a_label_that_is_wrong():
+    known, exact = oracle.sensor((0, 0, 0), (0, 0, 0), (30.0,))
+    points = np.array([[1.0, 0, np.tan(np.pi / 6)], [1.0, 0, 0.5774], [1.0, 0, 0.5773]])
+    tally = oracle.Tally()
+    tally.add(exact, points, gaps_at(points, known))
+    assert (tally.pairs, tally.near, tally.wrong_outside) == (3, 1, 0)
+    tally.add(exact, points, np.array([0, 0, 1]))
+    assert tally.wrong_outside == 2
+
+
+@pytest.mark.parametrize("far", [0.0, 2.0**20, 1e7])
+def test_ties_belong_above(far):
+    """A centre on a cone counts as above it. Ties without rounding: a level beam, ±90°, the apex.
+
+    (With whole numbers there are no others: h / d = m / 2^k needs a square 4^k m' that is a sum of three squares of
+    which not all are even, and squares are 0 or 1 modulo 4.)
+    """
+    region = Region(np.full(3, far), np.full(3, far + 5.0), np.ones((5, 5, 5), bool))
+    for sign in (1.0, -1.0):
+        known = Lidar(np.full(3, far + 2.5), np.array([0, 0, sign]), np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
+        digit = rows.digits(region, known)
+        labels_of(region, [known])
+        assert digit[2, 2, 2] == 5  # the apex
+        assert digit[0, 1, 2] == digit[4, 4, 2] == 3  # level
+        assert digit[2, 2, :2].tolist() == ([1, 1] if sign > 0 else [5, 5])  # on the axis, below
+        assert digit[2, 2, 3:].tolist() == ([5, 5] if sign > 0 else [1, 1])
+        assert digit.min() == 1  # nothing lies below a beam at −90°
+
+
+# Poses
+
+PLACES = {
+    "on a centre": (2.5, 1.25, 0.625),
+    "1e-12 beside it": (2.5 + 1e-12, 1.25 - 1e-12, 0.625),
+    "on a wall": (0.0, 1.0, 0.5),
+    "1e-12 beside it, outside": (-1e-12, 1.0, 0.5),
+    "on a corner": (6.0, 4.0, 2.0),
+    "far outside": (-3e6, 1e7, 2e5),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_odd_poses(place):
+    rng = np.random.default_rng(3)
+    region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25), (((2, 1, 0), (3, 2, 1)),))
+    points, tally = points_of(region), oracle.Tally()
+    for angle in oracle.ANGLES:
+        rpy = np.roll([angle, rng.choice(oracle.ANGLES), 0.3], rng.integers(3))
+        known, exact = oracle.sensor(PLACES[place], rpy, oracle.FANS[1])
+        assert np.linalg.norm(known.axis) == pytest.approx(1, abs=4e-16)
+        tally.add(exact, points, rows.digits(region, known).ravel())
+        other, _ = oracle.sensor((1.3, 2.7, 1.1), rpy[::-1], FAN)
+        label = labels_of(region, [known, other])
+        vsr = vsr_m(segment(region, [known, other]))
+        assert len(vsr) == label.max() + 1
+        assert (vsr > 0).all()
+    assert tally.wrong_outside == 0
+
+
+@pytest.mark.parametrize("beside", [5e-324, 1e-300, 1e-170])
+def test_so_near_that_squares_vanish_is_the_apex(beside):
+    region = Region(np.full(3, -2.5), np.full(3, 2.5), np.ones((5, 5, 5), bool))
+    known, _ = oracle.sensor((beside, -beside, beside), (0.1, 0.2, 0.3), FAN)
+    assert rows.digits(region, known)[2, 2, 2] == 16
+    labels_of(region, [known])
+
+
+@pytest.mark.parametrize("angle", [a for a in oracle.ANGLES if abs(abs(a) - oracle.TURN) < 1])
+def test_a_turn_is_no_turn(angle):
+    """2π as a double is 2.4e-16 short of a turn: no label of this region is that near to a cone."""
+    region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25))
+    still, turned = (oracle.sensor((1.3, 2.7, 1.1), rpy, FAN)[0] for rpy in ((0.2, 0.1, 0), (0.2 + angle, 0.1, angle)))
+    assert np.abs(still.axis - turned.axis).max() < 3e-15
+    assert np.array_equal(rows.digits(region, still), rows.digits(region, turned))
+
+
+# Scale and place
+
+
+def moved(region, lidars, scale=1.0, by=(0.0, 0.0, 0.0)):
+    """A region and LiDARs scaled, then moved."""
+    by = np.array(by)
+    return (
+        Region(region.min_m * scale + by, region.max_m * scale + by, region.included),
+        [replace(one, position_m=one.position_m * scale + by) for one in lidars],
+    )
+
+
+def some_rig(rng, count=3):
+    positions = rng.uniform((1, 1, 0.5), (7, 5, 2.5), (count, 3))
+    return [oracle.sensor(np.round(p * 256) / 256, oracle.angles(rng), FAN)[0] for p in positions]
+
+
+def boxes():
+    return Region.from_boxes((0, 0, 0), (8, 6, 3), (0.5, 0.5, 0.25), (((3, 2, 0), (5, 4, 3)),))
+
+
+@pytest.mark.parametrize("by", [(1e7, -1e7, 1e7), (500_000, 5_400_000, 300), (-0.5, 2.0**23, 1.0)])
+@pytest.mark.parametrize("scale", [2.0**-10, 1.0, 2.0**10])
+def test_moved_and_scaled_without_rounding(scale, by):
+    """Coordinates that stay exact: the same labels, bit for bit, and the scaled VSR."""
+    if scale < 1:
+        by = np.multiply(by, scale)
+    region, lidars = boxes(), some_rig(np.random.default_rng(4))
+    before, after = segment(region, lidars), segment(*moved(region, lidars, scale, by))
+    assert np.array_equal(before.label, after.label)
+    assert np.array_equal(before.gap, after.gap)
+    assert (vsr_m(before) * scale).tolist() == vsr_m(after).tolist()
+
+
+@pytest.mark.parametrize("by", [(1e7 / 3, -1e7, 9_999_999.7), (0.1, 0.2, 0.3)])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_moved_and_scaled_with_rounding(scale, by):
+    """Labels may differ only where the shift's own rounding reaches the cone."""
+    rng = np.random.default_rng(5)
+    compared = 0
+    for _ in range(10):
+        known, exact = oracle.sensor(rng.uniform((1, 1, 0.5), (7, 5, 2.5)), oracle.angles(rng), FAN)
+        region = boxes()
+        far, (other,) = moved(region, [known], scale, by)
+        before, after = rows.digits(region, known).ravel(), rows.digits(far, other).ravel()
+        labels_of(far, [other])
+        points = points_of(region)
+        ulp = max(np.spacing(np.abs(far.min_m).max()), np.spacing(np.abs(far.max_m).max())) / scale
+        for n in np.flatnonzero(before != after):
+            nearest = min(abs(exact.above(points[n], beam)) for beam in range(len(FAN)))
+            assert nearest <= oracle.BAND + 4 * ulp / np.linalg.norm(points[n] - known.position_m)
+        compared += (before == after).sum()
+        if np.array_equal(before, after):
+            cost = max_vsr(far, [other])
+            assert cost == pytest.approx(max_vsr(region, [known]) * scale, rel=1e-9 + 100 * ulp)
+    assert compared > 0.999 * 10 * region.included.size
+
+
+STUDY = """
+region: {{min_m: [{x}, {y}, 0.1], max_m: [{x2}, {y2}, 3.1], cuboid_m: [0.6, 0.4, 0.2]}}
+sensors:
+  - {{elevation_deg: [-20, -8, 3, 12], count: 2, min: {{position_m: [{a}, {b}, 1.3], rpy_deg: [-20, -20, 0]}}, max: {{position_m: [{a}, {b}, 2.7], rpy_deg: [20, 20, 0]}}}}
+solver: {{method: abc, bees: 6, cycles: 4, seed: 4}}
+"""
+
+
+def study_at(tmp_path, east, north):
+    text = STUDY.format(x=east + 0.3, x2=east + 6.3, y=north + 0.7, y2=north + 4.7, a=east + 3.2, b=north + 2.6)
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    return load_study(path)
+
+
+@pytest.mark.parametrize(("east", "north"), [(512_345, 5_412_345), (-9_999_999, 1e7)])
+def test_a_study_at_utm_coordinates(tmp_path, east, north):
+    """Corners that are no doubles there divide all the same, and the search goes the same way."""
+    here, there = study_at(tmp_path, 0, 0), study_at(tmp_path, east, north)
+    assert there.region.shape == here.region.shape == (10, 10, 15)
+    assert there.region.cuboid_m == pytest.approx(here.region.cuboid_m, rel=1e-8)
+    found = [optimize(one, threads=1) for one in (here, there)]
+    assert found[1].objective == pytest.approx(found[0].objective, rel=1e-8)
+    for a, b in zip(found[0].rig.mounts, found[1].rig.mounts, strict=True):
+        assert np.subtract(b.position_m, a.position_m) == pytest.approx([east, north, 0], abs=1e-8)
+
+
+# Beams, LiDARs and cuboids
+
+
+def test_a_thousand_beams():
+    """1e-9 degrees apart, through a region's middle; and over all elevations."""
+    region = boxes()
+    for fan in (np.arange(-500, 500) * 1e-9 + 3.0, np.linspace(-90, 90, 1000)):
+        known, exact = oracle.sensor((4, 3, 1), (0.1, -0.2, 0), fan)
+        tally = oracle.Tally()
+        tally.add(exact, points_of(region), rows.digits(region, known).ravel())
+        assert tally.wrong_outside == 0
+        labels_of(region, [known, some_rig(np.random.default_rng(1), 1)[0]])
+
+
+def test_twenty_lidars():
+    lidars = some_rig(np.random.default_rng(6), 20)
+    label = labels_of(boxes(), lidars)
+    assert len(np.unique(label)) > 1000
+    assert max_vsr(boxes(), lidars) == vsr_m(segment(boxes(), lidars)).max()
+
+
+@pytest.mark.parametrize("edges", [(1, 1e-3, 1), (1e-3, 1, 1e-3), (1e3, 1, 1), (1, 1, 1e3)])
+def test_cuboids_a_thousand_times_longer_than_wide(edges):
+    region = Region(np.zeros(3), np.array((9, 8, 7)) * edges, np.ones((9, 8, 7), bool))
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        known, exact = oracle.sensor(rng.uniform(0, 8, 3) * edges, oracle.angles(rng), FAN)
+        labels_of(region, [known])
+        tally = oracle.Tally()
+        tally.add(exact, points_of(region), rows.digits(region, known).ravel())
+        assert tally.wrong_outside == 0
+
+
+@pytest.mark.parametrize("edge", [1e-9, 1.0, 1e7])
+def test_one_cuboid(edge):
+    """Its VSR is abc / 2(ab + bc + ca) = a / 6, whatever looks at it."""
+    region = Region(np.zeros(3), np.full(3, edge), np.ones((1, 1, 1), bool))
+    lidars = [oracle.sensor(np.full(3, share * edge), (0.1, 0, 0), FAN)[0] for share in (0.5, 0.0, 7.0)]
+    assert labels_of(region, lidars).tolist() == [[[0]]]
+    assert max_vsr(region, lidars) == pytest.approx(edge / 6, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("region", "what"),
+    [
+        ("{min_m: [0, 0, 0], max_m: [1e-9, 1, 1], cuboid_m: [1e-10, 1, 1]}", "1e-10 is too little"),
+        ("{min_m: [1e8, 0, 0], max_m: [1e8, 1, 1], cuboid_m: [1, 1, 1]}", "is not above min_m's"),
+        ("{min_m: [99999999.9999, 0, 0], max_m: [1e8, 1, 1], cuboid_m: [0.00001, 1, 1]}", "1e-05 is too little for coordinates up to 1e+08; allowed: at least 0.0001"),
+        ("{min_m: [0, 0, 0], max_m: [1e9, 1, 1], cuboid_m: [1e9, 1, 1]}", "less than or equal to 100000000"),
+    ],
+)  # fmt: skip
+def test_cuboids_that_coordinates_cannot_tell_apart(tmp_path, region, what):
+    path = tmp_path / "study.yaml"
+    path.write_text(f"region: {region}\nsensors: [{{model: fan-4, min: {{position_m: [0, 0, 0]}}, max: {{position_m: [1, 0, 0]}}}}]\n")  # fmt: skip
+    with pytest.raises(ConfigError, match=what.replace("+", r"\+")):
+        load_study(path)
+
+
+# Skipping
+
+
+@pytest.mark.parametrize("method", ["abc", "auto", "cmaes", "de"])
+def test_skipping_changes_nothing_whatever_searches(tmp_path, method):
+    """Far from the origin, with pairs, a constraint, fixed coordinates and a LiDAR outside the region."""
+    path = tmp_path / "s.yaml"
+    path.write_text(f"""
+region: {{min_m: [500000, 5000000, 0], max_m: [500008, 5000006, 3], cuboid_m: [1, 0.5, 0.25]}}
+sensors:
+  - {{elevation_deg: [-20, -8, 0, 12], count: 2, mirror_y_m: 5000003, min: {{position_m: [500002, 5000001, 1], rpy_deg: [-180, -90, 0]}}, max: {{position_m: [500006, 5000003, 2.5], rpy_deg: [180, 90, 0]}}}}
+  - {{elevation_deg: [0, 1.0e-9, 90], min: {{position_m: [499990, 5000003, 1], rpy_deg: [0, 0, 0]}}, max: {{position_m: [500001, 5000003, 1], rpy_deg: [0, 10, 0]}}}}
+constraints: {{max_tilt_deg: 120, min_distance_m: 0.5}}
+solver: {{method: {method}, evaluations: 500, bees: 10, limit: 5, seed: 3}}
+""")  # fmt: skip
+    study = load_study(path)
+    runs_ = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (2, True))]
+    assert runs_[0].rig == runs_[1].rig
+    assert [(c.evaluations, c.best, c.mean) for c in runs_[0].history] == [
+        (c.evaluations, c.best, c.mean) for c in runs_[1].history
+    ]
+
+
+def test_skipping_changes_nothing_in_success_history(tmp_path, monkeypatch):
+    study = study_at(tmp_path, 0, 0)
+
+    def start(solver, dimensions):
+        search = Auto(dimensions, 1)
+        search._walk = SuccessHistory(dimensions, np.random.default_rng(1), 900)
+        return search
+
+    monkeypatch.setattr(optimize_module, "start_search", start)
+    study = replace(study, solver=study.solver.model_copy(update={"cycles": None, "evaluations": 900}))
+    with_it, without = (optimize(study, threads=1, skip=skip) for skip in (True, False))
+    assert with_it.rig == without.rig
+    assert with_it.full_evaluations < without.full_evaluations
+
+
+# Solvers
+
+
+@pytest.mark.parametrize("name", [*SOLVERS, "success history"])
+@pytest.mark.parametrize("wrong", [math.nan, -math.inf])
+def test_what_is_no_cost_is_an_error(name, wrong):
+    make = {**SOLVERS, "success history": lambda d, seed: SuccessHistory(d, np.random.default_rng(seed), 500)}[name]
+    for phases in (0, 3):
+        solver = make(2, 1)
+        for _ in range(phases):
+            solver.tell(np.arange(1.0, len(solver.ask().x) + 1))
+        cost = np.ones(len(solver.ask().x))
+        cost[1] = wrong
+        with pytest.raises(LidarcfgError, match=r"the cost of trial 1 of \d+ is (nan|-inf); allowed: numbers, and inf"):
+            solver.tell(cost)
+
+
+@pytest.mark.parametrize("objective", ["max_vsr: 1, inscribed_radius: 1", "inscribed_radius: 2"])
+def test_nan_from_an_objective_is_no_result(tmp_path, monkeypatch, objective):
+    path = tmp_path / "s.yaml"
+    path.write_text(STUDY.format(x=0, x2=6, y=0, y2=4, a=3, b=2) + f"objective: {{{objective}}}\n")
+    monkeypatch.setattr(Study, "cost", lambda self, poses: math.nan if poses[0, 2] > 1.5 else 1.0)
+    with pytest.raises(LidarcfgError, match="is nan; allowed: numbers, and inf"):
+        optimize(load_study(path), threads=1)
+
+
+@pytest.mark.parametrize("name", [*SOLVERS, "success history"])
+@pytest.mark.parametrize("objective", ["flat", "infinite", "half infinite", "huge"])
+def test_objectives_without_a_slope(name, objective):
+    make = {**SOLVERS, "success history": lambda d, seed: SuccessHistory(d, np.random.default_rng(seed), 3000)}[name]
+    solver, asked = make(2, 1), 0
+    while asked < 1500:
+        x = solver.ask().x
+        assert ((x >= 0) & (x <= 1)).all()
+        first = asked + np.arange(len(x))
+        cost = {
+            "flat": np.ones(len(x)),
+            "infinite": np.full(len(x), np.inf),
+            "half infinite": np.where(first % 2, np.inf, x.sum(axis=1)),
+            "huge": 1e300 * (1 + x[:, 0]),
+        }[objective]
+        solver.tell(cost)
+        asked += len(x)
+
+
+@pytest.mark.parametrize("method", ["abc", "auto", "cmaes", "de"])
+def test_bounds_one_ulp_apart(tmp_path, method):
+    """One coordinate may be either of two doubles, all others are fixed."""
+    low, high = 1.3, math.nextafter(1.3, 2)
+    path = tmp_path / "s.yaml"
+    path.write_text(f"""
+region: {{min_m: [0, 0, 0], max_m: [6, 4, 3], cuboid_m: [0.5, 0.5, 0.25]}}
+sensors: [{{elevation_deg: [-5, 5], min: {{position_m: [3, 2, {low}], rpy_rad: [0, 0, 0]}}, max: {{position_m: [3, 2, {high}], rpy_rad: [0, 0, 0]}}}}]
+solver: {{method: {method}, evaluations: 60, bees: 5}}
+""")
+    study = load_study(path)
+    assert study.free.sum() == 1
+    found = optimize(study, threads=1)
+    assert found.rig.mounts[0].position_m in ((3, 2, low), (3, 2, high))
+    assert set(study.poses(np.linspace(0, 1, 101)[:, None])[:, 0, 2]) == {low, high}
+
+
+def test_equal_bounds_leave_nothing_to_do(tmp_path):
+    study = study_at(tmp_path, 0, 0)
+    with pytest.raises(ConfigError, match="every bound is equal"):
+        optimize(replace(study, upper=study.lower))
+
+
+# Rays
+
+CUBE = "boxes: [{name: b, center_m: [0, 0, 0], size_m: [2, 2, 2], reflectivity: 9}]"
+
+
+def test_rays_through_vertices_and_edges(tmp_path):
+    """What is met is met where it is. In float32 triangles leave cracks: of rays aimed, from inside a closed body,
+    at its very vertices and edges a few in a thousand pass through; of others not one.
+    """
+    ball = "spheres: [{name: s, center_m: [0, 0, 0], radius_m: 1, reflectivity: 9}]"
+    for text in (CUBE, ball):
+        body = scene(tmp_path, text)
+        corners = body.vertices_m[body.triangles]
+        aims = np.concatenate([corners.reshape(-1, 3), ((corners + np.roll(corners, 1, axis=1)) / 2).reshape(-1, 3)])
+        caster = Raycaster(body, np.zeros(3))
+        for start in (np.zeros(3), np.array([0.25, -0.5, 0.125])):
+            way = aims - start
+            range_m = np.linalg.norm(way, axis=1)
+            hit = caster.cast(np.tile(start, (len(aims), 1)), way / range_m[:, None])[0]
+            met = np.isfinite(hit)
+            assert met.mean() > 0.995
+            np.testing.assert_allclose(hit[met], range_m[met], atol=2e-6)
+        any_way = np.random.default_rng(9).normal(size=(200_000, 3))
+        any_way /= np.linalg.norm(any_way, axis=1)[:, None]
+        assert np.isfinite(caster.cast(np.zeros_like(any_way), any_way)[0]).all()
+    outside = np.array([[3.0, 4, 5]])
+    edge = np.array([[1.0, 1, z] for z in (-1, -0.5, 0, 0.5, 1)])
+    way = edge - outside
+    hit = Raycaster(scene(tmp_path, CUBE), np.zeros(3)).cast(
+        np.tile(outside, (5, 1)), way / np.linalg.norm(way, axis=1)[:, None]
+    )[0]
+    met = np.isfinite(hit)  # an edge in silhouette may be passed by, but not met elsewhere
+    np.testing.assert_allclose(hit[met], np.linalg.norm(way, axis=1)[met], atol=2e-6)
+
+
+def test_grazing_rays(tmp_path):
+    """Along a face, and 1e-5 on either side of it; at a thousandth of a degree on the ground."""
+    caster = Raycaster(scene(tmp_path, CUBE + "\nground: {z_m: -1.5, reflectivity: 9}"), np.zeros(3))
+    height = np.array([1 - 1e-5, 1.0, 1 + 1e-5])
+    origins = np.stack([np.full(3, -5.0), np.zeros(3), height], axis=1)
+    hit = caster.cast(origins, np.tile([1.0, 0, 0], (3, 1)))[0]
+    assert hit[0] == pytest.approx(4, abs=1e-6)
+    assert np.isinf(hit[2])
+    assert np.isinf(hit[1]) or 4 - 1e-6 <= hit[1] <= 6 + 1e-6  # in the face itself: either, but nowhere else
+    angle = np.radians([1e-3, 0.1, 0.0, -1e-3])
+    down = np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
+    hit = caster.cast(np.tile([0.0, 50, -1.499], (4, 1)), down)[0]
+    assert hit[:2] == pytest.approx(0.001 / np.sin(angle[:2]), rel=2e-3)
+    assert np.isinf(hit[2:]).all()
+
+
+def test_rays_that_start_on_a_surface(tmp_path):
+    """They meet it at once or what lies beyond it: never anything behind them, and nothing within the least range."""
+    caster = Raycaster(scene(tmp_path, CUBE), np.zeros(3))
+    rng = np.random.default_rng(8)
+    origins = np.concatenate([np.full((500, 1), 1.0), rng.uniform(-1, 1, (500, 2))], axis=1)
+    way = rng.normal(size=(500, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    hit = caster.cast(origins, way)[0]
+    assert not np.isnan(hit).any()
+    assert (hit >= 0).all()
+    out = way[:, 0] > 0
+    assert (np.isinf(hit[out]) | (hit[out] < 1e-5)).all()
+    with np.errstate(divide="ignore"):
+        through = np.where(way > 0, (1 - origins) / way, (-1 - origins) / way).min(axis=1)  # to the far wall
+    assert ((hit[~out] < 1e-5) | (abs(hit[~out] - through[~out]) < 1e-5)).all()
+
+
+def mesh_scene(tmp_path, body, n, m):
+    (tmp_path / "m.ply").write_text(PLY.format(n=n, m=m).replace("float", "double") + body)
+    return scene(tmp_path, "meshes: [{name: m, file: m.ply, position_m: [0, 0, 0], reflectivity: 7}]")
+
+
+def test_meshes_that_are_no_bodies(tmp_path):
+    """A lone triangle is seen from both sides; triangles without area, and vertices of none, are seen from none."""
+    vertices = "5 -1 -1\n5 1 -1\n5 0 1\n5 0 1\n7 0 0\n100 100 100\n"
+    mesh = mesh_scene(tmp_path, vertices + "3 0 1 2\n3 0 0 0\n3 4 4 2\n3 2 3 0\n3 0 1 1\n", 6, 5)
+    caster = Raycaster(mesh, np.zeros(3))
+    origins = np.array([[0.0, 0, 0], [10, 0, 0], [0, 3, 0], [7, 0, -5]])
+    way = np.array([[1.0, 0, 0], [-1, 0, 0], [1, 0, 0], [0, 0, 1]])
+    hit = caster.cast(origins, way)[0]
+    np.testing.assert_allclose(hit, [5, 5, np.inf, np.inf], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("m.ply", PLY.format(n=3, m=1) + "0 0 0\n1 0 0\nnan 1 0\n3 0 1 2\n"),
+        ("m.ply", PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n-inf 1 0\n3 0 1 2\n"),
+        ("m.ply", PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n1e39 1 0\n3 0 1 2\n"),
+        ("m.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n"),
+        ("m.obj", "v 0 0 0\nv 1 0 0\nv 0 1e400 0\nf 1 2 3\n"),
+        ("m.off", "OFF\n3 1 0\n0 0 0\n1 0 0\nnan 1 0\n3 0 1 2\n"),
+        ("m.stl", "solid m\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex nan 1 0\nendloop\nendfacet\nendsolid m\n"),
+    ],
+)  # fmt: skip
+def test_numbers_in_meshes_that_are_none(tmp_path, capfd, name, text):
+    (tmp_path / name).write_text(text)
+    try:
+        loaded = scene(tmp_path, f"meshes: [{{name: m, file: {name}, position_m: [0, 0, 0], reflectivity: 7}}]")
+    except ConfigError as error:
+        message = str(error)
+    else:  # a reader may make a number of it
+        message = f"{name} read"
+        assert np.isfinite(loaded.vertices_m).all()
+    assert name in message
+    assert "\n" not in message
+    assert capfd.readouterr() == ("", "")
+
+
+# Captures far away
+
+
+def room(tmp_path, centre, size=(30.0, 20.0, 8.0)):
+    """A closed box around a place, as a scene."""
+    return scene(
+        tmp_path, f"boxes: [{{name: b, center_m: {[float(c) for c in centre]}, size_m: {list(size)}, reflectivity: 9}}]"
+    )
+
+
+def walls(origins, way, centre, size=(30.0, 20.0, 8.0)):
+    """How far rays from inside the room get: exactly, but for rounding."""
+    with np.errstate(divide="ignore"):
+        low, high = np.subtract(centre, np.array(size) / 2), np.add(centre, np.array(size) / 2)
+        return np.where(way > 0, (high - origins) / way, (low - origins) / way).min(axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "position"),
+    [
+        ((0.0, 0.0, 0.0), (0.5, -0.25, 1.5)),
+        ((1e7, -1e7, 100.0), (0.5, -0.25, 1.5)),
+        ((0.0, 0.0, 0.0), (512_345.67, 5_412_345.89, 303.1)),
+        ((0.0, 0.0, 0.0), (1e7, -1e7, 1e7)),
+        ((-1e7, 1e7, 0.0), (1e7 + 0.1, -1e7 - 0.2, 1.5)),
+    ],
+)
+def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
+    """Range within half a step, time within 1 µs, azimuth within 0.005°, and 0.014° in the very last block."""
+    T_world_vehicle = pose(vehicle, (0.0, 0.0, 0.2))
+    sensor_mount = mount(0, position, (4.0, -3.0, 20.0))
+    rig, sensor = Rig("far", (sensor_mount,)), sensor_mount.sensor
+    T = T_world_vehicle @ sensor_mount.T_vehicle_sensor
+    centre = T[:3, 3] + (1.0, -2.0, 0.5)
+    count = 80
+    duration = count * packet_period_ns(sensor)
+    datagrams = list(in_time_order(export(rig, room(tmp_path, centre), T_world_vehicle, duration, start_ns=10**18)))
+    write_pcap(tmp_path / "far.pcap", iter(datagrams))
+    data = [d for d in datagrams if len(d.payload) == PACKET.itemsize]
+    packets = np.frombuffer(b"".join(d.payload for d in data), PACKET)
+    returns = decode(sensor, packets, np.array([d.time_ns for d in data]))
+
+    fired = firings(sensor, 600.0, 10**18, range(count))
+    origins, way = (a.reshape(-1, 3) for a in rays(sensor, fired))
+    truth = walls(transform(T, origins), way @ T[:3, :3].T, centre)
+    assert len(truth) == len(returns.range_m) == count * 384
+    step = sensor.range.resolution_m
+    assert abs(returns.range_m - truth).max() <= step / 2 + 1e-4  # float32 in the ray caster, aslant
+    assert (abs(returns.range_m - truth) <= step / 2 + 2e-6).mean() > 0.99
+    assert abs(returns.time_ns - fired.time_ns.ravel()).max() <= 1000
+    error = np.degrees(abs((returns.azimuth_rad - fired.azimuth_rad.ravel() + np.pi) % (2 * np.pi) - np.pi))
+    assert error[:-32].max() <= 0.005
+    assert error.max() <= 0.014
+
+    cloud = concatenate(list(decode_pcap(tmp_path / "far.pcap", no_note, rig=rig)))
+    there = transform(inverse(sensor_mount.T_vehicle_sensor), cloud.xyz)
+    slack = 4 * np.spacing(np.abs(position).max())
+    np.testing.assert_allclose(there, returns.xyz_m, atol=1e-9 + slack)
+
+
+# Every loader
+
+ODD_NUMBERS = (0, -1, 1, 2, 0.5, 1e-12, 1e-300, 5e-324, 1e7, 1e8, 1e9, 1e154, 1e300, -1e300, 1.7e308, 90, -90, 360, 2**31, 2**63, 2**64, 10**30)  # fmt: skip
+ODD = st.sampled_from((*ODD_NUMBERS, "", "a", "\0", "..", "é", None, True, (), {}, ((),), "vlp-16", 1e-7)) | st.text(max_size=5)  # fmt: skip
+TEXTS = {
+    "study": """
+region: {min_m: [0, 0, 0], max_m: [4, 3, 2], cuboid_m: [1, 0.5, 0.25], exclude: [{min_m: [1, 1, 0], max_m: [2, 2, 3]}]}
+sensors:
+  - {elevation_deg: [-20, -8, 3, 12], count: 2, mirror_y_m: 1.5, min: {position_m: [1, 1, 1], rpy_deg: [-20, -20, 0]}, max: {position_m: [2, 2, 1.5], rpy_deg: [20, 20, 0]}}
+  - {model: fan-4, name: a, min: {position_m: [1, 1, 1], rpy_rad: [0, 0, 1]}, max: {position_m: [2, 1, 2], rpy_rad: [0, 0, 1]}}
+objective: {max_vsr: 1, inscribed_radius: 0.5, detection: {box: 1}}
+constraints: {max_tilt_deg: 60, min_distance_m: 0.1}
+solver: {method: abc, bees: 4, cycles: 2, limit: 3, evaluations: 10, seconds: 5, seed: 4}
+detection: [{name: box, size_m: [1, 1, 1], threshold: 1, on_ground: true}, {name: pole, size_m: [0.1, 0.1, 1], samples: 16}]
+""",
+    "rig": """
+name: r
+sensors:
+  - {name: a, model: vlp-16, position_m: [0.3, 0.5, 1.9], rpy_deg: [-5, 3, 0], host: 192.168.1.7, data_port: 2368, telemetry_port: 8308, rpm: 600, return_mode: strongest}
+  - {name: b, elevation_deg: [-3, 0, 4], position_m: [0.3, -0.5, 1.9], rpy_rad: [0.1, 0, 1]}
+""",
+    "scene": """
+name: s
+ground: {z_m: -1, reflectivity: 12}
+boxes: [{name: b, center_m: [5, 0, 0], size_m: [2, 2, 1.5], yaw_deg: 3, reflectivity: 30}]
+spheres: [{name: ball, center_m: [0, 5, 0], radius_m: 1, reflectivity: 40}]
+cylinders: [{name: c, base_m: [0, -5, 0], radius_m: 1, height_m: 1, reflectivity: 40}]
+planes: [{name: p, center_m: [-5, 0, 0], size_m: [1, 2], rpy_deg: [0, 90, 0], reflectivity: 1}]
+meshes: [{name: m, file: m.ply, position_m: [8, 0, 0], rpy_deg: [1, 2, 3], scale: 2, reflectivity: 1}]
+geo_origin: {latitude_deg: 45, longitude_deg: 8}
+""",
+    "sensor": (ROOT / "sensors/vlp-16.yaml").read_text(),
+}
+GOOD = {name: yaml.safe_load(text) for name, text in TEXTS.items()}
+
+
+def places(value, key=()):
+    """The keys of all that stands in a document."""
+    children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
+    return [key] * bool(key) + [place for k, child in children for place in places(child, (*key, k))]
+
+
+@st.composite
+def mutated(draw, name):
+    """A good file with one to three things in it made odd, dropped, doubled, or given to others."""
+    document = json.loads(json.dumps(GOOD[name]))
+    for _ in range(draw(st.integers(1, 3))):
+        all_places = places(document)
+        if not all_places:
+            break
+        *way, last = draw(st.sampled_from(all_places))
+        parent = document
+        for key in way:
+            parent = parent[key]
+        what = draw(st.sampled_from(("odd", "odd", "odd", "scale", "drop", "double", "unknown")))
+        if what == "odd":
+            parent[last] = json.loads(json.dumps(draw(ODD)))
+        elif what == "scale" and type(parent[last]) in (int, float):
+            parent[last] = parent[last] * draw(st.sampled_from((-1, 1e-3, 1e3, 1 + 1e-15, 1e-12)))
+        elif what == "double" and isinstance(parent, list):
+            parent.append(parent[last])
+        elif what == "unknown" and isinstance(parent, dict):
+            parent[draw(st.text(max_size=5))] = parent[last]
+        elif what == "drop":
+            del parent[last]
+    return json.dumps(document, ensure_ascii=draw(st.booleans()))
+
+
+def documents(name):
+    """Mutated files, and any text; sometimes cut off."""
+    cut = st.tuples(st.just(TEXTS[name]), st.integers(0, len(TEXTS[name])), st.text(max_size=3)).map(
+        lambda t: t[0][: t[1]] + t[2] + t[0][t[1] + 1 :]
+    )
+    return mutated(name) | mutated(name) | mutated(name) | cut | st.text(max_size=80)
+
+
+def use_study(path):
+    """Load it, and search for a moment: everything is a number."""
+    study = load_study(path)
+    corners = study.poses(np.array([[0.0], [0.3], [1.0]]) * np.ones(int(study.free.sum())))
+    assert np.isfinite(corners).all()
+    assert (corners >= study.lower)[:, np.isnan(study.mirror)].all()
+    assert (corners <= study.upper)[:, np.isnan(study.mirror)].all()
+    assert np.isfinite(study.violation(corners)).all()
+    with Evaluator(study.region, [slot.sensor.sin_elevation for slot in study.slots], threads=1) as evaluator:
+        cost = evaluator.max_vsr(corners, np.zeros(3, int), corners[:1], np.full(3, np.inf))
+    assert (cost > 0).all()
+    assert np.isfinite(cost).all()
+    assert math.isfinite(study.cost(corners[1]))
+
+
+def use_rig(path):
+    """Load it, look with it, and write it back."""
+    rig = load_rig(path)
+    vsr = vsr_m(segment(Region.from_boxes((0, 0, 0), (4, 3, 2), (1, 0.5, 0.5)), rig_lidars(rig)))
+    assert np.isfinite(vsr).all()
+    save_rig(rig, path.with_name("again.yaml"))
+    again = load_rig(path.with_name("again.yaml"))
+    assert (again.name, again.mounts) == (rig.name, rig.mounts)
+
+
+def use_scene(path):
+    """Load it, and cast rays from where a vehicle may stand."""
+    loaded = load_scene(path)
+    assert np.isfinite(loaded.vertices_m).all()
+    way = np.array([[1.0, 0, 0], [0, 1, 0], [0, -1, 0], [-1, 0, 0], [0, 0, -1]])
+    hit = Raycaster(loaded, np.zeros(3)).cast(np.zeros((5, 3)), way)[0]
+    assert (hit >= 0).all()
+
+
+def use_sensor(path):
+    """Load it, and let it send a packet, if it can."""
+    sensor = load_sensor(path)
+    assert np.isfinite(sensor.sin_elevation).all()
+    assert (np.diff(sensor.sin_elevation) >= 0).all()
+    rig = Rig("r", (replace(mount(), sensor=sensor, model=str(path)),))
+    if sensor.rotation is None or not sensor.rotation.rpm_min <= 600 <= sensor.rotation.rpm_max:
+        return
+    packets = [*export(rig, HALL[0], np.eye(4), packet_period_ns(sensor), start_ns=10**18)[0]]
+    data = b"".join(p.payload for p in packets if len(p.payload) == PACKET.itemsize)
+    returns = decode(sensor, np.frombuffer(data, PACKET), np.full(len(data) // PACKET.itemsize, 10**18))
+    assert np.isfinite(returns.xyz_m).all()
+
+
+USES = {"study": use_study, "rig": use_rig, "scene": use_scene, "sensor": use_sensor}
+HALL = []
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where the files of one test lie; regions there are small."""
+    (tmp_path / "m.ply").write_text(PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n0 2 0\n3 0 1 2\n")
+    HALL[:] = [room(tmp_path, (0.0, 0.0, 2.0))]
+    monkeypatch.setattr(region_module, "CUBOIDS_MAX", 20_000)
+    return tmp_path
+
+
+def an_error_or_an_answer(name, text, folder):
+    path = folder / f"{name}.yaml"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    try:
+        USES[name](path)
+    except LidarcfgError as error:
+        message = str(error)
+    else:
+        message = "an answer"
+    assert message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize("name", USES)
+def test_any_file_is_an_error_or_an_answer(name, folder):
+    @settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+    @given(documents(name))
+    @example(TEXTS[name])
+    def run(text):
+        an_error_or_an_answer(name, text, folder)
+
+    run()
+
+
+@pytest.mark.parametrize("name", USES)
+def test_every_number_of_a_file_made_odd(name, folder):
+    """One at a time: every key of a good file that holds a number, and the second number of every list."""
+    at = [key for key in places(GOOD[name]) if type(value_at(GOOD[name], key)) in (int, float)]
+    at = [key for key in at if not isinstance(key[-1], int) or key[-1] == 1]
+    for key in at:
+        for number in (0, 5e-324, -1.7e308, 2**63):
+            document = json.loads(json.dumps(GOOD[name]))
+            value_at(document, key[:-1])[key[-1]] = number
+            an_error_or_an_answer(name, json.dumps(document), folder)
+
+
+def value_at(document, key):
+    for part in key:
+        document = document[part]
+    return document
