@@ -135,7 +135,8 @@ def points(  # type: ignore[no-untyped-def]
             xyz[count, 1] = left[b] * c - side * cos_w[b] * s
             xyz[count, 2] = ahead * sin_w[b] + up[b]
             range_m[count] = r
-            azimuth_rad[count] = (azimuth[p, g] * RADIANS + delta + azimuth_offset[b]) % (2 * math.pi)
+            angle = azimuth[p, g] * RADIANS + delta + azimuth_offset[b]
+            azimuth_rad[count] = angle - 2 * math.pi * math.floor(angle / (2 * math.pi))
             time_ns[count] = stamp_ns[p] + offset_ns[n] + late_ns[p, g]
             beam[count] = b
             strength[count] = intensity[p, n]

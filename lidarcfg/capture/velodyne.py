@@ -87,9 +87,9 @@ def encode(
     blocks = packets["blocks"][:, : len(order)]
     blocks["flag"] = np.tile(_flags(facts, dual), len(order) // span)
     blocks["azimuth"] = np.repeat(np.rint(head / RADIANS).astype(np.int64) % TURN, span, axis=1)
-    blocks["returns"]["distance"] = distance.reshape(len(packets), -1)[:, order]
-    intensity = np.where(distance > 0, reflectivity, 0).reshape(len(packets), -1)
-    blocks["returns"]["intensity"] = intensity[:, order]
+    shape = len(packets), *order.shape
+    for key, values in ("distance", distance.astype(np.uint16)), ("intensity", np.where(distance > 0, reflectivity, 0)):
+        blocks["returns"][key] = values.reshape(len(packets), -1)[:, order] if dual else values.reshape(shape)
     stamps_ns, _ = packet_stamps_ns(sensor, firings)
     packets["stamp_us"] = stamp_us(stamps_ns)
     if facts.return_modes:
