@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from lidarcfg.config import Model, Positive, fault, load
+from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Positive, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 
@@ -22,6 +22,8 @@ GROUP_BLOCKS = tuple(n for n in range(1, BLOCKS) if BLOCKS % n == 0)
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 Word = Annotated[int, Field(ge=0, le=65535)]
+Metres = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
+Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
 
 
@@ -42,12 +44,12 @@ class Beams(Model):
 
     source: str = ""
     elevation_deg: Elevations
-    azimuth_offset_deg: tuple[float, ...] = ()  # added to the head's azimuth
-    vertical_offset_mm: tuple[float, ...] = ()  # of the beam's start, up: added to z after r sin(elevation)
-    lateral_offset_mm: tuple[float, ...] = ()  # of the beam's start, to the left
-    distance_offset_mm: tuple[float, ...] = ()  # added to what the packet says
-    near_x_offset_mm: tuple[float, ...] = ()  # instead of it, at 2.4 m to the side
-    near_y_offset_mm: tuple[float, ...] = ()  # instead of it, at 1.93 m ahead
+    azimuth_offset_deg: tuple[Angle, ...] = ()  # added to the head's azimuth
+    vertical_offset_mm: tuple[Millimetres, ...] = ()  # of the beam's start, up: added to z after r sin(elevation)
+    lateral_offset_mm: tuple[Millimetres, ...] = ()  # of the beam's start, to the left
+    distance_offset_mm: tuple[Millimetres, ...] = ()  # added to what the packet says
+    near_x_offset_mm: tuple[Millimetres, ...] = ()  # instead of it, at 2.4 m to the side
+    near_y_offset_mm: tuple[Millimetres, ...] = ()  # instead of it, at 1.93 m ahead
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "Beams":
@@ -81,10 +83,10 @@ class Range(Model):
     """What distances the sensor measures."""
 
     source: str
-    min_m: Annotated[float, Field(ge=0)]
-    max_m: Positive
-    resolution_m: Positive  # one unit on the wire
-    accuracy_m: Positive  # typical
+    min_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
+    max_m: Metres
+    resolution_m: Annotated[float, Field(ge=1e-6, le=1e3)]  # one unit on the wire
+    accuracy_m: Metres  # typical
 
 
 class Optics(Model):
