@@ -65,7 +65,7 @@ class Tally:
     """What came of a comparison with the truth; worst: the farthest from a cone that a label was wrong, in 2⁻⁵²."""
 
     pairs: int = 0
-    near: int = 0  # within the band
+    near: int = 0  # within 1e-15
     computed: int = 0  # in 50 digits
     wrong_inside: int = 0
     wrong_outside: int = 0
@@ -87,7 +87,7 @@ class Tally:
             distance_to_cone[n, beam] = abs(above)
             self.computed += 1
         self.pairs += gap.size
-        self.near += int((distance_to_cone <= BAND).sum())
+        self.near += int((distance_to_cone <= 1e-15).sum())
         self.wrong_inside += int((wrong & (distance_to_cone <= BAND)).sum())
         self.wrong_outside += int((wrong & (distance_to_cone > BAND)).sum())
         if wrong.any():

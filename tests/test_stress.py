@@ -711,11 +711,16 @@ USES = {"study": use_study, "rig": use_rig, "scene": use_scene, "sensor": use_se
 HALL = []
 
 
+def prepare(folder):
+    """What the files of a folder name."""
+    (folder / "m.ply").write_text(PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n0 2 0\n3 0 1 2\n")
+    HALL[:] = [room(folder, (0.0, 0.0, 2.0))]
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """Where the files of one test lie; regions there are small."""
-    (tmp_path / "m.ply").write_text(PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n0 2 0\n3 0 1 2\n")
-    HALL[:] = [room(tmp_path, (0.0, 0.0, 2.0))]
+    prepare(tmp_path)
     monkeypatch.setattr(region_module, "CUBOIDS_MAX", 20_000)
     return tmp_path
 
