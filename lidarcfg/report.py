@@ -251,7 +251,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     console.print(poses)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     if found.analytic:
-        console.print(_analytic_line(found.analytic))
+        console.print(analytic_line(found.analytic))
     for name, detection in found.detection.items():
         how = f"± {detection.half_width:.4f}, {detection.places:,} places drawn"
         if not detection.half_width:
@@ -272,7 +272,8 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     console.print(worst)
 
 
-def _analytic_line(found: Analytic) -> str:
+def analytic_line(found: Analytic) -> str:
+    """The analytic max VSR, its error bar, and whether that is what was asked for."""
     edges = " × ".join(f"{edge:g}" for edge in found.cuboid_m)
     reached = f"within the tolerance of {found.tolerance:.3g}"
     if not found.reached:

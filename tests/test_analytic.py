@@ -1,21 +1,30 @@
 """The analytic measure against closed forms, quadrature, and points on the cones with cuboids of 1/16 the edge."""
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import integrate as quadrature
 from scipy import ndimage
 
+from lidarcfg import report
+from lidarcfg.cli import cli
+from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import up
-from lidarcfg.placement.analytic import analytic, crossings, integrate
+from lidarcfg.placement import analytic as module
+from lidarcfg.placement.analytic import analytic, crossings, error_bar, halved, integrate, level
 from lidarcfg.placement.lidar import Lidar, gaps_at
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
 from tests import naive
 
+STUDIES = Path(__file__).parent.parent / "data/studies"
 UP = (0.0, 0.0, 1.0)
 TURNS, STEPS = 360, 160  # of the points on a cone
 
@@ -194,3 +203,98 @@ def test_tilted_lidars_are_what_brute_force_says(count):
     print(truth, found)
     assert found.reached
     assert found.max_vsr_m == pytest.approx(truth, abs=found.error_m + 2e-3 * truth)
+
+
+def test_an_apex_in_the_region_and_lines_through_it():
+    """A half-space cut by z = 0 and a double cone about x, on whose apex a line of every axis may pass."""
+    at, weight = np.empty(16), np.empty(16)
+    row = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -0.5, 0.0, 0.5]])
+    assert crossings(0.0, 0.0, row, -1.0, 1.0, at, weight) > 0  # the piece ends at the apex
+    assert not at[0]
+    assert not weight[0]
+    region = Region.from_boxes((-1, -1, -1), (1, 1, 1), (0.1, 0.1, 0.1))
+    v, s = cone(1.0, 1 / math.tan(math.radians(60)))
+    found = bodies(region, [cones((0, 0, 0), UP, [-60, 60])])
+    both = (v, s + math.pi / 3)
+    assert found[(0,)] == pytest.approx(both, rel=5e-3)
+    assert found[(2,)] == pytest.approx(both, rel=5e-3)
+    assert found[(1,)] == pytest.approx((8 - 2 * v, 24 + 2 * s - 2 * math.pi / 3), rel=5e-3)
+
+
+def test_cones_that_coincide_are_one():
+    region = Region.from_boxes((0, 0, 0), (2, 2, 1), (0.1, 0.1, 0.1))
+    one = cones((0.9, 1.1, 0.3), (0.2, 0.1, 1), [-10, 20])
+    single, double = level(region, [one]), level(region, [one, one])
+    assert double.max_vsr_m == pytest.approx(single.max_vsr_m, rel=1e-12)
+
+
+def test_beams_along_the_axis_cut_nothing():
+    region = Region.from_boxes((0, 0, 0), (1, 1, 1), (0.25, 0.25, 0.25))
+    found = analytic(region, [cones((0.5, 0.5, 0.5), UP, [-90, 90])], 0.1)
+    assert found.max_vsr_m == pytest.approx(1 / 6, rel=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_a_larger_region_has_a_larger_vsr(scale):
+    def measured(by):
+        region = Region.from_boxes((0, 0, 0), np.array((3, 2, 1)) * by, np.array((0.25, 0.25, 0.25)) * by)
+        rig = [Lidar(one.position_m * 2 * by, one.axis, one.sin_elevation) for one in RIG]
+        return analytic(region, rig, 0.05)
+
+    found, unit = measured(scale), measured(1.0)
+    assert found.max_vsr_m == pytest.approx(scale * unit.max_vsr_m, rel=1e-6)
+    assert found.error_m == pytest.approx(scale * unit.error_m, rel=1e-3)
+
+
+def test_refines_only_as_far_as_needed(monkeypatch):
+    region = Region.from_boxes((0, 0, 0), (1.5, 1, 0.5), (0.125, 0.125, 0.125))
+    sizes = [analytic(region, RIG, tolerance).cuboids for tolerance in (0.5, 0.002)]
+    assert sizes[0] == 8 * 12 * 8 * 4 < sizes[1]
+    monkeypatch.setattr(module, "CUBOIDS_MAX", 10_000)
+    found = analytic(region, RIG, 1e-6)
+    assert not found.reached
+    assert found.cuboids == 8 * 12 * 8 * 4
+    monkeypatch.setattr(module, "CUBOIDS_MAX", 3_000)
+    with pytest.raises(ConfigError, match="half the region's edges, and 3,072 cuboids; allowed: at most 3,000"):
+        analytic(region, RIG, 0.01)
+    for wrong in (0.0, -1.0, math.nan):
+        with pytest.raises(ConfigError, match="allowed: above 0"):
+            analytic(region, RIG, wrong)
+
+
+@pytest.mark.parametrize("study", ["liu2018-1x8", "liu2018-3x4"])
+def test_error_bars_hold_on_the_papers_region(study):
+    """Against edges of 1/4: the tool of the accuracy benchmark asks the same of hundreds of rigs."""
+    loaded = load_study(STUDIES / f"{study}.yaml")
+    rng = np.random.default_rng(5)
+    for poses in loaded.poses(rng.random((2, int(loaded.free.sum())))):
+        lidars = loaded.lidars(poses)
+        coarse = level(loaded.region, lidars)
+        fine = level(halved(loaded.region), lidars)
+        truth = level(halved(halved(loaded.region)), lidars)
+        assert abs(fine.max_vsr_m - truth.max_vsr_m) < error_bar(coarse, fine)
+        assert fine.max_vsr_m == pytest.approx(truth.max_vsr_m, rel=0.01)
+
+
+def test_evaluate_says_what_it_reached(tmp_path):
+    study = STUDIES / "liu2018-1x4.yaml"
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("name: one\nsensors:\n  - {name: a, model: fan-4, position_m: [30, 10, 2.5], rpy_deg: [10, 5, 0]}\n")
+    words = ["evaluate", str(study), str(rig), "--tolerance"]
+    result = json.loads(CliRunner().invoke(cli, [*words, "0.05", "--json"]).output)
+    assert result["measure"] == "faces"
+    found, region = result["analytic"], load_study(study).region
+    assert found["reached"]
+    assert found["error_m"] <= 0.05 * found["max_vsr_m"]
+    assert found["cuboids"] == 8 * region.included.size
+    assert found["cuboid_m"] == pytest.approx([0.5, 0.25, 0.1])
+    table = CliRunner().invoke(cli, [*words, "0.05"]).output
+    assert f"analytic max VSR {found['max_vsr_m']:.6f} ± {found['error_m']:.6f} m, within" in table
+    for wrong in ("0", "-1", "nan", "2", "x"):
+        assert CliRunner().invoke(cli, [*words, wrong]).exit_code == 2
+
+
+def test_evaluate_says_plainly_what_it_did_not_reach():
+    found = module.Analytic(0.5, 0.01, 0.001, [0.5, 0.25, 0.1], 384_000, 0.1)
+    assert not found.reached
+    assert "NOT within the tolerance of 0.001, but of 0.02" in report.analytic_line(found)

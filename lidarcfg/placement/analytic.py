@@ -35,6 +35,7 @@ Labels = NDArray[np.int32]
 LINES = 2  # to a cuboid's edge
 CUBOIDS_MAX = 50_000_000  # in the finest grid tried
 GOLDEN = (5**0.5 - 1) / 2  # the lines' lattice is in step with no cone
+PLANE = 1e-9  # a flatter cone, by the sine, is a plane
 SLIVER = 1e-9  # of an edge: a shorter piece is rounding's, between cones that coincide
 
 
@@ -49,7 +50,7 @@ def crossings(u: float, v: float, cones: Array, low: float, high: float, at: Arr
         du, dv, slope = u - cone[1], v - cone[2], cone[3]
         height, distance2 = du * cone[4] + dv * cone[5], du * du + dv * dv  # at the LiDAR's foot on the line
         for beam in range(6, cone.size):
-            sine = cone[beam]
+            sine = 0.0 if abs(cone[beam]) < PLANE else cone[beam]
             if not abs(sine) < 1.0:  # a cone closed to its axis
                 continue
             root = np.sqrt(height * height + distance2 * (slope * slope - sine * sine))
