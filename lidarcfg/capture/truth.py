@@ -1,9 +1,9 @@
 """What is true of a capture's returns, written beside it: object, exact range and noise, one record a return."""
 
 import tempfile
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from shutil import copyfileobj
 from types import TracebackType
 from typing import IO
 
@@ -26,6 +26,8 @@ RECORD = np.dtype(
         ("noise_m", "<f8"),  # added to it before it was rounded
     ]
 )
+
+RECORDS = 1 << 16  # at a time
 
 
 def records(sensor_index: int, return_mode: str, time_ns: Times, found: Echoes, distance: Array) -> NDArray[np.void]:
@@ -65,13 +67,17 @@ class TruthFile:
 
     def save(self) -> int:
         """Write the file, whole or not at all, and return how many records."""
-        with tempfile.TemporaryFile(dir=self._path.parent) as whole, replacing(self._path, "wb") as file:
-            for body in self._bodies:
-                body.seek(0)
-                copyfileobj(body, whole, 1 << 20)
-            whole.flush()
-            count = whole.tell() // RECORD.itemsize
-            rows = np.memmap(whole, RECORD, "r", shape=(count,)) if count else np.empty(0, RECORD)
-            names = {key: np.array(value, np.str_) for key, value in self._names.items()}
-            np.savez(file, **names, **{key: rows[key] for key in RECORD.names or ()})  # type: ignore[arg-type]
-        return count
+        counts = [body.tell() // RECORD.itemsize for body in self._bodies]
+        with replacing(self._path, "wb") as file, zipfile.ZipFile(file, "w") as archive:
+            for key, names in self._names.items():
+                with archive.open(f"{key}.npy", "w") as out:
+                    np.lib.format.write_array(out, np.array(names, np.str_))
+            for key in RECORD.names or ():
+                with archive.open(f"{key}.npy", "w", force_zip64=True) as out:
+                    head = {"descr": RECORD[key].str, "fortran_order": False, "shape": (sum(counts),)}
+                    np.lib.format.write_array_header_1_0(out, head)
+                    for body in self._bodies:
+                        body.seek(0)
+                        while piece := body.read(RECORDS * RECORD.itemsize):
+                            out.write(np.frombuffer(piece, RECORD)[key].tobytes())
+        return sum(counts)
