@@ -114,7 +114,10 @@ class Source:
         _, facts = firing_facts(sensor)
         if facts.status is None or sensor.name not in catalogue():
             return sensor
-        found = self._carried(facts.status)
+        try:
+            found = self._carried(facts.status)
+        except PacketError as error:
+            raise PacketError(f"{self._where}: {error}") from None
         if found is None:
             self._on_note(f"{self._where}: no whole calibration in its packets; {sensor.name}'s example unit is taken")
             return sensor

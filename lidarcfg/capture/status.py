@@ -8,7 +8,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
+from lidarcfg.errors import PacketError
 from lidarcfg.sensor import Beams, Sensor, Status
 
 MARK = b"UNIT#"
@@ -90,7 +92,9 @@ def status_bytes(
 
 
 def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8]) -> tuple[Beams, str] | None:
-    """Beams and return mode that the status bytes of successive packets (P,) carry; None if not whole and sound."""
+    """Beams and return mode that the status bytes of successive packets (P,) carry; None if there is none, whole and
+    with the right checksum. Raises PacketError if it makes no sense.
+    """
     letters = np.isin(types, np.frombuffer(status.letters.encode(), np.uint8))
     stream = values[~letters].tobytes()
     at = stream.find(MARK)
@@ -102,7 +106,11 @@ def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.u
         table = np.frombuffer(b"".join(record[: LASER.itemsize] for record in records), LASER)
         if int.from_bytes(found[-2:], "little") == checksum and (table["id"] == np.arange(LASERS)).all():
             modes = {code: name for name, code in MODES.items()}
-            return _beams(table), modes.get(found[MODE_AT], "strongest")
+            try:
+                return _beams(table), modes.get(found[MODE_AT], "strongest")
+            except ValidationError as error:
+                what = error.errors()[0]["msg"]
+                raise PacketError(f"status bytes carry a calibration that no sensor has: {what}") from None
         at = stream.find(MARK, at + 1)
     return None
 
