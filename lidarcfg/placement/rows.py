@@ -7,7 +7,10 @@ subspace is flooded along them a row at a time, and its faces are counted by cou
 
 A centre p is at or above beam k when sin(elevation_k) <= a·(p − t) / |p − t|. Compared are the squares with their
 signs, q = h |h| >= u_k |p − t|² with h = a·(p − t) and u_k = sin |sin|, which needs no root. On the apex both sides
-are 0, so every beam lies at or below it.
+are 0, so every beam lies at or below it; so they are within 1e-162 m of it, where the squares vanish.
+
+A centre that lies on a cone counts as above it. Rounding decides for one that is nearer to a cone than 8·2⁻⁵² in the
+sine, and for no other (docs/accuracy.md); it decides alike here, in runs.py and in lidar.gaps_at.
 
 Rows are numbered ((k + 1)(ny + 2) + j + 1) · chunks + c, so that every neighbour exists; a cuboid is row · 64 + bit.
 """
