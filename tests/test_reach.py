@@ -1,5 +1,7 @@
 """Beams that are not cast: none of them would have met anything in range; an open field leaves out the upper half."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,9 @@ from lidarcfg.capture.firing import firings, rays
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.reach import Reach, balls
-from lidarcfg.capture.trajectory import Arc, Motion, Trajectory, prepared
+from lidarcfg.capture.trajectory import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.geometry import pose, transform
+from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
 from tests.capture_fixtures import mount, scene, tilted_rig
 
@@ -79,6 +82,20 @@ def test_the_same_bytes(tmp_path, turning):
     for name, options in (("a", {}), ("b", {"skip": False}), ("c", {"chunk_ns": 30_000_000})):
         write_pcap(tmp_path / name, in_time_order(export(tilted_rig(), stage, way, SECOND_NS // 4, **options)))
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == (tmp_path / "c").read_bytes()
+
+
+@pytest.mark.parametrize("divergence", [False, True])
+def test_nothing_in_range_at_all(tmp_path, divergence):
+    """Not a ray is cast, and the packets are sent all the same, empty."""
+    stage = scene(tmp_path, "boxes: [{name: b, center_m: [500, 0, 0], size_m: [2, 2, 2], reflectivity: 9}]")
+    poses = tuple(TimedPose(time_s=t, position_m=(t, 0, 0)) for t in (0.0, 1.0))
+    way = Trajectory(np.eye(4), prepared(Motion(poses=poses)), START_NS)
+    rig, counted = Rig("one", (replace(mount(), realism=Realism(divergence=divergence)),)), []
+    streams = export(rig, stage, way, SECOND_NS // 10, on_rays=lambda rays, cast: counted.append(cast))
+    data = [d.payload for d in streams[0] if d.port == 2368]
+    assert len(data) == 75
+    assert not any(payload[100 * block + 4 : 100 * block + 100].strip(b"\0") for payload in data for block in range(12))
+    assert sum(counted) == 0
 
 
 def test_balls_hold_all_that_stands_still(tmp_path):

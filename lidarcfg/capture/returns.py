@@ -81,7 +81,7 @@ def wide(directions: Array, sensor: Sensor, realism: Realism) -> tuple[Array, Ar
         directions[:, None, None]
         + across_rad[:, None, None] * side[:, None, None]
         + up_rad[:, None] * above[:, None, None]
-    ).reshape(len(directions), -1, 3)
+    ).reshape(len(directions), len(NODES) ** 2, 3)
     return rays / np.linalg.norm(rays, axis=2, keepdims=True), np.outer(WEIGHTS, WEIGHTS).ravel()
 
 

@@ -99,7 +99,9 @@ class Path3:
             c, s, R = np.cos(2 * half), np.sin(2 * half), np.zeros((len(seconds), 3, 3))
             R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1
             return R, t
-        self.check_span(float(seconds.min(initial=np.inf)), float(seconds.max(initial=-np.inf)))
+        if not len(seconds):
+            return np.empty((0, 3, 3)), np.empty((0, 3))
+        self.check_span(float(seconds.min()), float(seconds.max()))
         from scipy.spatial.transform import Rotation, Slerp
 
         t = np.stack([np.interp(seconds, self.times_s, column) for column in self.positions_m.T], axis=1)
