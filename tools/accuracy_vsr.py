@@ -81,7 +81,7 @@ def held(job: tuple[str, int]) -> Array:
     """(3, 2) the relative error bar and error of pairs of edges 4 and 2, 2 and 1, 1 and 1/2, against 1/4."""
     name, number = job
     study = load_study(ROOT / f"data/studies/{name}.yaml")
-    lidars = drawn(study, 100 + number, (1, 10, 100)[number % 3])
+    lidars = drawn(study, 100 * number + STUDIES.index(name), (1, 10, 100)[number % 3])
     grid, levels = region(study, 4), []
     for _ in range(5):
         levels.append(level(grid, lidars))

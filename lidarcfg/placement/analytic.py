@@ -296,8 +296,8 @@ def analytic(region: Region, lidars: Sequence[Lidar], tolerance: float) -> Analy
 def error_bar(coarse: Level, fine: Level) -> float:
     """How far the truth may be from fine.max_vsr_m, in metres, by the same on edges twice as long.
 
-    What the last halving changed, and what a lattice of so many lines may err by. Calibrated, not proved: see
+    Twice what the last halving changed, and what a lattice of so many lines may err by. Calibrated, not proved: see
     docs/measure.md for how often it holds.
     """
-    lattice: float = 0.5 * fine.max_vsr_m / max(fine.pieces, 1.0) ** 0.75
-    return abs(fine.max_vsr_m - coarse.max_vsr_m) + lattice
+    lattice: float = fine.max_vsr_m / max(fine.pieces, 1.0) ** 0.75
+    return 2.0 * abs(fine.max_vsr_m - coarse.max_vsr_m) + lattice
