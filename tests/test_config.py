@@ -1,5 +1,8 @@
 """Strict YAML: what is refused, and that the place named is the place meant."""
 
+import os
+import stat
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -96,3 +99,9 @@ def test_replacing_leaves_the_old_file_until_the_new_is_whole(tmp_path):
         file.write("new")
         assert path.read_text() == "old"
     assert [p.read_text() for p in tmp_path.iterdir()] == ["new"]
+
+
+def test_a_device_is_not_replaced():
+    with pytest.raises(OSError, match="not a regular file"), replacing(os.devnull):
+        pass
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
