@@ -1,5 +1,6 @@
 """Plain-loop twins of the placement kernels, written from the paper's text, and the released program's rule."""
 
+import itertools
 import math
 
 OUTSIDE = -1
@@ -178,7 +179,7 @@ def crossings(origin, direction, low, high, position, axis, elevation_deg, steps
 
     found = []
     ends = [low + (high - low) * i / steps for i in range(steps + 1)]
-    for a, b in zip(ends, ends[1:], strict=False):
+    for a, b in itertools.pairwise(ends):
         if (side(a) >= 0) == (side(b) >= 0):
             continue
         for _ in range(60):

@@ -88,6 +88,7 @@ def export(
 def _checked_start(trajectory: Trajectory, start_ns: int, end_ns: int) -> Array:
     """(3,): where the vehicle starts. Raises ConfigError unless its way covers the time and stays in the world."""
     path = trajectory.path
+    check_place("the vehicle", trajectory.T_world_start[:3, 3])
     path.check_span((start_ns - trajectory.zero_ns) / SECOND_NS, (end_ns - trajectory.zero_ns) / SECOND_NS)
     start_m: Array = trajectory.pose(start_ns)[:3, 3]
     far_m = path.speed_max_m_s * (end_ns - start_ns) / SECOND_NS
