@@ -186,10 +186,10 @@ def main() -> None:
         f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, Python {platform.python_version()}, "
         f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, seed {SEED}"
     )
+    papers_run()  # first: a child's peak is no less than what its parent had
+    best_known()
     evaluations(study)
     fine_grids(study)
-    papers_run()
-    best_known()
     print(f"\npeak memory of this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
