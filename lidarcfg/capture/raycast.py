@@ -1,5 +1,6 @@
 """How far each ray gets: the ground in closed form, all else by Open3D's RaycastingScene in a local frame.
 
+Open3D says in float32 which triangle a ray meets; how far away it is, is the triangle's plane's to say, in float64.
 What stands still is built once. What moves is built once in a frame of its own, and rays are cast in that frame.
 """
 
@@ -17,6 +18,7 @@ from lidarcfg.geometry import Array
 LOCAL_M = 1000.0  # at so much from a local origin a float32 steps by 0.06 mm
 PARTS_MAX = 4  # local origins kept at a time, as a rig may stand across their borders
 NOTHING = -1
+GRAZING_M = 0.01  # a plane's range further than this from float32's is rounding's
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp] | None  # None: all
@@ -31,6 +33,13 @@ class Hits(NamedTuple):
     normal: NDArray[np.float32]  # (N, 3) of the surface, towards either side; 0: nothing; (0, 3): not asked for
 
 
+class Part(NamedTuple):
+    """Triangles, relative to an origin of their own."""
+
+    scene: Any  # Open3D's
+    planes: Array  # (T, 4) of the triangles: n·p = d, n not of unit length
+
+
 @dataclass(frozen=True)
 class Mover:
     """An object that moves: a ball around its place holds it whichever way it turns."""
@@ -39,7 +48,7 @@ class Mover:
     path: Path3
     place_m: Array  # (3,) at time 0
     radius_m: float
-    part: Any  # Open3D's scene, relative to the place
+    part: Part  # relative to the place
 
 
 class Raycaster:
@@ -58,9 +67,9 @@ class Raycaster:
         self._still_object = scene.triangle_object[~moving]
         self._reflectivity = np.append(scene.reflectivity, np.uint8(0))  # the last, -1, is nothing's
         self._origin_m = np.array(origin_m, np.float64)
-        self._parts: dict[bytes, Any] = {}
+        self._parts: dict[bytes, Part] = {}
 
-    def _local(self, place_m: Array) -> tuple[Array, Any]:
+    def _local(self, place_m: Array) -> tuple[Array, Part]:
         """The local origin for rays from a place (3,), and what stands still, relative to it."""
         cell = np.rint((place_m - self._origin_m) / LOCAL_M)
         origin_m = self._origin_m + cell * LOCAL_M
@@ -132,20 +141,22 @@ def _mover(scene: Scene, index: int) -> Mover:
     return Mover(index, prepared(motion), place_m, radius_m, _part(vertices, local.reshape(-1, 3)))
 
 
-def _part(vertices_m: Array, triangles: NDArray[np.int64]) -> Any:
+def _part(vertices_m: Array, triangles: NDArray[np.int64]) -> Part:
     import open3d as o3d
 
-    part = o3d.t.geometry.RaycastingScene()
+    scene = o3d.t.geometry.RaycastingScene()
     if len(triangles):
         tensor = o3d.core.Tensor.from_numpy
-        part.add_triangles(tensor(vertices_m.astype(np.float32)), tensor(triangles.astype(np.uint32)))
-    return part
+        scene.add_triangles(tensor(vertices_m.astype(np.float32)), tensor(triangles.astype(np.uint32)))
+    a, b, c = (vertices_m[triangles[:, corner]] for corner in range(3))
+    normal = np.cross(b - a, c - a)
+    return Part(scene, np.column_stack([normal, np.einsum("ij,ij->i", normal, a)]))
 
 
 def _nearer(
     hits: Hits,
     which: Rows,
-    part: Any,
+    part: Part,
     objects: NDArray[np.int32],
     origins_m: Array,
     directions: Array,
@@ -159,14 +170,22 @@ def _nearer(
 
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3], rays[:, 3:] = origins_m, directions
-    found = part.cast_rays(o3d.core.Tensor.from_numpy(rays))
-    range_m = found["t_hit"].numpy()
+    found = part.scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+    range_m, triangle = found["t_hit"].numpy().astype(np.float64), found["primitive_ids"].numpy()
+    hit = np.flatnonzero(range_m < np.inf)
+    plane, along = part.planes[triangle[hit]], directions[hit]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exact = (plane[:, 3] - np.einsum("ij,ij->i", plane[:, :3], origins_m[hit])) / np.einsum(
+            "ij,ij->i", plane[:, :3], along
+        )
+    near = np.abs(exact - range_m[hit]) < GRAZING_M  # not where the plane is seen edge on
+    range_m[hit[near]] = exact[near]
 
     def normals() -> NDArray[np.float32]:
         normal: NDArray[np.float32] = found["primitive_normals"].numpy()
         return normal if R is None else rotated(R, normal.astype(np.float64)).astype(np.float32)
 
-    owners = objects if len(objects) == 1 else objects.take(found["primitive_ids"].numpy(), mode="clip")
+    owners = objects if len(objects) == 1 else objects.take(triangle, mode="clip")
     _keep(hits, which, range_m, range_m < np.inf, owners, normals)
 
 
