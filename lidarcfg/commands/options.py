@@ -1,0 +1,113 @@
+"""What commands share: kinds of values, times and places from text, notes and progress."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from lidarcfg.capture.trajectory import Trajectory
+    from lidarcfg.geometry import Array
+
+FILE = click.Path(path_type=Path)
+SECOND_NS = 10**9
+START_HELP = "ISO 8601, UTC unless it says.  [default: 2026-01-01T00:00:00]"
+
+
+class Seconds(click.FloatRange):
+    """A number above zero, of seconds if nothing else is said; click's own range lets NaN pass."""
+
+    name = "seconds"
+
+    def __init__(self, most: float) -> None:
+        super().__init__(0, most, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or click's error."""
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail(f"{value} is not a number", param, ctx)
+        return number
+
+
+class Share(Seconds):
+    """A relative error: above zero, at most one."""
+
+    name = "share"
+
+
+quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+
+
+def one_line(text: str) -> str:
+    """With control characters written out, as a name may hold them."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def note(message: str) -> None:
+    """One line on stderr about what was read."""
+    click.echo(f"lidarcfg: {one_line(message)}", err=True)
+
+
+def way(trajectory: Path | None, at: str, start_ns: int) -> "Trajectory":
+    """How the vehicle moves from X,Y,YAW_DEG on; without a file it stands there."""
+    from lidarcfg.capture.trajectory import STANDING, Trajectory, load_motion, prepared
+
+    return Trajectory(_vehicle_pose(at), prepared(load_motion(trajectory) if trajectory else STANDING), start_ns)
+
+
+def _vehicle_pose(at: str) -> "Array":
+    """T_world_vehicle (4, 4) from X,Y,YAW_DEG."""
+    from lidarcfg.geometry import pose
+
+    try:
+        x, y, yaw_deg = map(float, at.split(","))
+        if not all(map(math.isfinite, (x, y, yaw_deg))):
+            raise ValueError
+    except ValueError:
+        raise click.BadParameter(f"{at!r} is not three numbers X,Y,YAW_DEG", param_hint="--at") from None
+    return pose((x, y, 0.0), (0.0, 0.0, math.radians(yaw_deg)))
+
+
+def nanoseconds(start: str) -> int:
+    """Since 1970 in UTC."""
+    from datetime import UTC, datetime
+
+    try:
+        time = datetime.fromisoformat(start)
+    except ValueError:
+        what = f"{start!r} is not a time such as 2026-01-01T00:00:00"
+        raise click.BadParameter(what, param_hint="--start") from None
+    if time.tzinfo is None:
+        time = time.replace(tzinfo=UTC)
+    since = time - datetime(1970, 1, 1, tzinfo=UTC)
+    if not 0 <= since.total_seconds() < 2**32:
+        raise click.BadParameter(f"{start!r} is outside a pcap's 1970 to 2106", param_hint="--start")
+    return (since.days * 86_400 + since.seconds) * SECOND_NS + since.microseconds * 1000
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Callable[[float, str], None]]:
+    """A bar on stderr that is told the share that is done and a text; it shows from the first share on."""
+    if quiet:
+        yield lambda share, text: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (BarColumn(30), TextColumn("{task.description}"), TimeRemainingColumn())
+    bar = Progress(*columns, console=Console(stderr=True))
+    task = bar.add_task("", total=1.0)
+
+    def on_share(share: float, text: str) -> None:
+        bar.start()
+        bar.update(task, completed=share, description=text)
+
+    try:
+        yield on_share
+    finally:
+        if bar.live.is_started:
+            bar.stop()
