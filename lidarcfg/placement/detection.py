@@ -1,18 +1,23 @@
 """Object detection rate: the share of places where an object reaches into enough subspaces (paper, II-C)."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy.stats import qmc, t
 
 from lidarcfg.config import Model, Positive
 from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
 from lidarcfg.placement import kernels
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
+
+Counts = NDArray[np.int64]
 
 REPLICATES = 16  # independent scramblings, whose spread gives the confidence interval
 
@@ -40,6 +45,22 @@ class Detection:
     half_width: float  # of the 95 % confidence interval; 0 where all places were counted
 
 
+@dataclass(frozen=True)
+class Rings:
+    """How often an object is detected, by its middle's horizontal distance from a point."""
+
+    edges_m: Array  # (n + 1,) ascending; a ring holds its inner edge
+    detected: Counts  # (n,)
+    places: Counts  # (n,) free of exclusions, counted or drawn
+
+    @property
+    def rate(self) -> Array:
+        """(n,) NaN in a ring without a place."""
+        none = np.full(len(self.places), np.nan)
+        rate: Array = np.divide(self.detected, self.places, out=none, where=self.places > 0)
+        return rate
+
+
 def check_fits(item: DetectionObject, region: Region) -> None:
     """Raise ConfigError where an object is larger than the region."""
     for axis, (need, have) in enumerate(zip(cuboids_needed(item.size_m, region.cuboid_m), region.shape, strict=True)):
@@ -59,19 +80,69 @@ def detection(subspaces: Subspaces, item: DetectionObject) -> Detection:
     return found
 
 
-def _counted(subspaces: Subspaces, item: DetectionObject) -> Detection:
-    """Every place on the grid, wholly inside the region and free of exclusions, at all heights or on the ground."""
+def counted_places(subspaces: Subspaces, item: DetectionObject) -> tuple[Counts, Counts]:
+    """Where an object is detected, and where it can be: places, by its lowest cuboid along x and y, (mx, my) each.
+
+    Every place on the grid, wholly inside the region and free of exclusions, at all heights or on the ground.
+    """
     size = cuboids_needed(item.size_m, subspaces.region.cuboid_m)
     layers = 1 if item.on_ground else subspaces.region.shape[2]
-    detected, places = kernels.detected_positions(subspaces.label, size, item.threshold, layers)
+    return kernels.detected_positions(subspaces.label, size, item.threshold, layers)
+
+
+def detection_by_distance(subspaces: Subspaces, item: DetectionObject, middle_m: Array, edges_m: Array) -> Rings:
+    """The places of `detection`, by the distance of the object's middle from `middle_m` (2,), along the ground.
+
+    What is beyond the last of `edges_m` is in no ring.
+    """
+    n = len(edges_m) - 1
+    detected, places = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    region = subspaces.region
+    if item.samples:
+        for box in _drawn_boxes(region, item, item.samples):
+            ring = _ring(box[:, 0], box[:, 1], middle_m, edges_m)
+            for i in range(n):
+                met = _detected_boxes(subspaces, item, box[ring == i])
+                detected[i], places[i] = detected[i] + met[0], places[i] + met[1]
+        return Rings(edges_m, detected, places)
+    found, free = counted_places(subspaces, item)
+    size = cuboids_needed(item.size_m, region.cuboid_m)
+    x, y = (region.min_m[a] + (np.arange(free.shape[a]) + size[a] / 2) * region.cuboid_m[a] for a in (0, 1))
+    ring = _ring(x[:, None], y[None, :], middle_m, edges_m)
+    np.add.at(detected, ring[ring < n], found[ring < n])
+    np.add.at(places, ring[ring < n], free[ring < n])
+    return Rings(edges_m, detected, places)
+
+
+def _ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
+    """The ring of each point; as many as there are rings where it lies in none."""
+    ring = np.searchsorted(edges_m, np.hypot(x_m - middle_m[0], y_m - middle_m[1]), side="right") - 1
+    return np.where(ring < 0, len(edges_m) - 1, ring)
+
+
+def _counted(subspaces: Subspaces, item: DetectionObject) -> Detection:
+    detected, places = (int(count.sum()) for count in counted_places(subspaces, item))
     return Detection(detected / max(places, 1), places, 0.0)
 
 
 def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detection:
-    """Places and headings by scrambled Sobol points; the interval is Student's over the replicates' rates."""
-    low, high = subspaces.region.min_m, subspaces.region.max_m
-    length, width, height = item.size_m
+    """The interval is Student's over the replicates' rates."""
     rates, places = [], 0
+    for box in _drawn_boxes(subspaces.region, item, samples):
+        detected, free = _detected_boxes(subspaces, item, box)
+        places += free
+        if free:
+            rates.append(detected / free)
+    if len(rates) < 2:
+        return Detection(0.0, 0, 0.0)
+    half_width = float(t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / math.sqrt(len(rates)))
+    return Detection(float(np.mean(rates)), places, half_width)
+
+
+def _drawn_boxes(region: Region, item: DetectionObject, samples: int) -> Iterator[Array]:
+    """Places and headings by scrambled Sobol points, a replicate at a time: (n, 4) x, y, bottom z, heading."""
+    low, high = region.min_m, region.max_m
+    length, width, height = item.size_m
     for replicate in range(REPLICATES):
         sobol = qmc.Sobol(4, rng=np.random.default_rng(replicate))
         u = sobol.random_base2(max(math.ceil(math.log2(samples / REPLICATES)), 0))
@@ -82,14 +153,10 @@ def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detecti
         x = low[0] + reach_x + u[:, 0] * (high[0] - low[0] - 2 * reach_x)
         y = low[1] + reach_y + u[:, 1] * (high[1] - low[1] - 2 * reach_y)
         z = low[2] + (0.0 if item.on_ground else u[:, 2]) * (high[2] - low[2] - height)
-        box = np.stack([x, y, z + 0 * x, heading], axis=1)[fits]
-        detected, free = kernels.detected_boxes(
-            subspaces.label, low, subspaces.region.cuboid_m, box, item.size_m, item.threshold
-        )
-        places += free
-        if free:
-            rates.append(detected / free)
-    if len(rates) < 2:
-        return Detection(0.0, 0, 0.0)
-    half_width = float(t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / math.sqrt(len(rates)))
-    return Detection(float(np.mean(rates)), places, half_width)
+        yield np.stack([x, y, z + 0 * x, heading], axis=1)[fits]
+
+
+def _detected_boxes(subspaces: Subspaces, item: DetectionObject, box: Array) -> tuple[int, int]:
+    """How many of the boxes (n, 4) are detected, and how many are free of exclusions."""
+    region = subspaces.region
+    return kernels.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.size_m, item.threshold)

@@ -106,15 +106,19 @@ def remember(witness: NDArray[np.int64], source: NDArray[np.int64], refuter: NDA
 
 
 @njit(cache=True, nogil=True)
-def detected_positions(labels: Labels, size: tuple[int, int, int], threshold: int, layers: int) -> tuple[int, int]:
+def detected_positions(
+    labels: Labels, size: tuple[int, int, int], threshold: int, layers: int
+) -> tuple[Counts, Counts]:
     """At how many places a box of cuboids touches more than `threshold` components, and how many there are.
 
     labels (nx, ny, nz), −1 left out; size in cuboids; the box's lowest layer is one of the first `layers`.
-    A place counts when the whole box lies inside the grid and on no cuboid that is left out.
+    A place counts when the whole box lies inside the grid and on no cuboid that is left out. Both (mx, my), by the
+    lowest cuboid of the box along x and y, all layers together.
     """
     nx, ny, nz = labels.shape
     seen = np.empty(threshold + 1, np.int32)
-    places = detected = 0
+    places = np.zeros((nx - size[0] + 1, ny - size[1] + 1), np.int64)
+    detected = np.zeros_like(places)
     for i in range(nx - size[0] + 1):
         for j in range(ny - size[1] + 1):
             for k in range(min(nz - size[2] + 1, layers)):
@@ -137,8 +141,8 @@ def detected_positions(labels: Labels, size: tuple[int, int, int], threshold: in
                             break
                     if not free:
                         break
-                places += free
-                detected += free and found > threshold
+                places[i, j] += free
+                detected[i, j] += free and found > threshold
     return detected, places
 
 

@@ -1,0 +1,41 @@
+"""A result as JSON, files, tables, plots and a page."""
+
+from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
+from lidarcfg.report.results import (
+    check_writable,
+    evaluation_dict,
+    load_log,
+    placement_dict,
+    save_evaluation,
+    save_placement,
+    save_progress,
+    to_json,
+)
+from lidarcfg.report.tables import (
+    analytic_line,
+    print_evaluation,
+    print_placement,
+    print_sensor,
+    print_sensors,
+)
+
+__all__ = [
+    "COLOURS",
+    "analytic_line",
+    "check_writable",
+    "draw_convergence",
+    "draw_rig",
+    "evaluation_dict",
+    "load_log",
+    "new_figure",
+    "placement_dict",
+    "print_evaluation",
+    "print_placement",
+    "print_sensor",
+    "print_sensors",
+    "save_evaluation",
+    "save_figure",
+    "save_placement",
+    "save_progress",
+    "to_json",
+]

@@ -1,0 +1,96 @@
+"""A result as pictures in PNG: how a search went, and where the sensors sit."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidarcfg.config import replacing
+from lidarcfg.placement.lidar import rig_lidars
+from lidarcfg.placement.optimize import Placement
+from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.rig import Rig
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, told apart by colour-blind people
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
+
+
+def save_figure(figure: "Figure", path: Path) -> None:
+    """As a PNG, whole or not at all."""
+    with replacing(path, "wb") as file:
+        figure.savefig(file, format="png", dpi=120)
+
+
+def new_figure(width_in: float, height_in: float) -> "Figure":
+    """An empty figure, in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def draw_convergence(study: Study, found: Placement) -> "Figure":
+    """Best and mean max VSR of the food sources over the evaluations (the paper's figure 4)."""
+    figure = new_figure(7, 4)
+    axes = figure.subplots()
+    evaluations = [cycle.evaluations for cycle in found.history]
+    axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
+    axes.plot(evaluations, [cycle.mean for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
+    if study.objective.is_max_vsr:
+        axes.axhline(found.middle_max_vsr_m, color="0.5", ls=":", label="middle of the bounds")
+    label = "max VSR (m)" if study.objective.is_max_vsr else "objective"
+    axes.set(xlabel="evaluations", ylabel=label, ylim=(0, None))
+    axes.set_title(
+        f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
+        parse_math=False,
+    )
+    axes.grid(alpha=0.3)
+    axes.legend()
+    return figure
+
+
+def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
+    """The rig from top, side and front: region, exclusions, the worst subspace, each sensor and its axis."""
+    region = study.region
+    figure = new_figure(11, 7)
+    grid = figure.add_gridspec(2, 2, width_ratios=(3, 1))
+    views = ((0, 1, grid[0, :]), (0, 2, grid[1, 0]), (1, 2, grid[1, 1]))
+    worst = int(found.vsr_m.argmax())
+    for across, up, place in views:
+        axes = figure.add_subplot(place)
+        hidden = ({0, 1, 2} - {across, up}).pop()
+        left, right = float(region.min_m[across]), float(region.max_m[across])
+        bottom, top = float(region.min_m[up]), float(region.max_m[up])
+        for mask, colour in (
+            ((~region.included).any(axis=hidden), (0.6, 0.6, 0.6)),
+            ((found.subspaces.label == worst).any(axis=hidden), (0.84, 0.37, 0.0)),
+        ):
+            picture = np.zeros((*mask.T.shape, 4))
+            picture[..., :3] = colour
+            picture[..., 3] = 0.45 * mask.T
+            axes.imshow(
+                picture,
+                extent=(left, right, bottom, top),
+                origin="lower",
+                aspect="auto",
+                interpolation="nearest",
+            )
+        _draw_sensors(axes, rig, across, up, 0.12 * (top - bottom))
+        axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
+        axes.set_title({2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"))
+    figure.axes[0].legend(loc="upper right")
+    title = f"{rig.name}: max VSR {found.max_vsr_m:.4f} m; its subspace orange, left out grey"
+    figure.suptitle(title, parse_math=False)
+    return figure
+
+
+def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
+    for i, (mount, cones) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
+        colour, at = COLOURS[i % len(COLOURS)], cones.position_m
+        axes.plot(at[across], at[up], "o", color=colour, ms=5, label=mount.name, zorder=3)
+        tip = at + cones.axis * length
+        arrow = {"arrowstyle": "->", "color": colour, "lw": 1.5}
+        axes.annotate("", xy=(tip[across], tip[up]), xytext=(at[across], at[up]), arrowprops=arrow, zorder=3)

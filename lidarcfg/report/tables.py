@@ -1,0 +1,122 @@
+"""A result as tables on the terminal."""
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from lidarcfg.placement.analytic import Analytic
+from lidarcfg.placement.optimize import Placement
+from lidarcfg.placement.study import Evaluation
+from lidarcfg.rig import Rig
+from lidarcfg.sensor import Sensor
+
+TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns"}
+
+
+def _console() -> Console:
+    """Standard output; as wide as the terminal, or wide enough for the tables where there is none."""
+    return Console(width=None if sys.stdout.isatty() else 110, highlight=False, markup=False, emoji=False)
+
+
+def print_placement(found: Placement) -> None:
+    """The search in short, then the rig and what it is worth."""
+    search = Table(box=SIMPLE, show_header=False)
+    search.add_row("max VSR, middle of the bounds", f"{found.middle_max_vsr_m:.4f} m")
+    search.add_row("max VSR, optimised", f"{found.evaluation.max_vsr_m:.4f} m")
+    search.add_row("evaluations", f"{found.evaluations:,}")
+    search.add_row("seconds", f"{found.seconds:.1f}")
+    _console().print(search)
+    print_evaluation(found.rig, found.evaluation)
+
+
+def print_evaluation(rig: Rig, found: Evaluation) -> None:
+    """The rig, its max VSR and detection rates, and the worst subspaces."""
+    console = _console()
+    poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
+    for mount in rig.mounts:
+        angles = np.degrees(mount.rpy_rad)
+        poses.add_row(mount.name, *(f"{v:.3f}" for v in mount.position_m), *(f"{v:.2f}" for v in angles))
+    console.print(poses)
+    console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
+    if found.analytic:
+        console.print(analytic_line(found.analytic))
+    for name, detection in found.detection.items():
+        how = f"± {detection.half_width:.4f}, {detection.places:,} places drawn"
+        if not detection.half_width:
+            how = f"all {detection.places:,} places counted"
+        console.print(f"detection rate of {name}: {detection.rate:.4f} ({how})")
+    worst = Table(
+        "VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "between the beams at (°), by sensor", box=SIMPLE
+    )
+    for space in found.worst:
+        worst.add_row(
+            f"{space.vsr_m:.4f}",
+            f"{space.volume_m3:.2f}",
+            f"{space.inscribed_radius_m:.3f}",
+            ", ".join(f"{v:.2f}" for v in space.centroid_m),
+            "  ".join(f"{_degrees(low)}…{_degrees(high)}" for low, high in space.between_deg),
+        )
+    console.print("the worst subspaces:")
+    console.print(worst)
+
+
+def analytic_line(found: Analytic) -> str:
+    """The analytic max VSR, its error bar, and whether that is what was asked for."""
+    edges = " × ".join(f"{edge:g}" for edge in found.cuboid_m)
+    reached = f"within the tolerance of {found.tolerance:.3g}"
+    if not found.reached:
+        share = found.error_m / found.max_vsr_m
+        reached = f"NOT within the tolerance of {found.tolerance:.3g}, but of {share:.2g}: no finer grid is tried"
+    return (
+        f"analytic max VSR {found.max_vsr_m:.6f} ± {found.error_m:.6f} m, {reached} "
+        f"({found.cuboids:,} cuboids of {edges} m, {found.seconds:.2f} s)"
+    )
+
+
+def _degrees(angle: float | None) -> str:
+    return "" if angle is None else f"{angle:g}"
+
+
+def print_sensors(sensors: Sequence[Sensor]) -> None:
+    """One line a model."""
+    table = Table("name", "beams", "elevation (°)", "range (m)", "simulated", "description", box=SIMPLE)
+    for sensor in sensors:
+        low, high = min(sensor.beams.elevation_deg), max(sensor.beams.elevation_deg)
+        table.add_row(
+            sensor.name,
+            str(sensor.count),
+            f"{low:g} to {high:g}",
+            f"{sensor.range.min_m:g} to {sensor.range.max_m:g}" if sensor.range else "–",
+            "yes" if sensor.packet else "no",
+            sensor.description,
+        )
+    _console().print(table)
+
+
+def print_sensor(sensor: Sensor) -> None:
+    """All that is known of a model: the beam table, then every fact with its source."""
+    console = _console()
+    console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
+    table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)
+    for laser in range(sensor.count):
+        table.add_row(
+            str(laser),
+            str(sensor.ring[laser]),
+            f"{sensor.beams.elevation_deg[laser]:g}",
+            f"{sensor.beams.azimuth_offset_deg[laser]:g}" if sensor.beams.azimuth_offset_deg else "0",
+            f"{sensor.beams.vertical_offset_mm[laser]:g}" if sensor.beams.vertical_offset_mm else "0",
+            str(sensor.firing.offset_ns[laser]) if sensor.firing else "–",
+        )
+    console.print(table)
+    facts = sensor.model_dump(mode="json", exclude_none=True)
+    for part in ("beams", "firing", "rotation", "range", "optics", "packet", "position_packet"):
+        values = facts.get(part, {})
+        source = values.pop("source", "")
+        shown = {key: value for key, value in values.items() if key not in TABLE_KEYS}
+        if values:
+            console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
+            console.print(f"  source: {source.strip()}", style="dim")
