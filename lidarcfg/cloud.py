@@ -117,12 +117,12 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
-def load_cloud(path: str | Path) -> PointCloud:
+def load_cloud(path: str | Path, allow_empty: bool = False) -> PointCloud:
     """The cloud in a file such as `save_clouds` writes. Raises CloudError for anything that no cloud holds."""
     path = Path(path)
     kind = _suffix(path)
     try:
-        return _checked(path, _read_npz(path) if kind == ".npz" else _read_rows(path, kind))
+        return checked(path, _read_npz(path) if kind == ".npz" else _read_rows(path, kind), allow_empty)
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except DAMAGE as error:
@@ -130,7 +130,7 @@ def load_cloud(path: str | Path) -> PointCloud:
         raise CloudError(f"{path}: not a whole {kind[1:]} file: {what}") from None
 
 
-def _checked(path: Path, columns: dict[str, Any]) -> PointCloud:
+def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> PointCloud:
     """The columns as a cloud. Raises CloudError unless each holds what its field allows."""
     missing = [key for key in (*FIELDS, "sensor_names") if key not in columns]
     if missing:
@@ -140,7 +140,7 @@ def _checked(path: Path, columns: dict[str, Any]) -> PointCloud:
         if columns[key].dtype.kind not in letters:
             raise CloudError(f"{path}: {key} is of type {columns[key].dtype}; allowed: {kinds}")
     xyz, names = columns["xyz"], _names(path, columns["sensor_names"])
-    if xyz.shape == (0, 3):
+    if xyz.shape == (0, 3) and not allow_empty:
         raise CloudError(f"{path}: the cloud is empty")
     if xyz.shape[1:] != (3,) or any(columns[key].shape != xyz.shape[:1] for key in FIELDS if key != "xyz"):
         raise CloudError(f"{path}: the fields are not of one length")
@@ -155,7 +155,7 @@ def _checked(path: Path, columns: dict[str, Any]) -> PointCloud:
             if len(bad):
                 what = f"point {bad[0]}: {key} is {column[bad[0]]}"
                 raise CloudError(f"{path}: {what}; allowed: {allowed.min} to {allowed.max}")
-    if columns["sensor"].max() >= len(names):
+    if len(xyz) and columns["sensor"].max() >= len(names):
         raise CloudError(f"{path}: a point is of sensor {columns['sensor'].max()}; there are {len(names)}")
     return PointCloud(sensor_names=names, **{key: columns[key].astype(FIELDS[key]) for key in FIELDS})
 

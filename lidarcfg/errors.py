@@ -19,3 +19,7 @@ class PacketError(LidarcfgError):
 
 class CloudError(LidarcfgError):
     """A point cloud cannot be read, written or shown."""
+
+
+class HandoverError(LidarcfgError):
+    """What is to be handed over cannot be said in the format that is asked for."""
