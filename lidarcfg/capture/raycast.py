@@ -4,13 +4,13 @@ Open3D says in float32 which triangle a ray meets; how far away it is, is the tr
 What stands still is built once. What moves is built once in a frame of its own, and rays are cast in that frame.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.capture.ray_kernels import keep_ground, keep_nearer, local_rays
 from lidarcfg.capture.scene import Scene
 from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared, rotated
 from lidarcfg.geometry import Array
@@ -21,7 +21,7 @@ NOTHING = -1
 GRAZING_M = 0.01  # a plane's range further than this from float32's is rounding's
 
 Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp] | None  # None: all
+Rows = NDArray[np.intp]
 
 
 class Hits(NamedTuple):
@@ -101,34 +101,23 @@ class Raycaster:
             object=np.full(count, NOTHING, np.int32),
             normal=np.zeros((count if normals else 0, 3), np.float32),
         )
-        rows = None if may_meet is None else [np.flatnonzero(row) for row in may_meet]
-        first = None if rows is None or len(rows[0]) == count else rows[0]
+        everyone = np.arange(count)
+        rows = [everyone] * (1 + len(self.movers)) if may_meet is None else [np.flatnonzero(row) for row in may_meet]
         if self.scene.file.ground:
-            self._ground(hits, first, origins_m, directions, self.scene.file.ground.z_m)
-        if count and len(self.still_triangles):
+            kept = keep_ground(origins_m, directions, rows[0], self.scene.file.ground.z_m, 0, hits.range_m, hits.object)
+            if normals:
+                hits.normal[rows[0][kept]] = 0, 0, 1
+        if len(rows[0]) and len(self.still_triangles):
             local_m, part = self._local(origins_m[0])
-            starts, along = (origins_m, directions) if first is None else (origins_m[first], directions[first])
-            _nearer(hits, first, part, self._still_object, starts - local_m, along)
-        for i, mover in enumerate(self.movers, 1):
-            which = np.arange(count) if rows is None else rows[i]
+            _nearer(hits, rows[0], part, self._still_object, origins_m, directions, np.eye(3)[None], local_m[None])
+        for mover, which in zip(self.movers, rows[1:], strict=True):
             if len(which):
                 seconds = np.zeros(len(which)) if time_ns is None else (time_ns[which] - self.zero_ns) / SECOND_NS
                 R, t = mover.path.at(seconds)
-                inverse = R.transpose(0, 2, 1)
-                local = rotated(inverse, origins_m[which] - mover.place_m - t)
                 index = np.array([mover.object], np.int32)
-                _nearer(hits, which, mover.part, index, local, rotated(inverse, directions[which]), R)
+                _nearer(hits, which, mover.part, index, origins_m, directions, R, mover.place_m + t)
         np.take(self._reflectivity, hits.object, out=hits.reflectivity, mode="wrap")
         return hits
-
-    def _ground(self, hits: Hits, which: Rows, origins_m: Array, directions: Array, z_m: float) -> None:
-        """The plane, without end and from both sides, in float64."""
-        up_m, rise = origins_m[:, 2], directions[:, 2]
-        if which is not None:
-            up_m, rise = up_m[which], rise[which]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            range_m = (z_m - up_m) / rise
-        _keep(hits, which, range_m, range_m > 0, np.zeros(1, np.int32), lambda: np.array([[0, 0, 1]], np.float32))
 
 
 def _mover(scene: Scene, index: int) -> Mover:
@@ -155,60 +144,24 @@ def _part(vertices_m: Array, triangles: NDArray[np.int64]) -> Part:
 
 def _nearer(
     hits: Hits,
-    which: Rows,
+    rows: Rows,
     part: Part,
     objects: NDArray[np.int32],
     origins_m: Array,
     directions: Array,
-    R: Array | None = None,
+    R: Array,
+    t: Array,
 ) -> None:
-    """Cast rays in a part's own frame and keep in `hits` what is nearer; R brings its normals into the world.
+    """Cast the rays `rows` in a part's own frame, which stands at t and is turned by R; keep in `hits` what is nearer.
 
     `objects` is one a triangle, or one for all.
     """
     import open3d as o3d
 
-    rays = np.empty((len(directions), 6), np.float32)
-    rays[:, :3], rays[:, 3:] = origins_m, directions
-    found = part.scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-    range_m, triangle = found["t_hit"].numpy().astype(np.float64), found["primitive_ids"].numpy()
-    hit = np.flatnonzero(range_m < np.inf)
-    plane, along = part.planes[triangle[hit]], directions[hit]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        exact = (plane[:, 3] - np.einsum("ij,ij->i", plane[:, :3], origins_m[hit])) / np.einsum(
-            "ij,ij->i", plane[:, :3], along
-        )
-    near = np.abs(exact - range_m[hit]) < GRAZING_M  # not where the plane is seen edge on
-    range_m[hit[near]] = exact[near]
-
-    def normals() -> NDArray[np.float32]:
-        normal: NDArray[np.float32] = found["primitive_normals"].numpy()
-        return normal if R is None else rotated(R, normal.astype(np.float64)).astype(np.float32)
-
-    owners = objects if len(objects) == 1 else objects.take(triangle, mode="clip")
-    _keep(hits, which, range_m, range_m < np.inf, owners, normals)
-
-
-def _keep(
-    hits: Hits,
-    which: Rows,
-    range_m: NDArray[np.floating],
-    valid: Mask,
-    objects: NDArray[np.int32],
-    normals: Callable[[], NDArray[np.float32]],
-) -> None:
-    """In `hits`, of the rows `which`, what is valid and nearer; objects and normals are one a row or one for all."""
-    if which is None:
-        closer = valid & (range_m < hits.range_m)
-        np.copyto(hits.range_m, range_m, where=closer)
-        np.copyto(hits.object, objects, where=closer)
-        if len(hits.normal):
-            np.copyto(hits.normal, normals(), where=closer[:, None])
-        return
-    closer = valid & (range_m < hits.range_m[which])
-    index = which[closer]
-    hits.range_m[index] = range_m[closer]
-    hits.object[index] = objects if len(objects) == 1 else objects[closer]
+    rays = local_rays(origins_m, directions, rows, R, t)
+    found = part.scene.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
+    hit_m, triangle = found["t_hit"].numpy(), found["primitive_ids"].numpy()
+    kept = keep_nearer(rays, rows, hit_m, triangle, part.planes, objects, GRAZING_M, hits.range_m, hits.object)
     if len(hits.normal):
-        normal = normals()
-        hits.normal[index] = normal if len(normal) == 1 else normal[closer]
+        normal = found["primitive_normals"].numpy()[kept].astype(np.float64)
+        hits.normal[rows[kept]] = rotated(R if len(R) == 1 else R[kept], normal)
