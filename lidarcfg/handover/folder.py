@@ -1,0 +1,53 @@
+"""What is made aside and takes its place only when whole: folders, and files that others write."""
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fnmatch import fnmatch
+from pathlib import Path
+
+from lidarcfg.errors import HandoverError
+
+
+@contextmanager
+def beside(path: Path) -> Iterator[Path]:
+    """A new folder beside `path`, for a while. What the system refuses in there is said of `path`."""
+    whole = path.resolve()
+    try:
+        aside = Path(tempfile.mkdtemp(prefix=f".{whole.name}.", suffix=".part", dir=whole.parent))
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    try:
+        yield aside
+    except OSError as error:
+        if error.filename is None or str(error.filename).startswith(str(aside)):
+            raise OSError(error.errno, error.strerror or str(error), str(path)) from None
+        raise
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+@contextmanager
+def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
+    """Where to make the folder that becomes `path`; nothing stays of it if anything goes wrong.
+
+    A folder that is there is replaced if all that it holds has names like `contents`, else HandoverError is raised.
+    """
+    whole = path.resolve()
+    if whole.exists() and not whole.is_dir():
+        raise HandoverError(f"{path}: is not a folder; give the name of a new one")
+    for item in whole.iterdir() if whole.exists() else ():
+        if not any(fnmatch(item.name, pattern) for pattern in contents):
+            raise HandoverError(f"{path}: holds {item.name!r}; only a folder of {', '.join(contents)} is replaced")
+    with beside(path) as aside:
+        new, old = aside / whole.name, aside / f"{whole.name}.old"
+        yield new
+        try:
+            if whole.exists():
+                whole.rename(old)
+            new.rename(whole)
+        except BaseException:
+            if old.exists() and not whole.exists():
+                old.rename(whole)
+            raise
