@@ -11,7 +11,9 @@ import click
 
 import lidarcfg
 from lidarcfg.commands.capture import decode, export, replay
+from lidarcfg.commands.completion import completion
 from lidarcfg.commands.options import one_line
+from lidarcfg.commands.page import Tasks
 from lidarcfg.commands.placement import evaluate, optimize
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.view import view
@@ -59,25 +61,36 @@ def _fail(message: str) -> None:
 
 
 @click.group(
+    cls=Tasks,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="""
+    \b
+    From a study to a picture:
+      lidarcfg optimize data/studies/liu2018-2x16.yaml -o out/two
+      lidarcfg evaluate data/studies/liu2018-2x16.yaml out/two/rig.yaml
+      lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml --at=-30,-10,0 --duration 1 -o out/two.pcap
+      lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
+      lidarcfg view out/two.ply --rig out/two/rig.yaml --png out/two.png
+
+    Each command explains itself and shows an example: lidarcfg optimize --help. The project's docs/ has a page for
+    each task, its README.md the table of contents.
+    """,
 )
 @click.version_option(lidarcfg.__version__, prog_name="lidarcfg")
 @click.pass_context
 def cli(context: click.Context) -> None:
     """Where should the LiDARs sit on this vehicle, and what will they hear?
 
-    \b
-    lidarcfg optimize data/studies/liu2018-2x16.yaml -o out/two        place two LiDARs
-    lidarcfg evaluate data/studies/liu2018-2x16.yaml out/two/rig.yaml  how well do they see?
-    lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml \\
-        --at=-30,-10,0 --duration 1 -o out/two.pcap                    what do they send?
-    lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply merged points
-    lidarcfg view out/two.ply --png out/two.png                        a picture
+    A study (which sensors may sit where) becomes a rig (where they sit best). A rig in a scene becomes a capture: the
+    packets that the real sensors would send. A capture, this or a real one, becomes points to look at and to hand on.
+    Studies, rigs, scenes and sensors are YAML files.
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
 
 
-for command in (optimize, evaluate, export, decode, replay, view, sensors):
-    cli.add_command(command)
+cli.add_task("Place sensors on a vehicle", optimize, evaluate)
+cli.add_task("Hear what they send", export, decode, replay)
+cli.add_task("Look at it", view)
+cli.add_task("Know the sensors, help the shell", sensors, completion)

@@ -7,6 +7,7 @@ import click
 
 from lidarcfg.commands.options import (
     FILE,
+    MODEL,
     SECOND_NS,
     START_HELP,
     Seconds,
@@ -115,7 +116,7 @@ def export(
 @click.command()
 @click.argument("pcap", type=FILE)
 @click.option("--rig", type=FILE, help="Merge by this rig's poses; without it each source keeps its own frame.")
-@click.option("--model", help="What the sensor is, whatever its packets say.")
+@click.option("--model", type=MODEL, help="What the sensor is, whatever its packets say.")
 @click.option("--trajectory", type=FILE, help="How the vehicle moved: takes the motion out; points are in the world.")
 @click.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]")
 @click.option("--start", metavar="TIME", help="When the trajectory starts; " + START_HELP)

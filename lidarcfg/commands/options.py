@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from lidarcfg.capture.trajectory import Trajectory
@@ -39,6 +40,20 @@ class Share(Seconds):
     name = "share"
 
 
+class SensorModel(click.ParamType[str]):
+    """A sensor by its name in the catalogue, or by the path of its YAML."""
+
+    name = "model"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """The names that begin so; where none does, files."""
+        from lidarcfg.sensor import catalogue
+
+        names = [CompletionItem(name) for name in catalogue() if name.startswith(incomplete)]
+        return names or [CompletionItem(incomplete, type="file")]
+
+
+MODEL = SensorModel()
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 
 

@@ -2,7 +2,7 @@
 
 import click
 
-from lidarcfg.commands.options import quiet_option
+from lidarcfg.commands.options import MODEL, quiet_option
 
 
 @click.group(invoke_without_command=True)
@@ -30,7 +30,7 @@ def list_sensors(quiet: bool = False) -> None:
 
 
 @sensors.command("show")
-@click.argument("name")
+@click.argument("name", type=MODEL)
 @quiet_option
 def show_sensor(name: str, quiet: bool) -> None:
     """Show the model NAME: its beam table, timing and packet facts with their sources.
