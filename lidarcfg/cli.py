@@ -12,6 +12,7 @@ import click
 import lidarcfg
 from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.completion import completion
+from lidarcfg.commands.convert import convert
 from lidarcfg.commands.options import one_line
 from lidarcfg.commands.page import Tasks
 from lidarcfg.commands.placement import evaluate, optimize
@@ -93,4 +94,5 @@ def cli(context: click.Context) -> None:
 cli.add_task("Place sensors on a vehicle", optimize, evaluate)
 cli.add_task("Hear what they send", export, decode, replay)
 cli.add_task("Look at it", view)
+cli.add_task("Hand it to other tools", convert)
 cli.add_task("Know the sensors, help the shell", sensors, completion)
