@@ -1,11 +1,12 @@
-"""How far each ray gets: the ground in closed form, all else by Open3D's RaycastingScene in a local frame.
+"""How far each ray gets: the ground in closed form, all else by its triangles, in a local frame.
 
-Open3D says in float32 which triangle a ray meets; how far away it is, is the triangle's plane's to say, in float64.
+Which triangle a ray meets, triangles.py says; how far away it is, is the triangle's plane's to say, in float64.
 What stands still is built once. What moves is built once in a frame of its own, and rays are cast in that frame.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from lidarcfg.capture.ray_kernels import keep_ground, keep_nearer, local_rays
 from lidarcfg.capture.scene import Scene
 from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared, rotated
+from lidarcfg.capture.triangles import Triangles
 from lidarcfg.geometry import Array
 
 LOCAL_M = 1000.0  # at so much from a local origin a float32 steps by 0.06 mm
@@ -33,13 +35,6 @@ class Hits(NamedTuple):
     normal: NDArray[np.float32]  # (N, 3) of the surface, towards either side; 0: nothing; (0, 3): not asked for
 
 
-class Part(NamedTuple):
-    """Triangles, relative to an origin of their own."""
-
-    scene: Any  # Open3D's
-    planes: Array  # (T, 4) of the triangles: n·p = d, n not of unit length
-
-
 @dataclass(frozen=True)
 class Mover:
     """An object that moves: a ball around its place holds it whichever way it turns."""
@@ -48,7 +43,7 @@ class Mover:
     path: Path3
     place_m: Array  # (3,) at time 0
     radius_m: float
-    part: Part  # relative to the place
+    part: Triangles  # relative to the place
 
 
 class Raycaster:
@@ -67,18 +62,20 @@ class Raycaster:
         self._still_object = scene.triangle_object[~moving]
         self._reflectivity = np.append(scene.reflectivity, np.uint8(0))  # the last, -1, is nothing's
         self._origin_m = np.array(origin_m, np.float64)
-        self._parts: dict[bytes, Part] = {}
+        self._parts: dict[bytes, Triangles] = {}
+        self._lock = Lock()
 
-    def _local(self, place_m: Array) -> tuple[Array, Part]:
+    def _local(self, place_m: Array) -> tuple[Array, Triangles]:
         """The local origin for rays from a place (3,), and what stands still, relative to it."""
         cell = np.rint((place_m - self._origin_m) / LOCAL_M)
         origin_m = self._origin_m + cell * LOCAL_M
         key = cell.tobytes()
-        if key not in self._parts:
-            if len(self._parts) == PARTS_MAX:
-                del self._parts[next(iter(self._parts))]
-            self._parts[key] = _part(self.scene.vertices_m - origin_m, self.still_triangles)
-        return origin_m, self._parts[key]
+        with self._lock:  # threads cast together
+            if key not in self._parts:
+                if len(self._parts) == PARTS_MAX:
+                    del self._parts[next(iter(self._parts))]
+                self._parts[key] = Triangles(self.scene.vertices_m - origin_m, self.still_triangles)
+            return origin_m, self._parts[key]
 
     def cast(
         self,
@@ -127,25 +124,13 @@ def _mover(scene: Scene, index: int) -> Mover:
     used, local = np.unique(triangles, return_inverse=True)
     vertices = scene.vertices_m[used] - place_m
     radius_m = float(np.linalg.norm(vertices, axis=1).max())
-    return Mover(index, prepared(motion), place_m, radius_m, _part(vertices, local.reshape(-1, 3)))
-
-
-def _part(vertices_m: Array, triangles: NDArray[np.int64]) -> Part:
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene()
-    if len(triangles):
-        tensor = o3d.core.Tensor.from_numpy
-        scene.add_triangles(tensor(vertices_m.astype(np.float32)), tensor(triangles.astype(np.uint32)))
-    a, b, c = (vertices_m[triangles[:, corner]] for corner in range(3))
-    normal = np.cross(b - a, c - a)
-    return Part(scene, np.column_stack([normal, np.einsum("ij,ij->i", normal, a)]))
+    return Mover(index, prepared(motion), place_m, radius_m, Triangles(vertices, local.reshape(-1, 3)))
 
 
 def _nearer(
     hits: Hits,
     rows: Rows,
-    part: Part,
+    part: Triangles,
     objects: NDArray[np.int32],
     origins_m: Array,
     directions: Array,
@@ -156,12 +141,9 @@ def _nearer(
 
     `objects` is one a triangle, or one for all.
     """
-    import open3d as o3d
-
     rays = local_rays(origins_m, directions, rows, R, t)
-    found = part.scene.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
-    hit_m, triangle = found["t_hit"].numpy(), found["primitive_ids"].numpy()
+    hit_m, triangle = part.cast(rays)
     kept = keep_nearer(rays, rows, hit_m, triangle, part.planes, objects, GRAZING_M, hits.range_m, hits.object)
     if len(hits.normal):
-        normal = found["primitive_normals"].numpy()[kept].astype(np.float64)
+        normal = part.planes[triangle[kept], :3]
         hits.normal[rows[kept]] = rotated(R if len(R) == 1 else R[kept], normal)
