@@ -215,6 +215,9 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     """Write the rig as YAML; floats are written so that they read back bit for bit."""
     path = Path(path)
     with replacing(path) as file:
-        yaml.safe_dump(
-            rig_to_dict(rig, path.parent.resolve()), file, sort_keys=False, default_flow_style=None, width=110
-        )
+        file.write(rig_text(rig, path.parent.resolve()))
+
+
+def rig_text(rig: Rig, base: Path | None = None) -> str:
+    """The rig's YAML: for a file in the folder `base`, or with whole paths."""
+    return str(yaml.safe_dump(rig_to_dict(rig, base), sort_keys=False, default_flow_style=None, width=110))

@@ -127,7 +127,7 @@ def test_a_picture_of_a_capture_and_of_a_cloud(out):
 
 @pytest.mark.skipif(bool(os.environ.get("DISPLAY")), reason="there is a screen, and a window would open on it")
 def test_no_window_without_a_screen(out):
-    assert "there is no screen for a window; --png" in one_line("view", out / "two.ply")
+    assert "there is no screen for a window; --png" in one_line("view", out / "two.ply", "--window")
 
 
 def test_quiet_commands_print_nothing(out, tmp_path):

@@ -1,0 +1,86 @@
+// Region, what is left out of it, worst subspaces and scenes.
+
+import {
+  BoxGeometry,
+  BufferAttribute,
+  BufferGeometry,
+  DoubleSide,
+  EdgesGeometry,
+  Group,
+  LineBasicMaterial,
+  LineSegments,
+  Mesh,
+  MeshLambertMaterial,
+  PlaneGeometry,
+  Vector3,
+} from "three";
+import { unpacked } from "lidarcfg/data";
+
+export function body(mesh, color, opacity) {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(unpacked(mesh.vertices, Float32Array), 3));
+  geometry.setIndex(new BufferAttribute(unpacked(mesh.triangles, Uint32Array), 1));
+  const made = new Mesh(geometry, translucent(color, opacity));
+  made.position.set(...mesh.origin_m);
+  return made;
+}
+
+function translucent(color, opacity) {
+  const look = { color, opacity, transparent: true, depthWrite: false, side: DoubleSide, flatShading: true };
+  return new MeshLambertMaterial(look);
+}
+
+export function box(low, high, color) {
+  const size = high.map((value, axis) => value - low[axis]);
+  const lines = new LineSegments(new EdgesGeometry(new BoxGeometry(...size)), new LineBasicMaterial({ color }));
+  lines.position.set(...high.map((value, axis) => (value + low[axis]) / 2));
+  return lines;
+}
+
+export function region(study, colours) {
+  const group = new Group();
+  group.add(box(study.min_m, study.max_m, colours.left_out));
+  if (study.left_out) group.add(body(study.left_out, colours.left_out, 0.3));
+  return group;
+}
+
+export function bounds(study) {
+  const group = new Group();
+  for (const { min_m, max_m } of study.bounds) group.add(box(min_m, max_m, "white"));
+  return group;
+}
+
+export function scenery(scenes, colours) {
+  const group = new Group();
+  for (const { mesh, ground } of scenes) {
+    if (mesh) group.add(body(mesh, colours.left_out, 0.16));
+    if (!ground) continue;
+    const plane = new Mesh(new PlaneGeometry(2 * ground.half_m, 2 * ground.half_m), translucent(colours.left_out, 0.08));
+    plane.position.set(...ground.center_m);
+    group.add(plane);
+  }
+  return group;
+}
+
+// The worst subspaces of the rig as it stands, each with its VSR.
+export class Worst {
+  constructor(stage, colours) {
+    Object.assign(this, { stage, colours, labels: [] });
+    this.object = new Group();
+  }
+
+  set(worst) {
+    for (const label of this.labels) this.stage.labels.remove(label);
+    for (const mesh of this.object.children) {
+      mesh.geometry.dispose();
+      mesh.material.dispose();
+    }
+    this.object.clear();
+    this.labels = worst.map(({ vsr_m, centroid_m, mesh }, rank) => {
+      this.object.add(body(mesh, this.colours.worst, rank ? 0.22 : 0.4));
+      const at = new Vector3(...centroid_m);
+      const text = `VSR ${vsr_m.toFixed(4)} m`;
+      return this.stage.labels.add(text, this.colours.worst, () => (this.object.visible ? at : null));
+    });
+  }
+}

@@ -1,0 +1,212 @@
+// Puts the picture and its controls together.
+
+import { readAbout } from "lidarcfg/data";
+import { Worst, bounds, region, scenery } from "lidarcfg/bodies";
+import { Handles, Judge, saveRig } from "lidarcfg/handles";
+import { Measure } from "lidarcfg/measure";
+import { RigSection, TimeSection, WorthSection, check, colourSection, el, help, push, section, sensorSection, slide } from "lidarcfg/panel";
+import { Cloud, MODES } from "lidarcfg/points";
+import { Mount, axes } from "lidarcfg/sensors";
+import { Stage } from "lidarcfg/stage";
+
+const PLAY_MS = 100; // of a frame
+
+export async function start() {
+  const loading = document.getElementById("loading");
+  try {
+    const began = performance.now();
+    const about = await readAbout();
+    const cloud = about.points && (await Cloud.read(about));
+    const view = build(about, cloud);
+    loading.hidden = true;
+    window.lidarcfg = Object.assign(view, { began });
+  } catch (error) {
+    loading.textContent = `The page cannot be shown: ${error.message}`;
+    throw error;
+  }
+}
+
+function build(about, cloud) {
+  const stage = new Stage(about);
+  const { scene } = stage;
+  const panel = document.getElementById("panel");
+  const told = document.getElementById("told");
+  const tell = (text) => {
+    told.textContent = text;
+  };
+  const view = { about, stage, cloud };
+  panel.append(el("h1", {}, "lidarcfg ", el("small", { textContent: about.version })));
+
+  if (cloud) {
+    stage.points = cloud;
+    scene.add(cloud.object);
+  }
+  scene.add(axes(1));
+  const mounts = about.rigs.flatMap((rig) => rig.mounts).map((mount) => {
+    const { colour } = about.sensors.find(({ name }) => name === mount.name);
+    return new Mount(mount, colour, stage);
+  });
+  scene.add(...mounts.map((mount) => mount.object));
+
+  panel.append(
+    sensorSection(about, (name, on) => {
+      cloud?.show(name, on);
+      mounts.filter((mount) => mount.name === name).forEach((mount) => {
+        mount.object.visible = on;
+      });
+      stage.redraw();
+    }),
+  );
+  if (cloud) pointControls(view, panel);
+  bodyControls(view, panel, mounts);
+  if (about.rigs.length && about.live) rigControls(view, panel, mounts.slice(0, about.rigs[0].mounts.length));
+  else if (about.rigs.length) panel.append(el("p", { className: "dim", textContent: "lidarcfg view serves this page with handles that move the rig." }));
+
+  const bodies = () => scene.children.filter((object) => object.isGroup && object.visible && !mounts.some((mount) => mount.object === object));
+  view.measure = new Measure(stage, () => ({ mounts: mounts.filter(({ object }) => object.visible), bodies: bodies() }), tell, (mount) => view.rig?.select(mount));
+  cameraControls(view, panel, tell);
+  panel.append(help());
+  keys(view);
+  return view;
+}
+
+function pointControls(view, panel) {
+  const { about, stage, cloud } = view;
+  panel.append(
+    colourSection(about, (mode) => {
+      cloud.colourBy(mode);
+      stage.redraw();
+    }),
+    slide("size", "point size", [1, 6, 0.5], 2, (value) => `${value} px`, (value) => {
+      cloud.uniforms.size.value = value;
+      stage.redraw();
+    }),
+  );
+  let last = 0;
+  view.time = new TimeSection(
+    about.points,
+    (from, to) => {
+      cloud.slice(from, to);
+      stage.redraw();
+    },
+    (on) => {
+      stage.playing = on;
+      last = performance.now();
+      stage.redraw();
+    },
+  );
+  stage.onFrame = () => {
+    const now = performance.now();
+    if (!view.time.playing || now - last < PLAY_MS) return;
+    last = now;
+    view.time.go(view.time.at + 1);
+  };
+  panel.append(view.time.element);
+}
+
+function bodyControls(view, panel, mounts) {
+  const { about, stage } = view;
+  const rows = [];
+  const toggled = (id, text, object, on = true) => {
+    object.visible = on;
+    stage.scene.add(object);
+    rows.push(check(id, text, on, (shown) => {
+      object.visible = shown;
+      stage.redraw();
+    }));
+  };
+  if (about.study) {
+    toggled("region", "region, and what is left out of it (the vehicle)", region(about.study, about.colours));
+    if (about.study.bounds.length) toggled("bounds", "where the sensors may be", bounds(about.study));
+    view.worst = new Worst(stage, about.colours);
+    toggled("bodies", "worst subspaces", view.worst.object);
+  }
+  if (about.scenes.length) {
+    const objects = about.scenes.reduce((sum, { objects }) => sum + objects, 0);
+    toggled("scene", `scene: ${objects} objects`, scenery(about.scenes, about.colours));
+  }
+  if (mounts.length) {
+    const long = (length) => mounts.forEach((mount) => {
+      mount.cones.visible = length > 0;
+      mount.cones.scale.setScalar(Math.max(length, 1e-3));
+      stage.redraw();
+    });
+    rows.push(slide("cones", "beams", [0, 60, 0.5], 0, (value) => (value ? `${value} m` : "off"), long));
+  }
+  if (rows.length) panel.append(section("Around them", ...rows));
+  if (!about.study) return;
+  view.worth = new WorthSection(about, (count) => show(view, view.judged, count));
+  panel.append(view.worth.element);
+  show(view, about.judged, Math.min(about.worst, about.judged.worst.length));
+}
+
+// The latest judgement, with so many of the worst subspaces drawn.
+function show(view, judged, count) {
+  if (view.judge && judged.worst.length < count) view.judge.ask();
+  Object.assign(view, { judged, count });
+  view.worth.set(judged, count);
+  view.worst.set(judged.worst.slice(0, count));
+  view.stage.redraw();
+}
+
+function rigControls(view, panel, mounts) {
+  const { stage, about } = view;
+  const stale = () => {
+    view.rig.show();
+    view.rig.stale.hidden = !view.cloud;
+    view.judge?.ask();
+  };
+  view.handles = new Handles(stage, mounts, stale);
+  if (about.study) {
+    const fail = (error) => {
+      view.worth.broken.textContent = error.message;
+    };
+    view.judge = new Judge(() => ({ poses: view.handles.poses, worst: view.count }), (found) => show(view, found, view.count), fail);
+  }
+  view.rig = new RigSection(view.handles, {
+    onSave: () => saveRig(view.handles.poses),
+    onReset: () => view.handles.reset(),
+  });
+  panel.append(view.rig.element);
+}
+
+function cameraControls(view, panel, tell) {
+  const { stage, measure } = view;
+  const looks = ["perspective", "top", "front", "side"].map((from) => push(`look-${from}`, from, () => stage.look(from)));
+  const text = el("code", { id: "camera" });
+  stage.onDrawn = () => {
+    text.textContent = `--camera=${stage.cameraText}`;
+  };
+  view.measuring = (on) => {
+    measure.on = on;
+    button.ariaPressed = on;
+    if (!on) measure.clear();
+    tell(on ? "click the first point" : "");
+  };
+  const button = push("measure", "Measure", () => view.measuring(!measure.on));
+  panel.append(section("Look", el("div", { className: "row" }, ...looks), el("div", { className: "row" }, button), text));
+}
+
+function keys(view) {
+  const { stage, time, rig, measure } = view;
+  window.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|BUTTON|SUMMARY)$/.test(event.target.tagName)) return;
+    const mode = MODES[event.key - 1];
+    const choice = document.getElementById("colour");
+    if (mode && [...(choice?.options ?? [])].some(({ value }) => value === mode)) {
+      choice.value = mode;
+      choice.dispatchEvent(new Event("change"));
+    } else if (event.key === " ") time?.play(!time.playing);
+    else if (event.key === "ArrowRight") time?.go(time.at + 1);
+    else if (event.key === "ArrowLeft") time?.go(time.at - 1);
+    else if (event.key === "m") view.measuring(!measure.on);
+    else if (event.key === "t") rig?.mode("translate");
+    else if (event.key === "r") rig?.mode("rotate");
+    else if (event.key === "Escape") {
+      view.measuring(false);
+      rig?.select(null);
+    } else return;
+    event.preventDefault();
+    stage.redraw();
+  });
+}

@@ -1,0 +1,116 @@
+// Camera, drawing on demand, and how many points a moving picture can afford.
+
+import {
+  AmbientLight,
+  DirectionalLight,
+  OrbitControls,
+  PerspectiveCamera,
+  Scene,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+import { Labels } from "lidarcfg/labels";
+
+const STILL_MS = 250; // after so long without a move everything is drawn
+const FIELD_DEG = 60;
+const DIRECTIONS = { perspective: [-0.75, -0.45, 0.5], top: [-1e-4, 0, 1], front: [1, 0, 0], side: [0, -1, 0] };
+
+export class Stage {
+  constructor(about) {
+    this.about = about;
+    this.canvas = document.getElementById("canvas");
+    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: false, powerPreference: "high-performance" });
+    this.renderer.setClearColor(about.colours.background);
+    this.scene = new Scene();
+    this.scene.add(new AmbientLight("white", 1.6));
+    this.camera = new PerspectiveCamera(FIELD_DEG, 1, 0.01, 1000);
+    this.camera.up.set(0, 0, 1);
+    this.camera.add(new DirectionalLight("white", 2));
+    this.scene.add(this.camera);
+    this.orbit = new OrbitControls(this.camera, this.canvas);
+    this.orbit.addEventListener("change", () => this.moved());
+    this.labels = new Labels(document.getElementById("labels"));
+    this.points = null;
+    this.budgetMs = 60; // of a frame while something moves
+    this.limit = 500_000; // points in such a frame, found by how long the last ones took
+    this.playing = false;
+    this.movedAt = -Infinity;
+    this.drawnAt = 0;
+    this.frames = 0;
+    this.waiting = false;
+    this.fieldDeg = about.camera?.field_deg ?? FIELD_DEG;
+    new ResizeObserver(() => this.resize()).observe(this.canvas.parentElement);
+    this.resize();
+    if (about.camera) this.place(new Vector3(...about.camera.eye_m), new Vector3(...about.camera.target_m));
+    else this.look("perspective");
+  }
+
+  resize() {
+    const { clientWidth, clientHeight } = this.canvas.parentElement;
+    this.size = new Vector2(Math.max(clientWidth, 1), Math.max(clientHeight, 1));
+    this.renderer.setPixelRatio(window.devicePixelRatio);
+    this.renderer.setSize(this.size.x, this.size.y, false);
+    this.camera.aspect = this.size.x / this.size.y;
+    const half = Math.tan((this.fieldDeg * Math.PI) / 360) / this.camera.aspect;
+    this.camera.fov = (Math.atan(half) * 360) / Math.PI;
+    this.camera.updateProjectionMatrix();
+    this.redraw();
+  }
+
+  place(eye, target) {
+    this.camera.position.copy(eye);
+    this.orbit.target.copy(target);
+    this.orbit.update();
+    this.moved();
+  }
+
+  look(from) {
+    const target = new Vector3(...this.about.middle_m);
+    const away = (1.15 * this.about.radius_m) / Math.tan((this.camera.fov * Math.PI) / 360) / 1.8;
+    this.place(new Vector3(...DIRECTIONS[from]).normalize().multiplyScalar(away).add(target), target);
+  }
+
+  // As the command line's --camera has it.
+  get cameraText() {
+    const numbers = [...this.camera.position.toArray(), ...this.orbit.target.toArray(), this.fieldDeg];
+    return numbers.map((value) => Number(value.toFixed(3))).join(",");
+  }
+
+  moved() {
+    this.movedAt = performance.now();
+    this.redraw();
+  }
+
+  redraw() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame((now) => this.draw(now));
+  }
+
+  draw(now) {
+    this.waiting = false;
+    const moving = this.playing || performance.now() - this.movedAt < STILL_MS;
+    this.onFrame?.(now);
+    if (this.points) {
+      const took = now - this.drawnAt;
+      if (moving && this.wasMoving && took < 2000) {
+        const share = Math.min(Math.max(this.budgetMs / took, 0.5), 1.3);
+        this.limit = Math.min(Math.max(this.limit * share, 50_000), Math.max(this.points.count, 50_000));
+      }
+      this.points.allow(moving && this.budgetMs < Infinity ? this.limit : Infinity);
+    }
+    this.wasMoving = moving;
+    this.drawnAt = now;
+    const away = this.camera.position.distanceTo(this.orbit.target);
+    this.camera.near = Math.max(away / 500, 0.01);
+    this.camera.far = away + 20 * this.about.radius_m + 1000;
+    this.camera.updateProjectionMatrix();
+    this.renderer.render(this.scene, this.camera);
+    this.labels.update(this.camera, this.size.x, this.size.y);
+    this.frames += 1;
+    this.onDrawn?.();
+    if (moving) this.redraw();
+    else this.stillAt = this.frames;
+  }
+}

@@ -1,0 +1,129 @@
+"""Bodies of cuboids: the worst subspaces of a rig and what the region leaves out, as merged faces."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array, up
+from lidarcfg.placement.lidar import rig_lidars
+from lidarcfg.placement.metric import centroid_m, volume_m3, vsr_m
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import COORDINATES, Study
+from lidarcfg.placement.subspace import segment
+from lidarcfg.rig import Rig
+
+SLACK = 1e-9  # metres and radians
+
+
+@dataclass(frozen=True)
+class Body:
+    """A subspace to draw."""
+
+    vsr_m: float
+    volume_m3: float
+    centroid_m: Array  # (3,)
+    faces_m: Array  # (F, 4, 3)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a rig is worth, by the same measure as `evaluate`, and where it is worst."""
+
+    max_vsr_m: float
+    subspaces: int
+    worst: tuple[Body, ...]  # the worst first
+
+
+def judge(study: Study, rig: Rig, worst: int) -> Judged:
+    """The rig's max VSR and its worst subspaces."""
+    spaces = segment(study.region, rig_lidars(rig))
+    vsr, volume = vsr_m(spaces), volume_m3(spaces)
+    bodies = [
+        Body(
+            vsr_m=float(vsr[number]),
+            volume_m3=float(volume[number]),
+            centroid_m=centroid_m(spaces, number),
+            faces_m=faces(study.region, spaces.label == number),
+        )
+        for number in np.argsort(-vsr, kind="stable")[:worst].tolist()
+    ]
+    return Judged(float(vsr.max()), len(spaces), tuple(bodies))
+
+
+def faces(region: Region, inside: NDArray[np.bool_]) -> Array:
+    """(F, 4, 3) the outer faces of the cuboids (nx, ny, nz) that are inside, those in a row as one."""
+    found = []
+    for axis in range(3):
+        along = 1 if axis == 0 else 0  # faces are merged along x, or along y if they look along x
+        pad = [(int(a == axis), int(a == axis)) for a in range(3)]
+        outer = np.diff(np.pad(inside, pad).astype(np.int8), axis=axis) != 0
+        rows = np.moveaxis(outer, along, -1)
+        edge = np.diff(np.pad(rows, ((0, 0), (0, 0), (1, 1))).astype(np.int8), axis=-1)
+        first, last = np.argwhere(edge == 1), np.argwhere(edge == -1)  # in the same order: by row, then along it
+        low, high = (_back(index, along) for index in (first, last))
+        across = ({0, 1, 2} - {axis, along}).pop()
+        high[:, across] += 1
+        quad = np.repeat(low[:, None, :], 4, axis=1)
+        quad[:, 1:3, along] = high[:, None, along]
+        quad[:, 2:4, across] = high[:, None, across]
+        found.append(quad)
+    corners: Array = region.min_m + np.concatenate(found) * region.cuboid_m
+    return corners
+
+
+def _back(index: NDArray[np.intp], along: int) -> NDArray[np.intp]:
+    """Indices (n, 3) of an array whose axis `along` was moved to the end, in its own order of axes."""
+    order = [axis for axis in range(3) if axis != along]
+    out = np.empty_like(index)
+    out[:, [*order, along]] = index
+    return out
+
+
+def broken(study: Study, rig: Rig) -> list[str]:
+    """What of the study's bounds and constraints a rig breaks, in words; nothing is said of another study's rig."""
+    if [mount.sensor.beams for mount in rig.mounts] != [slot.sensor.beams for slot in study.slots]:
+        return []
+    told = []
+    poses = np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
+    tilt_deg = np.degrees(np.arccos(np.clip(up(poses[:, 3:])[:, 2], -1.0, 1.0)))
+    for i, mount in enumerate(rig.mounts):
+        if np.isnan(study.mirror[i]):
+            told += [f"{mount.name}: {text}" for text in _outside(poses[i], study.lower[i], study.upper[i])]
+        else:
+            image = poses[i - 1] * (1, -1, 1, -1, 1, -1) + (0, 2 * study.mirror[i], 0, 0, 0, 0)
+            if not (_near(poses[i, :3], image[:3]) and _near(up(poses[i, 3:]), up(image[3:]))):
+                told.append(f"{mount.name}: is not the image of {rig.mounts[i - 1].name} in y = {study.mirror[i]:g} m")
+        if tilt_deg[i] > study.constraints.max_tilt_deg + SLACK:
+            told.append(f"{mount.name}: tilt {tilt_deg[i]:.2f}° is above {study.constraints.max_tilt_deg:g}°")
+    for i, j in combinations(range(len(poses)), 2):
+        apart_m = float(np.linalg.norm(poses[i, :3] - poses[j, :3]))
+        if apart_m < study.constraints.min_distance_m - SLACK:
+            names = f"{rig.mounts[i].name} and {rig.mounts[j].name}"
+            told.append(f"{names}: {apart_m:.3f} m apart; allowed: {study.constraints.min_distance_m:g} m and more")
+    return told
+
+
+def _near(a: Array, b: Array) -> bool:
+    return bool((abs(a - b) <= SLACK).all())
+
+
+def _outside(pose: Array, low: Array, high: Array) -> list[str]:
+    """Which coordinates (6,) are out of bounds; of the two ways to say the same angles, the one that fits better."""
+    roll, pitch, yaw = pose[3:]
+    ways = [pose, np.array([*pose[:3], roll + np.pi, np.pi - pitch, yaw + np.pi])]
+    return min((_beyond(way, low, high) for way in ways), key=len)
+
+
+def _beyond(pose: Array, low: Array, high: Array) -> list[str]:
+    told = []
+    for i, name in enumerate(COORDINATES):
+        value, least, most = pose[i], low[i], high[i]
+        if i < 3:
+            if not least - SLACK <= value <= most + SLACK:
+                told.append(f"{name} {value:.3f} m is outside {least:g} to {most:g} m")
+        elif (value - least + SLACK) % (2 * np.pi) > most - least + 2 * SLACK:
+            least, most, value = np.degrees((least, most, value))
+            told.append(f"{name} {value:.2f}° is outside {least:g} to {most:g}°")
+    return told

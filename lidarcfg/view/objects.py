@@ -1,0 +1,85 @@
+"""What each point of a cloud is of, from the truth that `export --truth` wrote beside the capture."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.cloud import DAMAGE, PointCloud
+from lidarcfg.errors import CloudError
+from lidarcfg.rig import Rig
+
+AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
+LATEST_NS = 2**42  # of a truth file's span: 73 minutes; with sensor, ring and return it makes one int64
+RETURN_LAST = 1
+OTHER = "rain, fog or unknown"
+
+
+@dataclass(frozen=True)
+class Objects:
+    """The object that each point is of."""
+
+    names: tuple[str, ...]  # the last stands for all that is no object
+    index: NDArray[np.uint16]  # (N,) of names
+
+
+def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
+    """The objects of a cloud's points from a truth file: each point has its laser's firing, by sensor and time.
+
+    Raises CloudError if the file is no truth, or of another capture.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            sensors, names = file["sensor_names"].tolist(), file["object_names"].tolist()
+            record = {key: np.asarray(file[key]) for key in ("sensor", "time_ns", "laser", "return_type", "object")}
+    except OSError as error:
+        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except DAMAGE as error:
+        raise CloudError(f"{path}: is not a truth file: {' '.join(str(error).split())[:200]}") from None
+    if len({column.shape for column in record.values()}) != 1 or record["time_ns"].ndim != 1:
+        raise CloudError(f"{path}: the fields are not of one length")
+    mounts = {mount.name: mount for mount in rig.mounts}
+    missing = [name for name in sensors if name not in mounts]
+    if missing:
+        raise CloudError(f"{path}: its sensor {missing[0]!r} is not in the rig {rig.name!r}")
+    ring = np.zeros((max(len(sensors), 1), 256), np.int64)
+    for i, name in enumerate(sensors):
+        ring[i, : mounts[name].sensor.count] = mounts[name].sensor.ring
+    if len(record["time_ns"]) == 0 or len(cloud.xyz) == 0:
+        raise CloudError(f"{path}: there is nothing to tell the objects of")
+    if record["sensor"].max() >= len(sensors) or record["object"].max() >= len(names):
+        raise CloudError(f"{path}: a return is of a sensor or object that has no name")
+
+    start_ns = int(record["time_ns"].min()) - 2 * AWAY_NS
+    if int(record["time_ns"].max()) - start_ns >= LATEST_NS:
+        raise CloudError(f"{path}: is longer than {LATEST_NS / 6e10:.0f} minutes")
+    told = _key(
+        record["sensor"], ring[record["sensor"], record["laser"]], record["return_type"], record["time_ns"] - start_ns
+    )
+    order = np.argsort(told)
+    told = told[order]
+    there = np.array(
+        [sensors.index(name) if name in sensors else len(sensors) for name in cloud.sensor_names], np.int64
+    )
+    since_ns = np.clip(cloud.time_ns - start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
+    asked = _key(there[cloud.sensor], cloud.ring, cloud.return_type, since_ns)
+    after = np.searchsorted(told, asked).clip(1, len(told) - 1) if len(told) > 1 else np.zeros(len(asked), np.int64)
+    near = np.where(asked - told[after - 1] < told[after] - asked, after - 1, after)
+    index = np.where(abs(told[near] - asked) <= AWAY_NS, record["object"][order[near]], -1)
+    if (index < 0).all():
+        raise CloudError(f"{path}: none of the points has a return in it; it is of another capture")
+    return Objects((*names, OTHER), np.where(index < 0, len(names), index).astype(np.uint16))
+
+
+def _key(
+    sensor: NDArray[np.generic],
+    ring: NDArray[np.generic],
+    return_type: NDArray[np.generic],
+    since_ns: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """One number that is near another's only if all but the time is the same."""
+    last = np.asarray(return_type) == RETURN_LAST
+    high = (np.asarray(sensor, np.int64) * 256 + np.asarray(ring, np.int64)) * 2 + last
+    key: NDArray[np.int64] = high * (2 * LATEST_NS) + since_ns
+    return key

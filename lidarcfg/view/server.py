@@ -1,0 +1,148 @@
+"""The page's server: on this machine alone, its own routes alone; it also judges the rig as it is moved."""
+
+import json
+import sys
+import threading
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from lidarcfg.config import COORDINATE_MAX_M
+from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.geometry import Array
+from lidarcfg.placement.study import WORST
+from lidarcfg.rig import Rig, rig_text
+from lidarcfg.view.page import ASSETS, MODULES, Page, html, judged_dict, moved
+from lidarcfg.view.stage import Stage
+
+HERE = "127.0.0.1"
+HOSTS = (HERE, "localhost")  # by another name a page of elsewhere might be reading
+ASKED_MAX = 1 << 20  # bytes of a question
+
+
+class Server(ThreadingHTTPServer):
+    """Serves one page until it is shut down. Port 0 is any that is free. Raises ConfigError if it is taken."""
+
+    daemon_threads = True
+
+    def __init__(self, stage: Stage, page: Page, port: int = 0) -> None:
+        self.stage, self.page, self.judging = stage, page, threading.Lock()
+        about = page.about | {"live": True}
+        self.texts = {
+            "/": ("text/html; charset=utf-8", html(None).encode()),
+            "/about.json": ("application/json", json.dumps(about, allow_nan=False).encode()),
+        }
+        try:
+            super().__init__((HERE, port), _Handler)
+        except OSError as error:
+            raise ConfigError(f"port {port}: {(error.strerror or str(error)).lower()}") from None
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{HERE}:{self.server_address[1]}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A browser that leaves in the middle is no mistake of anybody's."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Server
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self) -> None:
+        if not self._is_local():
+            return
+        path = urlsplit(self.path).path
+        name = path.rpartition("/")[2]
+        if path in self.server.texts:
+            self._send(*self.server.texts[path])
+        elif path.startswith("/page/") and path.removeprefix("/page/") in MODULES.values():
+            self._send("text/javascript", (ASSETS / path.removeprefix("/page/")).read_bytes())
+        elif path == f"/array/{name}" and name in self.server.page.arrays:
+            self._send("application/octet-stream", self.server.page.arrays[name].data.cast("B"))
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, f"{path}: there is no such thing here")
+
+    def do_POST(self) -> None:
+        if not self._is_local():
+            return
+        stage = self.server.stage
+        try:
+            asked = self._asked()
+            rig = moved(stage.rigs[0], _poses(asked, stage.rigs))
+            if self.path == "/rig.yaml":
+                self._send("application/yaml", rig_text(rig).encode())
+            elif self.path == "/evaluate" and stage.study:
+                with self.server.judging:
+                    found = judged_dict(stage.study, rig, _count(asked))
+                self._send("application/json", json.dumps(found, allow_nan=False).encode())
+            else:
+                self._refuse(HTTPStatus.NOT_FOUND, f"{self.path}: there is no such thing here")
+        except LidarcfgError as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged."""
+
+    def _is_local(self) -> bool:
+        """Whether it was asked for by this machine's own name; if not, that is the answer."""
+        names = [self.headers.get("Host", ""), self.headers.get("Origin", f"http://{HERE}").partition("://")[2]]
+        if all(name.partition(":")[0] in HOSTS for name in names):
+            return True
+        self.close_connection = True
+        self._refuse(HTTPStatus.FORBIDDEN, f"this page is for {' and '.join(HOSTS)} alone")
+        return False
+
+    def _asked(self) -> dict[str, Any]:
+        """The question's JSON. Raises ConfigError."""
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit() and int(length) <= ASKED_MAX):
+            self.close_connection = True
+            raise ConfigError(f"Content-Length {length!r}; allowed: 0 to {ASKED_MAX}")
+        try:
+            asked = json.loads(self.rfile.read(int(length)))
+        except (ValueError, RecursionError):
+            raise ConfigError("the question is not JSON") from None
+        if not isinstance(asked, dict):
+            raise ConfigError("the question is not a map of keys")
+        return asked
+
+    def _send(self, kind: str, body: bytes | memoryview, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _refuse(self, status: HTTPStatus, what: str) -> None:
+        self._send("text/plain; charset=utf-8", f"{what}\n".encode(), status)
+
+
+def _poses(asked: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:
+    """(mounts, 6) of the first rig. Raises ConfigError."""
+    if not rigs:
+        raise ConfigError("there is no rig to move")
+    count = len(rigs[0].mounts)
+    try:
+        poses = np.array(asked.get("poses"), np.float64)
+    except (TypeError, ValueError, OverflowError):
+        poses = np.empty(0)
+    if poses.shape != (count, 6) or not (abs(poses) <= COORDINATE_MAX_M).all():
+        raise ConfigError(f"poses: allowed are {count} of x, y, z, roll, pitch, yaw in metres and radians")
+    return poses
+
+
+def _count(asked: dict[str, Any]) -> int:
+    """How many of the worst subspaces are to be told. Raises ConfigError."""
+    worst = asked.get("worst", WORST)
+    if not isinstance(worst, int) or not 0 <= worst <= WORST:
+        raise ConfigError(f"worst: allowed is 0 to {WORST}")
+    return worst

@@ -1,0 +1,369 @@
+"""Stills: what there is to see, drawn without a screen, a GPU or a display server."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.cloud import PointCloud
+from lidarcfg.config import COORDINATE_MAX_M, replacing
+from lidarcfg.errors import CloudError, ConfigError
+from lidarcfg.geometry import Array, transform
+from lidarcfg.rig import Mount
+from lidarcfg.view.bodies import faces, judge
+from lidarcfg.view.colours import (
+    BACKGROUND,
+    BRIGHT,
+    DIFFUSE,
+    LEFT_OUT,
+    NIGHT,
+    RETRO,
+    UNKNOWN,
+    WORST,
+    By,
+    colour,
+    rgb,
+    scaled,
+)
+from lidarcfg.view.kernels import fill
+from lidarcfg.view.stage import Stage
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIZE = (1920, 1080)
+NEAR_M = 0.05
+GROUND_M = 200.0  # so much of the ground is drawn to each side of the vehicle
+AXIS_M = 0.6
+AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
+TOP_SHARE = 0.58  # of the picture's height, without a camera: the perspective; below it the view from above
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole: where it stands, what it looks at, and how wide it sees. Raises ConfigError where it sees nothing."""
+
+    eye_m: Array  # (3,)
+    target_m: Array  # (3,)
+    field_deg: float = 60.0  # across the picture's width
+
+    def __post_init__(self) -> None:
+        if not (abs(np.concatenate([self.eye_m, self.target_m])) <= COORDINATE_MAX_M).all():
+            raise ConfigError(f"camera: a coordinate is not a number up to {COORDINATE_MAX_M:g} m")
+        if not np.linalg.norm(self.target_m - self.eye_m) >= 1e-6:
+            raise ConfigError("camera: eye and target are one point; allowed: at least 1e-06 m apart")
+        if not 1 <= self.field_deg <= 170:
+            raise ConfigError(f"camera: field of view {self.field_deg:g}°; allowed: 1 to 170")
+
+    def view(self, points_m: Array) -> Array:
+        """Points (…, 3) as right, up and ahead of the camera in metres; +x is up where it looks straight down."""
+        forward = (self.target_m - self.eye_m) / np.linalg.norm(self.target_m - self.eye_m)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
+        if np.linalg.norm(right) < 1e-9:
+            right = np.array([0.0, -1.0, 0.0])
+        right /= np.linalg.norm(right)
+        return np.asarray((points_m - self.eye_m) @ np.stack([right, np.cross(right, forward), forward], axis=1))
+
+    def focal_px(self, width: int) -> float:
+        """Pixels to the side of a metre that is one metre ahead."""
+        return float(width / 2 / np.tan(np.radians(self.field_deg) / 2))
+
+    def project(self, xyz: Array, width: int, height: int) -> tuple[Array, Array, Array]:
+        """Columns, rows (fractional pixels) and depth in metres of points (N, 3); behind it: depth <= 0."""
+        view = self.view(xyz)
+        depth = view[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            flat = view[:, :2] / depth[:, None] * self.focal_px(width)
+        return width / 2 + flat[:, 0], height / 2 - flat[:, 1], depth
+
+
+def save_still(
+    stage: Stage,
+    path: Path,
+    size: tuple[int, int] = SIZE,
+    camera: Camera | None = None,
+    by: By = "sensor",
+    worst: int = 1,
+) -> None:
+    """Draw the stage as a PNG of `size` pixels, from the camera; without one in perspective and from above.
+
+    Raises CloudError where there is nothing to draw, or nothing of it in view.
+    """
+    from matplotlib.figure import Figure
+
+    if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
+        raise CloudError("the cloud is empty; there is nothing to draw")
+    width, height = size
+    colours = point_colours(stage, by)
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=NIGHT)
+    if camera:
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        _draw_perspective(axes, stage, colours, camera, width, height, worst)
+    else:
+        middle, reach_m = _middle(stage)
+        axes = figure.add_axes((0.0, 1 - TOP_SHARE, 1.0, TOP_SHARE))
+        camera = Camera(middle + np.array([-21.0, -7.0, 7.5]), middle + np.array([8.0, 0.5, 0.5]), 74.0)
+        _draw_perspective(axes, stage, colours, camera, width, round(height * TOP_SHARE), worst)
+        _draw_above(figure.add_axes((0.04, 0.055, 0.95, 0.35)), stage, colours, middle, reach_m, size)
+    _legend(axes, stage, by, height)
+    with replacing(path, "wb") as file:
+        figure.savefig(file, format="png", facecolor=NIGHT)
+
+
+def point_colours(stage: Stage, by: By) -> NDArray[np.uint8]:
+    """(N, 3) of the cloud's points. Raises CloudError if that is not known of them."""
+    cloud = stage.cloud
+    if by == "object":
+        if stage.objects is None:
+            raise CloudError("objects are known from the truth alone; give the .npz of export --truth, too")
+        table = rgb([*(colour(i) for i in range(len(stage.objects.names) - 1)), UNKNOWN])
+        return _lit(table[stage.objects.index], cloud)
+    if by == "sensor":
+        return _lit(rgb([stage.colours[name] for name in cloud.sensor_names] or [BRIGHT[0]])[cloud.sensor], cloud)
+    low, high = span(stage, by)
+    values = {
+        "intensity": cloud.intensity,
+        "ring": cloud.ring,
+        "height": cloud.xyz[:, 2],
+        "time": (cloud.time_ns - cloud.time_ns.min(initial=2**62)) / 1e9,
+    }[by]
+    shades = scaled(values, low, high).astype(np.uint8)
+    if by == "intensity":
+        shades[cloud.intensity > DIFFUSE] = rgb([RETRO])
+    return shades
+
+
+def span(stage: Stage, by: By) -> tuple[float, float]:
+    """Where the scale of colours begins and ends: per cent, rings, metres or seconds since the first point."""
+    cloud = stage.cloud
+    if not len(cloud.xyz) or by == "intensity":
+        return 0.0, float(DIFFUSE)
+    if by == "ring":
+        return 0.0, float(max(cloud.ring.max(), 1))
+    if by == "height":
+        low, high = np.percentile(cloud.xyz[:: max(len(cloud.xyz) // 100_000, 1), 2], (1, 99)).tolist()
+        return low, max(high, low + 0.1)
+    return 0.0, max(float(np.ptp(cloud.time_ns)) / 1e9, 1e-6)
+
+
+def _lit(base: NDArray[np.uint8], cloud: PointCloud) -> NDArray[np.uint8]:
+    """Colours (N, 3), darker for dark objects."""
+    light = 0.7 + 0.3 * np.sqrt(np.minimum(cloud.intensity, DIFFUSE) / DIFFUSE)
+    return np.asarray(base * light[:, None], np.uint8)
+
+
+def _faded(colours: NDArray[np.uint8], depth: Array) -> NDArray[np.uint8]:
+    """The colours (N, 3) going into the background with the distance (N,)."""
+    share = np.clip(1.1 - depth / 110, 0.35, 1.0)[:, None]
+    return np.asarray(share * colours + (1 - share) * np.array(BACKGROUND), np.uint8)
+
+
+def _mounts(stage: Stage) -> list[Mount]:
+    return [mount for rig in stage.rigs for mount in rig.mounts]
+
+
+def _middle(stage: Stage) -> tuple[Array, float]:
+    """(3,) what the picture is about, on the ground: the sensors, or else the points; and how far to either side."""
+    low = [float(np.percentile(stage.cloud.xyz[:, 2], 5))] if len(stage.cloud.xyz) else []
+    if stage.study:
+        low.append(float(stage.study.region.min_m[2]))
+    mounts = _mounts(stage)
+    if mounts:
+        about = np.array([mount.position_m for mount in mounts]).mean(axis=0)
+    elif len(stage.cloud.xyz):
+        about = np.median(stage.cloud.xyz, axis=0)
+    elif stage.study:
+        about = (stage.study.region.min_m + stage.study.region.max_m) / 2
+    else:
+        about = np.zeros(3)
+    return np.array([about[0], about[1], min(low, default=0.0)]), 48.0
+
+
+def _draw_perspective(
+    axes: "Axes", stage: Stage, colours: NDArray[np.uint8], camera: Camera, width: int, height: int, worst: int
+) -> None:
+    column, row, depth = camera.project(stage.cloud.xyz, width, height)
+    faded = _faded(colours, depth)
+    image = np.full((height, width, 3), BACKGROUND, np.float64)
+    nearest_m = np.full((height, width), np.inf)
+    seen = np.flatnonzero((depth > 0.5) & (column > -3) & (column < width) & (row > -3) & (row < height))
+    seen = seen[np.argsort(-depth[seen], kind="stable")]  # far first, so that near points cover them
+    for side in range(3):  # the nearer a point, the larger its square
+        near = seen[depth[seen] < (np.inf, 60.0, 22.0)[side]]
+        for step_row, step_column in np.ndindex(side + 1, side + 1):
+            if max(step_row, step_column) == side:
+                r, c = row[near].astype(int) + step_row, column[near].astype(int) + step_column
+                fits = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+                image[r[fits], c[fits]] = faded[near[fits]]
+                nearest_m[r[fits], c[fits]] = depth[near[fits]]
+    drawn = int(np.isfinite(nearest_m).sum()) + _draw_bodies(image, nearest_m, stage, camera, worst)
+    axes.imshow(image.astype(np.uint8), aspect="auto", extent=(0, width, height, 0), interpolation="nearest")
+    axes.set(xlim=(0, width), ylim=(height, 0))
+    axes.axis("off")
+    drawn += _draw_region(axes, stage, camera, width, height) + _draw_mounts(axes, stage, camera, width, height)
+    if not drawn:
+        eye, target = (",".join(f"{v:g}" for v in point) for point in (camera.eye_m, camera.target_m))
+        raise CloudError(f"nothing is in view of a camera at {eye} that looks at {target}")
+
+
+def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, worst: int) -> int:
+    """Blend the translucent bodies into the image where they are before its points; how many pixels."""
+    parts: list[tuple[Array, str, float]] = []  # triangles (T, 3, 3), colour, opacity
+    for scene in stage.scenes:
+        vertices = transform(stage.T_vehicle_world, scene.vertices_m)
+        parts.append((vertices[scene.triangles], LEFT_OUT, 0.13))
+        if scene.file.ground:
+            corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
+            corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
+            parts.append((_halved(corners[None]), LEFT_OUT, 0.05))
+    if stage.study:
+        parts.append((_halved(faces(stage.study.region, ~stage.study.region.included)), LEFT_OUT, 0.25))
+        parts += [(_halved(body.faces_m), WORST, 0.3) for body in judge(stage.study, stage.rigs[0], worst).worst]
+    if not parts:
+        return 0
+    triangles = camera.view(np.concatenate([part for part, _, _ in parts]))
+    sizes = [len(part) for part, _, _ in parts]
+    colours = np.repeat(rgb([code for _, code, _ in parts]).astype(np.float64), sizes, axis=0)
+    alpha = np.repeat([opacity for _, _, opacity in parts], sizes)
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    with np.errstate(invalid="ignore"):
+        light = 0.6 + 0.4 * abs(np.nan_to_num(sides[:, 2] / np.linalg.norm(sides, axis=1)))
+    order = np.argsort(-triangles[:, :, 2].mean(axis=1), kind="stable")
+    focal_px = camera.focal_px(image.shape[1])
+    return int(
+        fill(image, nearest_m, triangles[order], (colours * light[:, None])[order], alpha[order], focal_px, NEAR_M)
+    )
+
+
+def _halved(quads: Array) -> Array:
+    """(2F, 3, 3) triangles of quads (F, 4, 3)."""
+    return np.concatenate([quads[:, (0, 1, 2)], quads[:, (0, 2, 3)]])
+
+
+def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height: int, **look: object) -> int:
+    """Lines (L, 2, 3) of which some may lie behind the camera; how many are in the picture."""
+    from matplotlib.collections import LineCollection
+
+    view = camera.view(ends_m)
+    ahead = view[..., 2] >= NEAR_M
+    view, ahead = view[ahead.any(axis=1)], ahead[ahead.any(axis=1)]
+    for here, there in ((0, 1), (1, 0)):  # cut at the near plane
+        a, b = view[~ahead[:, here], here], view[~ahead[:, here], there]
+        view[~ahead[:, here], here] = a + ((NEAR_M - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
+    flat = view[..., :2] / view[..., 2:] * camera.focal_px(width)
+    ends = np.stack([width / 2 + flat[..., 0], height / 2 - flat[..., 1]], axis=-1)
+    axes.add_collection(LineCollection(list(ends), **look), autolim=False)  # type: ignore[arg-type]  # looks differ
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    return int(((high >= 0) & (low <= (width, height))).all(axis=1).sum())
+
+
+def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
+    """The region's edges."""
+    if not stage.study:
+        return 0
+    region = stage.study.region
+    unit = np.array(list(np.ndindex(2, 2, 2)))
+    pairs = [(i, j) for i in range(8) for j in range(i) if abs(unit[i] - unit[j]).sum() == 1]
+    corners = region.min_m + unit * (region.max_m - region.min_m)
+    return _draw_lines(axes, corners[np.array(pairs)], camera, width, height, colors=LEFT_OUT, linewidths=0.8)
+
+
+def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
+    """Each sensor: its place, a line down to the ground, its axes and its name."""
+    mounts, seen = _mounts(stage), 0
+    if not mounts:
+        return 0
+    ground_m, size = _middle(stage)[0][2], height / 626
+    for i, mount in enumerate(mounts):
+        at, T = np.array(mount.position_m), mount.T_vehicle_sensor
+        lines = np.stack(
+            [np.repeat(at[None], 4, axis=0), [*(at + AXIS_M * T[:3, :3].T), [at[0], at[1], ground_m]]], axis=1
+        )
+        _draw_lines(axes, lines, camera, width, height, colors=[*AXES_COLOURS, "#FFFFFFA0"], linewidths=0.8 + size)
+        x, y, depth = camera.project(at[None], width, height)
+        if depth[0] < NEAR_M or not (0 <= x[0] <= width and 0 <= y[0] <= height):
+            continue
+        seen += 1
+        axes.plot(x, y, "o", color=stage.colours[mount.name], ms=3 + 8 * size, mec="w", mew=0.8 + size)
+        axes.annotate(
+            mount.name,
+            (x[0], y[0]),
+            (0, (26 + 22 * (i % 2)) * size),
+            textcoords="offset points",
+            ha="center",
+            color="w",
+            fontsize=5 + 5 * size,
+            parse_math=False,
+            annotation_clip=True,
+        )
+    return seen
+
+
+def _draw_above(
+    axes: "Axes", stage: Stage, colours: NDArray[np.uint8], middle: Array, reach_m: float, size: tuple[int, int]
+) -> None:
+    from matplotlib.patches import Rectangle
+
+    xyz, width, height = stage.cloud.xyz, round(0.95 * size[0]), round(0.35 * size[1])
+    scale = width / (2 * reach_m)
+    column = np.floor((xyz[:, 0] - middle[0]) * scale + width / 2).astype(int)
+    row = np.floor(height / 2 - (xyz[:, 1] - middle[1]) * scale).astype(int)
+    image = np.full((height, width, 3), BACKGROUND, np.uint8)
+    fits = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
+    fits = fits[np.argsort(xyz[fits, 2], kind="stable")]  # low first
+    image[row[fits], column[fits]] = colours[fits]
+    side = height / 2 / scale
+    extent = (middle[0] - reach_m, middle[0] + reach_m, middle[1] - side, middle[1] + side)
+    axes.imshow(image, extent=extent, aspect="auto", interpolation="nearest")
+    if stage.study:
+        low, edges = stage.study.region.min_m, stage.study.region.max_m - stage.study.region.min_m
+        axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=LEFT_OUT, lw=0.8))
+    for mount in _mounts(stage):
+        at = mount.position_m
+        axes.plot(at[0], at[1], "o", color=stage.colours[mount.name], ms=1 + 6 * size[1] / 1080, mec="w", mew=1.2)
+    text = 3 + 7 * size[1] / 1080
+    axes.set(xlim=extent[:2], ylim=extent[2:], facecolor=NIGHT)
+    axes.set_xlabel("x (m)", color="0.8", fontsize=text)
+    axes.set_ylabel("y (m)", color="0.8", fontsize=text)
+    axes.tick_params(colors="0.8", labelsize=text)
+
+
+def _legend(axes: "Axes", stage: Stage, by: By, height: int) -> None:
+    """What the colours mean: sensors or objects with their counts, or where the scale begins and ends."""
+    from matplotlib.lines import Line2D
+
+    entries: list[tuple[str, str]] = []
+    if by in ("sensor", "object") and len(stage.cloud.xyz):
+        if by == "object" and stage.objects:
+            names, index = stage.objects.names, stage.objects.index
+            shown = [*(colour(i) for i in range(len(names) - 1)), UNKNOWN]
+        else:
+            names, index = stage.cloud.sensor_names, stage.cloud.sensor
+            shown = [stage.colours[name] for name in names]
+        counts = np.bincount(index, minlength=len(names))
+        most = np.argsort(-counts, kind="stable")[:12] if by == "object" else np.arange(len(names))
+        entries = [
+            (f"{names[i]}: {counts[i]:,} points", shown[i]) for i in most.tolist() if counts[i] or by == "sensor"
+        ]
+    elif len(stage.cloud.xyz):
+        low, high = span(stage, by)
+        unit = {"intensity": " %", "height": " m", "time": " s"}.get(by, "")
+        for share in (1.0, 0.5, 0.0):
+            code = scaled([share], 0.0, 1.0)[0].astype(int)
+            entries.append((f"{by} {low + share * (high - low):.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
+        if by == "intensity":
+            entries.append(("retro-reflector", RETRO))
+    if stage.study:
+        found = judge(stage.study, stage.rigs[0], 1)
+        entries.append((f"worst subspace: max VSR {found.max_vsr_m:.4f} m", WORST))
+    if not entries:
+        return
+    dots = [Line2D([], [], ls="", marker="o", color=code, label=text) for text, code in entries]
+    size = 5 + 8 * min(height / 1080, 1.5)
+    legend = axes.legend(
+        handles=dots, loc="upper left", facecolor=NIGHT, edgecolor="0.4", labelcolor="w", fontsize=size
+    )
+    for text in legend.get_texts():
+        text.set_parse_math(False)
