@@ -20,10 +20,12 @@ Azimuth = Annotated[float, Field(ge=0, le=360)]
 Port = Annotated[int, Field(ge=1, le=65535)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest", "last", "dual"]
+PpsState = Literal["absent", "synchronising", "locked", "error"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
 DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0
 RETURN_MODE: ReturnMode = "strongest"
+PPS: PpsState = "locked"
 
 
 class MountFile(Model):
@@ -42,6 +44,7 @@ class MountFile(Model):
     return_mode: ReturnMode = RETURN_MODE
     sector_deg: tuple[Azimuth, Azimuth] | None = None
     phase_deg: Azimuth | None = None
+    pps: PpsState = PPS
     realism: Realism | None = None
 
     @model_validator(mode="after")
@@ -109,6 +112,7 @@ class Mount:
     return_mode: ReturnMode
     sector_deg: tuple[float, float] | None = None  # from, to, clockwise: outside it nothing is fired; None: all around
     phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
+    pps: PpsState = PPS  # what its position packets say of the GPS receiver's pulse
     realism: Realism | None = None  # None: exact
 
     @property
@@ -175,6 +179,7 @@ def load_rig(path: str | Path) -> Rig:
                 return_mode=mount.return_mode,
                 sector_deg=mount.sector_deg,
                 phase_deg=mount.phase_deg,
+                pps=mount.pps,
                 realism=mount.realism,
             )
         )
@@ -205,6 +210,7 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 "return_mode": mount.return_mode,
                 **({"sector_deg": list(mount.sector_deg)} if mount.sector_deg else {}),
                 **({"phase_deg": mount.phase_deg} if mount.phase_deg is not None else {}),
+                **({"pps": mount.pps} if mount.pps != PPS else {}),
                 **({"realism": mount.realism.model_dump(exclude_none=True)} if mount.realism else {}),
             }
         )

@@ -3,6 +3,7 @@
 The files in `sensors/` are the only home of beam tables: optimiser, simulator, encoder and decoder read them.
 """
 
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,6 +25,7 @@ Byte = Annotated[int, Field(ge=0, le=255)]
 Word = Annotated[int, Field(ge=0, le=65535)]
 Metres = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
+MAC = "^[0-9a-f]{{2}}(:[0-9a-f]{{2}}){{{}}}$"
 Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
 
 
@@ -37,6 +39,13 @@ def _check_elevations(value: tuple[float, ...]) -> tuple[float, ...]:
 
 
 Elevations = Annotated[tuple[float, ...], Field(min_length=1), AfterValidator(_check_elevations)]
+
+
+def _check_address(value: str) -> str:
+    try:
+        return str(ipaddress.IPv4Address(value))
+    except ValueError:
+        raise fault(f"{value!r} is not an IPv4 address such as 255.255.255.255") from None
 
 
 class Beams(Model):
@@ -156,6 +165,28 @@ class PositionPacket(Model):
 
     source: str
     rate_hz: Annotated[float, Field(gt=0, le=10_000)]
+    sentence_without_gps: Literal["none", "since 2000"] = "none"  # the latter: as if it was switched on at 2000-01-01
+
+
+class Header(Model):
+    """What the sensor says of a datagram in its IP and UDP headers."""
+
+    ttl: Byte
+    dont_fragment: bool
+    numbered: bool  # the IP id counts up; else it is 0
+    checksum: bool  # UDP's; else it is 0, which says that there is none
+    source_port: Annotated[int, Field(ge=1, le=65535)] | None = None  # none: the one it is sent to
+
+
+class Headers(Model):
+    """What stands before the sensor's datagrams."""
+
+    source: str
+    mac_prefix: Annotated[str, Field(pattern=MAC.format(2))]  # the other half is its address's, but for the first octet
+    destination_mac: Annotated[str, Field(pattern=MAC.format(5))]
+    destination_ip: Annotated[str, AfterValidator(_check_address)]
+    data: Header
+    position: Header | None = None
 
 
 class Sensor(Model):
@@ -171,6 +202,7 @@ class Sensor(Model):
     optics: Optics | None = None
     packet: Packet | None = None
     position_packet: PositionPacket | None = None
+    headers: Headers | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "Sensor":
@@ -189,6 +221,8 @@ class Sensor(Model):
         if self.packet and self.packet.sequences_per_block * self.count != SLOTS * len(self.packet.block_flags):
             what = f"{self.count} beams × {self.packet.sequences_per_block} do not fill the blocks of {SLOTS} returns"
             raise fault(what, "packet", "sequences_per_block")
+        if self.position_packet and self.headers and not self.headers.position:
+            raise fault("missing, as there is a position_packet", "headers", "position")
         return self
 
     @property

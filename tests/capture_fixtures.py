@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lidarcfg.capture.pcap import Datagram, Sender, read_datagrams, write_pcap
 from lidarcfg.capture.scene import Scene, load_scene
+from lidarcfg.capture.velodyne import POSITION
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import load_sensor
 
@@ -59,6 +61,28 @@ def recording(name: str) -> Path:
     if not path.is_file():
         pytest.skip(f"{path} is not there")
     return path
+
+
+def frames(datagrams):
+    """Datagrams as a VLP-16 frames them, one by one; position packets are numbered, those of each sender alone."""
+    headers, numbers = load_sensor("vlp-16").headers, {}
+    for datagram in datagrams:
+        header = headers.position if len(datagram.payload) == POSITION.itemsize else headers.data
+        number = numbers[datagram.host] = numbers.get(datagram.host, -1) + header.numbered
+        payload = np.frombuffer(datagram.payload, np.uint8)[None]
+        yield Sender(headers, header, datagram.host, datagram.port).frames(
+            np.array([datagram.time_ns]), payload, number
+        )
+
+
+def write_datagrams(path, datagrams) -> int:
+    """Write a capture of datagrams, and return how many."""
+    return write_pcap(path, frames(datagrams))
+
+
+def datagrams_of(path) -> list[Datagram]:
+    """Those of a capture."""
+    return list(read_datagrams(path, no_note))
 
 
 def no_note(note: str) -> None:

@@ -11,7 +11,7 @@ import velodyne_decoder as vd
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.export import START_NS, export, in_time_order
 from lidarcfg.capture.firing import firings, rays
-from lidarcfg.capture.pcap import TIME_END_NS, read_datagrams, write_pcap
+from lidarcfg.capture.pcap import TIME_END_NS, write_pcap
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.scene import load_scene
 from lidarcfg.cloud import FIELDS, concatenate
@@ -19,7 +19,17 @@ from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import custom_sensor
-from tests.capture_fixtures import STREET, alone, mount, no_note, recording, scene, tilted_rig
+from tests.capture_fixtures import (
+    STREET,
+    alone,
+    datagrams_of,
+    mount,
+    no_note,
+    recording,
+    scene,
+    tilted_rig,
+    write_datagrams,
+)
 from tests.naive_capture import nmea_checksum
 
 SECOND_NS = 10**9
@@ -157,8 +167,7 @@ def test_cut_recording(tmp_path):
 @pytest.mark.parametrize("chunk_packets", [1, 2, 100])
 def test_chunks_do_not_matter(second, tmp_path, chunk_packets):
     """Ours in any chunks: the same points, sensor by sensor."""
-    datagrams = [d for _, d in zip(range(300), read_datagrams(second, no_note), strict=False)]
-    write_pcap(tmp_path / "a.pcap", datagrams)
+    write_datagrams(tmp_path / "a.pcap", datagrams_of(second)[:300])
     once, often = whole(tmp_path / "a.pcap"), whole(tmp_path / "a.pcap", chunk_packets=chunk_packets)
     assert once.sensor_names == often.sensor_names
     for sensor in (0, 1):
@@ -179,7 +188,7 @@ def test_the_same_bytes_again(street, second, tmp_path):
 
 
 def test_datagrams(second):
-    datagrams = list(read_datagrams(second, no_note))
+    datagrams = datagrams_of(second)
     times = [d.time_ns for d in datagrams]
     assert times == sorted(times)
     for index in (0, 1):
@@ -238,8 +247,8 @@ def test_sources_and_the_rig(second):
 
 
 def test_capture_without_lidar(second, tmp_path):
-    positions = [d for d in read_datagrams(second, no_note) if d.port == 8308]
-    write_pcap(tmp_path / "a.pcap", positions[:3])
+    positions = [d for d in datagrams_of(second) if d.port == 8308]
+    write_datagrams(tmp_path / "a.pcap", positions[:3])
     with pytest.raises(PacketError, match="no LiDAR data packets of 1206 bytes; its UDP datagrams: 3 of 512 bytes"):
         whole(tmp_path / "a.pcap")
     write_pcap(tmp_path / "b.pcap", [])
@@ -260,7 +269,7 @@ def test_the_last_seconds_of_a_pcap(street, tmp_path):
     rig, duration_ns = tilted_rig(), 10 * PERIOD_NS
     last_ns = TIME_END_NS - duration_ns - PERIOD_NS // 2 - 501  # the second sensor starts half a packet later
     write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, street, np.eye(4), duration_ns, last_ns)))
-    times = [datagram.time_ns for datagram in read_datagrams(tmp_path / "a.pcap", no_note)]
+    times = [datagram.time_ns for datagram in datagrams_of(tmp_path / "a.pcap")]
     assert times == sorted(times)
     assert times[-1] == TIME_END_NS - 1000
     for start_ns, length_ns in (

@@ -20,13 +20,14 @@ from lidarcfg.capture.firing import (
     packet_period_ns,
     packet_stamps_ns,
 )
-from lidarcfg.capture.pcap import Datagram, read_datagrams, write_pcap
+from lidarcfg.capture.pcap import Datagram, read_datagrams
 from lidarcfg.capture.velodyne import PACKET, decode, device_time_ns, encode, is_dual
 from lidarcfg.cloud import FIELDS, concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import catalogue, load_sensor
 from tests.capture_fixtures import AT_NS, mount, no_note, recording
+from tests.capture_fixtures import write_datagrams as write_pcap
 
 OTHERS = {
     "vlp-16": vd.Model.VLP16,

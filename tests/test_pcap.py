@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.capture.pcap import Datagram, read_datagrams, write_pcap
+from lidarcfg.capture.pcap import Datagram, read_datagrams
 from lidarcfg.errors import PacketError
 from tests.capture_fixtures import no_note, recording
+from tests.capture_fixtures import write_datagrams as write_pcap
 
 AT_NS = 1_700_000_000_999_999_000
 
@@ -20,7 +21,7 @@ def data(time_ns: int = AT_NS, fill: int = 7) -> Datagram:
 
 
 def position(time_ns: int = AT_NS) -> Datagram:
-    return Datagram(time_ns, "192.168.1.201", 8308, 8308, bytes(512), counted=True)
+    return Datagram(time_ns, "192.168.1.201", 8308, 8308, bytes(512))
 
 
 def frames(path):
@@ -56,7 +57,7 @@ def test_checksums(tmp_path, sent):
     assert dpkt.in_cksum(frame[14:34]) == 0
     pseudo = frame[26:34] + struct.pack(">HH", 17, len(frame) - 34)
     udp_sum = struct.unpack(">H", frame[40:42])[0]
-    assert (udp_sum != 0 and dpkt.in_cksum(pseudo + frame[34:]) == 0) if sent.counted else udp_sum == 0
+    assert (udp_sum != 0 and dpkt.in_cksum(pseudo + frame[34:]) == 0) if len(sent.payload) == 512 else udp_sum == 0
     assert frame[:14] == b"\xff" * 6 + bytes.fromhex("607688a801c90800")
 
 
@@ -66,13 +67,13 @@ def test_headers_are_the_real_ones(tmp_path, sent, size):
     real = next(frame for frame in frames(recording("mrpt_vlp16_gps.pcap")) if len(frame) == size)
     write_pcap(tmp_path / "a.pcap", [sent])
     ours = frames(tmp_path / "a.pcap")[0]
-    free = {*range(9, 12), 18, 19, 24, 25, *range(26, 30)} | ({40, 41} if sent.counted else set())
+    free = {*range(9, 12), 18, 19, 24, 25, *range(26, 30)} | ({40, 41} if len(sent.payload) == 512 else set())
     assert [i for i in range(42) if ours[i] != real[i] and i not in free] == []
     assert len(ours) == len(real)
 
 
 def test_ids_count_up_for_each_sensor(tmp_path):
-    other = Datagram(AT_NS, "192.168.1.202", 8308, 8308, bytes(512), counted=True)
+    other = Datagram(AT_NS, "192.168.1.202", 8308, 8308, bytes(512))
     write_pcap(tmp_path / "a.pcap", [position(), other, data(), position(), other])
     ids = [struct.unpack(">H", frame[18:20])[0] for frame in frames(tmp_path / "a.pcap")]
     assert ids == [0, 0, 0, 1, 1]

@@ -9,12 +9,12 @@ from lidarcfg.capture.export import START_NS, export, in_time_order
 from lidarcfg.capture.firing import firings, rays
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.reach import Reach, balls
+from lidarcfg.capture.reach import Reach, balls, masks_of
 from lidarcfg.capture.trajectory import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.geometry import pose, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
-from tests.capture_fixtures import mount, scene, tilted_rig
+from tests.capture_fixtures import datagrams_of, mount, scene, tilted_rig
 
 SECOND_NS = 10**9
 RANGE_M = 100.0
@@ -51,7 +51,7 @@ def test_what_is_left_out_meets_nothing(tmp_path, seed):
         origins, axes = (values.reshape(-1, 3) for values in rays(sensor.sensor, fired))
         starts = way.world(transform(sensor.T_vehicle_sensor, origins), time_ns)
         along = way.world(transform(sensor.T_vehicle_sensor, origins + axes), time_ns) - starts
-        masks = reach.masks(fired.time_ns, fired.azimuth_rad).reshape(-1, len(time_ns))
+        masks = masks_of(reach.tables(fired.time_ns), fired.azimuth_rad).reshape(-1, len(time_ns))
         assert len(masks) == 1 + len(caster.movers)
         for row, mask in enumerate(masks):
             without = np.zeros_like(masks)
@@ -69,7 +69,7 @@ def test_an_open_field(tmp_path):
         Rig("one", (mount(),)), scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), SECOND_NS // 10,
         on_rays=lambda rays, cast: counted.append((rays, cast)),
     )  # fmt: skip
-    assert len(list(in_time_order(streams))) == 75 + 15
+    assert sum(len(frames.records) for frames in in_time_order(streams)) == 75 + 15
     assert np.sum(counted, axis=0).tolist() == [75 * 384, 75 * 384 // 2]
 
 
@@ -92,7 +92,8 @@ def test_nothing_in_range_at_all(tmp_path, divergence):
     way = Trajectory(np.eye(4), prepared(Motion(poses=poses)), START_NS)
     rig, counted = Rig("one", (replace(mount(), realism=Realism(divergence=divergence)),)), []
     streams = export(rig, stage, way, SECOND_NS // 10, on_rays=lambda rays, cast: counted.append(cast))
-    data = [d.payload for d in streams[0] if d.port == 2368]
+    write_pcap(tmp_path / "a.pcap", streams[0])
+    data = [d.payload for d in datagrams_of(tmp_path / "a.pcap") if d.port == 2368]
     assert len(data) == 75
     assert not any(payload[100 * block + 4 : 100 * block + 100].strip(b"\0") for payload in data for block in range(12))
     assert sum(counted) == 0

@@ -39,7 +39,7 @@ from lidarcfg.placement.success_history import SuccessHistory
 from lidarcfg.rig import Rig, load_rig, save_rig
 from lidarcfg.sensor import load_sensor
 from tests import oracle
-from tests.capture_fixtures import mount, no_note, scene
+from tests.capture_fixtures import datagrams_of, mount, no_note, scene
 from tests.test_runs import check
 from tests.test_scene import PLY
 from tests.test_solvers import SOLVERS
@@ -559,9 +559,9 @@ def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
     centre = T[:3, 3] + (1.0, -2.0, 0.5)
     count = 80
     duration = count * packet_period_ns(sensor)
-    datagrams = list(in_time_order(export(rig, room(tmp_path, centre), T_world_vehicle, duration, start_ns=10**18)))
-    write_pcap(tmp_path / "far.pcap", iter(datagrams))
-    data = [d for d in datagrams if len(d.payload) == PACKET.itemsize]
+    streams = export(rig, room(tmp_path, centre), T_world_vehicle, duration, start_ns=10**18)
+    write_pcap(tmp_path / "far.pcap", in_time_order(streams))
+    data = [d for d in datagrams_of(tmp_path / "far.pcap") if len(d.payload) == PACKET.itemsize]
     packets = np.frombuffer(b"".join(d.payload for d in data), PACKET)
     returns = decode(sensor, packets, np.array([d.time_ns for d in data]))
 

@@ -13,7 +13,7 @@ from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation
 from lidarcfg.rig import Rig
-from tests.capture_fixtures import mount, no_note, scene, tilted_rig
+from tests.capture_fixtures import datagrams_of, mount, no_note, scene, tilted_rig
 
 SECOND_NS = 10**9
 STAND = np.eye(4)
@@ -175,7 +175,8 @@ def test_position_packets_move(tmp_path):
     """Ten metres a second to the north-east: 19.438 knots, course 45, and the place of each moment, by another decoder."""
     stage = scene(tmp_path, "ground: {reflectivity: 9}\ngeo_origin: {latitude_deg: 0, longitude_deg: 0}")
     way = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))))
-    sent = [d for d in export(Rig("one", (mount(),)), stage, way, SECOND_NS)[0] if d.port == 8308]
+    write_pcap(tmp_path / "a.pcap", export(Rig("one", (mount(),)), stage, way, SECOND_NS)[0])
+    sent = [d for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
     assert len(sent) == 147
     for number, datagram in enumerate(sent):
         words = vd.TelemetryPacket(datagram.payload).nmea_sentence.split(",")

@@ -21,7 +21,7 @@ from lidarcfg.capture.velodyne import (
     encode,
     geographic,
     gprmc,
-    position_packet,
+    position_packets,
     stamp_us,
 )
 from lidarcfg.errors import PacketError
@@ -233,7 +233,8 @@ def test_hour_wrap():
 def test_position_packet_by_another_parser():
     when = datetime(2016, 1, 21, 8, 18, 2, 340_595, tzinfo=UTC)
     time_ns = int(when.timestamp() * 10**6 + 0.5) * 1000
-    payload = position_packet(time_ns, GeoOrigin(latitude_deg=36.829131, longitude_deg=-2.40757), (0, 0), math.pi / 2)
+    sentence = gprmc(time_ns, GeoOrigin(latitude_deg=36.829131, longitude_deg=-2.40757), (0, 0), math.pi / 2)
+    payload = position_packets(np.array([time_ns]), "locked", [sentence])[0].tobytes()
     telemetry = vd.TelemetryPacket(payload)
     assert telemetry.usec_since_toh == (18 * 60 + 2) * 10**6 + 340_595
     assert telemetry.pps_status == vd.TelemetryPacket.PpsStatus.LOCKED
@@ -280,7 +281,7 @@ def test_beyond_a_pole_there_is_no_fix(north_m):
     body = b"GPRMC,030405.00,V,,,,,,,020126,,,N"
     assert sentence == b"$%s*%s\r\n" % (body, naive.nmea_checksum(sentence).encode())
     assert len(sentence.split(b",")) == len(gprmc(when, GeoOrigin(), (0, 0), 0).split(b","))
-    telemetry = vd.TelemetryPacket(position_packet(when, GeoOrigin(), (3.0, north_m), 1.0))
+    telemetry = vd.TelemetryPacket(position_packets(np.array([when]), "locked", [sentence])[0].tobytes())
     assert telemetry.nmea_sentence.strip().encode() == sentence.strip()
 
 

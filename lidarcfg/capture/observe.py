@@ -1,6 +1,6 @@
 """What the firings of one sensor report: its rays from the vehicle's pose at each firing, cast, and made echoes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Firings, Times, rays
 from lidarcfg.capture.raycast import NOTHING, Hits, Mask, Raycaster
-from lidarcfg.capture.reach import Balls, Reach
-from lidarcfg.capture.returns import Echoes, Met, echoes, single, spread_rad, wide
+from lidarcfg.capture.reach import Balls, Reach, masks_of
+from lidarcfg.capture.returns import Echoes, Met, echoes, single, spread_rad, sub_rays, wide
 from lidarcfg.capture.scene import Weather
 from lidarcfg.capture.trajectory import Trajectory, rotated
 from lidarcfg.geometry import Array, transform
@@ -28,7 +28,15 @@ class Stage:
     caster: Raycaster
     trajectory: Trajectory
     still: Balls | None  # None: every ray is cast
-    on_rays: Callable[[int, int], None]  # told how many rays there were and how many were cast
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What must be known of firings before they are observed, in whatever order that is."""
+
+    fired: Firings
+    first: int  # the number of the first, by which random numbers are found
+    tables: Sequence[Mask] | None  # which beams may meet what; None: every ray is cast
 
 
 class Observer:
@@ -42,14 +50,23 @@ class Observer:
         if stage.still:
             spread = spread_rad(mount.sensor, self._realism)
             self._reach = Reach(mount, stage.caster, stage.still, stage.trajectory, spread)
-        self._fired = 0  # firings so far, by which random numbers are found
+        self.sub_rays = sub_rays(mount.sensor, self._realism)
+        self._fired = 0  # firings so far
 
-    def report(self, fired: Firings) -> Echoes:
-        """Of the next N firings, (N, 1) or with dual returns (N, 2). Raises ConfigError outside timed poses."""
-        sensor, count = self._mount.sensor, fired.time_ns.size
-        first, self._fired = self._fired, self._fired + count
+    def plan(self, fired: Firings) -> Plan:
+        """For the next firings: these are asked in the order of time."""
+        first, count = self._fired, fired.time_ns.size
+        self._fired += count
+        return Plan(fired, first, self._reach.tables(fired.time_ns) if self._reach and count else None)
+
+    def report(self, plan: Plan) -> tuple[Echoes, int, int]:
+        """What the N firings planned report, (N, 1) or with dual returns (N, 2); how many rays, and how many were cast.
+
+        Changes nothing, so that threads may ask for several at a time. Raises ConfigError outside timed poses.
+        """
+        sensor, fired, count = self._mount.sensor, plan.fired, plan.fired.time_ns.size
         origins, axes = (values.reshape(-1, 3) for values in rays(sensor, fired))
-        masks = self._reach.masks(fired.time_ns, fired.azimuth_rad) if self._reach else None
+        masks = masks_of(plan.tables, fired.azimuth_rad) if plan.tables else None
         may_meet, time_ns = None, fired.time_ns.ravel()
         rows: NDArray[np.intp] | slice = slice(None)
         if masks is not None:
@@ -59,7 +76,6 @@ class Observer:
         directions, shares = wide(axes, sensor, self._realism)
         hits, cosine = self._cast(origins, directions, time_ns, may_meet)
         width = len(shares)
-        self._stage.on_rays(count * width, len(hits.range_m))
 
         def whole(values: NDArray[T], missing: float) -> NDArray[T]:
             """Of all firings (N, K), from those that were cast."""
@@ -72,11 +88,12 @@ class Observer:
         range_m, reflectivity = whole(hits.range_m, np.inf), whole(hits.reflectivity, 0)
         objects = whole(hits.object, NOTHING)
         if self._exact:
-            return single(range_m, reflectivity, objects, self._mount.return_mode)
-        met = Met(range_m, reflectivity, objects, whole(cosine(), 1))
-        return echoes(sensor, self._realism, self._weather, self._index, first, shares, met).reported(
-            self._mount.return_mode
-        )
+            found = single(range_m, reflectivity, objects, self._mount.return_mode)
+        else:
+            met = Met(range_m, reflectivity, objects, whole(cosine(), 1))
+            all_three = echoes(sensor, self._realism, self._weather, self._index, plan.first, shares, met)
+            found = all_three.reported(self._mount.return_mode)
+        return found, count * width, len(hits.range_m)
 
     def _cast(
         self, origins: Array, directions: Array, time_ns: Times, may_meet: Mask | None

@@ -1,6 +1,6 @@
 """Datagrams in capture files. The only module that knows dpkt, Ethernet, IP and UDP.
 
-dpkt makes headers and reads pcapng; the frames of data packets, which are many, are taken apart here.
+Frames are put together here, many at a time, and those of classic pcaps taken apart; dpkt reads pcapng.
 """
 
 import itertools
@@ -13,15 +13,16 @@ from pathlib import Path
 from typing import IO, Any
 
 import dpkt
+import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.config import replacing
 from lidarcfg.errors import PacketError
+from lidarcfg.sensor import Header, Headers
 
 SNAPLEN = 65535
 TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC
 RECORD_MAX = 262144  # bytes; libpcap allows no longer record
-BROADCAST = "255.255.255.255"
-MAC_MAKER = bytes.fromhex("607688")  # Velodyne's, seen in recordings
 ETHERNET = dpkt.pcap.DLT_EN10MB
 LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP header, and where its kind is told
     ETHERNET: (14, 12),
@@ -31,11 +32,22 @@ LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP heade
 }
 VLAN, IPV4 = (b"\x81\x00", b"\x88\xa8", b"\x91\x00"), b"\x08\x00"
 PORTS = struct.Struct(">HH")
+DONT_FRAGMENT = 0x4000
+RECORD = np.dtype([(key, "<u4") for key in ("seconds", "microseconds", "captured", "length")])
+ETHERNET_HEADER = np.dtype([("destination", "u1", (6,)), ("source", "u1", (6,)), ("kind", ">u2")])
+IP = np.dtype(
+    [
+        *[("version", "u1"), ("service", "u1"), ("length", ">u2"), ("id", ">u2"), ("flags", ">u2"), ("ttl", "u1")],
+        *[("protocol", "u1"), ("checksum", ">u2"), ("source", "u1", (4,)), ("destination", "u1", (4,))],
+    ]
+)
+UDP = np.dtype([(key, ">u2") for key in ("source_port", "port", "length", "checksum")])
 PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
     struct.pack(order + "I", magic): (order, unit_ns)
     for order in "<>"
     for magic, unit_ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
 }
+FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 20
 DAMAGE = (dpkt.Error, ValueError, struct.error)  # what dpkt raises on bytes that make no sense
 
@@ -49,43 +61,84 @@ class Datagram:
     source_port: int
     port: int  # the one it was sent to
     payload: bytes
-    counted: bool = False  # written with IP id, UDP checksum and TTL 64, as position packets are
 
 
-def write_pcap(path: str | Path, datagrams: Iterable[Datagram]) -> int:
-    """Write a classic pcap of Ethernet frames, whole or not at all, and return how many.
+@dataclass(frozen=True)
+class Frames:
+    """Ethernet frames as a capture file has them, in the order of time."""
 
-    Headers are as in real recordings: data packets uncounted, without fragments, TTL 255, no UDP checksum.
-    """
-    headers: dict[tuple[str, int, int, int], bytes] = {}
-    counters: dict[str, Iterator[int]] = {}
+    time_ns: NDArray[np.int64]  # (n,) host time, in whole microseconds
+    records: list[bytes]  # (n,)
+
+
+@dataclass(frozen=True)
+class Sender:
+    """Who sends datagrams to which port, and what stands before them."""
+
+    headers: Headers
+    header: Header
+    host: str
+    port: int
+
+    def frames(self, time_ns: NDArray[np.int64], payloads: NDArray[np.uint8], first: int = 0) -> Frames:
+        """Datagrams (n, size) that leave at these times (n,); if they are numbered, from `first` on."""
+        count, size = payloads.shape
+        length = ETHERNET_HEADER.itemsize + IP.itemsize + UDP.itemsize + size
+        out = np.zeros(
+            count,
+            [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP), ("payload", "u1", (size,))],
+        )
+        out["payload"] = payloads
+        record, ethernet, ip, udp = (out[key] for key in ("record", "ethernet", "ip", "udp"))
+        record["seconds"], record["microseconds"] = np.divmod(time_ns // 1000, 10**6)
+        record["captured"] = record["length"] = length
+        address = socket.inet_aton(self.host)
+        ethernet["destination"] = _octets(self.headers.destination_mac)
+        ethernet["source"] = _octets(self.headers.mac_prefix) + list(address[1:])
+        ethernet["kind"] = int.from_bytes(IPV4)
+        ip["version"], ip["ttl"], ip["protocol"] = 0x45, self.header.ttl, socket.IPPROTO_UDP
+        ip["length"] = IP.itemsize + UDP.itemsize + size
+        ip["flags"] = DONT_FRAGMENT if self.header.dont_fragment else 0
+        ip["source"], ip["destination"] = list(address), list(socket.inet_aton(self.headers.destination_ip))
+        if self.header.numbered:
+            ip["id"] = (first + np.arange(count)) % 65536
+        ip["checksum"] = _checksum(_sum(ip))
+        udp["source_port"], udp["port"] = self.header.source_port or self.port, self.port
+        udp["length"] = UDP.itemsize + size
+        if self.header.checksum:
+            pseudo = _sum(ip["source"]) + _sum(ip["destination"]) + socket.IPPROTO_UDP + udp["length"]
+            found = _checksum(pseudo + _sum(udp) + _sum(out["payload"]))
+            udp["checksum"] = np.where(found == 0, 0xFFFF, found)  # 0 would say that there is none
+        return Frames(time_ns, out.view(f"V{out.itemsize}").tolist())
+
+
+def _octets(mac: str) -> list[int]:
+    return list(bytes.fromhex(mac.replace(":", "")))
+
+
+def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
+    """(n,): the sum of the 16-bit words of each part (n, …); an odd octet at the end is a word's upper half."""
+    octets = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
+    upper, lower = (octets[:, i::2].sum(axis=1, dtype=np.uint32) for i in range(2))
+    return np.asarray(256 * upper + lower)
+
+
+def _checksum(total: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """The Internet checksum (RFC 1071) of words with these sums."""
+    for _ in range(2):
+        total = (total >> 16) + (total & 0xFFFF)
+    return 0xFFFF - total
+
+
+def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
+    """Write a classic pcap, whole or not at all, and return how many frames it has."""
     count = 0
     with replacing(path, "wb") as file:
-        writer = dpkt.pcap.Writer(file, snaplen=SNAPLEN, linktype=ETHERNET)
-        for count, datagram in enumerate(datagrams, 1):  # noqa: B007
-            if datagram.counted:
-                number = next(counters.setdefault(datagram.host, itertools.count()))
-                frame = bytes(_frame(datagram, id=number % 65536, ttl=64, p=17))
-            else:
-                key = datagram.host, datagram.source_port, datagram.port, len(datagram.payload)
-                if key not in headers:
-                    whole = bytes(_frame(datagram, df=1, ttl=255, p=17))
-                    headers[key] = whole[: -len(datagram.payload)]
-                frame = headers[key] + datagram.payload
-            writer.writepkt_time(frame, Decimal(datagram.time_ns // 1000).scaleb(-6))
+        file.write(FILE_HEADER)
+        for some in frames:
+            file.write(b"".join(some.records))
+            count += len(some.records)
     return count
-
-
-def _frame(datagram: Datagram, **ip_fields: int) -> Any:
-    """The datagram in UDP, IP and Ethernet, sent to everybody; dpkt fills in lengths and checksums."""
-    address = socket.inet_aton(datagram.host)
-    udp = dpkt.udp.UDP(sport=datagram.source_port, dport=datagram.port, data=datagram.payload)
-    udp.ulen = len(udp)
-    ip = dpkt.ip.IP(src=address, dst=socket.inet_aton(BROADCAST), data=udp, **ip_fields)
-    ip.len = len(ip)
-    if ip.df:
-        udp.sum, ip.data = 0, bytes(udp)  # as bytes, it gets no checksum
-    return dpkt.ethernet.Ethernet(src=MAC_MAKER + address[1:], dst=b"\xff" * 6, data=ip)
 
 
 def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator[Datagram]:

@@ -7,6 +7,7 @@ get within the time for which a table holds, and the cones by how far it can tur
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,11 +55,9 @@ def balls(caster: Raycaster) -> Balls:
         corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
     piece = np.concatenate(pieces)
     low, high = piece.min(axis=1), piece.max(axis=1)
-    cells = np.floor((low + high) / 2 / size_m).astype(np.int64)
-    _, cell = np.unique(cells, axis=0, return_inverse=True)
-    cell = cell.ravel()
-    order = np.argsort(cell, kind="stable")
-    starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    cells = np.floor((low + high) / 2 / size_m)
+    order = np.lexsort(cells.T)
+    starts = np.flatnonzero(np.append(True, np.diff(cells[order], axis=0).any(axis=1)))
     low, high = np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)
     return Balls((low + high) / 2, np.linalg.norm(high - low, axis=1) / 2)
 
@@ -88,10 +87,10 @@ class Reach:
         self._table: Mask = np.empty((0, 0), np.bool_)
         self._from_ns, self._to_ns = 0, -1
 
-    def masks(self, time_ns: NDArray[np.int64], azimuth_rad: Array) -> Mask | None:
-        """(1 + movers, …): whether the firings (…, L) may meet what stands still, and each mover, in range.
+    def tables(self, time_ns: NDArray[np.int64]) -> list[Mask] | None:
+        """(1 + movers) of (SECTORS, L): what of firings at these times may meet what stands still, and each mover.
 
-        None: so many may that it is not worth telling.
+        None: so many may that it is not worth telling. Times are asked in order, as a table is kept for the next.
         """
         first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
         if not self._from_ns <= first_ns <= last_ns <= self._to_ns:
@@ -102,11 +101,7 @@ class Reach:
                 self._to_ns = max(min(self._to_ns, end_ns), last_ns)
             self._table = self._still_table((self._from_ns + self._to_ns) // 2)
         tables = [self._table, *self._mover_tables(first_ns, last_ns)]
-        if min(table.mean() for table in tables) > 1 - WORTH:
-            return None
-        sector = (azimuth_rad * (SECTORS / (2 * math.pi))).astype(np.intp) % SECTORS
-        laser = np.arange(self._mount.sensor.count)
-        return np.stack([table[sector, laser] for table in tables])
+        return None if min(table.mean() for table in tables) > 1 - WORTH else tables
 
     def _frame(self, middle_ns: int, half_ns: int) -> tuple[Array, Array, float, float]:
         """Where the sensor is and where its cones point in the middle, and how far both may be off."""
@@ -150,3 +145,9 @@ class Reach:
         rows = max(BLOCK // max(len(distance), 1), 1)
         parts = [(axes32[i : i + rows] @ towards >= widest - 1e-6).any(axis=1) for i in range(0, len(axes), rows)]
         return np.concatenate(parts)
+
+
+def masks_of(tables: Sequence[Mask], azimuth_rad: Array) -> Mask:
+    """(1 + movers, …): which of the firings (…, L) at these azimuths may meet what, by the tables of `Reach`."""
+    sector = (azimuth_rad * (SECTORS / (2 * math.pi))).astype(np.intp) % SECTORS
+    return np.stack([table[sector, np.arange(table.shape[1])] for table in tables])

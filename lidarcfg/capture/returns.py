@@ -64,9 +64,13 @@ class Echoes:
 
 def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
     """Exact echoes of thin beams, (N, 1) or for dual returns (N, 2): there is only one, reported twice."""
-    columns = [0, 0] if return_mode == "dual" else [0]
-    range_m = range_m[:, columns]
-    return Echoes(range_m, np.zeros(range_m.shape), reflectivity[:, columns], objects[:, columns])
+    width = 2 if return_mode == "dual" else 1
+    return Echoes(
+        range_m=np.repeat(range_m, width, axis=1),
+        noise_m=np.zeros((len(range_m), width)),
+        reflectivity=np.repeat(reflectivity, width, axis=1),
+        object=np.repeat(objects, width, axis=1),
+    )
 
 
 def wide(directions: Array, sensor: Sensor, realism: Realism) -> tuple[Array, Array]:
@@ -83,6 +87,11 @@ def wide(directions: Array, sensor: Sensor, realism: Realism) -> tuple[Array, Ar
         + up_rad[:, None] * above[:, None, None]
     ).reshape(len(directions), len(NODES) ** 2, 3)
     return rays / np.linalg.norm(rays, axis=2, keepdims=True), np.outer(WEIGHTS, WEIGHTS).ravel()
+
+
+def sub_rays(sensor: Sensor, realism: Realism) -> int:
+    """How many rays `wide` makes of a beam."""
+    return len(NODES) ** 2 if realism.divergence and sensor.optics else 1
 
 
 def spread_rad(sensor: Sensor, realism: Realism) -> float:

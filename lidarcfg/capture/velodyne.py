@@ -5,6 +5,7 @@ sensor's YAML.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
@@ -25,6 +26,7 @@ from lidarcfg.capture.scene import GeoOrigin
 from lidarcfg.capture.status import status_bytes
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
+from lidarcfg.rig import PpsState
 from lidarcfg.sensor import BLOCKS, SLOTS, Packet, Range, Sensor
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
@@ -45,7 +47,7 @@ DISTANCE_MAX = 65535  # units; 0 is no return
 RETURNS = ("strongest", "last")  # the last axis of dual returns
 HOUR_NS = 3600 * 10**9
 HOUR_US = 3600 * 10**6
-PPS_LOCKED = 2
+PPS_STATES: tuple[PpsState, ...] = ("absent", "synchronising", "locked", "error")
 KNOT_M_S = 1852 / 3600
 WGS84_A_M, WGS84_E2 = 6378137.0, 6.69437999014e-3  # semi-major axis, eccentricity squared
 
@@ -261,19 +263,13 @@ def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:
     return past_hour + (host_time_ns - past_hour + HOUR_NS // 2) // HOUR_NS * HOUR_NS
 
 
-def position_packet(
-    time_ns: int,
-    geo_origin: GeoOrigin,
-    east_north_m: tuple[float, float],
-    course_rad: float,
-    speed_m_s: float = 0.0,
-) -> bytes:
-    """The position packet of a vehicle at (x east, y north) of the world on this course (its yaw if it stands)."""
-    packet = np.zeros((), POSITION)
-    packet["stamp_us"] = stamp_us(np.array(time_ns, np.int64))
-    packet["pps"] = PPS_LOCKED
-    packet["nmea"] = gprmc(time_ns, geo_origin, east_north_m, course_rad, speed_m_s)
-    return packet.tobytes()
+def position_packets(time_ns: Times, pps: PpsState, sentences: Sequence[bytes]) -> NDArray[np.void]:
+    """The position packets (n,) of these times (n,), each with an NMEA sentence."""
+    packets = np.zeros(len(time_ns), POSITION)
+    packets["stamp_us"] = stamp_us(time_ns)
+    packets["pps"] = PPS_STATES.index(pps)
+    packets["nmea"] = sentences
+    return packets
 
 
 def gprmc(
@@ -282,14 +278,16 @@ def gprmc(
     east_north_m: tuple[float, float],
     course_rad: float,
     speed_m_s: float = 0.0,
+    fix: bool = True,
 ) -> bytes:
-    """The NMEA sentence, with checksum and CR LF, of a vehicle at a place; speed is in knots, course from north.
+    """The NMEA sentence, with checksum and CR LF, of a vehicle at (x east, y north) of the world.
 
-    Where the plane of `geographic` leaves the Earth's latitudes there is no fix: status V and no position.
+    Speed is in knots, the course (its yaw if it stands) from north. Without a fix, as where the plane of `geographic`
+    leaves the Earth's latitudes, the status is V and there is no position.
     """
     latitude_deg, longitude_deg = geographic(geo_origin, east_north_m)
     now = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=time_ns // 10**9)
-    if abs(latitude_deg) <= 90:
+    if fix and abs(latitude_deg) <= 90:
         course_deg = round(90 - math.degrees(course_rad), 1) % 360
         place = f"{_degrees(latitude_deg, 2, 'NS')},{_degrees(longitude_deg, 3, 'EW')}"
         text = f"GPRMC,{now:%H%M%S}.00,A,{place},{speed_m_s / KNOT_M_S:.3f},{course_deg:.1f},{now:%d%m%y},0.0,E,A"
