@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidarcfg.commands.options import FILE, note, quiet_option, way
+from lidarcfg.commands.options import FILE, MODEL, note, quiet_option, way
 
 if TYPE_CHECKING:
     from lidarcfg.view.page import Page
@@ -52,7 +52,7 @@ class Place(click.ParamType[tuple[float, ...]]):
 @click.command()
 @click.argument("files", type=FILE, nargs=-1, required=True)
 @click.option("--rig", type=FILE, help="The rig that recorded the captures: merges them by its poses.")
-@click.option("--model", help="What a pcap's sensors are, whatever their packets say.")
+@click.option("--model", type=MODEL, help="What a pcap's sensors are, whatever their packets say.")
 @click.option("--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Where the vehicle stands in the scenes.")
 @click.option("--colour", type=click.Choice(COLOURS), default="sensor", show_default=True, help="What points show.")
 @click.option("--worst", type=click.IntRange(0, WORST_MAX), default=3, show_default=True, help="Worst subspaces shown.")
