@@ -11,6 +11,7 @@ import click
 
 import lidarcfg
 from lidarcfg.commands.capture import decode, export, replay
+from lidarcfg.commands.compare import compare
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
 from lidarcfg.commands.options import one_line
@@ -91,7 +92,7 @@ def cli(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-cli.add_task("Place sensors on a vehicle", optimize, evaluate)
+cli.add_task("Place sensors on a vehicle", optimize, evaluate, compare)
 cli.add_task("Hear what they send", export, decode, replay)
 cli.add_task("Look at it", view)
 cli.add_task("Hand it to other tools", convert)

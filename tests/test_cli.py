@@ -81,6 +81,7 @@ def test_the_results_of_a_search(out):
         "convergence.png",
         "rig.png",
         "search.npz",
+        "report.html",
     }
     assert (result["evaluations"], result["seed"], result["solver"]) == (450, 5, "abc")
     assert result["study"]["solver"] == {"method": "abc", "bees": 200, "evaluations": 450, "seed": 5}

@@ -1,6 +1,8 @@
 """What commands share: kinds of values, times and places from text, notes and progress."""
 
 import math
+import shlex
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,6 +62,11 @@ quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but err
 def one_line(text: str) -> str:
     """With control characters written out, as a name may hold them."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def typed() -> str:
+    """The command line, as a shell takes it."""
+    return shlex.join(["lidarcfg", *sys.argv[1:]])
 
 
 def note(message: str) -> None:

@@ -1,15 +1,16 @@
 """lidarcfg optimize and evaluate: where the sensors should sit, and how well they see from there."""
 
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from lidarcfg.commands.options import FILE, Seconds, Share, progress, quiet_option
+from lidarcfg.commands.options import FILE, Seconds, Share, progress, quiet_option, typed
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.optimize import Cycle, Log
+    from lidarcfg.placement.optimize import Cycle, Log, Placement
     from lidarcfg.placement.study import Solver
     from lidarcfg.rig import Rig
 
@@ -79,13 +80,25 @@ def optimize(
                 saved = time.monotonic()
 
         found = search(loaded, threads, on_cycle, log)
-    report.save_placement(loaded, found, folder)
+    found = report.save_placement(
+        loaded, found, folder, report.Commands(typed(), _again(study, folder, loaded.solver, found))
+    )
     if not quiet:
         report.print_placement(found)
-        click.echo(f"written to {folder}/: rig.yaml result.json history.csv convergence.png rig.png search.npz")
+        files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
+        click.echo(f"written to {folder}/: {files}")
     if found.interrupted:
         click.echo("interrupted; the best so far is kept", err=True)
         sys.exit(130)
+
+
+def _again(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
+    """The command that gives the same rig wherever it runs, however the search ended."""
+    budget = ("--evaluations", max(found.evaluations, 1))
+    if solver.cycles is not None and found.history[-1].cycle >= solver.cycles:
+        budget = ("--cycles", solver.cycles)
+    words = ("lidarcfg", "optimize", study, "-o", folder, "--solver", solver.method, "--seed", solver.seed, *budget)
+    return shlex.join(map(str, words))
 
 
 def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
@@ -104,7 +117,7 @@ def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
 @click.argument("study", type=FILE)
 @click.argument("rig", type=FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
-@click.option("-o", "--output", type=FILE, help="Folder for result.json and rig.png.")
+@click.option("-o", "--output", type=FILE, help="Folder for report.html, result.json and rig.png.")
 @click.option("--tolerance", type=Share(1), help="Also the analytic max VSR, to this relative error.")
 @quiet_option
 def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool) -> None:
@@ -126,7 +139,7 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     loaded, mounted = load_study(study), load_rig(rig)
     found = judge(loaded, mounted, tolerance)
     if output:
-        report.save_evaluation(loaded, mounted, found, output)
+        found = report.save_evaluation(loaded, mounted, found, output, report.Commands(typed(), typed()))
     if as_json:
         click.echo(report.to_json(report.evaluation_dict(loaded, mounted, found)))
     elif not quiet:

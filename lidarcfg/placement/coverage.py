@@ -5,6 +5,8 @@ pole that stood along the line would be hit by it; it counts once, however often
 count.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,3 +27,20 @@ def beams_across(subspaces: Subspaces, axis: int) -> NDArray[np.int64]:
         high = np.append(gap, np.int32(-1))[subspaces.label].max(axis=axis)
         beams[i] = np.where(empty, -1, high - low)
     return beams
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What upright poles meet: of all places from above."""
+
+    median_beams: float
+    by_none: float  # the share of places that no beam crosses
+    by_one_sensor: float  # the share whose beams are all of one sensor
+
+
+def coverage(subspaces: Subspaces) -> Coverage:
+    """The beams across upright lines of cuboids, in short."""
+    beams = beams_across(subspaces, 2)
+    beams = beams[:, beams[0] >= 0]
+    sensors = (beams > 0).sum(axis=0)
+    return Coverage(float(np.median(beams.sum(axis=0))), float((sensors == 0).mean()), float((sensors == 1).mean()))

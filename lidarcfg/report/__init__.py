@@ -1,5 +1,7 @@
 """A result as JSON, files, tables, plots and a page."""
 
+from lidarcfg.report.comparison import check_count, comparison_dict, contenders, save_comparison
+from lidarcfg.report.page import Commands
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 from lidarcfg.report.results import (
     check_writable,
@@ -13,6 +15,7 @@ from lidarcfg.report.results import (
 )
 from lidarcfg.report.tables import (
     analytic_line,
+    print_comparison,
     print_evaluation,
     print_placement,
     print_sensor,
@@ -21,18 +24,24 @@ from lidarcfg.report.tables import (
 
 __all__ = [
     "COLOURS",
+    "Commands",
     "analytic_line",
+    "check_count",
     "check_writable",
+    "comparison_dict",
+    "contenders",
     "draw_convergence",
     "draw_rig",
     "evaluation_dict",
     "load_log",
     "new_figure",
     "placement_dict",
+    "print_comparison",
     "print_evaluation",
     "print_placement",
     "print_sensor",
     "print_sensors",
+    "save_comparison",
     "save_evaluation",
     "save_figure",
     "save_placement",

@@ -4,7 +4,7 @@ import csv
 import json
 import tempfile
 import zipfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,15 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.config import replacing
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement.analytic import analytic
+from lidarcfg.placement.lidar import rig_lidars
 from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.study import BUDGETS, Evaluation, Study
+from lidarcfg.report.page import CHEAP_CUBOIDS, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.rig import Rig, rig_to_dict, save_rig
+
+HALVED_ONCE = 1.0  # a tolerance that the first halving reaches
 
 
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
@@ -70,24 +75,44 @@ def to_json(values: dict[str, Any]) -> str:
     return json.dumps(values, indent=1, allow_nan=False, ensure_ascii=False)
 
 
-def save_evaluation(study: Study, rig: Rig, found: Evaluation, folder: Path) -> None:
-    """Write result.json and rig.png into `folder`."""
+def with_error_bar(study: Study, rig: Rig, found: Evaluation) -> Evaluation:
+    """The evaluation with its analytic max VSR from one halving of the cuboids, where there are few of them."""
+    if found.analytic or study.region.included.size > CHEAP_CUBOIDS:
+        return found
+    return replace(found, analytic=analytic(study.region, rig_lidars(rig), HALVED_ONCE))
+
+
+def save_evaluation(
+    study: Study, rig: Rig, found: Evaluation, folder: Path, commands: Commands | None = None
+) -> Evaluation:
+    """Write result.json, rig.png and report.html into `folder`; what they say, with its error bar where it is cheap."""
     folder.mkdir(parents=True, exist_ok=True)
-    _write_json(evaluation_dict(study, rig, found), folder / "result.json")
+    found = with_error_bar(study, rig, found)
+    values = evaluation_dict(study, rig, found)
+    _write_text(to_json(values) + "\n", folder / "result.json")
     save_figure(draw_rig(study, rig, found), folder / "rig.png")
+    _write_text(report(study, rig, found, values, None, commands), folder / "report.html")
+    return found
 
 
-def save_placement(study: Study, found: Placement, folder: Path) -> None:
-    """Write rig.yaml, search.npz, result.json, history.csv, convergence.png and rig.png into `folder`."""
+def save_placement(study: Study, found: Placement, folder: Path, commands: Commands | None = None) -> Placement:
+    """Write rig.yaml, search.npz, result.json, history.csv, convergence.png, rig.png and report.html into `folder`.
+
+    Returns what they say: with an error bar, where it is cheap.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     save_progress(study, found.rig, found.log, folder)
-    _write_json(placement_dict(study, found), folder / "result.json")
+    found = replace(found, evaluation=with_error_bar(study, found.rig, found.evaluation))
+    values = placement_dict(study, found)
+    _write_text(to_json(values) + "\n", folder / "result.json")
     with replacing(folder / "history.csv") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(asdict(found.history[0]))
         writer.writerows(asdict(cycle).values() for cycle in found.history)
     save_figure(draw_convergence(study, found), folder / "convergence.png")
     save_figure(draw_rig(study, found.rig, found.evaluation), folder / "rig.png")
+    _write_text(report(study, found.rig, found.evaluation, values, found, commands), folder / "report.html")
+    return found
 
 
 def check_writable(folder: Path) -> None:
@@ -128,6 +153,6 @@ def _asked(study: Study) -> str:
     return json.dumps(study.file | {"solver": solver}, sort_keys=True)
 
 
-def _write_json(values: dict[str, Any], path: Path) -> None:
+def _write_text(text: str, path: Path) -> None:
     with replacing(path) as file:
-        file.write(to_json(values) + "\n")
+        file.write(text)

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.optimize import Placement
-from lidarcfg.placement.study import Evaluation
+from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.report.comparison import Contender, rows
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
 
@@ -64,10 +65,24 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     console.print(worst)
 
 
+def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
+    """A row for each thing compared, a column for each rig; the best of a row has a star."""
+    names = Table("rig", "name", "file", box=SIMPLE)
+    for rig in rigs:
+        names.add_row(rig.letter, rig.rig.name, rig.file)
+    side = Table("", *(Column(rig.letter, justify="right") for rig in rigs), box=SIMPLE)
+    for row in rows(study, rigs):
+        side.add_row(row.what, *(f"{v} *" if best else f"{v}  " for v, best in zip(row.values, row.best, strict=True)))
+    console = _console()
+    console.print(names)
+    console.print(side)
+    console.print("* the best of its row")
+
+
 def analytic_line(found: Analytic) -> str:
     """The analytic max VSR, its error bar, and whether that is what was asked for."""
     edges = " × ".join(f"{edge:g}" for edge in found.cuboid_m)
-    reached = f"within the tolerance of {found.tolerance:.3g}"
+    reached = f"within the tolerance of {found.tolerance:.3g}" if found.tolerance < 1 else "by one halving"
     if not found.reached:
         share = found.error_m / found.max_vsr_m
         reached = f"NOT within the tolerance of {found.tolerance:.3g}, but of {share:.2g}: no finer grid is tried"
