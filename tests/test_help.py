@@ -84,7 +84,7 @@ def test_what_completes():
     assert completed("optimize", "--solver", "") == {"auto", "abc", "cmaes", "de"}
     assert completed("sensors", "show", "") == set(catalogue())
     assert completed("sensors", "show", "hdl") == {name for name in catalogue() if name.startswith("hdl")}
-    for command in ("decode", "view"):
+    for command in ("decode", "view", "convert"):
         assert completed(command, "--model", "vlp-1") == {"vlp-16"}
     assert completed("completion", "z") == {"zsh"}
     assert {"--scene", "--duration"} <= completed("export", "--")

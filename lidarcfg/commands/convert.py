@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from lidarcfg.commands.options import FILE, note, quiet_option
+from lidarcfg.commands.options import FILE, MODEL, note, quiet_option
 
 
 @click.command()
@@ -12,7 +12,7 @@ from lidarcfg.commands.options import FILE, note, quiet_option
 @click.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; its suffix is the format.")
 @click.option("--to", "name", metavar="FORMAT", help="The format, where the suffix does not say it.")
 @click.option("--rig", type=FILE, help="A capture's rig: names its sensors and says where they are (/tf_static).")
-@click.option("--model", help="What a capture's sensors are, whatever their packets say.")
+@click.option("--model", type=MODEL, help="What a capture's sensors are, whatever their packets say.")
 @quiet_option
 def convert(source: Path, output: Path, name: str | None, rig: Path | None, model: str | None, quiet: bool) -> None:
     """Hand a rig, a cloud or a capture to the next tool, in that tool's own format.

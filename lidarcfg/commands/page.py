@@ -9,24 +9,34 @@ GLUE = "\N{NO-BREAK SPACE}"
 
 
 class _Page(click.HelpFormatter):
-    """Breaks long command lines in examples as a shell reads them, with a backslash."""
+    """Breaks what stands in lines of its own (`\\b`) too: a command as a shell reads it, a row in its last column."""
 
     def write_text(self, text: str) -> None:
-        whole = re.sub(r" *\\\n *", " ", text)
-        super().write_text("\n".join(self._fitted(line) for line in whole.splitlines()))
+        parts = text.split("\n\n")
+        super().write_text("\n\n".join(self._fitted(part) if part.startswith("\b") else part for part in parts))
 
-    def _fitted(self, line: str) -> str:
-        if not line.lstrip().startswith("lidarcfg "):
+    def _fitted(self, lines: str) -> str:
+        whole = re.sub(r" *\\\n *", " ", lines)
+        return "\n".join(map(self._broken, whole.splitlines()))
+
+    def _broken(self, line: str) -> str:
+        is_command = line.lstrip().startswith("lidarcfg ")
+        width, end = self.width - self.current_indent, " \\" if is_command else ""
+        if len(line) <= width:
             return line
-        indent = " " * (len(line) - len(line.lstrip()))
+        if is_command:
+            line = re.sub(r"(?<= )(-\S+) (?!-)", rf"\1{GLUE}", line)  # an option stays with its value
+            column = len(line) - len(line.lstrip()) + 4
+        else:
+            column = min(max((gap.end() for gap in re.finditer("  +", line)), default=0), width * 2 // 3)
         parts = textwrap.wrap(
-            re.sub(r"(?<= )(-\S+) (?!-)", rf"\1{GLUE}", line),  # an option stays with its value
-            self.width - self.current_indent - len(" \\"),
-            subsequent_indent=indent + "    ",
+            line,
+            width - len(end),
+            subsequent_indent=" " * column,
             break_long_words=False,
             break_on_hyphens=False,
         )
-        return " \\\n".join(parts).replace(GLUE, " ")
+        return f"{end}\n".join(parts).replace(GLUE, " ")
 
 
 class _PageContext(click.Context):
