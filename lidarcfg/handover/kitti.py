@@ -35,7 +35,10 @@ def load_kitti(path: Path) -> PointCloud:
     """The cloud in a .bin: of one sensor, called as the file; ring, time and return type are 0. Raises CloudError."""
     if path.name.lower().endswith(".pcd.bin"):
         raise CloudError(f"{path}: is of nuScenes, with five numbers a point; allowed: KITTI's four")
-    raw = path.read_bytes()
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     if len(raw) % 16:
         raise CloudError(f"{path}: not a whole KITTI file: {len(raw)} bytes are not points of 16")
     rows = np.frombuffer(raw, "<f4").reshape(-1, 4)

@@ -1,6 +1,8 @@
 """LAS 1.4 and LAZ, by laspy: point format 6 with extra dimensions for ring, sensor and return type."""
 
 import json
+import os
+import struct
 from collections.abc import Callable
 from datetime import date, timedelta
 from pathlib import Path
@@ -28,7 +30,9 @@ EXTRA = {
 }
 TIME_MAX_S = 9e9  # beyond it, nanoseconds since 1970 do not fit into int64
 DAY_NS = 86_400 * 10**9
-CHUNK = 1 << 20
+CHUNK = 1 << 20  # points
+CHUNK_BYTES = 1 << 26  # of them when read, whatever the size of a point
+VLRS_AT, VLR_HEAD = 100, 54  # bytes: where the header counts its VLRs, and the least that one takes (LAS 1.4)
 
 
 def save_las(path: Path, cloud: PointCloud) -> None:
@@ -62,7 +66,7 @@ def save_las(path: Path, cloud: PointCloud) -> None:
             rows.x, rows.y, rows.z = cloud.xyz[part].T
             rows.intensity = cloud.intensity[part].astype(np.uint16) * INTENSITY_STEP
             rows.gps_time = gps_seconds(cloud.time_ns[part])
-            rows.return_number, rows.number_of_returns = 1, 1
+            rows.return_number = rows.number_of_returns = np.ones(len(rows), np.uint8)
             for name in EXTRA:
                 rows[name] = getattr(cloud, name)[part]
             writer.write_points(rows)
@@ -88,15 +92,19 @@ def load_las(path: Path, on_note: Callable[[str], None]) -> PointCloud:
     """
     laspy = _laspy()
     try:
-        with laspy.open(path) as reader:
+        _check_vlrs(path)
+        with laspy.open(path, read_evlrs=False) as reader:
             header = reader.header
-            chunks = [_columns(chunk) for chunk in reader.chunk_iterator(CHUNK)] or [
-                _columns(laspy.ScaleAwarePointRecord.zeros(0, header=header))
-            ]
+            chunks = [_columns(laspy.ScaleAwarePointRecord.zeros(0, header=header))]
+            left = header.point_count
+            while left:
+                wanted = min(left, CHUNK, max(1, CHUNK_BYTES // header.point_format.size))
+                chunks.append(_columns(reader.read_points(wanted)))
+                if len(chunks[-1]["xyz"]) != wanted:
+                    raise ValueError(f"{header.point_count} points are announced, and not there")
+                left -= wanted
         columns = {key: np.concatenate([chunk[key] for chunk in chunks]) for key in chunks[0]}
         count = len(columns["xyz"])
-        if count != header.point_count:
-            raise ValueError(f"{header.point_count} points are announced, {count} are there")
         given = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == (VLR_USER, VLR_RECORD)]
         names = json.loads(given[0].record_data) if given else None
         week = header.global_encoding.gps_time_type == laspy.header.GpsTimeType.WEEK_TIME
@@ -122,6 +130,14 @@ def load_las(path: Path, on_note: Callable[[str], None]) -> PointCloud:
     if names is None:
         names = [str(number) for number in range(int(columns["sensor"].max(initial=0)) + 1)]
     return checked(path, columns | {"sensor_names": names}, allow_empty=True)
+
+
+def _check_vlrs(path: Path) -> None:
+    """Raises ValueError where the header announces more VLRs than the file can hold; laspy would look for them all."""
+    with open(path, "rb") as file:
+        (count,) = struct.unpack_from("<I", file.read(VLRS_AT + 4), VLRS_AT)
+        if count * VLR_HEAD > file.seek(0, os.SEEK_END):
+            raise ValueError(f"{count} VLRs are announced, and not there")
 
 
 def _columns(rows: Any) -> dict[str, NDArray[Any]]:
