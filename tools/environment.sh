@@ -18,10 +18,11 @@ find_python() {
   exit 2
 }
 
-# Debian packages that are not here: what makes an environment, and what Open3D loads.
+# Debian packages that are not here: what makes an environment, what Open3D loads, and the tests' browser.
 missing_packages() {
-  "$1" - <<'PYTHON'
+  "$1" - "$2" <<'PYTHON'
 import ctypes
+import shutil
 import sys
 
 try:
@@ -42,6 +43,10 @@ if sys.platform == "linux":
             ctypes.CDLL(library)
         except OSError:
             print(package)
+    if sys.argv[1] == "test":
+        for program, package in {"chromium": "chromium", "chromedriver": "chromium-driver"}.items():
+            if not shutil.which(program):
+                print(package)
 PYTHON
 }
 
@@ -61,11 +66,11 @@ prepare() {
   local extra=$1 stamp python missing
   stamp=.venv/installed${extra:+-$extra}
   python=$(find_python)
-  missing=$(missing_packages "$python" | tr '\n' ' ')
+  missing=$(missing_packages "$python" "$extra" | tr '\n' ' ')
   if [ -n "$missing" ]; then
     # shellcheck disable=SC2086  # one word a package
     install_packages $missing
-    missing=$(missing_packages "$python" | tr '\n' ' ')
+    missing=$(missing_packages "$python" "$extra" | tr '\n' ' ')
   fi
   [ -z "$missing" ] || say "missing, and not to be installed from here: what Debian calls $missing"
   if [ -f "$stamp" ] && cmp -s "$stamp" pyproject.toml && .venv/bin/python -c '' 2>/dev/null; then

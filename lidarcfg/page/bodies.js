@@ -77,7 +77,7 @@ export class Worst {
     }
     this.object.clear();
     this.labels = worst.map(({ vsr_m, centroid_m, mesh }, rank) => {
-      this.object.add(body(mesh, this.colours.worst, rank ? 0.22 : 0.4));
+      this.object.add(body(mesh, this.colours.worst, rank ? 0.2 : 0.32));
       const at = new Vector3(...centroid_m);
       const text = `VSR ${vsr_m.toFixed(4)} m`;
       return this.stage.labels.add(text, this.colours.worst, () => (this.object.visible ? at : null));

@@ -2,6 +2,7 @@
 
 import { TransformControls } from "three";
 import { ask } from "lidarcfg/data";
+import { AXES } from "lidarcfg/sensors";
 
 export class Handles {
   constructor(stage, mounts, onMove) {
@@ -9,6 +10,7 @@ export class Handles {
     this.start = mounts.map((mount) => mount.pose);
     this.controls = new TransformControls(stage.camera, stage.canvas);
     this.controls.size = 0.8;
+    this.controls.setColors(...AXES.map(([, colour]) => colour), "white");
     stage.scene.add(this.controls.getHelper());
     this.controls.addEventListener("change", () => stage.redraw());
     this.controls.addEventListener("dragging-changed", ({ value }) => {

@@ -16,7 +16,7 @@ import { rgb } from "lidarcfg/points";
 
 export const AXES = [["x", "#FF7F50"], ["y", "#2ED9A3"], ["z", "#56B4E9"]];
 const STEP_DEG = 3.75;
-const SPOKES = 8; // steps from one line along a cone to the next
+const SPOKES = 16; // steps from one line along a cone to the next
 
 function lines(ends, material) {
   const geometry = new BufferGeometry();
@@ -49,7 +49,7 @@ function cones(mount, color) {
     for (let step = 0; step < steps; step += 1) ends.push(...at(step), ...at(step + 1));
     for (let step = 0; step <= steps; step += SPOKES) ends.push(0, 0, 0, ...at(step));
   }
-  return lines(ends, new LineBasicMaterial({ color, transparent: true, opacity: 0.35, depthWrite: false }));
+  return lines(ends, new LineBasicMaterial({ color, transparent: true, opacity: 0.3, depthWrite: false }));
 }
 
 export class Mount {

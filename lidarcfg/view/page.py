@@ -107,7 +107,7 @@ def moved(rig: Rig, poses: Array) -> Rig:
 
 def html(page: Page | None) -> str:
     """The page: as a server sends it, or with everything inside it."""
-    modules = {name: f"page/{file}" for name, file in MODULES.items()}
+    modules = {name: f"./page/{file}" for name, file in MODULES.items()}
     data = ""
     if page:
         modules = {name: _data_url((ASSETS / file).read_bytes()) for name, file in MODULES.items()}
