@@ -90,14 +90,23 @@ def test_auto_walks_from_the_best_of_its_points():
     assert solver.best_cost == bowl(points).min()
 
 
-def test_autos_runs_take_turns_and_grow():
-    solver, sizes = Auto(2, 1), []
-    while len(sizes) < 12:
-        before, runs = solver.ask(), solver._runs
-        solver.tell(bowl(before.x))
-        if len(before.x) == 200 or (solver._runs > runs and solver._runs % 4 == 3):
-            sizes.append(len(solver.ask().x))
-    assert sizes == [30, 60, 120, 36] * 2 + [60, 120, 240, 36]
+def test_autos_rounds_are_half_cma_es_of_growing_populations_and_half_differential_evolution():
+    solver = Auto(2, 1)
+    for share in (8000, 8000, 16000):  # 4000 a dimension, and twice as many from the third round on
+        runs, evolution = [], 0  # the generations of each CMA-ES, and how many the evolution tries
+        while not evolution or len(solver.ask().x) != 200:
+            size = len(solver.ask().x)
+            if size == 200:
+                runs.append([])
+            elif size == 36 or evolution:  # 18 points a dimension is an evolution's first generation
+                evolution += size
+            else:
+                runs[-1].append(size)
+            solver.tell(bowl(solver.ask().x))
+        assert [set(run) for run in runs] == [{30 * 2**n} for n in range(len(runs))]
+        spent = np.cumsum([200 + sum(run) for run in runs])
+        assert spent[-2] < share <= spent[-1]
+        assert share <= evolution < share + 36
 
 
 def test_success_history_shrinks_to_four_points_that_lie_deep():

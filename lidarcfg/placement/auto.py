@@ -1,7 +1,7 @@
-"""The default search: what won over several studies (docs/benchmarks.md), one after the other until time is up.
+"""The default search: what won over several studies (docs/benchmarks.md), round after round until time is up.
 
 CMA-ES from the best of some random points is quickest to a good rig, and with a larger population finds a better
-one where many LiDARs move. But it goes downhill from where it stands. Every fourth run is differential evolution
+one where many LiDARs move. But it goes downhill from where it stands. So each round ends with differential evolution
 (L-SHADE), which looks around longer; on two LiDARs of 8 beams it alone found the best rigs known.
 """
 
@@ -13,18 +13,18 @@ from lidarcfg.placement.search import Trials, checked
 from lidarcfg.placement.success_history import SuccessHistory
 
 POINTS, STEP = 200, 0.15  # random points before CMA-ES, and its first standard deviation, in the unit cube
-POPULATION = 30  # of the first CMA-ES; the next two have twice as many each
-RUNS = 4  # to a round
+POPULATION = 30  # of the first CMA-ES of a round; each next one's is twice as large
 EVALUATIONS = 4000  # of a differential evolution, a dimension
 
 
 class Auto:
-    """A search by runs, four to a round; from the third round on, every second round is twice as large."""
+    """A search by rounds: CMA-ES until it has had as many evaluations as the differential evolution that ends it."""
 
     def __init__(self, dimensions: int, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
         self._dimensions = dimensions
-        self._runs = self.cycles = 0
+        self._round = self._run = self._spent = 0  # runs of CMA-ES in the round, and their evaluations
+        self.cycles = 0
         self.best_x, self.best_cost, self.mean_cost = np.full(dimensions, 0.5), np.inf, np.inf
         self._walk: CmaEs | SuccessHistory | None = None
         self._points = self._rng.random((POINTS, dimensions))
@@ -47,18 +47,21 @@ class Auto:
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = x[best].copy(), float(cost[best])
         self.cycles += 1
-        round_, run = divmod(self._runs, RUNS)
+        self._spent += len(cost)
         if self._walk is None:
             self.mean_cost = float(np.mean(cost))
-            population = POPULATION * 2 ** (run + round_ // 2)
-            self._walk = CmaEs(self._dimensions, int(self._rng.integers(2**63)), x[best], STEP, population)
+            seed, population = int(self._rng.integers(2**63)), POPULATION * 2**self._run
+            self._walk = CmaEs(self._dimensions, seed, x[best], STEP, population)
+            self._run += 1
             return
         self._walk.tell(cost)
         self.mean_cost = self._walk.mean_cost
-        if self._walk.over:
-            self._runs += 1
-            round_, run = divmod(self._runs, RUNS)
-            self._walk, self._points = None, self._rng.random((POINTS, self._dimensions))
-            if run == RUNS - 1:
-                evaluations = EVALUATIONS * self._dimensions * 2 ** (round_ // 2)
-                self._walk = SuccessHistory(self._dimensions, self._rng, evaluations)
+        if not self._walk.over:
+            return
+        share = EVALUATIONS * self._dimensions * 2 ** (self._round // 2)
+        if isinstance(self._walk, CmaEs) and self._spent >= share:
+            self._walk = SuccessHistory(self._dimensions, self._rng, share)
+            return
+        if isinstance(self._walk, SuccessHistory):
+            self._round, self._run, self._spent = self._round + 1, 0, 0
+        self._walk, self._points = None, self._rng.random((POINTS, self._dimensions))
