@@ -417,7 +417,7 @@ def coverage_view(axes: "Axes", view: str, region: Region, beams: NDArray[np.int
     values = _thinned(np.where(beams < 0, np.nan, beams.astype(np.float64)))
     extent = _extent(region, across, up)
     image = axes.imshow(values.T, extent=extent, origin="lower", aspect="auto", cmap=MAP, vmin=0, vmax=max(most, 1))
-    axes.set_facecolor((*LEFT_OUT, 0.4))
+    axes.set(xlim=extent[:2], ylim=extent[2:], facecolor=(*LEFT_OUT, 0.4), autoscale_on=False)
     return image
 
 
