@@ -201,7 +201,7 @@ def test_kitti_is_four_floats_a_point(tmp_path, chunk, monkeypatch):
     np.testing.assert_array_equal(rows[:, :3], ours.xyz.astype(np.float32))
     np.testing.assert_allclose(rows[:, 3], ours.intensity / 255, rtol=1e-7)
     assert rows[:, 3].max() <= 1
-    back = load_kitti(tmp_path / "a.bin")
+    back = load_kitti(tmp_path / "a.bin", lambda note: None)
     np.testing.assert_array_equal(back.xyz, rows[:, :3].astype(np.float64))
     np.testing.assert_array_equal(back.intensity, ours.intensity)
     assert back.sensor_names == ("a",)
@@ -278,22 +278,22 @@ def test_what_is_not_finite_is_refused(tmp_path, value):
     rows[2, 0] = value
     rows.tofile(tmp_path / "b.bin")
     with pytest.raises(CloudError, match=r"b\.bin: point 2 is not finite"):
-        load_kitti(tmp_path / "b.bin")
+        load_kitti(tmp_path / "b.bin", lambda note: None)
     rows[2] = 0, 0, 0, value
     rows.tofile(tmp_path / "b.bin")
     with pytest.raises(CloudError, match=r"b\.bin: point 2: reflectance is .*; allowed: 0 to 1"):
-        load_kitti(tmp_path / "b.bin")
+        load_kitti(tmp_path / "b.bin", lambda note: None)
 
 
 def test_odd_kitti_files(tmp_path):
     (tmp_path / "a.bin").write_bytes(bytes(50))
     with pytest.raises(CloudError, match=r"a\.bin: not a whole KITTI file: 50 bytes are not points of 16"):
-        load_kitti(tmp_path / "a.bin")
+        load_kitti(tmp_path / "a.bin", lambda note: None)
     (tmp_path / "x.pcd.bin").write_bytes(bytes(80))
     with pytest.raises(CloudError, match="is of nuScenes, with five numbers a point"):
-        load_kitti(tmp_path / "x.pcd.bin")
+        load_kitti(tmp_path / "x.pcd.bin", lambda note: None)
     with pytest.raises(CloudError, match=r"none\.bin: no such file"):
-        load_kitti(tmp_path / "none.bin")
+        load_kitti(tmp_path / "none.bin", lambda note: None)
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])

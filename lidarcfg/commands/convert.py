@@ -46,6 +46,9 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
     form = formats.chosen(source, output, name)
     if form.kind != "capture" and (rig or model):
         raise click.UsageError("--rig and --model are for captures")
-    found = formats.convert(source, output, form, rig, model, (lambda text: None) if quiet else note)
+    notes: list[str] = []
+    found = formats.convert(source, output, form, rig, model, notes.append)
     if not quiet:
+        for text in notes:
+            note(text)
         click.echo(f"{output}: {found}")

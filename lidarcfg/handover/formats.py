@@ -64,7 +64,9 @@ def chosen(source: Path, output: Path, name: str | None) -> Format:
             return form
     allowed = ", ".join(form.suffix for form in formats if form.suffix)
     folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
-    raise HandoverError(f"a {kind} cannot become {output.name!r}; allowed: {allowed}{folder}; or say which with --to")
+    hint = "; decode makes a cloud of it" if kind == "capture" else ""
+    what = f"a {kind} cannot become {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
+    raise HandoverError(what)
 
 
 def _kind(source: Path) -> Kind:
@@ -143,5 +145,5 @@ def _load(source: Path, on_note: Note) -> PointCloud:
     if suffix == ".bin":
         from lidarcfg.handover.kitti import load_kitti
 
-        return load_kitti(source)
+        return load_kitti(source, on_note)
     return load_cloud(source, allow_empty=True)

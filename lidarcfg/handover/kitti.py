@@ -13,6 +13,7 @@ from lidarcfg.errors import CloudError
 FULL = 255  # the intensity that is a reflectance of 1
 TOLD_M = 1e-4  # a coordinate that float32 moves by more is told of
 CHUNK = 1 << 20
+LACKS = ("ring", "time_ns", "sensor", "return_type")
 
 
 def save_kitti(path: Path, cloud: PointCloud, on_note: Callable[[str], None]) -> None:
@@ -31,8 +32,8 @@ def save_kitti(path: Path, cloud: PointCloud, on_note: Callable[[str], None]) ->
         on_note(f"{path}: float32 moves a point by up to {moved_m:.2g} m")
 
 
-def load_kitti(path: Path) -> PointCloud:
-    """The cloud in a .bin: of one sensor, called as the file; ring, time and return type are 0. Raises CloudError."""
+def load_kitti(path: Path, on_note: Callable[[str], None]) -> PointCloud:
+    """The cloud in a .bin, of one sensor, called as the file; `on_note` is told what it lacks. Raises CloudError."""
     if path.name.lower().endswith(".pcd.bin"):
         raise CloudError(f"{path}: is of nuScenes, with five numbers a point; allowed: KITTI's four")
     try:
@@ -47,7 +48,8 @@ def load_kitti(path: Path) -> PointCloud:
     if len(odd):
         raise CloudError(f"{path}: point {odd[0]}: reflectance is {reflectance[odd[0]]:g}; allowed: 0 to 1")
     zeros = np.zeros(len(rows), np.int64)
-    columns: dict[str, Any] = dict.fromkeys(("ring", "time_ns", "sensor", "return_type"), zeros)
+    columns: dict[str, Any] = dict.fromkeys(LACKS, zeros)
+    on_note(f"{path}: has no {', '.join(LACKS)}; they are 0")
     intensity = np.rint(reflectance * FULL).astype(np.int64)
     columns |= {"xyz": rows[:, :3].astype(np.float64), "intensity": intensity, "sensor_names": [path.stem]}
     return checked(path, columns, allow_empty=True)
