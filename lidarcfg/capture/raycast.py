@@ -67,7 +67,7 @@ class Raycaster:
 
     def _local(self, place_m: Array) -> tuple[Array, Triangles]:
         """The local origin for rays from a place (3,), and what stands still, relative to it."""
-        cell = np.rint((place_m - self._origin_m) / LOCAL_M)
+        cell = np.rint((place_m - self._origin_m) / LOCAL_M) + 0.0  # which makes 0 of -0
         origin_m = self._origin_m + cell * LOCAL_M
         key = cell.tobytes()
         with self._lock:  # threads cast together
