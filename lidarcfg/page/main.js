@@ -78,7 +78,7 @@ function pointControls(view, panel) {
       stage.redraw();
     }),
     slide("size", "point size", [1, 6, 0.5], 2, (value) => `${value} px`, (value) => {
-      cloud.uniforms.size.value = value;
+      cloud.size = value;
       stage.redraw();
     }),
   );

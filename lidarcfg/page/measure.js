@@ -42,7 +42,7 @@ export class Measure {
       const mount = mounts.find((one) => one.marker === marker.object);
       return { at: mount.object.position.clone(), text: `${mount.name}, ${mount.about.model}`, mount };
     }
-    const index = points?.object.visible ? points.pick(camera, size, x, y) : null;
+    const index = points?.object.visible ? points.pick(x, y) : null;
     if (index !== null) return { at: points.place(index), text: points.describe(index) };
     const [hit] = ray.intersectObjects(bodies, true).filter(({ object }) => object.isMesh);
     if (!hit) return null;

@@ -14,6 +14,7 @@ import { Labels } from "lidarcfg/labels";
 
 const STILL_MS = 250; // after so long without a move everything is drawn
 const FIELD_DEG = 60;
+const LEAST = 50_000; // points that are drawn however long they take
 const DIRECTIONS = { perspective: [-0.75, -0.45, 0.5], top: [-1e-4, 0, 1], front: [1, 0, 0], side: [0, -1, 0] };
 
 export class Stage {
@@ -32,11 +33,10 @@ export class Stage {
     this.orbit.addEventListener("change", () => this.moved());
     this.labels = new Labels(document.getElementById("labels"));
     this.points = null;
-    this.budgetMs = 60; // of a frame while something moves
-    this.limit = 500_000; // points in such a frame, found by how long the last ones took
+    this.budgetMs = 50; // for the points of a frame while something moves
+    this.limit = 1e6; // points in such a frame, found by how long the last ones took
     this.playing = false;
     this.movedAt = -Infinity;
-    this.drawnAt = 0;
     this.frames = 0;
     this.waiting = false;
     this.fieldDeg = about.camera?.field_deg ?? FIELD_DEG;
@@ -85,27 +85,25 @@ export class Stage {
   redraw() {
     if (this.waiting) return;
     this.waiting = true;
-    requestAnimationFrame((now) => this.draw(now));
+    requestAnimationFrame(() => this.draw());
   }
 
-  draw(now) {
+  drawPoints(moving) {
+    const began = performance.now();
+    this.points.draw(this.camera, this.size, this.renderer.getPixelRatio(), moving ? this.limit : Infinity);
+    const share = this.budgetMs / (performance.now() - began);
+    if (moving) this.limit = Math.max(this.points.drawn * Math.min(Math.max(share, 0.5), 2), LEAST);
+  }
+
+  draw() {
     this.waiting = false;
     const moving = this.playing || performance.now() - this.movedAt < STILL_MS;
-    this.onFrame?.(now);
-    if (this.points) {
-      const took = now - this.drawnAt;
-      if (moving && this.wasMoving && took < 2000) {
-        const share = Math.min(Math.max(this.budgetMs / took, 0.5), 1.3);
-        this.limit = Math.min(Math.max(this.limit * share, 50_000), Math.max(this.points.count, 50_000));
-      }
-      this.points.allow(moving && this.budgetMs < Infinity ? this.limit : Infinity);
-    }
-    this.wasMoving = moving;
-    this.drawnAt = now;
+    this.onFrame?.();
     const away = this.camera.position.distanceTo(this.orbit.target);
     this.camera.near = Math.max(away / 500, 0.01);
     this.camera.far = away + 20 * this.about.radius_m + 1000;
     this.camera.updateProjectionMatrix();
+    if (this.points) this.drawPoints(moving);
     this.renderer.render(this.scene, this.camera);
     this.labels.update(this.camera, this.size.x, this.size.y);
     this.frames += 1;
