@@ -419,9 +419,7 @@ CUBE = "boxes: [{name: b, center_m: [0, 0, 0], size_m: [2, 2, 2], reflectivity: 
 
 
 def test_rays_through_vertices_and_edges(tmp_path):
-    """What is met is met where it is. In float32 triangles leave cracks: of rays aimed, from inside a closed body,
-    at its very vertices and edges a few in a thousand pass through; of others not one.
-    """
+    """What is met is met where it is, and nothing slips through a closed body at its very vertices and edges."""
     ball = "spheres: [{name: s, center_m: [0, 0, 0], radius_m: 1, reflectivity: 9}]"
     for text in (CUBE, ball):
         body = scene(tmp_path, text)
@@ -432,9 +430,7 @@ def test_rays_through_vertices_and_edges(tmp_path):
             way = aims - start
             range_m = np.linalg.norm(way, axis=1)
             hit = caster.cast(np.tile(start, (len(aims), 1)), way / range_m[:, None])[0]
-            met = np.isfinite(hit)
-            assert met.mean() > 0.995
-            np.testing.assert_allclose(hit[met], range_m[met], atol=2e-6)
+            np.testing.assert_allclose(hit, range_m, atol=1e-12)
         any_way = np.random.default_rng(9).normal(size=(200_000, 3))
         any_way /= np.linalg.norm(any_way, axis=1)[:, None]
         assert np.isfinite(caster.cast(np.zeros_like(any_way), any_way)[0]).all()
@@ -444,8 +440,7 @@ def test_rays_through_vertices_and_edges(tmp_path):
     hit = Raycaster(scene(tmp_path, CUBE), np.zeros(3)).cast(
         np.tile(outside, (5, 1)), way / np.linalg.norm(way, axis=1)[:, None]
     )[0]
-    met = np.isfinite(hit)  # an edge in silhouette may be passed by, but not met elsewhere
-    np.testing.assert_allclose(hit[met], np.linalg.norm(way, axis=1)[met], atol=2e-6)
+    np.testing.assert_allclose(hit, np.linalg.norm(way, axis=1), atol=1e-12)
 
 
 def test_grazing_rays(tmp_path):
@@ -701,8 +696,9 @@ def use_sensor(path):
     rig = Rig("r", (replace(mount(), sensor=sensor, model=str(path)),))
     if sensor.rotation is None or not sensor.rotation.rpm_min <= 600 <= sensor.rotation.rpm_max:
         return
-    packets = [*export(rig, HALL[0], np.eye(4), packet_period_ns(sensor), start_ns=10**18)[0]]
-    data = b"".join(p.payload for p in packets if len(p.payload) == PACKET.itemsize)
+    sent = path.with_name("sent.pcap")
+    write_pcap(sent, in_time_order(export(rig, HALL[0], np.eye(4), packet_period_ns(sensor), start_ns=10**18)))
+    data = b"".join(d.payload for d in datagrams_of(sent) if len(d.payload) == PACKET.itemsize)
     returns = decode(sensor, np.frombuffer(data, PACKET), np.full(len(data) // PACKET.itemsize, 10**18))
     assert np.isfinite(returns.xyz_m).all()
 
@@ -725,17 +721,20 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def an_error_or_an_answer(name, text, folder):
+def outcome(name, text, folder):
+    """What comes of a file: "an answer" that is right, or what the error says; all else is raised."""
     path = folder / f"{name}.yaml"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     try:
         USES[name](path)
     except LidarcfgError as error:
-        message = str(error)
-    else:
-        message = "an answer"
-    assert message
-    assert "\n" not in message
+        return str(error)
+    return "an answer"
+
+
+def one_line(said):
+    """Whether something is said, and in a line."""
+    return bool(said) and "\n" not in said
 
 
 @pytest.mark.parametrize("name", USES)
@@ -744,9 +743,10 @@ def test_any_file_is_an_error_or_an_answer(name, folder):
     @given(documents(name))
     @example(TEXTS[name])
     def run(text):
-        an_error_or_an_answer(name, text, folder)
+        assert one_line(outcome(name, text, folder))
 
     run()
+    assert outcome(name, TEXTS[name], folder) == "an answer"
 
 
 @pytest.mark.parametrize("name", USES)
@@ -754,11 +754,15 @@ def test_every_number_of_a_file_made_odd(name, folder):
     """One at a time: every key of a good file that holds a number, and the second number of every list."""
     at = [key for key in places(GOOD[name]) if type(value_at(GOOD[name], key)) in (int, float)]
     at = [key for key in at if not isinstance(key[-1], int) or key[-1] == 1]
+    said = []
     for key in at:
         for number in (0, 5e-324, -1.7e308, 2**63):
             document = json.loads(json.dumps(GOOD[name]))
             value_at(document, key[:-1])[key[-1]] = number
-            an_error_or_an_answer(name, json.dumps(document), folder)
+            said.append(outcome(name, json.dumps(document), folder))
+    assert len(said) == 4 * len(at) > 0
+    assert all(map(one_line, said))
+    assert any(one != "an answer" for one in said)
 
 
 def value_at(document, key):

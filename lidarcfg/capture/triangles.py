@@ -2,7 +2,7 @@
 
 In float32 neighbours leave cracks, and of rays aimed at their very edges some pass through. So Open3D is given
 triangles that are larger by a hair on every side. A ray that meets such a rim, and in float64 not the triangle itself,
-is cast once more, moved past the edge: there it meets the neighbour, or what it passes the edge to.
+is cast once more, moved past the edge: there it meets the neighbour, or whatever is behind.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -15,6 +15,7 @@ from lidarcfg.geometry import Array
 HAIR_M = 2e-4  # beyond what float32 is off by within a sensor's range
 RIM_M = 1.5 * HAIR_M  # what is met nearer to an edge is looked at
 PAST_M = 2 * HAIR_M
+MOVES_MAX = 4  # past the rims of so many triangles, as where some meet in a corner
 SHARP = 0.1  # the sine of a corner's angle; one that is sharper is not moved out further
 FLAT = 1e-12  # of its longest edge: a triangle of less height has no area, and nothing meets it
 BESIDE = 1e-9  # of a triangle: by so much a ray may pass beside it, lest it slip through in float64
@@ -50,9 +51,14 @@ class Triangles:
     def cast(self, rays: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
         """How far (N,) rays (N, 6) along unit vectors get, inf for nothing, and the triangles (N,) that they meet."""
         hit_m, triangle, uv = self._cast(rays)
-        rows, moved = beside(rays, hit_m, triangle, uv, self._rim, self._vertices_m, self._triangles)
-        if len(rows):
-            hit_m[rows], triangle[rows], _ = self._cast(moved)
+        hit, met, rows = hit_m, triangle, np.arange(len(rays))
+        for _ in range(MOVES_MAX):
+            which, rays = beside(rays, hit, met, uv, self._rim, self._vertices_m, self._triangles)
+            if not len(which):
+                break
+            rows = rows[which]
+            hit, met, uv = self._cast(rays)
+            hit_m[rows], triangle[rows] = hit, met
         return hit_m, triangle
 
     def _cast(self, rays: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
