@@ -24,6 +24,7 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.report.page import ring_edges_m, vehicle_m
 from lidarcfg.rig import load_rig
 from tests import naive
+from tests.chromium import LACKING, asked_for, browser, complaints
 
 ROOT = Path(__file__).parent.parent
 ELEVATION_DEG = [-20, -7, 3, 15]
@@ -331,3 +332,24 @@ def test_the_command_line_writes_it(tmp_path):
     written = json.loads((tmp_path / "d/result.json").read_text())
     assert found == written
     assert "lidarcfg evaluate s.yaml c/rig.yaml -o d --json" in read((tmp_path / "d/report.html").read_text()).words
+
+
+@pytest.mark.skipif(bool(LACKING), reason=LACKING)
+def test_in_a_browser(runs):
+    """It fetches nothing, complains of nothing, scrolls down only, and its letters lie inside its drawings."""
+    with browser(900, 700) as driver:
+        driver.get((runs[0] / "report.html").as_uri())
+        assert asked_for(driver) == [(runs[0] / "report.html").as_uri()]
+        assert complaints(driver) == []
+        assert driver.execute_script("return document.body.scrollWidth <= window.innerWidth")
+        outside = """
+            return [...document.querySelectorAll("figure svg")].flatMap(svg => {
+                const box = svg.getBoundingClientRect();
+                return [...svg.querySelectorAll("text")].map(text => [text.textContent, text.getBoundingClientRect()])
+                    .filter(([_, t]) => t.left < box.left - 2 || t.right > box.right + 2
+                                     || t.top < box.top - 2 || t.bottom > box.bottom + 2)
+                    .map(([words]) => words);
+            })"""
+        assert driver.execute_script(outside) == []
+        drawn = driver.execute_script("return document.querySelectorAll('figure svg').length")
+        assert drawn == 7

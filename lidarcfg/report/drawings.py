@@ -222,12 +222,13 @@ def draw_mounts(study: Study, rig: Rig) -> Html:
             axes.set_aspect("equal")
             axes.grid(True)
             _name_axes(axes, view)
-        views["top"].legend(
+        names = views["top"].legend(
             handles=views["top"].lines[-len(lidars) :],
             labels=[f"{i} {label(mount.name)}" for i, mount in enumerate(rig.mounts[:20], 1)],
             loc="upper left",
             bbox_to_anchor=(1.03, 1.0),
         )
+        names.set_in_layout(False)  # the corner beside the front is free
 
     margins = 1.4  # inches, for what is written beside the axes
     scale = (WIDTH_IN - margins) / (size[0] + size[1])
