@@ -1,0 +1,252 @@
+"""The documentation, tried as a reader would: every command, example, file, link and name in it."""
+
+import os
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lidarcfg
+from lidarcfg.capture.scene import SceneFile
+from lidarcfg.capture.trajectory import Motion
+from lidarcfg.cli import cli
+from lidarcfg.config import Model, load
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.placement.study import StudyFile
+from lidarcfg.realism import Realism
+from lidarcfg.rig import RigFile
+from lidarcfg.sensor import Sensor
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
+EXAMPLES = sorted((DOCS / "examples").glob("*.py"))
+# What others' commands are given in the text.
+OTHERS_OPTIONS = {"--help", "--no-deps"}
+COMMANDS = {
+    f"{prefix}{name}": command
+    for prefix, group in (("", cli), ("sensors ", cli.commands["sensors"]))
+    for name, command in group.commands.items()
+}
+
+# What takes long takes less of it, and what serves a page until Ctrl-C writes the same page into a file.
+SUBSTITUTIONS = [
+    (r"--seconds [\d.]+", "--evaluations 250"),
+    (r"--evaluations \d{4,}", "--evaluations 300"),
+    (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 250"),
+    (r"--duration [\d.]+", "--duration 0.1"),
+    (r"--tolerance [\d.]+", "--tolerance 0.1"),
+    (r"^(replay .*?)( --speed [\d.]+)?$", r"\1 --speed 100"),
+    (r"^(view (?!.*(--html|--png|--window)).*)$", r"\1 --html out/page.html"),
+]
+# Words of a command that is not run, and why.
+NOT_RUN = {"--window": "needs a screen"}
+
+
+def name_of(page):
+    return page.relative_to(ROOT).with_suffix("").as_posix()
+
+
+def blocks(page, *kinds):
+    """The texts of the fenced blocks of these kinds on a page, in order, each with its kind."""
+    found = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
+    return [(kind, text) for kind, text in found if kind in kinds]
+
+
+def commands(text):
+    """The words of each of our command lines in a block, joined over backslashes, as a shell reads them."""
+    lines = text.replace("\\\n", " ").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True)) and words[0] == "lidarcfg"]
+
+
+def quick(words):
+    """The command without its name, in less time."""
+    line = shlex.join(words[1:])
+    for pattern, less in SUBSTITUTIONS:
+        line = re.sub(pattern, less, line)
+    return shlex.split(line)
+
+
+def named_files(page):
+    """The YAML blocks that begin with a comment naming a file: name and text."""
+    return {m[1]: text for _, text in blocks(page, "yaml") if (m := re.match(r"# (\S+\.yaml)\n", text))}
+
+
+def run(words):
+    assert not cli.main(words, prog_name="lidarcfg", standalone_mode=False), words
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A folder like the project's own after tools/demo, in which the test is run."""
+    for name in ("data", "sensors", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / "out").mkdir()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_command_of_a_page_runs(page, project):
+    """In order, with Python in between; files that the page shows are there from the start."""
+    for name, text in named_files(page).items():
+        Path(name).write_text(text)
+    names = {}
+    for kind, text in blocks(page, "", "sh", "bash", "python"):
+        if kind == "python":
+            exec(compile(text, str(page), "exec"), names)
+        for words in commands(text) if kind != "python" else ():
+            if not NOT_RUN.keys() & set(words):
+                run(quick(words))
+
+
+@pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
+def test_every_example_runs(script, project, capsys):
+    runpy.run_path(str(script), run_name="__main__")
+    assert len(capsys.readouterr().out.splitlines()) >= 3
+    assert script.read_text().count("\n# %%") >= 3
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
+    """By its keys a study, a rig, a scene, a sensor, or a motion; a list is a sensor of a rig."""
+    for _, text in blocks(page, "yaml"):
+        if text.lstrip().startswith("- "):
+            text = f"name: rig\nsensors:\n{text}"
+        keys = set(re.findall(r"^(\w+):", text, re.MULTILINE))
+        kinds = {"region": StudyFile, "beams": Sensor, "sensors": RigFile, "ground": SceneFile, "boxes": SceneFile}
+        (tmp_path / "it.yaml").write_text(text)
+        load(tmp_path / "it.yaml", next((kinds[key] for key in kinds if key in keys), Motion))
+
+
+def anchors(page):
+    """As GitHub makes them of headings."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.M), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_and_paths_lead_somewhere(page):
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        path, _, anchor = target.partition("#")
+        there = page.parent / path if path else page
+        assert "://" in target or there.exists(), target
+        assert not anchor or anchor in anchors(there), target
+    for path in re.findall(r"`((?:data|docs|lidarcfg|sensors|tests|tools)/[\w./-]*)`", text):
+        assert (ROOT / path).exists(), path
+    for path in re.findall(r"^(?:python )?(?:\./)?(tools/\S+)", "\n".join(t for _, t in blocks(page, "", "sh")), re.M):
+        assert os.access(ROOT / path, os.X_OK) or path.endswith(".py"), path
+
+
+def documentation():
+    return "\n".join(page.read_text() for page in PAGES)
+
+
+def test_every_command_is_shown():
+    for name in COMMANDS:
+        assert re.search(rf"\blidarcfg {name}\b", documentation()), name
+
+
+def test_every_option_that_is_named_is_there():
+    there = {option for command in (cli, *COMMANDS.values()) for param in command.params for option in param.opts}
+    there |= OTHERS_OPTIONS
+    for page in PAGES:
+        for code in re.findall(r"`([^`\n]+)`", page.read_text()):
+            if code.startswith("--") or code.split()[0] in ("lidarcfg", *COMMANDS):
+                assert set(re.findall(r"(?<!\S)--[a-z][a-z-]*", code)) - there == set(), page
+
+
+def test_every_public_name_is_explained():
+    text = (DOCS / "python.md").read_text()
+    for name in lidarcfg.__all__:
+        assert f"`{name}" in text, name
+
+
+def keys(model):
+    """Every key that a file of this kind may have."""
+    for name, field in model.model_fields.items():
+        yield name
+        for part in parts(field.annotation):
+            yield from keys(part)
+
+
+def parts(annotation):
+    if isinstance(annotation, type) and issubclass(annotation, Model):
+        yield annotation
+    for argument in getattr(annotation, "__args__", ()):
+        yield from parts(argument)
+
+
+@pytest.mark.parametrize("model", [StudyFile, RigFile, SceneFile, Sensor, Motion, Realism])
+def test_every_key_of_a_file_is_told(model):
+    text = documentation()
+    assert [key for key in keys(model) if not re.search(rf"\b{key}\b", text)] == []
+
+
+def test_the_figures_of_the_scene(project):
+    """What its page says of the small scene: how often each object is met, and what mistakes are called."""
+    page = (DOCS / "scene.md").read_text()
+    Path("corner.yaml").write_text(named_files(DOCS / "scene.md")["corner.yaml"])
+    words = next(w for _, text in blocks(DOCS / "scene.md", "") for w in commands(text) if "--truth" in w)
+    run(words[1:])
+    with np.load("out/corner.npz") as truth:
+        counts = dict(zip(truth["object_names"].tolist(), np.bincount(truth["object"]).tolist(), strict=True))
+    assert f"{sum(counts.values()):,} returns" in page
+    for count in counts.values():
+        assert f"{count:,}" in page
+    mistakes = {
+        "reflectivity: 45": "reflectivity: 450",
+        "yaw_deg: 15": "yaw: 15",
+        "name: ball": "name: house",
+        "tree.ply": "shrub.ply",
+    }
+    whole = Path("corner.yaml").read_text()
+    for right, wrong in mistakes.items():
+        Path("corner.yaml").write_text(whole.replace(right, wrong))
+        with pytest.raises(LidarcfgError) as caught:
+            lidarcfg.load_scene("corner.yaml")
+        assert f"\n{caught.value}\n" in page
+    assert page.split("```console\n")[1].split("```")[0].count("\n") == len(mistakes)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".off", ".gltf"])
+def test_mesh_files_that_the_page_names(suffix, project):
+    """Written by Open3D, read in place of the page's tree."""
+    import open3d as o3d
+
+    assert f"`{suffix}`" in (DOCS / "scene.md").read_text()
+    mesh = o3d.io.read_triangle_mesh("data/scenes/meshes/tree.ply").compute_triangle_normals()
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        assert o3d.io.write_triangle_mesh(f"tree{suffix}", mesh)
+    text = named_files(DOCS / "scene.md")["corner.yaml"]
+    for name in ("data/scenes/meshes/tree.ply", f"tree{suffix}"):
+        Path(f"with{Path(name).suffix}.yaml").write_text(text.replace("data/scenes/meshes/tree.ply", name))
+    ours, named = (lidarcfg.load_scene(f"with{s}.yaml") for s in (suffix, ".ply"))
+    corners = [scene.vertices_m[scene.triangles][scene.triangle_object == 6] for scene in (ours, named)]
+    np.testing.assert_allclose(corners[0], corners[1], atol=1e-5)
+
+
+def test_the_sensor_of_the_page_is_heard_as_it_fired(project):
+    """Its capture decodes to what was true of each of its returns."""
+    from lidarcfg.cloud import load_cloud
+
+    for name, text in named_files(DOCS / "sensors.md").items():
+        Path(name).write_text(text)
+    mount = "{name: one, model: mine.yaml, position_m: [0, 0, 1.9], rpy_deg: [5, 0, 30]}"
+    Path("rig.yaml").write_text(f"name: rig\nsensors:\n  - {mount}\n")
+    scene = "data/scenes/street.yaml"
+    run(["export", "rig.yaml", "--scene", scene, "--duration", "0.1", "-o", "out/it.pcap", "--truth", "out/it.npz"])
+    run(["decode", "out/it.pcap", "--model", "mine.yaml", "-o", "out/cloud.npz"])  # in the sensor's own frame
+    cloud, sensor = load_cloud("out/cloud.npz"), lidarcfg.load_sensor("mine.yaml")
+    with np.load("out/it.npz") as truth:
+        order = np.lexsort((truth["laser"], truth["time_ns"]))
+        range_m, laser, time_ns = (truth[key][order] for key in ("range_m", "laser", "time_ns"))
+    again = np.argsort(cloud.time_ns, kind="stable")
+    assert np.abs(cloud.time_ns[again] - time_ns).max() <= 1000
+    assert (cloud.ring[again] == sensor.ring[laser]).all()
+    start_m = np.array([0, 0, 1]) * sensor.vertical_offset_m[laser][:, None]
+    assert np.abs(np.linalg.norm(cloud.xyz[again] - start_m, axis=1) - range_m).max() <= 0.001 + 1e-9
