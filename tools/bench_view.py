@@ -74,7 +74,8 @@ VISER = """
 import sys, time, numpy as np, viser
 server = viser.ViserServer(host="127.0.0.1", port=int(sys.argv[1]), verbose=False)
 xyz = np.load(sys.argv[2])
-server.scene.add_point_cloud("cloud", xyz.astype(np.float32), np.full((len(xyz), 3), 200, np.uint8), point_size=0.02, precision="float32")
+colours = np.full((len(xyz), 3), 200, np.uint8)
+server.scene.add_point_cloud("cloud", xyz.astype(np.float32), colours, point_size=0.02, precision="float32")
 time.sleep(600)
 """
 

@@ -24,7 +24,7 @@ SCALE = (
     *("#433e85", "#38588c", "#2d708e", "#25858e", "#1e9b8a"),
     *("#2ab07f", "#52c569", "#86d549", "#c2df23", "#fde725"),
 )  # viridis from a sixth of the way on: what is darker is lost on NIGHT
-RETRO = "#FF7F50"  # intensities above 100: retro-reflectors
+RETRO = "#FFFFFF"  # intensities above 100: retro-reflectors
 UNKNOWN = "#808890"  # no object known, or none: rain and fog
 WORST = "#FF7F50"
 LEFT_OUT = "#9AA4B2"

@@ -106,8 +106,8 @@ def save_still(
         axes = figure.add_axes((0.0, 1 - TOP_SHARE, 1.0, TOP_SHARE))
         camera = Camera(middle + np.array([-21.0, -7.0, 7.5]), middle + np.array([8.0, 0.5, 0.5]), 74.0)
         _draw_perspective(axes, stage, colours, camera, width, round(height * TOP_SHARE), worst)
-        _draw_above(figure.add_axes((0.04, 0.055, 0.95, 0.35)), stage, colours, middle, reach_m, size)
-    _legend(axes, stage, by, height)
+        _draw_above(figure.add_axes((0.04, 0.055, 0.95, 0.35)), stage, colours, middle, reach_m, size, worst)
+    _legend(axes, stage, by, height, worst)
     with replacing(path, "wb") as file:
         figure.savefig(file, format="png", facecolor=NIGHT)
 
@@ -218,9 +218,7 @@ def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, w
             corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
             corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
             parts.append((_halved(corners[None]), LEFT_OUT, 0.05))
-    if stage.study:
-        parts.append((_halved(faces(stage.study.region, ~stage.study.region.included)), LEFT_OUT, 0.25))
-        parts += [(_halved(body.faces_m), WORST, 0.3) for body in judge(stage.study, stage.rigs[0], worst).worst]
+    parts += [(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
     if not parts:
         return 0
     triangles = camera.view(np.concatenate([part for part, _, _ in parts]))
@@ -235,6 +233,14 @@ def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, w
     return int(
         fill(image, nearest_m, triangles[order], (colours * light[:, None])[order], alpha[order], focal_px, NEAR_M)
     )
+
+
+def _bodies(stage: Stage, worst: int) -> list[tuple[Array, str]]:
+    """Faces (F, 4, 3) and colour of what the region leaves out and of the worst subspaces."""
+    if not stage.study:
+        return []
+    left_out = faces(stage.study.region, ~stage.study.region.included)
+    return [(left_out, LEFT_OUT), *((body.faces_m, WORST) for body in judge(stage.study, stage.rigs[0], worst).worst)]
 
 
 def _halved(quads: Array) -> Array:
@@ -302,8 +308,15 @@ def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
 
 
 def _draw_above(
-    axes: "Axes", stage: Stage, colours: NDArray[np.uint8], middle: Array, reach_m: float, size: tuple[int, int]
+    axes: "Axes",
+    stage: Stage,
+    colours: NDArray[np.uint8],
+    middle: Array,
+    reach_m: float,
+    size: tuple[int, int],
+    worst: int,
 ) -> None:
+    from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
     xyz, width, height = stage.cloud.xyz, round(0.95 * size[0]), round(0.35 * size[1])
@@ -317,6 +330,9 @@ def _draw_above(
     side = height / 2 / scale
     extent = (middle[0] - reach_m, middle[0] + reach_m, middle[1] - side, middle[1] + side)
     axes.imshow(image, extent=extent, aspect="auto", interpolation="nearest")
+    for quads, code in _bodies(stage, worst):
+        flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
+        axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
     if stage.study:
         low, edges = stage.study.region.min_m, stage.study.region.max_m - stage.study.region.min_m
         axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=LEFT_OUT, lw=0.8))
@@ -330,7 +346,7 @@ def _draw_above(
     axes.tick_params(colors="0.8", labelsize=text)
 
 
-def _legend(axes: "Axes", stage: Stage, by: By, height: int) -> None:
+def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None:
     """What the colours mean: sensors or objects with their counts, or where the scale begins and ends."""
     from matplotlib.lines import Line2D
 
@@ -355,7 +371,7 @@ def _legend(axes: "Axes", stage: Stage, by: By, height: int) -> None:
             entries.append((f"{by} {low + share * (high - low):.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
         if by == "intensity":
             entries.append(("retro-reflector", RETRO))
-    if stage.study:
+    if stage.study and worst:
         found = judge(stage.study, stage.rigs[0], 1)
         entries.append((f"worst subspace: max VSR {found.max_vsr_m:.4f} m", WORST))
     if not entries:
