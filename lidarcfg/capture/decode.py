@@ -1,26 +1,30 @@
 """Point clouds from the data packets in a capture, ours or a real one."""
 
-from collections import Counter
+import os
+import socket
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from functools import partial
-from itertools import islice
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.capture.pcap import Datagram, read_datagrams
+from lidarcfg.capture.choice import ALL, ALWAYS_NS, Choice, around, window_ns
+from lidarcfg.capture.pcap import Datagrams, read_batches
 from lidarcfg.capture.source import Source, SourceStats
 from lidarcfg.capture.status import carried_beams
 from lidarcfg.capture.velodyne import PACKET
 from lidarcfg.cloud import PointCloud, concatenate
-from lidarcfg.errors import PacketError
+from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.rig import Rig
-from lidarcfg.sensor import Beams, Sensor, Status, load_sensor
+from lidarcfg.sensor import Beams, Sensor, Status, catalogue, load_sensor
 
 CHUNK_PACKETS = 1024
 CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
 
-Endpoint = tuple[str, int]
+Endpoint = tuple[str, int]  # the address that sends, and the port that it sends to
+Job = Callable[[], PointCloud]
 
 
 def decode_pcap(
@@ -30,75 +34,165 @@ def decode_pcap(
     model: str | None = None,
     chunk_packets: int = CHUNK_PACKETS,
     on_stats: Callable[[SourceStats], None] | None = None,
+    choice: Choice = ALL,
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig they are in the vehicle frame and the sensors are its mounts; without, each source (called
     host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
     what the product id byte says. `on_note` is told of a file that is cut off, `on_stats` at the end of each
-    source. Raises PacketError and ConfigError.
+    source. What is chosen comes as it does in the whole capture. Raises PacketError and ConfigError.
     """
-    override = load_sensor(model) if model else None
-    sources: dict[Endpoint, Source] = {}
-    names = tuple(mount.name for mount in rig.mounts) if rig else ()
-    others: Counter[int] = Counter()
-    waiting = 0
-    for datagram in read_datagrams(path, on_note):
-        if len(datagram.payload) != PACKET.itemsize:
-            others[len(datagram.payload)] += 1
-            continue
-        endpoint = datagram.host, datagram.port
-        if endpoint not in sources:
-            sources[endpoint] = _source(path, datagram, rig, override, len(names), on_note)
-            names = names if rig else (*names, f"{datagram.host}:{datagram.port}")
-        sources[endpoint].add(datagram)
-        waiting += 1
-        if waiting == chunk_packets:
-            yield _taken(sources, names, last=False)
-            waiting = 0
-    if not sources:
-        sizes = ", ".join(f"{n} of {size} bytes" for size, n in sorted(others.items())[:5])
-        found = f"its UDP datagrams: {sizes}" if others else "no UDP datagrams at all"
-        raise PacketError(f"{path}: no LiDAR data packets of {PACKET.itemsize} bytes; {found}")
-    yield _taken(sources, names, last=True)
+    capture = _Capture(path, on_note, rig, load_sensor(model) if model else None, choice)
+    yield from _ahead(capture.jobs(chunk_packets))
     if on_stats:
-        for source in sources.values():
-            on_stats(source.stats())
+        for source in capture.sources:
+            if source.packets:
+                on_stats(source.stats())
 
 
-def _taken(sources: dict[Endpoint, Source], names: tuple[str, ...], last: bool) -> PointCloud:
-    """What all sources have, as one cloud."""
-    clouds = [cloud for source in sources.values() if (cloud := source.take(names, last))]
+def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
+    """What the jobs give, in their order; while the first is waited for, the next are done as well."""
+    threads = os.cpu_count() or 1
+    waiting: deque[Future[PointCloud]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        for job in jobs:
+            waiting.append(pool.submit(job))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+class _Capture:
+    """A capture that is being read: what its sources sent."""
+
+    def __init__(
+        self, path: str | Path, on_note: Callable[[str], None], rig: Rig | None, override: Sensor | None, choice: Choice
+    ) -> None:
+        self._path, self._on_note, self._rig, self._override, self._choice = path, on_note, rig, override, choice
+        self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
+        self._known = cache(lambda: [load_sensor(name) for name in catalogue()])
+        self._window_ns = window_ns(path, choice)
+        self._others: Counter[int] = Counter()  # sizes of other datagrams
+        self._endpoints: dict[Endpoint, Source | None] = {}  # none: passed over
+        if rig:
+            for name in choice.sensors:
+                if not any(name in (mount.name, f"{mount.host}:{mount.data_port}") for mount in rig.mounts):
+                    has = ", ".join(self._names)
+                    raise ConfigError(f"no sensor of the rig {rig.name!r} is called {name!r}; allowed: {has}")
+
+    @property
+    def sources(self) -> list[Source]:
+        """In the order of their appearance."""
+        return [source for source in self._endpoints.values() if source]
+
+    def jobs(self, chunk_packets: int) -> Iterator[Job]:
+        """What is to be done of each so many packets. What goes wrong before one comes in its turn, as the last."""
+        try:
+            waiting = 0
+            for batch in around(self._path, self._on_note, self._window_ns):
+                left = self._data(batch)
+                while len(left.size):
+                    some, left = left[: chunk_packets - waiting], left[chunk_packets - waiting :]
+                    self._add(some)
+                    waiting += len(some.size)
+                    if waiting == chunk_packets:
+                        yield self._job(last=False)
+                        waiting = 0
+            job = self._job(last=True)
+            self._check_found()
+            yield job
+        except LidarcfgError as error:
+            yield partial(_fail, error)
+
+    def _data(self, batch: Datagrams) -> Datagrams:
+        """Those of the size of data packets; the others are counted."""
+        sized = batch.size == PACKET.itemsize
+        self._others.update(batch.size[~sized].tolist())
+        return batch[sized]
+
+    def _add(self, some: Datagrams) -> None:
+        """Hand the packets to their sources."""
+        keys = some.host.astype(np.int64) << 16 | some.port
+        _, first = np.unique(keys, return_index=True)
+        for key in keys[np.sort(first)].tolist():
+            endpoint = socket.inet_ntoa((key >> 16).to_bytes(4)), key & 0xFFFF
+            if endpoint not in self._endpoints:
+                self._endpoints[endpoint] = self._source(endpoint)
+            if source := self._endpoints[endpoint]:
+                mine = some[keys == key]
+                source.add(mine.payloads(PACKET), mine.time_ns)
+
+    def _job(self, last: bool) -> Job:
+        """Decodes what all sources have, as one cloud. Raises PacketError, ConfigError."""
+        jobs = [job for source in self.sources if (job := source.take(self._names, last))]
+        return partial(_together, jobs, self._names)
+
+    def _source(self, endpoint: Endpoint) -> Source | None:
+        """A source that appears: with a rig the mount with its address and port; none if it is not wanted."""
+        name, mounts = _name(endpoint), self._rig.mounts if self._rig else ()
+        index = next((i for i, m in enumerate(mounts) if (m.host, m.data_port) == endpoint), None)
+        if self._rig and index is None and not self._choice.sensors:
+            has = ", ".join(f"{mount.host}:{mount.data_port}" for mount in mounts)
+            raise PacketError(f"{self._path}: {name} is not in the rig {self._rig.name!r}; it has {has}")
+        mount = None if index is None else mounts[index]
+        if not self._choice.takes(name, mount.name if mount else name):
+            return None
+        if index is None:
+            index = len(self._names)
+            self._names = (*self._names, name)
+        return Source(
+            f"{self._path}: {name}",
+            mount.name if mount else name,
+            index,
+            self._override or (mount.sensor if mount else None),
+            mount.T_vehicle_sensor if mount else None,
+            self._override is None,
+            self._known,
+            self._window_ns,
+            partial(_carried, self._path, endpoint),
+            self._on_note,
+        )
+
+    def _check_found(self) -> None:
+        """Raises PacketError if there is nothing, or nothing of what was chosen."""
+        met = {name for key, source in self._endpoints.items() if source for name in (source.name, _name(key))}
+        missing = [name for name in self._choice.sensors if name not in met]
+        if self._endpoints and missing:
+            there = ", ".join(map(_name, self._endpoints))
+            raise PacketError(f"{self._path}: no data packets of {missing[0]!r}; there are those of {there}")
+        if self._window_ns != ALWAYS_NS and not any(source.packets for source in self.sources):
+            raise PacketError(f"{self._path}: no LiDAR data packets in the window")
+        if not self._endpoints:
+            sizes = ", ".join(f"{n} of {size} bytes" for size, n in sorted(self._others.items())[:5])
+            found = f"its UDP datagrams: {sizes}" if sizes else "no UDP datagrams at all"
+            raise PacketError(f"{self._path}: no LiDAR data packets of {PACKET.itemsize} bytes; {found}")
+
+
+def _fail(error: LidarcfgError) -> PointCloud:
+    raise error
+
+
+def _together(jobs: list[Job], names: tuple[str, ...]) -> PointCloud:
+    """What the jobs give, as one cloud."""
+    clouds = [job() for job in jobs]
     return clouds[0] if len(clouds) == 1 else concatenate([PointCloud.none(names), *clouds])
 
 
-def _source(
-    path: str | Path,
-    datagram: Datagram,
-    rig: Rig | None,
-    override: Sensor | None,
-    index: int,
-    on_note: Callable[[str], None],
-) -> Source:
-    """The datagram's source: with a rig the mount with its address and port, else one of its own."""
-    name = f"{datagram.host}:{datagram.port}"
-    where, trusted, carried = f"{path}: {name}", override is None, partial(_carried, path, datagram)
-    if rig is None:
-        return Source(where, name, index, override, None, trusted, carried, on_note)
-    for i, mount in enumerate(rig.mounts):
-        if (mount.host, mount.data_port) == (datagram.host, datagram.port):
-            sensor = override or mount.sensor
-            return Source(where, mount.name, i, sensor, mount.T_vehicle_sensor, trusted, carried, on_note)
-    has = ", ".join(f"{mount.host}:{mount.data_port}" for mount in rig.mounts)
-    raise PacketError(f"{where} is not in the rig {rig.name!r}; it has {has}")
+def _name(endpoint: Endpoint) -> str:
+    return f"{endpoint[0]}:{endpoint[1]}"
 
 
-def _carried(path: str | Path, first: Datagram, status: Status) -> tuple[Beams, str] | None:
+def _carried(path: str | Path, endpoint: Endpoint, status: Status) -> tuple[Beams, str] | None:
     """The beams and mode of single returns that status bytes carry, in the packets of one source."""
-    mine = (
-        datagram.payload
-        for datagram in read_datagrams(path, lambda note: None)
-        if (datagram.host, datagram.port) == (first.host, first.port) and len(datagram.payload) == PACKET.itemsize
-    )
-    packets = np.frombuffer(b"".join(islice(mine, CARRIED_PACKETS)), PACKET)
+    host, port = int.from_bytes(socket.inet_aton(endpoint[0])), endpoint[1]
+    found, count = [], 0
+    for batch in read_batches(path, lambda note: None):
+        mine = (batch.host == host) & (batch.port == port) & (batch.size == PACKET.itemsize)
+        found.append(batch[mine].payloads(PACKET)[: CARRIED_PACKETS - count])
+        count += len(found[-1])
+        if count == CARRIED_PACKETS:
+            break
+    packets = np.concatenate(found)
     return carried_beams(status, packets["return_mode"], packets["product_id"])

@@ -1,29 +1,31 @@
 """Which sensor model sends these packets: by product id, block flags and the time between packets."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import firing_facts, packet_period_ns
 from lidarcfg.capture.velodyne import HOUR_US, Packets, is_dual
 from lidarcfg.errors import PacketError
-from lidarcfg.sensor import Sensor, catalogue, load_sensor
+from lidarcfg.sensor import Sensor
 
 PERIOD_SLACK = 0.1  # of the period, in the time between packets
 
 
-def identify(where: str, packets: Packets) -> Sensor:
-    """The catalogue's sensor that sends these successive packets (P,). Raises PacketError, which begins with `where`.
+def identify(where: str, packets: Packets, known: Sequence[Sensor]) -> Sensor:
+    """Which of the known sensors sends these successive packets (P,). Raises PacketError, which begins with `where`.
 
     Where several share a product id, the time between packets decides, and then the one that is not old firmware.
     """
     product_id = packets["product_id"][0]
-    sensors = [sensor for sensor in map(load_sensor, catalogue()) if sensor.packet and not sensor.packet.sent_as]
+    sensors = [sensor for sensor in known if sensor.packet and not sensor.packet.sent_as]
     named = [s for s in sensors if product_id in firing_facts(s)[1].product_ids]
     bare = [s for s in sensors if not firing_facts(s)[1].product_ids and _has_flags(s, packets)]
     candidates = bare or named
     if not candidates:
-        known = ", ".join(f"0x{s.packet.product_id:02X} {s.name}" for s in sensors if s.packet and s.packet.product_ids)
-        raise PacketError(f"{where} sends the unknown product id 0x{product_id:02X}; known: {known}; or give --model")
+        ids = ", ".join(f"0x{s.packet.product_id:02X} {s.name}" for s in sensors if s.packet and s.packet.product_ids)
+        raise PacketError(f"{where} sends the unknown product id 0x{product_id:02X}; known: {ids}; or give --model")
     other = packets["product_id"] != product_id
     if other.any() and not bare:
         second = packets["product_id"][other][0]
@@ -39,10 +41,9 @@ def identify(where: str, packets: Packets) -> Sensor:
     return fits[0]
 
 
-def alike(sensor: Sensor) -> tuple[str, ...]:
-    """The names of the sensor and of those in the catalogue whose packets are the same, as a Puck LITE's are."""
-    others = (other for other in map(load_sensor, catalogue()) if other.packet and other.packet.sent_as)
-    return (sensor.name, *(o.name for o in others if o.packet and o.packet.sent_as == sensor.name))
+def alike(sensor: Sensor, known: Sequence[Sensor]) -> tuple[str, ...]:
+    """The names of the sensor and of those known whose packets are the same, as a Puck LITE's are."""
+    return (sensor.name, *(o.name for o in known if o.packet and o.packet.sent_as == sensor.name))
 
 
 def check_period(where: str, sensor: Sensor, packets: Packets) -> None:

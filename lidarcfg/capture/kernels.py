@@ -1,10 +1,16 @@
 """The loops of decoding: how the head turns from block to block, and the point of each return."""
 
+# mypy: disallow-untyped-decorators=False
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from lidarcfg.geometry import Array
+
+SLOTS = 32  # returns in a block
 TURN = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000
 HOUR_US = 3600 * 10**6
@@ -14,10 +20,51 @@ JUMP = 50  # hundredths: a turn that is half as large again as the packet's leas
 FAR_M, NEAR_X_M, NEAR_Y_M = 25.04, 2.4, 1.93  # where distance offsets are given: HDL-64E manual, two-point calibration
 SECOND_STRONGEST = 2
 SMALL = 0.05  # radians, up to which three terms of sine and cosine are exact to 2e-12
+KNOWN_TURNS = 16  # of which sines and cosines are kept: a head that turns evenly has two or three
+
+Counts = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Words = NDArray[np.uint16]
+Flags = NDArray[np.bool_]
+
+
+class Slots(NamedTuple):
+    """What is known of a packet's N slots, W of them in each group of blocks that are fired together."""
+
+    laser: Counts  # (W,)
+    share: Array  # (N,) of the turn from the group's start to the next one's
+    offset_ns: Counts  # (N,) after the packet's stamp
+    kind: Bytes  # (W,) with dual returns: 0 strongest, 1 last
+    other: Counts  # (W,) where in the group the pair's other return is; -1 with single returns
+
+
+class Lasers(NamedTuple):
+    """The L lasers: angles in radians, lengths in metres."""
+
+    elevation: Array
+    azimuth_offset: Array
+    left: Array
+    up: Array
+    distance_offset: Array
+    ring: Bytes
+    near_offset: Array  # (L, 2), or (0, 2) if distances near by are as those far off
+
+
+class Columns(NamedTuple):
+    """What is filled in, one entry a return. Ranges and azimuths may be empty: they are left out then."""
+
+    xyz: Array  # (M, 3)
+    range_m: Array
+    azimuth_rad: Array
+    time_ns: Counts
+    laser: Bytes
+    ring: Bytes
+    intensity: Bytes
+    return_type: Bytes
 
 
 @njit(cache=True, nogil=True)
-def turning(azimuth, stamp_us, period_ns, group_ns):  # type: ignore[no-untyped-def]
+def turning(azimuth: Counts, stamp_us: Counts, period_ns: int, group_ns: int) -> tuple[Array, Counts]:
     """Of each block's time: the turn to the next, and how much later it is than the packet's stamp says.
 
     Azimuth (P, G) in hundredths at the blocks' starts, stamps (P,) of successive packets → turn (P, G) in
@@ -80,67 +127,113 @@ def turning(azimuth, stamp_us, period_ns, group_ns):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def points(  # type: ignore[no-untyped-def]
-    distance, intensity, azimuth, turn, late_ns, stamp_ns, kind,  # packets
-    laser, group, share, offset_ns, slot_kind, other,  # slots
-    elevation, azimuth_offset, left, up, distance_offset, near_offset,  # lasers
-    unit_m,
-    xyz, range_m, azimuth_rad, time_ns, beam, strength, return_type,  # out
-):  # fmt: skip
-    """Fill in one entry a return, in the order of the packets; returns how many.
+def count(distance: Words, wanted: Flags) -> int:
+    """How many returns the packets that are wanted hold: distance (P, B, 32), wanted (P,)."""
+    found = 0
+    for p in range(distance.shape[0]):
+        if wanted[p]:
+            for b in range(distance.shape[1]):
+                for i in range(distance.shape[2]):
+                    found += distance[p, b, i] != 0
+    return found
 
-    Distance and intensity (P, N) of the N slots; azimuth, turn, late (P, G); stamp and kind of single returns (P,).
-    A slot has its laser, group, share of the turn and time; with dual returns its kind and the slot of its
-    pair's other return (else -1). near_offset (L, 2) is empty if distances near by are as those far off; else x and y
-    have corrections of their own up to 25.04 m, and z their mean, as velodyne_decoder 3.1 has it.
+
+@njit(cache=True, nogil=True)
+def _turned(turn: float, share: Array, cos: Array, sin: Array) -> None:
+    """Cosine and sine of shares of a turn in hundredths."""
+    for k in range(len(share)):
+        delta = turn * share[k] * RADIANS
+        if abs(delta) < SMALL:
+            square = delta * delta
+            sin[k] = delta * (1 - square * (1 - square / 20) / 6)
+            cos[k] = 1 - square * (1 - square * (1 - square / 30) / 12) / 2
+        else:
+            cos[k], sin[k] = math.cos(delta), math.sin(delta)
+
+
+@njit(cache=True, nogil=True)
+def points(
+    distance: Words,
+    intensity: Bytes,
+    azimuth: Counts,
+    turn: Array,
+    late_ns: Counts,
+    stamp_ns: Counts,
+    last: Flags,
+    wanted: Flags,
+    slots: Slots,
+    lasers: Lasers,
+    unit_m: float,
+    out: Columns,
+) -> int:
+    """Fill in one entry a return of the packets that are wanted, in their order; returns how many.
+
+    Distance and intensity (P, B, 32) of the B blocks in use; azimuth, turn, late (P, G) of their groups; stamp, whether
+    single returns are the last ones, and wanted (P,). With near offsets x and y have corrections of their own up to
+    25.04 m, and z their mean, as velodyne_decoder 3.1 has it.
     """
-    cos_w, sin_w = np.cos(elevation), np.sin(elevation)
-    cos_o, sin_o = np.cos(azimuth_offset), np.sin(azimuth_offset)
+    groups, width = azimuth.shape[1], len(slots.laser)
+    blocks = width // SLOTS
+    cos_w, sin_w = np.cos(lasers.elevation)[slots.laser], np.sin(lasers.elevation)[slots.laser]
+    cos_o, sin_o = np.cos(lasers.azimuth_offset)[slots.laser], np.sin(lasers.azimuth_offset)[slots.laser]
+    left, up, offset = lasers.left[slots.laser], lasers.up[slots.laser], lasers.distance_offset[slots.laser]
+    near = lasers.near_offset[slots.laser] if len(lasers.near_offset) else lasers.near_offset
+    known = np.full((KNOWN_TURNS, groups), math.nan)  # turns that the tables hold
+    cos_t, sin_t = np.empty((KNOWN_TURNS, groups, width)), np.empty((KNOWN_TURNS, groups, width))
+    raw, strength = np.empty(width, np.int64), np.empty(width, np.uint8)
+    kept, kind, paired = np.empty(width, np.bool_), np.empty(width, np.uint8), slots.other[0] >= 0
+    ring = lasers.ring[slots.laser]
+    c, s, ahead, side = np.empty(width), np.empty(width), np.empty(width), np.empty(width)
+    x, y, z = np.empty(width), np.empty(width), np.empty(width)
     count = 0
     for p in range(distance.shape[0]):
-        g, cos_g, sin_g = -1, 1.0, 0.0
-        for n in range(distance.shape[1]):
-            raw = distance[p, n]
-            if raw == 0:
-                continue
-            what = kind[p]
-            if other[n] >= 0:
-                what = slot_kind[n]
-                raw_other, strength_other = distance[p, other[n]], intensity[p, other[n]]
-                if raw == raw_other and intensity[p, n] == strength_other:
-                    if what == 1:
-                        continue
-                elif what == 0 and raw_other != 0 and intensity[p, n] < strength_other:
-                    what = SECOND_STRONGEST
-            if group[n] != g:
-                g = group[n]
-                cos_g, sin_g = math.cos(azimuth[p, g] * RADIANS), math.sin(azimuth[p, g] * RADIANS)
-            b = laser[n]
-            delta = turn[p, g] * share[n] * RADIANS
-            if abs(delta) < SMALL:
-                square = delta * delta
-                sin_d = delta * (1 - square * (1 - square / 20) / 6)
-                cos_d = 1 - square * (1 - square * (1 - square / 30) / 12) / 2
-            else:
-                sin_d, cos_d = math.sin(delta), math.cos(delta)
-            c, s = cos_g * cos_d - sin_g * sin_d, sin_g * cos_d + cos_g * sin_d
-            c, s = c * cos_o[b] - s * sin_o[b], s * cos_o[b] + c * sin_o[b]
-            r = raw * unit_m + distance_offset[b]
-            ahead = side = r
-            flat = r * cos_w[b]
-            if len(near_offset) and raw * unit_m < FAR_M:
-                x, y = abs(flat * s - left[b] * c), abs(flat * c + left[b] * s)
-                side = r + (near_offset[b, 0] - distance_offset[b]) * (FAR_M - x) / (FAR_M - NEAR_X_M)
-                ahead = r + (near_offset[b, 1] - distance_offset[b]) * (FAR_M - y) / (FAR_M - NEAR_Y_M)
-            xyz[count, 0] = ahead * cos_w[b] * c + left[b] * s
-            xyz[count, 1] = left[b] * c - side * cos_w[b] * s
-            xyz[count, 2] = (ahead + side) / 2 * sin_w[b] + up[b]
-            range_m[count] = r
-            angle = azimuth[p, g] * RADIANS + delta + azimuth_offset[b]
-            azimuth_rad[count] = angle - 2 * math.pi * math.floor(angle / (2 * math.pi))
-            time_ns[count] = stamp_ns[p] + offset_ns[n] + late_ns[p, g]
-            beam[count] = b
-            strength[count] = intensity[p, n]
-            return_type[count] = what
-            count += 1
+        if not wanted[p]:
+            continue
+        for g in range(groups):
+            row = int(turn[p, g]) % KNOWN_TURNS
+            if known[row, g] != turn[p, g]:
+                known[row, g] = turn[p, g]
+                _turned(turn[p, g], slots.share[g * width : (g + 1) * width], cos_t[row, g], sin_t[row, g])
+            cos_g, sin_g = math.cos(azimuth[p, g] * RADIANS), math.sin(azimuth[p, g] * RADIANS)
+            cos_d, sin_d = cos_t[row, g], sin_t[row, g]
+            for k in range(width):
+                raw[k] = distance[p, g * blocks + k // SLOTS, k % SLOTS]
+                strength[k] = intensity[p, g * blocks + k // SLOTS, k % SLOTS]
+            for k in range(width):  # with a return or without: the compiler can do several at once
+                cos_a, sin_a = cos_g * cos_d[k] - sin_g * sin_d[k], sin_g * cos_d[k] + cos_g * sin_d[k]
+                c[k], s[k] = cos_a * cos_o[k] - sin_a * sin_o[k], sin_a * cos_o[k] + cos_a * sin_o[k]
+                ahead[k] = side[k] = raw[k] * unit_m + offset[k]
+            if len(near):
+                for k in range(width):
+                    if raw[k] * unit_m < FAR_M:
+                        r, flat = ahead[k], ahead[k] * cos_w[k]
+                        to_x, to_y = abs(flat * s[k] - left[k] * c[k]), abs(flat * c[k] + left[k] * s[k])
+                        side[k] = r + (near[k, 0] - offset[k]) * (FAR_M - to_x) / (FAR_M - NEAR_X_M)
+                        ahead[k] = r + (near[k, 1] - offset[k]) * (FAR_M - to_y) / (FAR_M - NEAR_Y_M)
+            for k in range(width):
+                x[k] = ahead[k] * cos_w[k] * c[k] + left[k] * s[k]
+                y[k] = left[k] * c[k] - side[k] * cos_w[k] * s[k]
+                z[k] = (ahead[k] + side[k]) / 2 * sin_w[k] + up[k]
+            for k in range(width):
+                kept[k] = raw[k] != 0
+                kind[k] = last[p]
+            if paired:
+                for k in range(width):
+                    o = slots.other[k]
+                    same = (raw[k] == raw[o]) & (strength[k] == strength[o])
+                    second = (slots.kind[k] == 0) & (raw[o] != 0) & (strength[k] < strength[o])
+                    kept[k] &= (slots.kind[k] == 0) | ~same
+                    kind[k] = slots.kind[k] + SECOND_STRONGEST * (second & ~same)
+            began_ns = stamp_ns[p] + late_ns[p, g]
+            for k in range(width):  # what is not kept is written as well, and then written over: no branch
+                out.xyz[count, 0], out.xyz[count, 1], out.xyz[count, 2] = x[k], y[k], z[k]
+                out.time_ns[count] = began_ns + slots.offset_ns[g * width + k]
+                out.laser[count], out.ring[count] = slots.laser[k], ring[k]
+                out.intensity[count], out.return_type[count] = strength[k], kind[k]
+                if len(out.range_m):
+                    angle = azimuth[p, g] * RADIANS + turn[p, g] * slots.share[g * width + k] * RADIANS
+                    angle += lasers.azimuth_offset[slots.laser[k]]
+                    out.range_m[count] = raw[k] * unit_m + offset[k]
+                    out.azimuth_rad[count] = angle - 2 * math.pi * math.floor(angle / (2 * math.pi))
+                count += kept[k]
     return count

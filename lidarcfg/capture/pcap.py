@@ -1,13 +1,14 @@
 """Datagrams in capture files. The only module that knows dpkt, Ethernet, IP and UDP.
 
-Frames are put together here, many at a time, and those of classic pcaps taken apart; dpkt reads pcapng.
+Frames are put together here, many at a time, and those of classic pcaps taken apart as well; dpkt reads pcapng.
 """
 
 import itertools
+import os
 import socket
 import struct
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from pathlib import Path
 from typing import IO, Any
@@ -30,8 +31,9 @@ LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP heade
     dpkt.pcap.DLT_RAW: (0, None),
     101: (0, None),  # raw IP, as files have it
 }
-VLAN, IPV4 = (b"\x81\x00", b"\x88\xa8", b"\x91\x00"), b"\x08\x00"
-PORTS = struct.Struct(">HH")
+VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
+TAGS_MAX = 4  # VLAN tags in a frame: two are in use
+WORD = np.dtype(">u2")
 DONT_FRAGMENT = 0x4000
 RECORD = np.dtype([(key, "<u4") for key in ("seconds", "microseconds", "captured", "length")])
 ETHERNET_HEADER = np.dtype([("destination", "u1", (6,)), ("source", "u1", (6,)), ("kind", ">u2")])
@@ -47,8 +49,13 @@ PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
     for order in "<>"
     for magic, unit_ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
 }
+HEADER = 24  # bytes of a classic pcap before its records
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 20
+RECORDS = 1000  # of a pcapng, read at once
+SPAN_S = 10**8  # a capture is not longer: three years
+SECOND_NS = 10**9
+Times = NDArray[np.int64]
 DAMAGE = (dpkt.Error, ValueError, struct.error)  # what dpkt raises on bytes that make no sense
 
 
@@ -95,7 +102,7 @@ class Sender:
         address = socket.inet_aton(self.host)
         ethernet["destination"] = _octets(self.headers.destination_mac)
         ethernet["source"] = _octets(self.headers.mac_prefix) + list(address[1:])
-        ethernet["kind"] = int.from_bytes(IPV4)
+        ethernet["kind"] = IPV4
         ip["version"], ip["ttl"], ip["protocol"] = 0x45, self.header.ttl, socket.IPPROTO_UDP
         ip["length"] = IP.itemsize + UDP.itemsize + size
         ip["flags"] = DONT_FRAGMENT if self.header.dont_fragment else 0
@@ -141,10 +148,52 @@ def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
     return count
 
 
-def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator[Datagram]:
-    """The UDP datagrams of a pcap (µs or ns, either byte order) or pcapng, one by one.
+@dataclass(frozen=True)
+class Datagrams:
+    """N UDP datagrams of a capture, as arrays."""
 
-    What is not UDP over IPv4, and fragments, are passed over. Where the file is cut off in mid-record, the
+    time_ns: Times  # (N,) host time
+    host: NDArray[np.uint32]  # (N,) the address that sent it
+    source_port: NDArray[np.uint16]  # (N,)
+    port: NDArray[np.uint16]  # (N,) the one it was sent to
+    start: NDArray[np.int64]  # (N,) where the payload is in `data`
+    size: NDArray[np.int64]  # (N,) its bytes
+    data: bytes
+
+    def __getitem__(self, which: NDArray[Any] | slice) -> "Datagrams":
+        """Some of them, in the same data."""
+        return replace(self, **{key: column[which] for key, column in vars(self).items() if key != "data"})
+
+    def payloads(self, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """The payloads, each of the size of this dtype, as an array of it."""
+        return _gathered(self.data, self.start, dtype)
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """N frames in a piece of a capture, of one kind of link."""
+
+    link: int
+    time_ns: Times  # (N,)
+    start: NDArray[np.int64]  # (N,) where the frame is in `data`
+    size: NDArray[np.int64]  # (N,) its bytes
+    data: bytes
+
+
+def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator[Datagram]:
+    """The same as `read_batches`, one by one."""
+    for batch in read_batches(path, on_note):
+        hosts = [socket.inet_ntoa(host.to_bytes(4)) for host in batch.host.tolist()]
+        columns = (batch.time_ns, batch.source_port, batch.port, batch.start, batch.start + batch.size)
+        for host, time_ns, source_port, port, start, stop in zip(hosts, *(c.tolist() for c in columns), strict=True):
+            yield Datagram(time_ns, host, source_port, port, batch.data[start:stop])
+
+
+def read_batches(path: str | Path, on_note: Callable[[str], None], from_ns: int | None = None) -> Iterator[Datagrams]:
+    """The UDP datagrams of a pcap (µs or ns, either byte order) or pcapng, in pieces of the file.
+
+    With `from_ns`, a classic pcap is read from about that host time on: it is searched, which takes records in order
+    of time. What is not UDP over IPv4, and fragments, are passed over. Where the file is cut off in mid-record, the
     records before it are read and `on_note` is told. Raises PacketError.
     """
     try:
@@ -153,38 +202,92 @@ def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator
             if not magic:
                 raise PacketError(f"{path}: the file is empty")
             file.seek(0)
-            records = _pcap_records if magic in PCAP_MAGIC else _other_records
-            for link, time_ns, frame in records(file, str(path), on_note):
-                if datagram := _datagram(link, time_ns, frame):
-                    yield datagram
+            if magic in PCAP_MAGIC:
+                pieces = _pcap_pieces(file, str(path), on_note, from_ns)
+            else:
+                pieces = _other_pieces(file, str(path), on_note)
+            yield from map(_datagrams, pieces)
     except OSError as error:
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
-Record = tuple[int, int, bytes]  # link type, time in ns, frame
-
-
-def _pcap_records(file: IO[bytes], name: str, on_note: Callable[[str], None]) -> Iterator[Record]:
-    """The records of a classic pcap."""
-    header = file.read(24)
-    if len(header) < 24:
+def _pcap_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None], from_ns: int | None) -> Iterator[_Piece]:
+    """The frames of a classic pcap."""
+    header = file.read(HEADER)
+    if len(header) < HEADER:
         raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng")
     order, unit_ns = PCAP_MAGIC[header[:4]]
     link = _checked_link(struct.unpack_from(order + "I", header, 20)[0] & 0xFFFF, name)  # the rest says of checksums
-    record = struct.Struct(order + "IIII")
-    for count in itertools.count():
-        head = file.read(16)
-        if not head:
-            return
-        if len(head) == 16:
-            seconds, fraction, size, _ = record.unpack(head)
-            _check_size(size, name)
-            frame = file.read(size)
-            if len(frame) == size:
-                yield link, seconds * 10**9 + fraction * unit_ns, frame
-                continue
+    record = RECORD if order == "<" else RECORD.newbyteorder()
+    if from_ns is not None:
+        file.seek(_place(file, record, unit_ns, from_ns))
+    size_of = struct.Struct(order + "I").unpack_from
+    count, left = 0, b""
+    while piece := file.read(BUFFER):
+        data, at, size, starts = left + piece, 0, 0, []
+        while at + record.itemsize <= len(data):
+            size = size_of(data, at + 8)[0]
+            end = at + record.itemsize + size
+            if size > RECORD_MAX or end > len(data):
+                break
+            starts.append(at)
+            at = end
+        start = np.array(starts, np.int64)
+        heads = _gathered(data, start, record)
+        yield _Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data)
+        _check_size(size, name)
+        count, left = count + len(starts), data[at:]
+    if left:
         on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")
-        return
+
+
+def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
+    return heads["seconds"].astype(np.int64) * SECOND_NS + heads["microseconds"].astype(np.int64) * unit_ns
+
+
+def _place(file: IO[bytes], record: np.dtype[Any], unit_ns: int, time_ns: int) -> int:
+    """Where a record begins that is not after the first one of this time, by bisection.
+
+    Where the file is halved a record is looked for; if none is sure, the search goes on in the part before.
+    """
+    head = file.read(record.itemsize)
+    low, high = HEADER, file.seek(0, os.SEEK_END)
+    if len(head) < record.itemsize:
+        return low
+    first_s = int(np.frombuffer(head, record)["seconds"][0])
+    while high - low > BUFFER:
+        middle = (low + high) // 2
+        file.seek(middle)
+        data = file.read(2 * RECORD_MAX)
+        heads = np.ndarray(max(len(data) - record.itemsize + 1, 0), record, data, strides=(1,))
+        sound = (heads["captured"] > 0) & (heads["captured"] <= RECORD_MAX) & (heads["captured"] <= heads["length"])
+        sound &= heads["microseconds"].astype(np.int64) * unit_ns < SECOND_NS
+        sound &= abs(heads["seconds"].astype(np.int64) - first_s) < SPAN_S
+        at = _sure_record(sound, record.itemsize + heads["captured"].astype(np.int64))
+        if at is None or _time_ns(heads[at], unit_ns) >= time_ns:
+            high = middle
+        else:
+            low = middle + at
+    return low
+
+
+def _sure_record(sound: NDArray[np.bool_], size: NDArray[np.int64]) -> int | None:
+    """Where a record begins for sure, or None: of each place (N,), whether one could begin there, and how long it is.
+
+    A record must begin in the first RECORD_MAX places. Whatever could be one leads on from record to record; where all
+    that lead to the end come together, they are right. A header has its length twice, so four bytes further another
+    row may lead as far: that is not one of its own.
+    """
+    last: dict[int, int | None] = {}  # where each row's last record begins; None if it breaks off
+    for first in np.flatnonzero(sound[:RECORD_MAX]).tolist():
+        row, at = [], first
+        while at not in last and at < len(sound) and sound[at]:
+            row.append(at)
+            at += int(size[at])
+        last |= dict.fromkeys(row, last.get(at) if at < len(sound) else row[-1] if row else None)
+    ends = {end for end in last.values() if end is not None}
+    ends -= {end + 4 for end in ends}
+    return ends.pop() if len(ends) == 1 else None
 
 
 class _File:
@@ -202,14 +305,25 @@ class _File:
         return data
 
 
-def _other_records(file: IO[bytes], name: str, on_note: Callable[[str], None]) -> Iterator[Record]:
-    """The records of what dpkt knows besides, which is pcapng above all."""
+def _other_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None]) -> Iterator[_Piece]:
+    """The frames of what dpkt knows besides, which is pcapng above all."""
     watched = _File(file, name)
     try:
         reader = dpkt.pcap.UniversalReader(watched)
     except (*DAMAGE, PacketError):
         raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng") from None
     link = _checked_link(reader.datalink(), name)
+    records = _whole_records(reader, watched, name, on_note)
+    while some := list(itertools.islice(records, RECORDS)):
+        sizes = np.array([len(frame) for _, frame in some], np.int64)
+        times_ns = np.array([time_ns for time_ns, _ in some], np.int64)
+        yield _Piece(link, times_ns, np.cumsum(sizes) - sizes, sizes, b"".join(frame for _, frame in some))
+
+
+def _whole_records(
+    reader: Any, watched: _File, name: str, on_note: Callable[[str], None]
+) -> Iterator[tuple[int, bytes]]:
+    """Time and frame of each record up to the first that is not whole."""
     records = iter(reader)
     for count in itertools.count():
         try:
@@ -222,7 +336,7 @@ def _other_records(file: IO[bytes], name: str, on_note: Callable[[str], None]) -
         if not whole:
             on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")
             return
-        yield link, _nanoseconds(time_s), frame
+        yield _nanoseconds(time_s), frame
 
 
 def _check_size(size: int, name: str) -> None:
@@ -236,20 +350,50 @@ def _checked_link(link: int, name: str) -> int:
     return link
 
 
-def _datagram(link: int, time_ns: int, frame: bytes) -> Datagram | None:
-    """What the frame holds behind its link header and VLAN tags, if that is UDP over IPv4 and no fragment."""
-    at, kind = LINK_HEADERS[link]
-    while kind is not None and frame[kind : kind + 2] in VLAN:
-        at, kind = at + 4, kind + 4
-    if (kind is not None and frame[kind : kind + 2] != IPV4) or len(frame) < at + 28 or frame[at] >> 4 != 4:
-        return None
-    udp = at + (frame[at] & 15) * 4
-    size, fragment = int.from_bytes(frame[at + 2 : at + 4]), int.from_bytes(frame[at + 6 : at + 8]) & 0x3FFF
-    if frame[at + 9] != socket.IPPROTO_UDP or fragment or udp < at + 20 or len(frame) < udp + 8:
-        return None
-    source_port, port = PORTS.unpack_from(frame, udp)
-    end = at + size if size else len(frame)
-    return Datagram(time_ns, socket.inet_ntoa(frame[at + 12 : at + 16]), source_port, port, frame[udp + 8 : end])
+def _gathered(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """(N,) of a dtype, whose bytes start at these places."""
+    kind = np.dtype((np.void, dtype.itemsize))  # copied whole, not field by field
+    everywhere = np.ndarray(max(len(data) - dtype.itemsize + 1, 0), kind, data, strides=(1,))
+    return everywhere[start].view(dtype)
+
+
+def _datagrams(frames: _Piece) -> Datagrams:
+    """What the frames hold behind their link headers and VLAN tags, if that is UDP over IPv4 and no fragment."""
+    at, kind = LINK_HEADERS[frames.link]
+    data, which = frames.data, np.arange(len(frames.size))
+    ip = frames.start + at
+    left = frames.size - at
+
+    def keep(good: NDArray[np.bool_]) -> None:
+        nonlocal which, ip, left
+        which, ip, left = which[good], ip[good], left[good]
+
+    keep(left >= IP.itemsize + UDP.itemsize)
+    if kind is not None:
+        for _ in range(TAGS_MAX):
+            tagged = np.isin(_gathered(data, ip - (at - kind), WORD), VLAN)
+            if not tagged.any():
+                break
+            ip, left = ip + 4 * tagged, left - 4 * tagged
+            keep(left >= IP.itemsize + UDP.itemsize)
+        keep(_gathered(data, ip - (at - kind), WORD) == IPV4)
+    head = _gathered(data, ip, IP)
+    length = (head["version"] & 15).astype(np.int64) * 4
+    good = (head["version"] >> 4 == 4) & (head["protocol"] == socket.IPPROTO_UDP) & (head["flags"] & 0x3FFF == 0)
+    good &= (length >= IP.itemsize) & (left >= length + UDP.itemsize)
+    keep(good)
+    head, length = head[good], length[good]
+    ports = _gathered(data, ip + length, UDP)
+    end = np.where(head["length"] > 0, np.minimum(head["length"], left), left)
+    return Datagrams(
+        time_ns=frames.time_ns[which],
+        host=np.ascontiguousarray(head["source"]).view(">u4")[:, 0].astype(np.uint32),
+        source_port=ports["source_port"].astype(np.uint16),
+        port=ports["port"].astype(np.uint16),
+        start=ip + length + UDP.itemsize,
+        size=np.maximum(end - length - UDP.itemsize, 0),
+        data=data,
+    )
 
 
 def _nanoseconds(time_s: float | Decimal) -> int:

@@ -2,14 +2,15 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Times, firing_facts, packet_period_ns
 from lidarcfg.capture.identify import alike, check_period, identify
-from lidarcfg.capture.pcap import Datagram
 from lidarcfg.capture.velodyne import HOUR_US, PACKET, TURN, Packets, decode, device_time_ns, is_dual
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import PacketError
@@ -19,7 +20,9 @@ from lidarcfg.sensor import Beams, Sensor, Status, catalogue
 ENOUGH = 16  # packets, to tell a model by the time between them
 HELD = 8  # packets at the end of a chunk that wait for those that they overtook
 PERIOD_SLACK = 0.1  # of the period, in the time between packets
+ROWS = 1 << 14  # moved at once: BLAS starts threads of its own for more, which get in each other's way
 TURN_MAX = 300  # hundredths of a degree between a packet's blocks, where no sector is left out
+WHOLE = np.dtype((np.void, PACKET.itemsize))  # copied as they are, not field by field
 SAME_AZIMUTH = 100  # hundredths of a degree: gaps that near begin at the same edge of a sector
 
 
@@ -40,9 +43,10 @@ class SourceStats:
 class Source:
     """A sensor's stream: decodes what has come, but keeps packets until their successors are known.
 
-    `where` is file and endpoint, for errors. Without a sensor the packets must say what they are; if `trusted`,
-    they must say the sensor's product id. `carried` looks for the beams, and the mode of single returns, that
-    status bytes carry: they stand in for those of the catalogue's example unit.
+    `where` is file and endpoint, for errors. Without a sensor the packets must say which of those `known` they are
+    of; if `trusted`, they must say the sensor's product id. `carried` looks for the beams, and the mode of single
+    returns, that status bytes carry: they stand in for those of the catalogue's example unit. Decoded are packets with
+    host times of the window (from, to); those around it say how the head turns.
     """
 
     def __init__(
@@ -53,16 +57,19 @@ class Source:
         sensor: Sensor | None,
         T_cloud_sensor: Array | None,
         trusted: bool,
+        known: Callable[[], Sequence[Sensor]],
+        window_ns: tuple[int, int],
         carried: Callable[[Status], tuple[Beams, str] | None],
         on_note: Callable[[str], None],
     ) -> None:
-        self._where, self._name, self._index = where, name, index
+        self._where, self.name, self._index = where, name, index
         self._given, self._T_cloud_sensor = sensor, T_cloud_sensor
         self._trusted, self._carried, self._on_note = trusted, carried, on_note
+        self._known, self._window_ns = known, window_ns
         self._sensor: Sensor | None = None  # not known until enough packets have come
         self._last_only = False  # what status bytes say of single returns
-        self._payloads: list[bytes] = []
-        self._times_ns: list[int] = []
+        self._packets: list[Packets] = []
+        self._times_ns: list[Times] = []
         self._decoded = 0  # of the packets kept: 1 for the one before those that are to come
         self._count: Counter[str] = Counter()
         self._modes: set[str] = set()
@@ -70,47 +77,62 @@ class Source:
         self._gaps: list[tuple[int, int]] = []  # azimuth before the gap, packets missing
         self._edges: list[int] = []  # azimuths where a packet goes on elsewhere
 
-    def add(self, datagram: Datagram) -> None:
-        """One more packet."""
-        self._payloads.append(datagram.payload)
-        self._times_ns.append(datagram.time_ns)
+    def add(self, packets: Packets, times_ns: Times) -> None:
+        """More packets (P,), and when the host saw them."""
+        self._packets.append(packets)
+        self._times_ns.append(times_ns)
 
-    def take(self, names: tuple[str, ...], last: bool) -> PointCloud | None:
-        """What can be decoded now; with `last`, everything. Raises PacketError, ConfigError."""
-        if self._sensor is None and len(self._payloads) < ENOUGH and not last:
+    def take(self, names: tuple[str, ...], last: bool) -> Callable[[], PointCloud] | None:
+        """What can be decoded now, as a function that does it; with `last`, everything.
+
+        Raises PacketError, ConfigError; the function itself raises PacketError for packets that make no sense.
+        """
+        packets = np.concatenate([packets.view(WHOLE) for packets in self._packets]).view(PACKET)
+        times_ns = np.concatenate(self._times_ns)
+        self._packets, self._times_ns = [packets], [times_ns]
+        if self._sensor is None and len(packets) < ENOUGH and not last:
             return None
-        sensor = self._sensor = self._sensor or self._recognised()
-        packets, times_ns = self._in_order(sensor)
+        sensor = self._sensor = self._sensor or self._recognised(packets)
+        packets, times_ns = self._in_order(sensor, packets, times_ns)
         self._check_ids(sensor, packets)
         stop = len(packets) if last else max(len(packets) - HELD, self._decoded)
-        part = slice(self._decoded, stop)
+        wanted = (times_ns >= self._window_ns[0]) & (times_ns < self._window_ns[1])
+        wanted[: self._decoded] = wanted[stop:] = False
+        self._observe(sensor, packets, wanted)
+        keep = max(stop - 1, 0)
+        self._packets, self._times_ns = [packets[keep:].copy()], [times_ns[keep:].copy()]
+        self._decoded = min(stop, 1)
+        return partial(self._cloud, sensor, packets, times_ns, wanted, names)
+
+    def _cloud(
+        self, sensor: Sensor, packets: Packets, times_ns: Times, wanted: NDArray[np.bool_], names: tuple[str, ...]
+    ) -> PointCloud:
+        """The points of the packets that are wanted; changes nothing here."""
         try:
-            returns = decode(sensor, packets, times_ns, part)
+            returns = decode(sensor, packets, times_ns, wanted, polar=False)
         except PacketError as error:
             raise PacketError(f"{self._where}: {error}") from None
-        self._observe(sensor, packets, part)
-        keep = max(stop - 1, 0)
-        self._payloads = [packet.tobytes() for packet in packets[keep:]]
-        self._times_ns = times_ns[keep:].tolist()
-        self._decoded = min(stop, 1)
         xyz = returns.xyz_m
+        if self._T_cloud_sensor is not None:
+            for first in range(0, len(xyz), ROWS):
+                rows = xyz[first : first + ROWS]
+                rows[:] = transform(self._T_cloud_sensor, rows)
         return PointCloud(
-            xyz=xyz if self._T_cloud_sensor is None else transform(self._T_cloud_sensor, xyz),
+            xyz=xyz,
             intensity=returns.intensity,
-            ring=sensor.ring.astype(np.uint8)[returns.laser],  # packets have no more beams
+            ring=returns.ring,
             time_ns=returns.time_ns,
             sensor=np.full(len(xyz), self._index, np.uint16),
             sensor_names=names,
             return_type=np.ones_like(returns.return_type) if self._last_only else returns.return_type,
         )
 
-    def _recognised(self) -> Sensor:
+    def _recognised(self, packets: Packets) -> Sensor:
         """The sensor that is given or sends these packets, with the beams that they carry."""
-        packets = np.frombuffer(b"".join(self._payloads), PACKET)
         if self._given:
             self._check_ids(self._given, packets)
             check_period(self._where, self._given, packets)
-        sensor = self._given or identify(self._where, packets)
+        sensor = self._given or identify(self._where, packets, self._known())
         _, facts = firing_facts(sensor)
         if facts.status is None or sensor.name not in catalogue():
             return sensor
@@ -135,12 +157,11 @@ class Source:
                 f"{sensor.name}'s 0x{facts.product_id:02X}; --model says what it is all the same"
             )
 
-    def _in_order(self, sensor: Sensor) -> tuple[Packets, Times]:
-        """The packets kept, in the order of their stamps and without doubles.
+    def _in_order(self, sensor: Sensor, packets: Packets, times_ns: Times) -> tuple[Packets, Times]:
+        """The packets, in the order of their stamps and without doubles.
 
         A clock that is set back starts anew: only what is out of place by a few packets is put right.
         """
-        packets, times_ns = np.frombuffer(b"".join(self._payloads), PACKET), np.array(self._times_ns, np.int64)
         device_ns = device_time_ns(packets["stamp_us"], times_ns)
         gap_ns = np.diff(device_ns, prepend=device_ns[:1])
         if (gap_ns[1:] > 0).all():
@@ -157,22 +178,21 @@ class Source:
         self._count["duplicates"] += int(double.sum())
         return packets[~double], times_ns[~double]
 
-    def _observe(self, sensor: Sensor, packets: Packets, part: slice) -> None:
-        """Count what is decoded, together with what went before it."""
+    def _observe(self, sensor: Sensor, packets: Packets, wanted: NDArray[np.bool_]) -> None:
+        """Count what is wanted, together with what went before it."""
         _, facts = firing_facts(sensor)
-        decoded = packets[part]
-        self._count["packets"] += len(decoded)
+        self._count["packets"] += int(wanted.sum())
         if facts.return_modes:
             codes = {code: name for name, code in facts.return_modes.model_dump().items()}
-            self._modes |= {codes[code] for code in np.unique(decoded["return_mode"]).tolist()}
+            self._modes |= {codes[code] for code in np.unique(packets["return_mode"][wanted]).tolist() if code in codes}
         else:
             single = "last" if self._last_only else "strongest"
-            self._modes |= {"dual" if dual else single for dual in np.unique(is_dual(facts, decoded)).tolist()}
-        packets = packets[max(part.start - 1, 0) : part.stop]
+            self._modes |= {"dual" if dual else single for dual in np.unique(is_dual(facts, packets)[wanted]).tolist()}
         azimuth, stamp_us = packets["blocks"]["azimuth"].astype(np.int64), packets["stamp_us"].astype(np.int64)
         gap_us = np.diff(stamp_us) % HOUR_US
         single_us, dual_us = (packet_period_ns(sensor, dual) / 1000 for dual in (False, True))
         period_us = np.where(is_dual(facts, packets[:-1]), dual_us, single_us)
+        gap_us = np.where(wanted[1:], gap_us, 0)
         follows = abs(gap_us - period_us) <= PERIOD_SLACK * period_us
         self._turned += int((np.diff(azimuth[:, 0]) % TURN)[follows].sum())
         self._passed_us += int(gap_us[follows].sum())
@@ -184,6 +204,11 @@ class Source:
             else:
                 self._gaps.append((int(azimuth[i, -1]), round(gap_us[i] / period_us[i]) - 1))
 
+    @property
+    def packets(self) -> int:
+        """How many have been taken to be decoded."""
+        return self._count["packets"]
+
     def stats(self) -> SourceStats:
         """What has been decoded."""
         assert self._sensor is not None
@@ -192,10 +217,10 @@ class Source:
             away = [abs((azimuth - edge + TURN // 2) % TURN - TURN // 2) for edge in self._edges]
             lost += packets if min(away, default=TURN) > SAME_AZIMUTH else 0
         return SourceStats(
-            name=self._name,
-            models=alike(self._sensor),
+            name=self.name,
+            models=alike(self._sensor, self._known()),
             return_modes=tuple(sorted(self._modes)),
-            packets=self._count["packets"],
+            packets=self.packets,
             lost=lost,
             duplicates=self._count["duplicates"],
             reordered=self._count["reordered"],

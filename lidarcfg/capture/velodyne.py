@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.rig import PpsState
 from lidarcfg.sensor import BLOCKS, SLOTS, Packet, Range, Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.capture import kernels
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
@@ -59,10 +63,11 @@ class Returns:
     """What the packets hold: one entry a return, in the order of the packets."""
 
     xyz_m: Array  # (N, 3) in the sensor frame
-    range_m: Array  # (N,) along the beam
-    azimuth_rad: Array  # (N,) of the beam
+    range_m: Array  # (N,) along the beam, or empty
+    azimuth_rad: Array  # (N,) of the beam, or empty
     time_ns: Times  # (N,) device time
     laser: NDArray[np.uint8]  # (N,)
+    ring: NDArray[np.uint8]  # (N,) 0 is the lowest beam
     intensity: NDArray[np.uint8]  # (N,)
     return_type: NDArray[np.uint8]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest
 
@@ -155,10 +160,17 @@ def is_dual(facts: Packet, packets: Packets) -> NDArray[np.bool_]:
     return np.asarray((azimuth[:, 0] == azimuth[:, groups]) & (azimuth[:, 0] != azimuth[:, 2 * groups]))
 
 
-def decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice = slice(None)) -> Returns:
-    """The returns of this `part` (all, if not given) of one sensor's successive packets (P,).
+def decode(
+    sensor: Sensor,
+    packets: Packets,
+    host_time_ns: Times,
+    wanted: NDArray[np.bool_] | None = None,
+    polar: bool = True,
+) -> Returns:
+    """The returns of one sensor's successive packets (P,), or of those that are wanted (P,).
 
-    The others only say how the head turns before and after. Raises PacketError, ConfigError.
+    The others only say how the head turns before and after. Without `polar`, ranges and azimuths are left empty.
+    Raises PacketError, ConfigError.
     """
     _, facts = firing_facts(sensor)
     if facts.return_modes:
@@ -166,78 +178,98 @@ def decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice = 
         modes = packets["return_mode"]
         _check(modes, np.isin(modes, allowed if facts.dual else allowed[:2]), f"{sensor.name}: return mode", allowed)
     dual = is_dual(facts, packets)
+    wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
     edges = [0, *(np.flatnonzero(np.diff(dual)) + 1).tolist(), len(packets)]
-    first, last, _ = part.indices(len(packets))
     runs = []
     for start, stop in pairwise(edges):
-        within = slice(max(first - start, 0), max(min(last, stop) - start, 0))
-        runs.append(_decode(sensor, packets[start:stop], host_time_ns[start:stop], within, bool(dual[start:].any())))
+        run = slice(start, stop)
+        runs.append(_decode(sensor, packets[run], host_time_ns[run], wanted[run], bool(dual[start:].any()), polar))
     if len(runs) == 1:
         return runs[0]
     return Returns(**{f.name: np.concatenate([getattr(r, f.name) for r in runs]) for f in fields(Returns)})
 
 
-def _decode(sensor: Sensor, packets: Packets, host_time_ns: Times, part: slice, dual: bool) -> Returns:
+def _decode(
+    sensor: Sensor, packets: Packets, host_time_ns: Times, wanted: NDArray[np.bool_], dual: bool, polar: bool
+) -> Returns:
     """The same of packets that are all dual, or all not."""
     from lidarcfg.capture import kernels  # loads numba, which encoding does without
 
     firing, facts = firing_facts(sensor)
     order, span = slots(facts, dual), _span(facts, dual)
     used = packets["blocks"][:, : len(order)]
-    wanted = np.tile(_flags(facts, dual), len(order) // span)
-    _check(used["flag"], used["flag"] == wanted, f"not a packet of {sensor.name}: block flag", facts.block_flags)
+    flags = np.tile(_flags(facts, dual), len(order) // span)
+    _check(used["flag"], used["flag"] == flags, f"not a packet of {sensor.name}: block flag", facts.block_flags)
 
-    offsets = packet_offsets_ns(sensor, dual)
     group_ns = facts.sequences_per_block * firing.sequence_ns
-    fired, kind = order.ravel() // (1 + dual), order.ravel() % (1 + dual)
-    other = np.full(order.size, -1)
-    if dual:
-        pairs = np.argsort(order.ravel()).reshape(-1, 2)
-        other[pairs] = pairs[:, ::-1]
-    offset_ns, group = offsets.ravel()[fired], np.repeat(np.arange(len(order) // span), span * SLOTS)
     azimuth = np.ascontiguousarray(used["azimuth"][:, ::span], np.int64)
     stamp = packets["stamp_us"].astype(np.int64)
     turn, late_ns = kernels.turning(azimuth, stamp, packet_period_ns(sensor, dual), group_ns)
 
-    returns = used["returns"][part]
-    distance = np.ascontiguousarray(returns["distance"]).reshape(-1, order.size)
-    last = facts.return_modes is not None and packets["return_mode"][part] == facts.return_modes.last
+    distance, intensity = (_read_only(used["returns"][key]) for key in ("distance", "intensity"))
+    modes = facts.return_modes
     near = sensor.near_offset_m
-    size = np.count_nonzero(distance)
+    size = kernels.count(distance, wanted) + 1  # the kernel writes one ahead
     out = Returns(
         xyz_m=np.empty((size, 3)),
-        range_m=np.empty(size),
-        azimuth_rad=np.empty(size),
+        range_m=np.empty(size if polar else 0),
+        azimuth_rad=np.empty(size if polar else 0),
         time_ns=np.empty(size, np.int64),
         laser=np.empty(size, np.uint8),
+        ring=np.empty(size, np.uint8),
         intensity=np.empty(size, np.uint8),
         return_type=np.empty(size, np.uint8),
     )
-    columns = [getattr(out, field.name) for field in fields(out)]
     count = kernels.points(
         distance,
-        np.ascontiguousarray(returns["intensity"]).reshape(-1, order.size),
-        azimuth[part],
-        turn[part],
-        late_ns[part],
-        device_time_ns(packets["stamp_us"][part], host_time_ns[part]),
-        np.broadcast_to(last, len(distance)).astype(np.uint8),
-        np.broadcast_to(np.arange(sensor.count), offsets.shape).ravel()[fired],
-        group,
-        (offset_ns - head_offset_ns(sensor)) / group_ns - group,  # share of the turn to the next block
-        offset_ns,
-        kind.astype(np.uint8),
-        other,
-        sensor.elevation_rad,
-        sensor.azimuth_offset_rad,
-        sensor.lateral_offset_m,
-        sensor.vertical_offset_m,
-        sensor.distance_offset_m,
-        np.empty((0, 2)) if near is None else near,
+        intensity,
+        azimuth,
+        turn,
+        late_ns,
+        device_time_ns(packets["stamp_us"], host_time_ns),
+        packets["return_mode"] == modes.last if modes else np.zeros(len(packets), np.bool_),
+        wanted,
+        _slots(sensor, dual),
+        kernels.Lasers(
+            sensor.elevation_rad,
+            sensor.azimuth_offset_rad,
+            sensor.lateral_offset_m,
+            sensor.vertical_offset_m,
+            sensor.distance_offset_m,
+            sensor.ring.astype(np.uint8),  # packets have no more beams
+            np.empty((0, 2)) if near is None else near,
+        ),
         range_facts(sensor).resolution_m,
-        *columns,
+        kernels.Columns(*(getattr(out, field.name) for field in fields(out))),
     )
-    return Returns(*(column[:count] for column in columns))
+    return Returns(*(getattr(out, field.name)[:count] for field in fields(out)))
+
+
+def _slots(sensor: Sensor, dual: bool) -> "kernels.Slots":
+    """What the kernels know of a packet's slots."""
+    from lidarcfg.capture import kernels
+
+    firing, facts = firing_facts(sensor)
+    numbers, width = slots(facts, dual).ravel(), _span(facts, dual) * SLOTS
+    fired, group = numbers // (1 + dual), np.arange(numbers.size) // width
+    offset_ns = packet_offsets_ns(sensor, dual).ravel()[fired]
+    group_ns = facts.sequences_per_block * firing.sequence_ns
+    other = np.full(width, -1)
+    if dual:
+        pairs = np.argsort(numbers[:width]).reshape(-1, 2)
+        other[pairs] = pairs[:, ::-1]
+    return kernels.Slots(
+        laser=fired[:width] % sensor.count,
+        share=(offset_ns - head_offset_ns(sensor)) / group_ns - group,
+        offset_ns=offset_ns,
+        kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
+        other=other,
+    )
+
+
+def _read_only(field: NDArray[Any]) -> NDArray[Any]:
+    """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
+    return np.broadcast_to(field, field.shape)
 
 
 def _check(got: NDArray[np.integer], right: NDArray[np.bool_], what: str, allowed: tuple[int, ...]) -> None:
