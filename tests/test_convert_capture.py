@@ -21,7 +21,7 @@ from lidarcfg.capture.scene import load_scene
 from lidarcfg.capture.velodyne import PACKET
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import HandoverError, PacketError
-from lidarcfg.handover import turns
+from lidarcfg.handover import bag, turns
 from lidarcfg.handover.bag import POINT, save_bag, save_mcap
 from lidarcfg.handover.turns import turn_starts
 from lidarcfg.rig import Rig
@@ -332,6 +332,20 @@ def test_whole_or_not_at_all(capture, tmp_path):
     assert {item.name for item in tmp_path.iterdir()} == {"bad.pcap", "bag", "a.mcap"}
     save_bag(tmp_path / "bag", capture, "mcap", named_rig(), None, lambda note: None)  # a bag is replaced, whole
     assert {item.name for item in (tmp_path / "bag").iterdir()} == {"metadata.yaml", "bag.mcap"}
+
+
+def test_ctrl_c_leaves_nothing(capture, tmp_path, monkeypatch):
+    def stopped(*words):
+        yield from list(turns.turns(*words))[:2]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bag, "turns", stopped)
+    for storage in ("sqlite3", "mcap"):
+        with pytest.raises(KeyboardInterrupt):
+            save_bag(tmp_path / "bag", capture, storage, named_rig(), None, lambda note: None)
+    with pytest.raises(KeyboardInterrupt):
+        save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, lambda note: None)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_no_bag_is_left_alone(capture, tmp_path):
