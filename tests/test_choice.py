@@ -6,13 +6,15 @@ import struct
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from lidarcfg.capture import pcap
 from lidarcfg.capture.choice import Choice
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram, read_batches
 from lidarcfg.capture.velodyne import PACKET
-from lidarcfg.cloud import FIELDS, concatenate
+from lidarcfg.cli import cli
+from lidarcfg.cloud import FIELDS, concatenate, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from tests.capture_fixtures import datagrams_of, no_note, recording, tilted_rig, write_datagrams
 from tests.test_models import sent, write
@@ -207,3 +209,14 @@ def test_a_pause_in_the_capture(capture, tmp_path):
     write_datagrams(tmp_path / "a.pcap", datagrams)
     with pytest.raises(PacketError, match="no LiDAR data packets in the window"):
         decoded(tmp_path / "a.pcap", choice=Choice(20, 30))
+
+
+def test_from_the_command_line(capture, tmp_path):
+    def run(*options):
+        return CliRunner().invoke(cli, ["decode", str(capture), "-o", str(tmp_path / "a.npz"), *options])
+
+    assert run("--from", "1", "--to", "1.5", "--sensor", "192.168.1.202:2368").exit_code == 0
+    window = decoded(capture, choice=Choice(1, 1.5, ("192.168.1.202:2368",)))
+    assert (load_cloud(tmp_path / "a.npz").xyz == window.xyz).all()
+    failed = run("--from", "2", "--to", "1")
+    assert str(failed.exception) == "there is nothing from 2 s to 1 s; allowed: 0 <= from < to"

@@ -11,10 +11,13 @@ from lidarcfg.commands.options import (
     SECOND_NS,
     START_HELP,
     Seconds,
+    from_option,
     nanoseconds,
     note,
     progress,
     quiet_option,
+    sensor_option,
+    to_option,
     way,
 )
 
@@ -120,6 +123,9 @@ def export(
 @click.option("--trajectory", type=FILE, help="How the vehicle moved: takes the motion out; points are in the world.")
 @click.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]")
 @click.option("--start", metavar="TIME", help="When the trajectory starts; " + START_HELP)
+@from_option
+@to_option
+@sensor_option
 @click.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
 @click.option("--stats", is_flag=True, help="Say of each source: model, return mode, rpm, lost packets.")
 @quiet_option
@@ -130,6 +136,9 @@ def decode(
     trajectory: Path | None,
     at: str | None,
     start: str | None,
+    from_s: float,
+    to_s: float,
+    sensors: tuple[str, ...],
     output: Path,
     stats: bool,
     quiet: bool,
@@ -137,6 +146,7 @@ def decode(
     """Read the LiDAR packets in PCAP, ours or a real recording, into a point cloud.
 
     Each sensor's points are where it saw them from as it was then; with --trajectory they are in one frame, the world.
+    With --from, --to and --sensor only that part of the file is read.
 
     \b
     Example:
@@ -144,6 +154,7 @@ def decode(
     """
     from dataclasses import replace
 
+    from lidarcfg.capture.choice import Choice
     from lidarcfg.capture.decode import decode_pcap
     from lidarcfg.capture.export import START_NS
     from lidarcfg.cloud import save_clouds
@@ -154,7 +165,8 @@ def decode(
     if (at or start) and not trajectory:
         raise click.UsageError("--at and --start say where and when a --trajectory starts")
     seen: list[SourceStats] = []
-    clouds = decode_pcap(pcap, note, load_rig(rig) if rig else None, model, on_stats=seen.append if stats else None)
+    on_stats, choice = seen.append if stats else None, Choice(from_s, to_s, sensors)
+    clouds = decode_pcap(pcap, note, load_rig(rig) if rig else None, model, on_stats=on_stats, choice=choice)
     if trajectory:
         moved = way(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
         clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)

@@ -56,6 +56,15 @@ class SensorModel(click.ParamType[str]):
 
 
 MODEL = SensorModel()
+from_option = click.option(
+    "--from", "from_s", type=float, default=0.0, metavar="S", help="Seconds after the first packet.  [default: 0]"
+)
+to_option = click.option(
+    "--to", "to_s", type=float, default=math.inf, metavar="S", help="Up to here.  [default: the end]"
+)
+sensor_option = click.option(
+    "--sensor", "sensors", metavar="NAME", multiple=True, help="Only this mount, or host:port; may be given again."
+)
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 
 
