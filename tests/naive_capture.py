@@ -1,7 +1,9 @@
-"""Plain-loop twins of the packet encoder and decoder, written from the VLP-16 manual (63-9243 Rev D)."""
+"""Plain-loop twins of the packet encoder and decoder, written from the VLP-16 manual (63-9243 Rev D); other layouts by
+the facts in sensors/*.yaml."""
 
 import math
 import struct
+from datetime import datetime
 
 ELEVATION_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
 VERTICAL_MM = [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
@@ -26,6 +28,73 @@ def encode(stamp_us: int, azimuths: list[int], returns: list[list[tuple[int, int
             for distance, intensity in returns[sequence]:
                 out += struct.pack("<HB", distance, intensity)
     return out + struct.pack("<I", stamp_us) + b"\x37\x22"
+
+
+def encode_any(flags, sequences_per_block, order, by, stamp_us, azimuths, returns, tail: bytes) -> bytes:
+    """Any layout: azimuths of the blocks' times, in hundredths; returns[sequence][laser] of (distance, intensity).
+
+    With dual returns each is a pair, strongest and last: `order` names which comes first, `by` what is repeated.
+    """
+    blocks = []
+    times = 12 // (len(flags) * (2 if order else 1))
+    for time in range(times):
+        turns = [("strongest", k) for k in range(len(flags))]
+        if order and by == "block":
+            turns = [(which, k) for k in range(len(flags)) for which in order]
+        elif order:
+            turns = [(which, k) for which in order for k in range(len(flags))]
+        for which, k in turns:
+            block = struct.pack("<HH", flags[k], azimuths[time])
+            for slot in range(32):
+                lasers = len(returns[0])
+                if sequences_per_block > 1:
+                    sequence, laser = time * sequences_per_block + slot // lasers, slot % lasers
+                else:
+                    sequence, laser = time, 32 * k + slot
+                found = returns[sequence][laser]
+                if order:
+                    found = found[0] if which == "strongest" else found[1]
+                block += struct.pack("<HB", *found)
+            blocks.append(block)
+    return b"".join(blocks).ljust(1200, b"\0") + struct.pack("<I", stamp_us) + tail
+
+
+def status(packet: int, when: datetime, letters: str, warnings: str, calibration: bytes) -> bytes:
+    """Type and value of packet number `packet` since 1970: the letters, then seven bytes of the calibration."""
+    cycle, place = packet // (len(letters) + 7), packet % (len(letters) + 7)
+    if place < len(letters):
+        values = {
+            "H": when.hour,
+            "M": when.minute,
+            "S": when.second,
+            "D": when.day,
+            "N": when.month,
+            "Y": when.year - 2000,
+        }
+        return bytes([ord(letters[place]), values.get(letters[place], 0)])
+    at = (7 * cycle + place - len(letters)) % len(calibration)
+    kind = warnings if warnings and at == len(calibration) - 4 else "1234567"[at % 7]
+    return bytes([ord(kind), calibration[at]])
+
+
+def checksum(octets: bytes) -> int:
+    """Of the Internet (RFC 1071), word by word."""
+    total = 0
+    for i in range(0, len(octets), 2):
+        total += int.from_bytes(octets[i : i + 2].ljust(2, b"\0"), "big")
+        total = (total & 0xFFFF) + (total >> 16)
+    return 0xFFFF - total
+
+
+def frame(macs: bytes, ttl: int, flags: int, number: int, hosts: bytes, ports: tuple[int, int], summed: bool, payload: bytes) -> bytes:  # fmt: skip
+    """Ethernet, IP without options, UDP; macs are destination and source, hosts source and destination."""
+    ip = struct.pack(">BBHHHBBH", 0x45, 0, 28 + len(payload), number, flags, ttl, 17, 0) + hosts
+    ip = ip[:10] + struct.pack(">H", checksum(ip)) + ip[12:]
+    udp = struct.pack(">HHHH", *ports, 8 + len(payload), 0)
+    if summed:
+        found = checksum(hosts + struct.pack(">HH", 17, len(udp) + len(payload)) + udp + payload)
+        udp = udp[:6] + struct.pack(">H", found or 0xFFFF)
+    return macs + b"\x08\x00" + ip + udp + payload
 
 
 def decode(payload: bytes, following: bytes | None) -> list[tuple[float, float, float, int, int, int, float]]:

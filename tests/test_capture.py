@@ -1,5 +1,8 @@
 """Scene to pcap to points: every return against the truth, another program, and real recordings."""
 
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from datetime import UTC
 
@@ -304,3 +307,22 @@ def test_places_beyond_the_world(street, value):
         export(Rig("one", (mount(),)), street, T, SECOND_NS)
     with pytest.raises(ConfigError, match=r"lidar_0 stands at z = .* m; allowed: -1e\+08 to 1e\+08"):
         export(Rig("one", (mount(position_m=(0.0, 0.0, value)),)), street, np.eye(4), SECOND_NS)
+
+
+@pytest.mark.parametrize("old", [None, b"old"])
+def test_a_killed_export_leaves_no_capture(tmp_path, old):
+    """Killed without warning while it writes: what was there stays, and nothing else looks whole."""
+    if old:
+        (tmp_path / "a.pcap").write_bytes(old)
+    (tmp_path / "rig.yaml").write_text("name: r\nsensors: [{name: s, model: vlp-16, position_m: [0, 0, 2]}]")
+    (tmp_path / "scene.yaml").write_text("name: s\nground: {reflectivity: 9}")
+    words = ("export", "rig.yaml", "--scene", "scene.yaml", "--duration", "80000", "-o", "a.pcap", "--quiet")
+    process = subprocess.Popen([sys.executable, "-m", "lidarcfg", *words], cwd=tmp_path)
+    deadline = time.monotonic() + 120
+    while not any(part.stat().st_size > 1_000_000 for part in tmp_path.glob(".a.pcap.*.part")):
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert [path.read_bytes() for path in tmp_path.glob("*.pcap")] == ([old] if old else [])

@@ -8,8 +8,9 @@ import pytest
 from lidarcfg.capture.export import START_NS, export, in_time_order
 from lidarcfg.capture.firing import firings, rays
 from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.capture.ray_kernels import may_meet
 from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.reach import Reach, balls, masks_of
+from lidarcfg.capture.reach import SECTORS, Reach, balls
 from lidarcfg.capture.trajectory import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.geometry import pose, transform
 from lidarcfg.realism import Realism
@@ -51,7 +52,14 @@ def test_what_is_left_out_meets_nothing(tmp_path, seed):
         origins, axes = (values.reshape(-1, 3) for values in rays(sensor.sensor, fired))
         starts = way.world(transform(sensor.T_vehicle_sensor, origins), time_ns)
         along = way.world(transform(sensor.T_vehicle_sensor, origins + axes), time_ns) - starts
-        masks = masks_of(reach.tables(fired.time_ns), fired.azimuth_rad).reshape(-1, len(time_ns))
+        tables, sector = (
+            reach.tables(fired.time_ns),
+            (fired.azimuth_rad * (SECTORS / (2 * np.pi))).astype(int) % SECTORS,
+        )
+        masks = tables[:, sector, np.arange(16)].reshape(-1, len(time_ns))
+        rows, what = may_meet(fired.azimuth_rad.reshape(-1, 16), tables)
+        assert (rows == np.flatnonzero(masks.any(axis=0))).all()
+        assert (what == masks[:, rows]).all()
         assert len(masks) == 1 + len(caster.movers)
         for row, mask in enumerate(masks):
             without = np.zeros_like(masks)

@@ -226,8 +226,8 @@ def data_stream(
         packets = encode(sensor, mount.return_mode, fired, *seen)
         truth = np.empty(0, RECORD)
         if told.truth:
-            distance = [wire_distance(sensor, one_m).ravel() for one_m in np.moveaxis(measured_m, -1, 0)]
-            truth = records(index, mount.return_mode, fired.time_ns, found, np.stack(distance, axis=1))
+            distance = wire_distance(sensor, measured_m).reshape(found.range_m.shape)
+            truth = records(index, mount.return_mode, fired.time_ns, found, distance)
         ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
         return Sent(sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, fired_rays, cast)
 

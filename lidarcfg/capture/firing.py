@@ -8,8 +8,9 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.capture import ray_kernels
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array, directions
+from lidarcfg.geometry import Array
 from lidarcfg.sensor import BLOCKS, Firing, Packet, Sensor
 
 SECOND_NS = 10**9
@@ -66,9 +67,12 @@ def firings(
     whole, part = turn_ns.numerator, turn_ns.denominator
     into_ns, ahead = (0, 0.0) if phase_deg is None else (start_ns % SECOND_NS, phase_deg / 360)
     turned = np.array([(into_ns + n * period_ns) * part % whole / whole for n in packets], np.float64)
-    turns = turned[:, None, None] + offsets * (rpm / MINUTE_NS) + ahead
+    azimuth = turned[:, None, None] + offsets * (rpm / MINUTE_NS)
+    azimuth += ahead
+    azimuth -= np.floor(azimuth)
+    azimuth *= 2 * math.pi
     first_ns = start_ns + np.array(packets, np.int64) * period_ns
-    return Firings(first_ns[:, None, None] + offsets, turns % 1.0 * (2 * math.pi))
+    return Firings(first_ns[:, None, None] + offsets, azimuth)
 
 
 def firing_chunks(
@@ -115,12 +119,16 @@ def packet_stamps_ns(sensor: Sensor, firings: Firings) -> tuple[Times, Times]:
 
 def rays(sensor: Sensor, firings: Firings) -> tuple[Array, Array]:
     """Origins and unit directions (P, S, L, 3) of the firings' rays in the sensor frame."""
-    azimuth = firings.azimuth_rad + sensor.azimuth_offset_rad
-    ray_directions = directions(azimuth, sensor.elevation_rad)
-    left = sensor.lateral_offset_m
-    if not left.any():  # the usual case needs no memory
-        origins = np.zeros((sensor.count, 3))
-        origins[:, 2] = sensor.vertical_offset_m
-        return np.broadcast_to(origins, ray_directions.shape), ray_directions
-    up = np.broadcast_to(sensor.vertical_offset_m, azimuth.shape)
-    return np.stack([left * np.sin(azimuth), left * np.cos(azimuth), up], axis=-1), ray_directions
+    found = aimed(sensor, firings, np.arange(firings.azimuth_rad.size), np.eye(3)[None], np.zeros((1, 3)))
+    origins, ray_directions = (values.reshape(*firings.azimuth_rad.shape, 3) for values in found)
+    return origins, ray_directions
+
+
+def aimed(sensor: Sensor, firings: Firings, rows: NDArray[np.int64], R: Array, t: Array) -> tuple[Array, Array]:
+    """The same (M, 3) of the firings with the numbers `rows` (M,), in the frame into which R and t lead.
+
+    These are (M or 1, 3, 3) and (M or 1, 3): one each or one for all.
+    """
+    lasers = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, sensor.vertical_offset_m
+    origins, ray_directions = ray_kernels.beams(firings.azimuth_rad.reshape(-1, sensor.count), rows, *lasers, R, t)
+    return origins, ray_directions

@@ -1,19 +1,19 @@
 """What the firings of one sensor report: its rays from the vehicle's pose at each firing, cast, and made echoes."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.firing import Firings, Times, rays
-from lidarcfg.capture.raycast import NOTHING, Hits, Mask, Raycaster
-from lidarcfg.capture.reach import Balls, Reach, masks_of
+from lidarcfg.capture.firing import Firings, aimed
+from lidarcfg.capture.ray_kernels import chained, may_meet
+from lidarcfg.capture.raycast import NOTHING, Mask, Raycaster
+from lidarcfg.capture.reach import Balls, Reach
 from lidarcfg.capture.returns import Echoes, Met, echoes, single, spread_rad, sub_rays, wide
 from lidarcfg.capture.scene import Weather
 from lidarcfg.capture.trajectory import Trajectory, rotated
-from lidarcfg.geometry import Array, transform
+from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 
@@ -36,7 +36,7 @@ class Plan:
 
     fired: Firings
     first: int  # the number of the first, by which random numbers are found
-    tables: Sequence[Mask] | None  # which beams may meet what; None: every ray is cast
+    tables: Mask | None  # (K, sectors, L): which beams may meet what; None: every ray is cast
 
 
 class Observer:
@@ -64,22 +64,20 @@ class Observer:
 
         Changes nothing, so that threads may ask for several at a time. Raises ConfigError outside timed poses.
         """
-        sensor, fired, count = self._mount.sensor, plan.fired, plan.fired.time_ns.size
-        origins, axes = (values.reshape(-1, 3) for values in rays(sensor, fired))
-        masks = masks_of(plan.tables, fired.azimuth_rad) if plan.tables else None
-        may_meet, time_ns = None, fired.time_ns.ravel()
-        rows: NDArray[np.intp] | slice = slice(None)
-        if masks is not None:
-            masks = masks.reshape(-1, count)
-            rows = np.flatnonzero(masks.any(axis=0))
-            origins, axes, time_ns, may_meet = origins[rows], axes[rows], time_ns[rows], masks[:, rows]
-        directions, shares = wide(axes, sensor, self._realism)
-        hits, cosine = self._cast(origins, directions, time_ns, may_meet)
+        fired, count = plan.fired, plan.fired.time_ns.size
+        rows, what = np.arange(count), None
+        if plan.tables is not None:
+            rows, what = may_meet(fired.azimuth_rad.reshape(-1, self._mount.sensor.count), plan.tables)
+        starts, along, shares = self._rays(fired, rows)
         width = len(shares)
+        time_ns = fired.time_ns.ravel()[rows]
+        if width > 1:
+            time_ns, what = np.repeat(time_ns, width), None if what is None else np.repeat(what, width, axis=1)
+        hits = self._stage.caster.cast(starts, along, time_ns, what, normals=not self._exact)
 
         def whole(values: NDArray[T], missing: float) -> NDArray[T]:
             """Of all firings (N, K), from those that were cast."""
-            if masks is None:
+            if what is None:
                 return values.reshape(count, width)
             out = np.full((count, width), missing, values.dtype)
             out[rows] = values.reshape(-1, width)
@@ -90,28 +88,27 @@ class Observer:
         if self._exact:
             found = single(range_m, reflectivity, objects, self._mount.return_mode)
         else:
-            met = Met(range_m, reflectivity, objects, whole(cosine(), 1))
-            all_three = echoes(sensor, self._realism, self._weather, self._index, plan.first, shares, met)
+            cosine = abs(np.einsum("ij,ij->i", hits.normal, along))
+            met = Met(range_m, reflectivity, objects, whole(cosine, 1))
+            all_three = echoes(self._mount.sensor, self._realism, self._weather, self._index, plan.first, shares, met)
             found = all_three.reported(self._mount.return_mode)
         return found, count * width, len(hits.range_m)
 
-    def _cast(
-        self, origins: Array, directions: Array, time_ns: Times, may_meet: Mask | None
-    ) -> tuple[Hits, Callable[[], Array]]:
-        """Sub-rays (n, K, 3) of the sensor frame: hits (n × K), and the cosines of incidence when asked for."""
-        width, mount, trajectory = directions.shape[1], self._mount, self._stage.trajectory
-        R, t = trajectory.motion(time_ns)
-        if len(t) == 1:  # it stands
-            T_world_sensor = trajectory.pose(int(time_ns[0]) if len(time_ns) else 0) @ mount.T_vehicle_sensor
-            starts, along = transform(T_world_sensor, origins), directions.reshape(-1, 3) @ T_world_sensor[:3, :3].T
-        else:
-            starts = rotated(R, transform(mount.T_vehicle_sensor, origins)) + t
-            starts = transform(trajectory.T_world_start, starts)
-            R = R if len(R) == 1 else np.repeat(R, width, axis=0)
-            along = rotated(R, directions.reshape(-1, 3) @ mount.T_vehicle_sensor[:3, :3].T)
-            along = along @ trajectory.T_world_start[:3, :3].T
-        if width > 1:
-            starts, time_ns = np.repeat(starts, width, axis=0), np.repeat(time_ns, width)
-            may_meet = None if may_meet is None else np.repeat(may_meet, width, axis=1)
-        hits = self._stage.caster.cast(starts, along, time_ns, may_meet, normals=not self._exact)
-        return hits, lambda: abs(np.einsum("ij,ij->i", hits.normal, along))
+    def _rays(self, fired: Firings, rows: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+        """Origins and directions (M × K, 3) in the world of the K sub-rays of the firings `rows`; their shares (K,)."""
+        mount, trajectory = self._mount, self._stage.trajectory
+        outer, inner = trajectory.T_world_start, mount.T_vehicle_sensor
+        motion = trajectory.motion(fired.time_ns.ravel()[rows])
+        R, t = chained(*_parted(outer), *motion, *_parted(inner))
+        if self.sub_rays == 1:
+            return *aimed(mount.sensor, fired, rows, R, t), np.ones(1)
+        origins, axes = aimed(mount.sensor, fired, rows, np.eye(3)[None], np.zeros((1, 3)))
+        directions, shares = wide(axes, mount.sensor)
+        starts = np.repeat(rotated(R, origins) + t, self.sub_rays, axis=0)
+        R = R if len(R) == 1 else np.repeat(R, self.sub_rays, axis=0)
+        return starts, rotated(R, directions.reshape(-1, 3)), shares
+
+
+def _parted(T: Array) -> tuple[Array, Array]:
+    """R (3, 3) and t (3,) of a rigid motion (4, 4)."""
+    return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])

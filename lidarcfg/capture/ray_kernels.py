@@ -1,7 +1,97 @@
-"""The loops of casting: rays brought into a part's own frame, and what of a part they meet before all else."""
+"""The loops of casting: where beams point, rays brought into a part's own frame, what of a part they meet first."""
+
+import math
 
 import numpy as np
 from numba import njit
+
+SMALL = 0.02  # radians, up to which four terms of sine and cosine are exact
+
+
+@njit(cache=True, nogil=True)
+def may_meet(azimuth, tables):  # type: ignore[no-untyped-def]  # numba infers them
+    """By tables (K, sectors, L), of firings (N, L): the numbers (M,) of those that may meet anything; what (K, M)."""
+    kinds, sectors, lasers = tables.shape
+    flat, scale = azimuth.ravel(), sectors / (2 * math.pi)
+    rows, what, count = np.empty(flat.size, np.int64), np.empty((kinds, flat.size), np.bool_), 0
+    for i in range(flat.size):
+        sector, laser, any_ = int(flat[i] * scale) % sectors, i % lasers, False
+        for k in range(kinds):
+            what[k, count] = tables[k, sector, laser]
+            any_ |= what[k, count]
+        if any_:
+            rows[count] = i
+            count += 1
+    return rows[:count], what[:, :count].copy()
+
+
+@njit(cache=True, nogil=True)
+def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):  # type: ignore[no-untyped-def]
+    """Origins and unit vectors (M, 3) of the firings `rows` (M,) of (N, L), in the frame into which R and t lead.
+
+    The tables (L,) are the lasers'; R (M or 1, 3, 3) and t (M or 1, 3) are one each or one for all.
+    """
+    lasers = azimuth.shape[1]
+    cos_w, sin_w = np.cos(elevation), np.sin(elevation)
+    cos_o, sin_o = np.cos(azimuth_offset), np.sin(azimuth_offset)
+    origins, directions = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+    n, begin, cos_h, sin_h = -1, -lasers, 1.0, 0.0
+    for i in range(len(rows)):
+        if rows[i] >= begin + lasers:  # another sequence
+            n = rows[i] // lasers
+            begin, cos_h, sin_h = n * lasers, math.cos(azimuth[n, 0]), math.sin(azimuth[n, 0])
+        k = rows[i] - begin
+        turned = azimuth[n, k] - azimuth[n, 0]
+        if abs(turned) < SMALL:  # a little since the sequence's first firing
+            square = turned * turned
+            sin_d = turned * (1 - square * (1 / 6) * (1 - square * (1 / 20) * (1 - square * (1 / 42))))
+            cos_d = 1 - square * 0.5 * (1 - square * (1 / 12) * (1 - square * (1 / 30)))
+            c, s = cos_h * cos_d - sin_h * sin_d, sin_h * cos_d + cos_h * sin_d
+        else:
+            c, s = math.cos(azimuth[n, k]), math.sin(azimuth[n, k])
+        c, s = c * cos_o[k] - s * sin_o[k], s * cos_o[k] + c * sin_o[k]
+        x, y, z = left_m[k] * s, left_m[k] * c, up_m[k]
+        u, v, w = cos_w[k] * c, -cos_w[k] * s, sin_w[k]
+        a, b = min(i, len(R) - 1), min(i, len(t) - 1)
+        for j in range(3):
+            origins[i, j] = R[a, j, 0] * x + R[a, j, 1] * y + R[a, j, 2] * z + t[b, j]
+            directions[i, j] = R[a, j, 0] * u + R[a, j, 1] * v + R[a, j, 2] * w
+    return origins, directions
+
+
+@njit(cache=True, nogil=True)
+def chained(outer_R, outer_t, R, t, inner_R, inner_t):  # type: ignore[no-untyped-def]
+    """Rotations (M, 3, 3) and places (M, 3) of frames in frames that move by R (M or 1, 3, 3) and t (M or 1, 3)."""
+    count = max(len(R), len(t)) if min(len(R), len(t)) else 0
+    turns, places = np.empty((count, 3, 3)), np.empty((count, 3))
+    both, middle = np.empty((3, 3)), np.empty(3)
+    for i in range(count):
+        turn, place = R[min(i, len(R) - 1)], t[min(i, len(t) - 1)]
+        for j in range(3):
+            middle[j] = place[j]
+            for k in range(3):
+                both[j, k] = turn[j, 0] * inner_R[0, k] + turn[j, 1] * inner_R[1, k] + turn[j, 2] * inner_R[2, k]
+                middle[j] += turn[j, k] * inner_t[k]
+        for j in range(3):
+            places[i, j] = outer_t[j]
+            for k in range(3):
+                turns[i, j, k] = outer_R[j, 0] * both[0, k] + outer_R[j, 1] * both[1, k] + outer_R[j, 2] * both[2, k]
+                places[i, j] += outer_R[j, k] * middle[k]
+    return turns, places
+
+
+@njit(cache=True, nogil=True)
+def wire(range_m, offset_m, least_m, most_m, unit_m, most):  # type: ignore[no-untyped-def]  # numba infers them
+    """Ranges (N, L, R) of lasers with offsets (L,) in whole units, 0 for what is not measured or more than `most`."""
+    out = np.zeros(range_m.shape, np.uint16)
+    for n in range(range_m.shape[0]):
+        for k in range(range_m.shape[1]):
+            for r in range(range_m.shape[2]):
+                if least_m <= range_m[n, k, r] <= most_m:
+                    units = np.rint((range_m[n, k, r] - offset_m[k]) / unit_m)
+                    if 0 <= units <= most:
+                        out[n, k, r] = int(units)
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,6 @@ get within the time for which a table holds, and the cones by how far it can tur
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,8 +86,8 @@ class Reach:
         self._table: Mask = np.empty((0, 0), np.bool_)
         self._from_ns, self._to_ns = 0, -1
 
-    def tables(self, time_ns: NDArray[np.int64]) -> list[Mask] | None:
-        """(1 + movers) of (SECTORS, L): what of firings at these times may meet what stands still, and each mover.
+    def tables(self, time_ns: NDArray[np.int64]) -> Mask | None:
+        """(1 + movers, SECTORS, L): what of firings at these times may meet what stands still, and each mover.
 
         None: so many may that it is not worth telling. Times are asked in order, as a table is kept for the next.
         """
@@ -100,8 +99,8 @@ class Reach:
                 end_ns = self._trajectory.zero_ns + int(self._trajectory.path.times_s[-1] * SECOND_NS)
                 self._to_ns = max(min(self._to_ns, end_ns), last_ns)
             self._table = self._still_table((self._from_ns + self._to_ns) // 2)
-        tables = [self._table, *self._mover_tables(first_ns, last_ns)]
-        return None if min(table.mean() for table in tables) > 1 - WORTH else tables
+        tables = np.stack([self._table, *self._mover_tables(first_ns, last_ns)])
+        return None if tables.mean(axis=(1, 2)).min() > 1 - WORTH else tables
 
     def _frame(self, middle_ns: int, half_ns: int) -> tuple[Array, Array, float, float]:
         """Where the sensor is and where its cones point in the middle, and how far both may be off."""
@@ -145,9 +144,3 @@ class Reach:
         rows = max(BLOCK // max(len(distance), 1), 1)
         parts = [(axes32[i : i + rows] @ towards >= widest - 1e-6).any(axis=1) for i in range(0, len(axes), rows)]
         return np.concatenate(parts)
-
-
-def masks_of(tables: Sequence[Mask], azimuth_rad: Array) -> Mask:
-    """(1 + movers, …): which of the firings (…, L) at these azimuths may meet what, by the tables of `Reach`."""
-    sector = (azimuth_rad * (SECTORS / (2 * math.pi))).astype(np.intp) % SECTORS
-    return np.stack([table[sector, np.arange(table.shape[1])] for table in tables])

@@ -73,10 +73,9 @@ def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.
     )
 
 
-def wide(directions: Array, sensor: Sensor, realism: Realism) -> tuple[Array, Array]:
+def wide(directions: Array, sensor: Sensor) -> tuple[Array, Array]:
     """The sub-rays (N, K, 3) of beams along unit vectors (N, 3) of the sensor frame, and their shares (K,) of light."""
-    if not realism.divergence or sensor.optics is None:
-        return directions[:, None], np.ones(1)
+    assert sensor.optics
     side = np.stack([directions[:, 1], -directions[:, 0], 0 * directions[:, 0]], axis=1)
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     above = np.cross(side, directions)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from lidarcfg.capture.firing import Times
 from lidarcfg.capture.returns import Echoes
 from lidarcfg.config import replacing
-from lidarcfg.geometry import Array
 
 RECORD = np.dtype(
     [
@@ -30,7 +29,9 @@ RECORD = np.dtype(
 RECORDS = 1 << 16  # at a time
 
 
-def records(sensor_index: int, return_mode: str, time_ns: Times, found: Echoes, distance: Array) -> NDArray[np.void]:
+def records(
+    sensor_index: int, return_mode: str, time_ns: Times, found: Echoes, distance: NDArray[np.uint16]
+) -> NDArray[np.void]:
     """The records of firings (P, S, L) whose echoes are (N, R) and on the wire distances (N, R), 0 for none."""
     sent = distance > 0
     if sent.shape[1] == 2:

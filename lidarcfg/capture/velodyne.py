@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.capture import ray_kernels
 from lidarcfg.capture.firing import (
     Firings,
     Times,
@@ -84,8 +85,7 @@ def encode(
     firing, facts = firing_facts(sensor)
     dual = return_mode == "dual"
     _check_encodable(sensor, dual)
-    distance = wire_distance(sensor, np.moveaxis(range_m, -1, -2) if dual else range_m)
-    distance = np.moveaxis(distance, -1, -2) if dual else distance
+    distance = wire_distance(sensor, range_m if dual else range_m[..., None])
 
     order, span = slots(facts, dual), _span(facts, dual)
     first_laser = int(np.argmin(firing.offset_ns))
@@ -95,7 +95,8 @@ def encode(
     blocks["flag"] = np.tile(_flags(facts, dual), len(order) // span)
     blocks["azimuth"] = np.repeat(np.rint(head / RADIANS).astype(np.int64) % TURN, span, axis=1)
     shape = len(packets), *order.shape
-    for key, values in ("distance", distance.astype(np.uint16)), ("intensity", np.where(distance > 0, reflectivity, 0)):
+    intensity = np.where(distance > 0, reflectivity.reshape(distance.shape), np.uint8(0))
+    for key, values in ("distance", distance), ("intensity", intensity):
         blocks["returns"][key] = values.reshape(len(packets), -1)[:, order] if dual else values.reshape(shape)
     stamps_ns, _ = packet_stamps_ns(sensor, firings)
     packets["stamp_us"] = stamp_us(stamps_ns)
@@ -108,13 +109,12 @@ def encode(
     return packets
 
 
-def wire_distance(sensor: Sensor, range_m: Array) -> Array:
-    """What the packet says of ranges (…, L) in metres: whole units, 0 for what it cannot say or is not measured."""
+def wire_distance(sensor: Sensor, range_m: Array) -> NDArray[np.uint16]:
+    """What the packet says of ranges (…, L, R) in metres: whole units, 0 for what it cannot say or is not measured."""
     facts = range_facts(sensor)
-    seen = (range_m >= facts.min_m) & (range_m <= facts.max_m)
-    distance = np.rint((np.where(seen, range_m, 0) - sensor.distance_offset_m) / facts.resolution_m)
-    distance[~seen | (distance < 0) | (distance > DISTANCE_MAX)] = 0
-    return distance
+    each = np.ascontiguousarray(range_m, np.float64).reshape(-1, *range_m.shape[-2:])
+    limits = facts.min_m, facts.max_m, facts.resolution_m, DISTANCE_MAX
+    return np.asarray(ray_kernels.wire(each, sensor.distance_offset_m, *limits)).reshape(range_m.shape)
 
 
 def _check_encodable(sensor: Sensor, dual: bool) -> None:
