@@ -176,19 +176,22 @@ def test_mistakes(here, words, match):
     assert not (here / "a.pcap").exists()
 
 
-def test_a_full_disk_is_one_line(here):
+@pytest.mark.parametrize(
+    ("size", "words", "name"), [(100_000, (), "a.pcap"), (1_500_000, ("--truth", "t.npz"), "t.npz")]
+)
+def test_a_full_disk_is_one_line(here, size, words, name):
     """A limit on the size of files stands for the disk's end; nothing of the capture stays."""
 
     def limit():
         import signal
 
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
     before = sorted(path.name for path in here.iterdir())
-    done = run("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--quiet", cwd=here, preexec_fn=limit)  # fmt: skip
+    done = run("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--quiet", *words, cwd=here, preexec_fn=limit)  # fmt: skip
     assert done.returncode == 2
-    assert done.stderr == "lidarcfg: a.pcap: file too large\n"
+    assert done.stderr == f"lidarcfg: {name}: file too large\n"
     assert sorted(path.name for path in here.iterdir()) == before
 
 

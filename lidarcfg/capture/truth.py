@@ -3,6 +3,7 @@
 import tempfile
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -59,12 +60,16 @@ class TruthFile:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         for body in self._bodies:
-            body.close()
+            with suppress(OSError):  # of a full disk, which `add` has told
+                body.close()
 
     def add(self, found: NDArray[np.void]) -> None:
-        """Records of one sensor, later than those before."""
+        """Records of one sensor, later than those before. Raises OSError, which names the file to be."""
         if len(found):
-            self._bodies[found["sensor"][0]].write(found.tobytes())
+            try:
+                self._bodies[found["sensor"][0]].write(found.tobytes())
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(self._path)) from None
 
     def save(self) -> int:
         """Write the file, whole or not at all, and return how many records."""
