@@ -86,6 +86,11 @@ def test_what_completes():
     assert completed("sensors", "show", "hdl") == {name for name in catalogue() if name.startswith("hdl")}
     for command in ("decode", "view", "convert"):
         assert completed(command, "--model", "vlp-1") == {"vlp-16"}
+    roof = str(ROOT / "data/rigs/roof.yaml")
+    assert completed("decode", "x.pcap", "--rig", roof, "--sensor", "") == {"left", "right"}
+    assert completed("decode", "x.pcap", "--rig", roof, "--sensor", "r") == {"right"}
+    assert completed("decode", "x.pcap", "--rig", "none.yaml", "--sensor", "") == set()
+    assert completed("decode", "x.pcap", "--sensor", "") == set()
     assert completed("completion", "z") == {"zsh"}
     assert {"--scene", "--duration"} <= completed("export", "--")
 

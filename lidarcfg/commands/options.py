@@ -55,6 +55,23 @@ class SensorModel(click.ParamType[str]):
         return names or [CompletionItem(incomplete, type="file")]
 
 
+class MountName(click.ParamType[str]):
+    """A sensor by its name in the rig that is given, or host:port."""
+
+    name = "name"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """The names that begin so, if the rig can be read."""
+        from lidarcfg.errors import LidarcfgError
+        from lidarcfg.rig import load_rig
+
+        try:
+            names = [mount.name for mount in load_rig(ctx.params["rig"]).mounts] if ctx.params.get("rig") else []
+        except LidarcfgError:
+            names = []
+        return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
 MODEL = SensorModel()
 from_option = click.option(
     "--from", "from_s", type=float, default=0.0, metavar="S", help="Seconds after the first packet.  [default: 0]"
@@ -63,7 +80,7 @@ to_option = click.option(
     "--to", "to_s", type=float, default=math.inf, metavar="S", help="Up to here.  [default: the end]"
 )
 sensor_option = click.option(
-    "--sensor", "sensors", metavar="NAME", multiple=True, help="Only this mount, or host:port; may be given again."
+    "--sensor", "sensors", type=MountName(), multiple=True, help="Only this mount, or host:port; may be given again."
 )
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 
