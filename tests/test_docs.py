@@ -195,9 +195,10 @@ def test_the_figures_of_the_scene(project):
     run(words[1:])
     with np.load("out/corner.npz") as truth:
         counts = dict(zip(truth["object_names"].tolist(), np.bincount(truth["object"]).tolist(), strict=True))
-    assert f"{sum(counts.values()):,} returns" in page
-    for count in counts.values():
-        assert f"{count:,}" in page
+    sentence = next(part for part in page.split("\n\n") if part.startswith("The two sensors get"))
+    stated = [int(figure.replace(",", "")) for figure in re.findall(r"\b\d[\d,]*\b", sentence)]
+    found = [sum(counts.values()), *sorted(counts.values(), reverse=True)]
+    np.testing.assert_allclose(found, stated, rtol=0.01, atol=1)  # a ray on an edge may fall to either side elsewhere
     mistakes = {
         "reflectivity: 45": "reflectivity: 450",
         "yaw_deg: 15": "yaw: 15",
