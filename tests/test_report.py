@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -211,6 +212,15 @@ def test_a_date_that_is_none(study, found, tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "noon")
     with pytest.raises(ConfigError, match="SOURCE_DATE_EPOCH: 'noon' is not a number of seconds"):
         report.save_placement(study, found, tmp_path)
+
+
+def test_rigs_that_break_the_constraints_do_not_flatten_the_rest(study, found):
+    """They cost a million; a search that found one in the first swarm is drawn up to four times its best."""
+    first = replace(found.history[0], mean=1e6)
+    axes = report.draw_convergence(study, replace(found, history=(first, *found.history[1:]))).axes[0]
+    assert axes.get_ylim() == (0, 4 * found.history[-1].best)
+    most = max(found.middle_max_vsr_m, *(cycle.mean for cycle in found.history))
+    assert report.draw_convergence(study, found).axes[0].get_ylim() == (0, pytest.approx(1.05 * most))
 
 
 REGION = Region.from_boxes((0, 0, 0), (6, 4, 2), (0.5, 0.5, 0.25), (((2, 1, 0), (3, 2, 2)), ((4, 0, 0), (5, 1, 1))))

@@ -19,7 +19,7 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Evaluation, Study
 from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.report.markup import Html, escaped, shown
-from lidarcfg.report.plots import COLOURS, new_figure
+from lidarcfg.report.plots import COLOURS, history_top, new_figure
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ MAP = "cividis"  # the same to all eyes
 LEFT_OUT = (0.55, 0.57, 0.6)
 WORST = "#D55E00"
 PIXELS_MAX = 700  # of a map's side; larger ones are drawn by the mean of several cells
+NAMES_MAX = 12  # beside the drawing; the table has them all
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "sans-serif"],
@@ -222,12 +223,9 @@ def draw_mounts(study: Study, rig: Rig) -> Html:
             axes.set_aspect("equal")
             axes.grid(True)
             _name_axes(axes, view)
-        names = views["top"].legend(
-            handles=views["top"].lines[-len(lidars) :],
-            labels=[f"{i} {label(mount.name)}" for i, mount in enumerate(rig.mounts[:20], 1)],
-            loc="upper left",
-            bbox_to_anchor=(1.03, 1.0),
-        )
+        dots = views["top"].lines[-len(lidars) :][:NAMES_MAX]
+        words = [f"{i} {label(mount.name)}" for i, mount in enumerate(rig.mounts[:NAMES_MAX], 1)]
+        names = views["top"].legend(dots, words, loc="upper left", bbox_to_anchor=(1.03, 1.0))
         names.set_in_layout(False)  # the corner beside the front is free
 
     margins = 1.4  # inches, for what is written beside the axes
@@ -249,7 +247,7 @@ def draw_history(study: Study, found: Placement) -> Html:
         if study.objective.is_max_vsr:
             axes.axhline(found.middle_max_vsr_m, color="0.4", ls=":", lw=1, label="middle of the bounds")
         value = "max VSR (m)" if study.objective.is_max_vsr else "objective (weighted mean)"
-        axes.set(xlabel="evaluations", ylabel=value, ylim=(0, None))
+        axes.set(xlabel="evaluations", ylabel=value, ylim=(0, history_top(study, found)))
         axes.grid(True)
         axes.legend(loc="best")
 

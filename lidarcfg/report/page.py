@@ -307,7 +307,7 @@ def _search(study: Study, placement: Placement | None) -> Html:
     ]
     caption = (
         "The best rig so far, and the mean of those that the solver works with. Where the best still falls at the end, "
-        "a longer search finds a better rig; --resume goes on with this one."
+        "a longer search finds a better rig; --resume goes on with this one. What is far above the best is cut off."
     )
     return joined(facts(rows), figure(drawings.draw_history(study, placement), caption))
 
@@ -464,10 +464,9 @@ def _trust(study: Study, found: Evaluation, placement: Placement | None) -> Html
         parts += [
             facts(rows),
             paragraph(
-                f"The faces of cuboids make slanted surfaces too large, so the paper's measure is {abs(less):.1%}",
-                "lower than" if less >= 0 else "higher than",
-                "the analytic one here. Compare it only with its like on the same grid. The bar holds in 95 of 100",
-                "cases.",
+                "The faces of cuboids make slanted surfaces larger than they are, and know where a cone is to half a "
+                f"cuboid: here the paper's measure is {abs(less):.1%} {'lower' if less >= 0 else 'higher'} than the "
+                "analytic one. Compare it only with its like on the same grid. The bar holds in 95 of 100 cases."
             ),
         ]
     else:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, told apart by colour-blind people
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
+CUT_OFF = 4  # times the best found
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
@@ -32,6 +33,13 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
+def history_top(study: Study, found: Placement) -> float | None:
+    """Up to where a search is drawn: rigs that break the constraints cost far more than any other."""
+    shown = [value for cycle in found.history for value in (cycle.best, cycle.mean)]
+    shown += [found.middle_max_vsr_m] if study.objective.is_max_vsr else []
+    return min(1.05 * max(shown), CUT_OFF * found.history[-1].best) or None
+
+
 def draw_convergence(study: Study, found: Placement) -> "Figure":
     """Best and mean max VSR of the food sources over the evaluations (the paper's figure 4)."""
     figure = new_figure(7, 4)
@@ -42,7 +50,7 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     if study.objective.is_max_vsr:
         axes.axhline(found.middle_max_vsr_m, color="0.5", ls=":", label="middle of the bounds")
     label = "max VSR (m)" if study.objective.is_max_vsr else "objective"
-    axes.set(xlabel="evaluations", ylabel=label, ylim=(0, None))
+    axes.set(xlabel="evaluations", ylabel=label, ylim=(0, history_top(study, found)))
     axes.set_title(
         f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
         parse_math=False,
