@@ -3,6 +3,7 @@
 tools/stress.py runs the same cases by the million.
 """
 
+import importlib
 import json
 import math
 from dataclasses import replace
@@ -763,6 +764,22 @@ def test_every_number_of_a_file_made_odd(name, folder):
     assert len(said) == 4 * len(at) > 0
     assert all(map(one_line, said))
     assert any(one != "an answer" for one in said)
+
+
+def test_the_long_run_in_small(monkeypatch, capsys):
+    """It runs, fails nothing, and leaves the docs alone unless all of it is run."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    stress, page = importlib.import_module("stress"), (ROOT / "docs/accuracy.md").read_text()
+    with pytest.raises(SystemExit) as ended:
+        stress.main(["--quick", "poses", "random", "cuboids"])
+    assert not ended.value.code
+    told = capsys.readouterr().out
+    assert "| pairs of sensors in odd places, turned by odd angles | 166,656 | 0 |" in told
+    assert told.count("\n| ") == 5
+    assert (ROOT / "docs/accuracy.md").read_text() == page
+    with pytest.raises(SystemExit, match="2"):
+        stress.main(["pose"])
+    assert "no case is called pose; allowed: random, poses, near" in capsys.readouterr().err
 
 
 def value_at(document, key):

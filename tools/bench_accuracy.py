@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Run time against error: every estimate of the project beside its truth, and the seconds it takes.
 
-    .venv/bin/python tools/bench_accuracy.py                       all sections, about a quarter of an hour on two cores
+    .venv/bin/python tools/bench_accuracy.py                       all sections, some 20 minutes on two free cores
     .venv/bin/python tools/bench_accuracy.py optimum detection     some of them
     .venv/bin/python tools/bench_accuracy.py --quick capture       whether it runs: prints, leaves docs/ alone
 
-Each section is accuracy_NAME.py beside this file. Writes the tables of docs/accuracy.md between their markers and the
-plots in docs/accuracy/.
+Each section is accuracy_NAME.py beside this file. Writes the tables of docs/accuracy.md, and those of vsr into
+docs/measure.md, between their markers, and the plots in docs/accuracy/. The table of stress tests is tools/stress.py's.
 """
 
 import argparse

@@ -1,9 +1,12 @@
 #!/usr/bin/env python3
-"""The long run of the stress tests: cases, failures and worst error of each, as the table of docs/accuracy.md.
+"""The long run of the stress tests: cases, failures and worst error of each.
 
-    .venv/bin/python tools/stress.py [--quick] [NAME …]
+    .venv/bin/python tools/stress.py                  all, about a quarter of an hour on two cores
+    .venv/bin/python tools/stress.py rays files       some of them: prints, leaves docs/ alone
+    .venv/bin/python tools/stress.py --quick          a hundredth of the cases: prints, leaves docs/ alone
 
-The short run is part of the tests (tests/test_stress.py), which has the smaller cases besides.
+Writes the table of docs/accuracy.md between its markers. The short run is part of the tests (tests/test_stress.py),
+which has the smaller cases besides. Exits with 1 if anything failed.
 """
 
 import argparse
@@ -15,28 +18,37 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from accuracy_page import heading, table, write_section
 from hypothesis import HealthCheck, given, settings
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
+from lidarcfg.capture.raycast import Raycaster  # noqa: E402
 from lidarcfg.placement import region as region_module  # noqa: E402
 from lidarcfg.placement import rows, runs  # noqa: E402
+from lidarcfg.placement.evaluator import max_vsr  # noqa: E402
 from lidarcfg.placement.lidar import gaps_at  # noqa: E402
 from lidarcfg.placement.region import Region  # noqa: E402
+from tests import edges  # noqa: E402
 from tests import test_stress as loaders  # noqa: E402
-from tests.oracle import BAND, FANS, Line, Tally, along_a_cone, angles, sensor  # noqa: E402
+from tests.oracle import ANGLES, BAND, FANS, Line, Tally, along_a_cone, angles, sensor  # noqa: E402
 
 SEED = 1
-Row = tuple[int, int, str]  # cases, failures, worst error and what else was seen
+RAYS_OFF_M = 1e-3  # half a step of the wire: a ray that is further off has failed
+Row = tuple[str, int, int, str]  # what, cases, failures, worst error and what else was seen
 
 
-def said(tally: Tally) -> Row:
+def said(what: str, tally: Tally, differ: int = 0) -> Row:
     """A tally as a row of the table."""
-    worst = (
-        f"{tally.worst:.2f}·2⁻⁵² (band: 8); {tally.near:,} pairs within 1e-15, {tally.wrong_inside:,} in the band on"
+    worst = f"{tally.worst:.2g}·2⁻⁵² (band: 8)" if tally.worst else "none is wrong"
+    return (
+        what,
+        tally.pairs,
+        tally.wrong_outside + differ,
+        f"{worst}; {tally.near:,} pairs within 1e-15, of which {tally.wrong_inside:,} on the other side; "
+        f"{tally.computed:,} in 50 digits",
     )
-    return tally.pairs, tally.wrong_outside, f"{worst} the other side; {tally.computed:,} in 50 digits"
 
 
 def labels_random(size: float) -> Row:
@@ -50,7 +62,19 @@ def labels_random(size: float) -> Row:
         known, exact = sensor(position, angles(rng), FANS[rng.integers(len(FANS))])
         points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
         tally.add(exact, points, rows.digits(region, known).ravel())
-    return said(tally)
+    return said("cuboid–beam pairs of random rigs", tally)
+
+
+def labels_posed(size: float) -> Row:
+    """Sensors on centres, walls and corners, beside them and far away, turned by angles that have gone wrong."""
+    rng, tally = np.random.default_rng(SEED), Tally()
+    region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25))
+    points = loaders.points_of(region)
+    for number in range(max(int(3000 * size), 6)):
+        place = [*loaders.PLACES.values()][number % len(loaders.PLACES)]
+        known, exact = sensor(place, rng.choice(ANGLES, 3), FANS[rng.integers(len(FANS))])
+        tally.add(exact, points, rows.digits(region, known).ravel())
+    return said("pairs of sensors in odd places, turned by odd angles", tally)
 
 
 def labels_near(size: float) -> Row:
@@ -67,14 +91,19 @@ def labels_near(size: float) -> Row:
         before = tally.near
         tally.add(exact, points, digit)
         near += tally.near - before
-    cases, failures, text = said(tally)
-    return cases, failures + differ, f"{text}; rows, runs and single points differ in {differ} lines"
+    what, cases, failures, text = said(
+        "pairs on lines that cut a cone, by rows, by runs and point by point", tally, differ
+    )
+    return what, cases, failures, f"{text}; the three differ in {differ} lines"
 
 
 def labels_moved(size: float) -> Row:
-    """Studies moved by up to 1e7 m: wrong is a digit that differs farther from a cone than the shift's rounding."""
+    """Studies moved by up to 1e7 m: wrong is a digit that differs farther from a cone than the shift's rounding.
+
+    And where none differs, max VSR that does by more than the cuboids' edges are rounded.
+    """
     rng, pairs, wrong, differ = np.random.default_rng(SEED), 0, 0, 0
-    shape, farthest = np.array((60, 40, 20)), 0.0
+    shape, farthest, off = np.array((60, 40, 20)), 0.0, 0.0
     for _ in range(max(int(400 * size), 1)):
         edge = np.array((1, 0.5, 0.2)) * 10 ** rng.uniform(-3, 3)
         by = rng.uniform(-1e7, 1e7, 3)
@@ -89,8 +118,17 @@ def labels_moved(size: float) -> Row:
             nearest = min(abs(exact.above(points[n], beam)) for beam in range(len(fan)))
             share = float(nearest) / (BAND + 4 * ulp / float(np.linalg.norm(points[n] - position)))
             farthest, wrong, differ = max(farthest, share), wrong + (share > 1), differ + 1
+        if np.array_equal(digit, other):
+            change = abs(max_vsr(there, [moved]) / max_vsr(here, [known]) - 1)
+            off, wrong = max(off, change), wrong + (change > 1e-12 + 4 * ulp / (there.max_m - there.min_m).min())
         pairs += digit.size * len(fan)
-    return pairs, wrong, f"{differ:,} digits differ, at most {farthest:.2f} of the way out of the shift's own rounding"
+    seen = f", by {farthest:.2f} of the shift's own rounding at most" if differ else ""
+    return (
+        "pairs of studies of 1e-3 to 1e3 times the paper's cuboids, moved by up to 1e7 m",
+        pairs,
+        wrong,
+        f"{differ:,} digits differ{seen}; max VSR by {off:.1e} of it",
+    )
 
 
 def fifty_million(size: float) -> Row:
@@ -102,7 +140,24 @@ def fifty_million(size: float) -> Row:
     one, other = rows.label(region, lidars), runs.label(runs.Grid.of(region), lidars)
     differ = sum(not np.array_equal(a, b) for a, b in zip(one, other, strict=True))
     differ += int(one[1].sum()) != region.included.size
-    return region.included.size, differ, f"{len(one[1]):,} subspaces, the largest of {one[1].max():,} cuboids"
+    seen = f"{len(one[1]):,} subspaces, the largest of {one[1].max():,} cuboids"
+    return "cuboids of one region, four LiDARs, rows against runs", region.included.size, differ, seen
+
+
+def rays(size: float) -> Row:
+    """Rays aimed at the very vertices and edges of closed bodies, from inside and outside, against half-spaces."""
+    rng, cases, failures, worst = np.random.default_rng(SEED), 0, 0, 0.0
+    with tempfile.TemporaryDirectory() as folder:
+        for name in edges.BODIES:
+            count = int((1_500 if name == "large ball" else 20_000) * size)
+            for place in ((0, 0, 0), (20, 7, 1), (-80.3, 55.1, -2), (400, 300, 10)):
+                for inside in (True, False):
+                    aimed = edges.aimed(Path(folder), name, place, inside, rng, count)
+                    origins = np.tile(aimed.start, (len(aimed.way), 1))
+                    error = abs(Raycaster(aimed.body, aimed.start).cast(origins, aimed.way)[0] - aimed.range_m)
+                    cases, failures = cases + len(error), failures + int((error > RAYS_OFF_M).sum())
+                    worst = max(worst, float(error.max()))
+    return "rays aimed at vertices and edges of closed bodies", cases, failures, f"{1000 * worst:.2g} mm"
 
 
 def files(size: float) -> Row:
@@ -131,33 +186,47 @@ def files(size: float) -> Row:
             all_of(name, Path(folder))
     region_module.CUBOIDS_MAX = limit
     wrong = sorted(set(filter(None, tried)))
-    return len(tried), sum(map(bool, tried)), "; ".join(wrong[:5]) or "–"
+    return "studies, rigs, scenes and sensors made odd", len(tried), sum(map(bool, tried)), "; ".join(wrong[:5]) or "–"
 
 
 CASES = {
-    "labels, random": labels_random,
-    "labels, near a cone": labels_near,
-    "labels, moved": labels_moved,
-    "50 million cuboids": fifty_million,
+    "random": labels_random,
+    "poses": labels_posed,
+    "near": labels_near,
+    "moved": labels_moved,
+    "cuboids": fifty_million,
+    "rays": rays,
     "files": files,
 }
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Run what is asked for, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("name", nargs="*", help=f"of {', '.join(CASES)}")
-    parser.add_argument("--quick", action="store_true", help="a hundredth of the cases")
-    args = parser.parse_args()
-    print(f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}, seed {SEED}\n")
-    print("| what | cases | failures | worst error | seconds |\n|---|---|---|---|---|")
-    failed = False
-    for name in args.name or CASES:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="name", help=f"of {', '.join(CASES)}; all without any")
+    parser.add_argument("--quick", action="store_true", help="a hundredth of the cases; prints only")
+    given = parser.parse_args(arguments)
+    if unknown := set(given.names) - set(CASES):
+        parser.error(f"no case is called {', '.join(sorted(unknown))}; allowed: {', '.join(CASES)}")
+    began, found = time.perf_counter(), []
+    for name in given.names or CASES:
         started = time.perf_counter()
-        cases, failures, worst = CASES[name](0.01 if args.quick else 1.0)
-        failed |= failures > 0
-        print(f"| {name} | {cases:,} | {failures:,} | {worst} | {time.perf_counter() - started:.0f} |", flush=True)
-    sys.exit(failed)
+        row = CASES[name](0.01 if given.quick else 1.0)
+        found.append((*row, time.perf_counter() - started))
+        print(f"{name}: {row[1]:,} cases, {row[2]:,} failures", file=sys.stderr, flush=True)
+    lines = [
+        f"{heading(time.perf_counter() - began)} {platform.machine()}, Python {platform.python_version()}, "
+        f"NumPy {np.__version__}, seed {SEED}.",
+        "",
+        *table(
+            ("what", "cases", "failures", "worst error", "seconds"),
+            [(what, f"{cases:,}", f"{bad:,}", worst, f"{seconds:.0f}") for what, cases, bad, worst, seconds in found],
+        ),
+    ]
+    print(*lines, sep="\n")
+    if not given.quick and not given.names:
+        write_section("stress", lines)
+    sys.exit(any(bad for _, _, bad, _, _ in found))
 
 
 if __name__ == "__main__":
