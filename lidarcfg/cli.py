@@ -73,7 +73,7 @@ def _fail(message: str) -> None:
       lidarcfg evaluate data/studies/liu2018-2x16.yaml out/two/rig.yaml
       lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml --at=-30,-10,0 --duration 1 -o out/two.pcap
       lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
-      lidarcfg view out/two.ply --rig out/two/rig.yaml --png out/two.png
+      lidarcfg view out/two.ply out/two/rig.yaml --png out/two.png
 
     Each command explains itself and shows an example: lidarcfg optimize --help. The project's docs/ has a page for
     each task, its README.md the table of contents.

@@ -59,7 +59,13 @@ def blocks(page, *kinds):
 def commands(text):
     """The words of each of our command lines in a block, joined over backslashes, as a shell reads them."""
     lines = text.replace("\\\n", " ").splitlines()
-    return [words for line in lines if (words := shlex.split(line, comments=True)) and words[0] == "lidarcfg"]
+    return [shlex.split(line, comments=True) for line in lines if line.split()[:1] == ["lidarcfg"]]
+
+
+def help_examples():
+    """The command lines of the first page of --help, and then of each command's."""
+    texts = [cli.epilog, *(command.help.partition("Example")[2] for command in COMMANDS.values())]
+    return [words for text in texts for words in commands(text)]
 
 
 def quick(words):
@@ -101,6 +107,14 @@ def test_every_command_of_a_page_runs(page, project):
         for words in commands(text) if kind != "python" else ():
             if not NOT_RUN.keys() & set(words):
                 run(quick(words))
+
+
+def test_every_example_of_help_runs(project, capsys):
+    """In the order of the first page: later ones use what earlier ones wrote."""
+    examples = help_examples()
+    assert {words[1] for words in examples} == set(cli.commands)
+    for words in examples:
+        run(quick(words[: words.index(">")] if ">" in words else words))
 
 
 @pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
