@@ -8,23 +8,18 @@ export async function readAbout() {
 
 export async function readArray(name, Kind) {
   if (!inside) return new Kind(await (await answered(`array/${name}`)).arrayBuffer());
-  const pieces = [];
-  for (const script of document.querySelectorAll(`script[data-array="${name}"]`)) {
-    const packed = await fetch(`data:application/octet-stream;base64,${script.textContent}`);
+  const pieces = [...document.querySelectorAll(`script[data-array="${name}"]`)].map((script) => {
+    const piece = bytes(script.textContent);
     script.remove();
-    pieces.push(await new Response(packed.body.pipeThrough(new DecompressionStream("gzip"))).arrayBuffer());
-  }
-  const whole = new Uint8Array(pieces.reduce((total, piece) => total + piece.byteLength, 0));
-  let at = 0;
-  for (const piece of pieces) {
-    whole.set(new Uint8Array(piece), at);
-    at += piece.byteLength;
-  }
-  return new Kind(whole.buffer);
+    return piece;
+  });
+  return new Kind(await new Blob(pieces).arrayBuffer());
 }
 
-export function unpacked(text, Kind) {
-  return new Kind(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+export const unpacked = (text, Kind) => new Kind(bytes(text).buffer);
+
+function bytes(text) {
+  return Uint8Array.fromBase64?.(text) ?? Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 }
 
 export const ask = (path, question) => answered(path, { method: "POST", body: JSON.stringify(question) });

@@ -22,7 +22,8 @@ export function el(tag, props = {}, ...children) {
   return element;
 }
 
-const number = (value, digits = 0) => value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits });
+const number = (value, digits = 0) =>
+  value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "negative" });
 
 export function section(title, ...children) {
   return el("fieldset", {}, el("legend", { textContent: title }), ...children);
@@ -89,9 +90,10 @@ function legendOf(mode, points, colours) {
     return [el("div", { className: "scroll" }, ...rows)];
   }
   const [low, high] = points.spans[mode];
+  const digits = Math.min(Math.max(1 - Math.floor(Math.log10(high - low)), 0), 9);
   const ticks = [0, 0.25, 0.5, 0.75, 1].map((share) => {
     const value = low + share * (high - low);
-    const text = mode === "ring" ? number(value) : Number(value.toPrecision(3)).toString();
+    const text = number(value, mode === "ring" ? 0 : digits);
     return el("span", { textContent: `${text} ${UNITS[mode]}` });
   });
   const bar = el("div", { className: "bar", style: { background: `linear-gradient(to right, ${colours.scale.join()})` } });

@@ -9,6 +9,7 @@ const DIFFUSE = 100; // intensities above are of retro-reflectors
 const PICK_PX = 8;
 const NEAR_M = 25; // a point this far off is as large as the slider says; nearer ones are larger
 const LARGEST = 3; // times as large
+const DENSE = 1e6; // of more points each is smaller
 
 const VERTEX = "void main() { gl_Position = vec4(position.xy * 2.0, 0.0, 1.0); }";
 const FRAGMENT = `
@@ -120,11 +121,10 @@ export class Cloud {
     const m = new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
     m.multiply(new Matrix4().makeTranslation(...this.about.origin_m));
     this.depths.fill(0);
-    this.drawn = 0;
-    for (const [start, stop] of this.ranges(limit)) {
-      this.splat(m.elements, start, stop, camera.near);
-      this.drawn += stop - start;
-    }
+    const ranges = this.ranges(limit);
+    this.drawn = ranges.reduce((sum, [start, stop]) => sum + stop - start, 0);
+    const side = this.size * ratio * Math.min(Math.sqrt(DENSE / this.drawn), 1);
+    for (const [start, stop] of ranges) this.splat(m.elements, start, stop, camera.near, side);
     this.shade();
     const { elements } = camera.projectionMatrix;
     this.uniforms.clip.value.set(-elements[10], elements[14]);
@@ -145,16 +145,15 @@ export class Cloud {
   }
 
   // Points `start` to `stop` into depths and ids, the nearest winning. Rows go up, as in WebGL.
-  splat(m, start, stop, near) {
+  splat(m, start, stop, near, size) {
     const { width, height, depths, ids, first, last, shown } = this;
     const { position, time, fact } = this.arrays;
     const [halfWidth, halfHeight] = [width / 2, height / 2];
     const [ax, bx, cx, dx] = [0, 4, 8, 12].map((i) => m[i] * halfWidth);
     const [ay, by, cy, dy] = [1, 5, 9, 13].map((i) => m[i] * halfHeight);
     const [aw, bw, cw, dw] = [m[3], m[7], m[11], m[15]];
-    const size = this.size * this.ratio;
     const large = (NEAR_M * size) / 1.5; // nearer than this a point is more than a pixel
-    const most = Math.round(LARGEST * size);
+    const most = Math.max(Math.round(LARGEST * size), 1);
     const every = shown.every(Boolean);
     for (let i = start; i < stop; i += 1) {
       if (time[i] < first || time[i] > last) continue;

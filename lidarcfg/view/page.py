@@ -1,7 +1,6 @@
 """The page: what it is told of a stage, and the whole of it as one file that needs neither server nor network."""
 
 import base64
-import gzip
 import json
 import math
 from dataclasses import dataclass, replace
@@ -108,21 +107,21 @@ def moved(rig: Rig, poses: Array) -> Rig:
 def html(page: Page | None) -> str:
     """The page: as a server sends it, or with everything inside it."""
     modules = {name: f"./page/{file}" for name, file in MODULES.items()}
-    data = ""
+    data: list[str] = []
     if page:
         modules = {name: _data_url((ASSETS / file).read_bytes()) for name, file in MODULES.items()}
         about = json.dumps(page.about, allow_nan=False).replace("<", "\\u003c")
-        data = f'<script id="about" type="application/json">{about}</script>\n'
+        data.append(f'<script id="about" type="application/json">{about}</script>')
         for name, array in page.arrays.items():
             raw = array.tobytes()
             for first in range(0, len(raw), PIECE):
-                packed = base64.b64encode(gzip.compress(raw[first : first + PIECE], 1, mtime=0)).decode()
-                data += f'<script data-array="{name}" type="text/plain">{packed}</script>\n'
+                piece = base64.b64encode(raw[first : first + PIECE]).decode()  # packing it would gain a fifth
+                data.append(f'<script data-array="{name}" type="text/plain">{piece}</script>')
     text = (ASSETS / "index.html").read_text("utf-8")
     for key, value in (
         ("style", (ASSETS / "style.css").read_text("utf-8")),
         ("modules", json.dumps({"imports": modules}, indent=1)),
-        ("data", data),
+        ("data", "\n".join(data)),
     ):
         text = text.replace(f"{{{{{key}}}}}", value)
     return text

@@ -114,7 +114,7 @@ def load_stage(
     clouds = [load_cloud(path) for path in of("cloud")]
     for path in captures:
         clouds.extend(decode_pcap(path, on_note, rigs[0] if rigs else None, model))
-    cloud = concatenate(clouds)
+    cloud = clouds[0] if len(clouds) == 1 else concatenate(clouds)
     if clouds and not len(cloud.xyz):
         raise CloudError(f"{(captures or of('cloud'))[0]}: the cloud is empty")
     bad = np.flatnonzero(~np.isfinite(cloud.xyz).all(axis=1))
