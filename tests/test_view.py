@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from lidarcfg.capture.choice import Choice
 from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.scene import load_scene
@@ -32,7 +33,7 @@ from lidarcfg.view.objects import load_objects
 from lidarcfg.view.stage import Stage, kind_of, load_stage
 from lidarcfg.view.still import Camera, point_colours, save_still
 from lidarcfg.view.window import parts
-from tests.capture_fixtures import AT_NS, STREET, no_note, scene, tilted_rig
+from tests.capture_fixtures import AT_NS, STREET, no_note, recording, scene, tilted_rig
 
 STILLS = Path(__file__).parent / "stills"
 STUDY, ROOF = STREET.parent.parent / "studies/sedan.yaml", STREET.parent.parent / "rigs/roof.yaml"
@@ -247,6 +248,21 @@ def test_files_that_are_nothing_to_look_at(tmp_path, files, error, message):
         (tmp_path / name).write_text(text)
     with pytest.raises(error, match=re.escape(message)):
         load_stage([tmp_path / name for name in files], None, None, np.eye(4), no_note)
+
+
+def test_a_window_and_a_sensor_of_a_recording():
+    """As decode cuts them out of the whole: by the time of what is shown, and by the sensor's address."""
+    path = recording("nebula_vlp16.pcap")
+    whole = load_stage([path], None, None, np.eye(4), no_note)
+    (name,) = whole.cloud.sensor_names
+    part = load_stage([path], None, None, np.eye(4), no_note, Choice(0.1, 0.2, (name,)))
+    first, last = part.cloud.time_ns.min(), part.cloud.time_ns.max()
+    inside = (whole.cloud.time_ns >= first) & (whole.cloud.time_ns <= last)
+    assert (part.cloud.xyz == whole.cloud.xyz[inside]).all()
+    assert (last - first) / 1e9 == pytest.approx(0.1, abs=0.003)
+    assert first - whole.cloud.time_ns.min() == pytest.approx(1e8, abs=3e6)
+    with pytest.raises(ConfigError, match="choose from a capture; there is none"):
+        load_stage([ROOF], None, None, np.eye(4), no_note, Choice(sensors=("left",)))
 
 
 def test_a_cloud_of_nan_is_refused(tmp_path):

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lidarcfg.commands.options import FILE, MODEL, note, quiet_option, way
+from lidarcfg.commands.options import (
+    FILE,
+    MODEL,
+    from_option,
+    note,
+    quiet_option,
+    sensor_option,
+    to_option,
+    way,
+)
 
 if TYPE_CHECKING:
     from lidarcfg.view.page import Page
@@ -53,6 +62,9 @@ class Place(click.ParamType[tuple[float, ...]]):
 @click.argument("files", type=FILE, nargs=-1, required=True)
 @click.option("--rig", type=FILE, help="The rig that recorded the captures: merges them by its poses.")
 @click.option("--model", type=MODEL, help="What a pcap's sensors are, whatever their packets say.")
+@from_option
+@to_option
+@sensor_option
 @click.option("--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Where the vehicle stands in the scenes.")
 @click.option("--colour", type=click.Choice(COLOURS), default="sensor", show_default=True, help="What points show.")
 @click.option("--worst", type=click.IntRange(0, WORST_MAX), default=3, show_default=True, help="Worst subspaces shown.")
@@ -67,6 +79,9 @@ def view(
     files: tuple[Path, ...],
     rig: Path | None,
     model: str | None,
+    from_s: float,
+    to_s: float,
+    sensors: tuple[str, ...],
     at: str,
     colour: Any,
     worst: int,
@@ -82,7 +97,7 @@ def view(
 
     Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study
     the rig can be moved in it by handles, and max VSR and the worst subspaces follow. The truth of a capture
-    (.npz of export --truth) given beside it tells the objects.
+    (.npz of export --truth) given beside it tells the objects. --from, --to and --sensor choose from captures.
 
     \b
     Example:
@@ -91,13 +106,14 @@ def view(
     """
     import numpy as np
 
+    from lidarcfg.capture.choice import Choice
     from lidarcfg.view.page import page_of, save_html
     from lidarcfg.view.stage import load_stage
     from lidarcfg.view.still import Camera, save_still
     from lidarcfg.view.window import show_window
 
     seen_from = Camera(np.array(camera[:3]), np.array(camera[3:6]), *camera[6:]) if camera else None
-    stage = load_stage(files, rig, model, way(None, at, 0).T_world_start, note)
+    stage = load_stage(files, rig, model, way(None, at, 0).T_world_start, note, Choice(from_s, to_s, sensors))
     count = len(stage.cloud.xyz)
     if png:
         save_still(stage, png, size, seen_from, colour, worst)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import ConfigDict
 
+from lidarcfg.capture.choice import ALL, Choice
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.scene import Scene, SceneFile, load_scene
 from lidarcfg.cloud import DAMAGE, SUFFIXES, PointCloud, concatenate, load_cloud
@@ -95,10 +96,12 @@ def load_stage(
     model: str | None,
     T_world_vehicle: Array,
     on_note: Callable[[str], None],
+    choice: Choice = ALL,
 ) -> Stage:
     """All the files as one stage; `rig` is the one that recorded the captures, and comes first.
 
-    A study without a rig has one in the middle of its bounds. Raises ConfigError, PacketError, CloudError, SceneError.
+    Of the captures only what is chosen is read. A study without a rig has one in the middle of its bounds.
+    Raises ConfigError, PacketError, CloudError, SceneError.
     """
     kinds = [(kind_of(path), path) for path in paths]
 
@@ -111,9 +114,11 @@ def load_stage(
     captures, truth = of("capture"), _only(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? --rig says so")
+    if choice != ALL and not captures:
+        raise ConfigError("--from, --to and --sensor choose from a capture; there is none among the files")
     clouds = [load_cloud(path) for path in of("cloud")]
     for path in captures:
-        clouds.extend(decode_pcap(path, on_note, rigs[0] if rigs else None, model))
+        clouds.extend(decode_pcap(path, on_note, rigs[0] if rigs else None, model, choice=choice))
     cloud = clouds[0] if len(clouds) == 1 else concatenate(clouds)
     if clouds and not len(cloud.xyz):
         raise CloudError(f"{(captures or of('cloud'))[0]}: the cloud is empty")
