@@ -131,6 +131,19 @@ def test_the_command_prints_a_table_and_writes_a_page(folder):
     assert again == result
 
 
+def test_ten_rigs_stand_in_several_tables(folder, capsys):
+    study, rigs = compared(folder, "s.yaml", *["few", "many"] * 5)
+    assert [rig.letter for rig in rigs] == list("ABCDEFGHIJ")
+    page = read(report.comparison.comparison(study, rigs, report.Commands("typed", "typed")))
+    assert page.tags.count("caption") == 1 + 3 + 10  # what was compared, four rigs a table, each rig's poses
+    assert all(rig.title in page.words for rig in rigs)
+    report.print_comparison(study, rigs)
+    printed = capsys.readouterr().out
+    assert "…" not in printed
+    assert max(map(len, printed.splitlines())) <= 110
+    assert printed.count(f"{rigs[1].found.max_vsr_m:.6f} *") == 5
+
+
 def test_a_study_without_objects(folder):
     study, rigs = compared(folder, "bare.yaml", "few", "many")
     page = read(report.comparison.comparison(study, rigs, report.Commands("typed", "typed")))

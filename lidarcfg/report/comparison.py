@@ -3,6 +3,7 @@
 import string
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.rig import Rig
 
 RIGS_MAX = 10
+COLUMNS_MAX = 4  # rigs beside each other in a table, so that it fits a printed page
 
 
 @dataclass(frozen=True)
@@ -117,13 +119,17 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
         row("largest inner radius of any (m)", ".3f", lambda rig: rig.sphere_m, -1),
     ]
     for item in study.detection:
-        out.append(row(f"detection of {item.name}", ".4f", lambda rig, n=item.name: rig.found.detection[n].rate, 1))  # type: ignore[misc]
+        out.append(row(f"detection of {item.name}", ".4f", partial(_rate, item.name), 1))
     out += [
         row("beams across a pole, median", "g", lambda rig: rig.coverage.median_beams, 1),
         row("places with no beam", ".2%", lambda rig: rig.coverage.by_none, -1),
         row("places with one sensor's beams", ".2%", lambda rig: rig.coverage.by_one_sensor, -1),
     ]
     return out
+
+
+def _rate(name: str, rig: Contender) -> float:
+    return rig.found.detection[name].rate
 
 
 def comparison_dict(study: Study, rigs: Sequence[Contender]) -> dict[str, Any]:
@@ -190,21 +196,29 @@ def _summary(rigs: Sequence[Contender]) -> Html:
 
 
 def _table(study: Study, rigs: Sequence[Contender]) -> Html:
-    lines = [
-        [row.what, *(Cell(text) if best else text for text, best in zip(row.values, row.best, strict=True))]
-        for row in rows(study, rigs)
-    ]
     files = [[rig.title, rig_in_words(rig.rig), rig.file] for rig in rigs]
-    return joined(
-        table("What was compared", ("rig", "what it is", "file"), files, texts=(1, 2)),
-        table(
-            "The best of each row is marked, unless all are alike. Analytic values are marked if their error bar "
-            "reaches the best one's.",
-            ("", *(rig.title for rig in rigs)),
-            lines,
-        ),
-        *([] if study.detection else [paragraph("The study names no objects, so nothing is said of detection.")]),
-    )
+    lines = rows(study, rigs)
+    parts = [table("What was compared", ("rig", "what it is", "file"), files, texts=(1, 2))]
+    for first in range(0, len(rigs), COLUMNS_MAX):
+        part = slice(first, first + COLUMNS_MAX)
+        body = [
+            [
+                row.what,
+                *(Cell(text) if best else text for text, best in zip(row.values[part], row.best[part], strict=True)),
+            ]
+            for row in lines
+        ]
+        parts.append(
+            table(
+                "The best of each row is marked, unless all are alike. Analytic values are marked if their error bar "
+                "reaches the best one's.",
+                ("", *(rig.title for rig in rigs[part])),
+                body,
+            )
+        )
+    if not study.detection:
+        parts.append(paragraph("The study names no objects, so nothing is said of detection."))
+    return joined(*parts)
 
 
 def _worst(rigs: Sequence[Contender]) -> Html:
@@ -212,7 +226,13 @@ def _worst(rigs: Sequence[Contender]) -> Html:
         "The five worst subspaces of each rig in place, from top and side, numbered from the worst, which is filled. "
         "Dots are the sensors, grey is left out. Heights are stretched."
     )
-    return figure(drawings.compare_worst([(rig.title, rig.rig, rig.found) for rig in rigs]), caption)
+    parts = [rigs[first : first + COLUMNS_MAX] for first in range(0, len(rigs), COLUMNS_MAX)]
+    return joined(
+        *(
+            figure(drawings.compare_worst(f"worst{n}", [(rig.title, rig.rig, rig.found) for rig in part]), caption)
+            for n, part in enumerate(parts)
+        )
+    )
 
 
 def _sizes(rigs: Sequence[Contender]) -> Html:

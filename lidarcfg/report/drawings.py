@@ -457,8 +457,8 @@ def draw_coverage(subspaces: Subspaces, rig: Rig) -> Html:
     return drawing("coverage", 6.3, "maps of how many beams cross the region, from top, side and front", draw)
 
 
-def compare_worst(named: Sequence[tuple[str, Rig, Evaluation]]) -> Html:
-    """The worst subspaces of each rig, a row a rig: from top and side."""
+def compare_worst(key: str, named: Sequence[tuple[str, Rig, Evaluation]]) -> Html:
+    """The worst subspaces of each rig, a row a rig: from top and side; `key` sets this drawing apart from others."""
 
     def draw(figure: "Figure") -> None:
         grid = figure.subplots(len(named), 2, sharex=True, sharey="col", squeeze=False)
@@ -470,7 +470,7 @@ def compare_worst(named: Sequence[tuple[str, Rig, Evaluation]]) -> Html:
                 if n < len(named):
                     axes.set_xlabel("")
 
-    return drawing("worst", 0.5 + 1.7 * len(named), "the worst subspaces of each rig, from top and side", draw)
+    return drawing(key, 0.5 + 1.7 * len(named), "the worst subspaces of each rig, from top and side", draw)
 
 
 def compare_coverage(named: Sequence[tuple[str, Rig, Evaluation]]) -> Html:

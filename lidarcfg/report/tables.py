@@ -70,12 +70,21 @@ def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
     names = Table("rig", "name", "file", box=SIMPLE)
     for rig in rigs:
         names.add_row(rig.letter, rig.rig.name, rig.file)
-    side = Table("", *(Column(rig.letter, justify="right") for rig in rigs), box=SIMPLE)
-    for row in rows(study, rigs):
-        side.add_row(row.what, *(f"{v} *" if best else f"{v}  " for v, best in zip(row.values, row.best, strict=True)))
+    lines = rows(study, rigs)
     console = _console()
     console.print(names)
-    console.print(side)
+    cells = [
+        [f"{value} *" if best else f"{value}  " for value, best in zip(row.values, row.best, strict=True)]
+        for row in lines
+    ]
+    widest = max(len(cell) for line in cells for cell in line) + 2
+    fit = max((console.width - max(len(row.what) for row in lines) - 4) // widest, 1)
+    for first in range(0, len(rigs), fit):
+        part = slice(first, first + fit)
+        side = Table("", *(Column(f"{rig.letter}  ", justify="right") for rig in rigs[part]), box=SIMPLE)
+        for row, line in zip(lines, cells, strict=True):
+            side.add_row(row.what, *line[part])
+        console.print(side)
     console.print("* the best of its row")
 
 
