@@ -185,3 +185,25 @@ def test_position_packets_move(tmp_path):
         minutes = north_m / 110574.3 * 60  # metres in a degree of latitude at the equator
         assert words[3][:2] == "00"
         assert float(words[3][2:]) == pytest.approx(minutes, abs=2e-7)
+
+
+def test_between_poses_scipy_agrees():
+    """Evenly about one axis, for turns small and up to half a turn; exactly the poses at their times."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    rng = np.random.default_rng(4)
+    times = np.cumsum(rng.uniform(0.01, 2, 40))
+    turns = Rotation.from_rotvec(rng.normal(size=(40, 3)) * rng.choice([0, 1e-9, 1e-3, 0.3, 1], 40)[:, None])
+    places = rng.normal(size=(40, 3)) * 100
+    poses = tuple(
+        TimedPose(time_s=t, position_m=tuple(p), quaternion_xyzw=tuple(q))
+        for t, p, q in zip(times.tolist(), places.tolist(), turns.as_quat().tolist(), strict=True)
+    )
+    path = prepared(Motion(poses=poses))
+    asked = np.concatenate([rng.uniform(times[0], times[-1], 1000), times])
+    R, t = path.at(asked)
+    np.testing.assert_allclose(R, Slerp(times, turns)(asked).as_matrix(), atol=1e-13)
+    np.testing.assert_allclose(t, np.stack([np.interp(asked, times, c) for c in places.T], axis=1), atol=1e-11)
+    np.testing.assert_allclose(t[1000:], places, atol=1e-12)
+    fastest = max((turns[:-1].inv() * turns[1:]).magnitude() / np.diff(times))
+    assert path.turn_max_rad_s == pytest.approx(fastest)

@@ -60,6 +60,33 @@ def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):  # type
 
 
 @njit(cache=True, nogil=True)
+def posed(seconds, times_s, positions_m, rotations, turns_rad):  # type: ignore[no-untyped-def]
+    """R (n, 3, 3) and t (n, 3) at times (n,) between poses (K): in a straight line, and about one axis, evenly.
+
+    The turns (K - 1, 3) from each rotation (K, 3, 3) to the next are rotation vectors in the frame that turns.
+    """
+    R, t = np.empty((len(seconds), 3, 3)), np.empty((len(seconds), 3))
+    part = np.empty((3, 3))
+    for i in range(len(seconds)):
+        k = min(max(np.searchsorted(times_s, seconds[i], "right") - 1, 0), len(times_s) - 2)
+        share = (seconds[i] - times_s[k]) / (times_s[k + 1] - times_s[k])
+        x, y, z = share * turns_rad[k, 0], share * turns_rad[k, 1], share * turns_rad[k, 2]
+        angle = math.sqrt(x * x + y * y + z * z)
+        a = math.sin(angle) / angle if angle > 0 else 1.0
+        b = 2 * (math.sin(angle / 2) / angle) ** 2 if angle > 0 else 0.5
+        part[0] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+        part[1] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+        part[2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+        for j in range(3):
+            t[i, j] = positions_m[k, j] + share * (positions_m[k + 1, j] - positions_m[k, j])
+            for m in range(3):
+                R[i, j, m] = (
+                    rotations[k, j, 0] * part[0, m] + rotations[k, j, 1] * part[1, m] + rotations[k, j, 2] * part[2, m]
+                )
+    return R, t
+
+
+@njit(cache=True, nogil=True)
 def chained(outer_R, outer_t, R, t, inner_R, inner_t):  # type: ignore[no-untyped-def]
     """Rotations (M, 3, 3) and places (M, 3) of frames in frames that move by R (M or 1, 3, 3) and t (M or 1, 3)."""
     count = max(len(R), len(t)) if min(len(R), len(t)) else 0

@@ -80,7 +80,8 @@ class Path3:
     motion: Motion
     times_s: Array  # (K,) of the timed poses; empty for the other kinds
     positions_m: Array  # (K, 3)
-    quaternions_xyzw: Array  # (K, 4)
+    rotations: Array  # (K, 3, 3)
+    turns_rad: Array  # (K - 1, 3) from each pose to the next, as rotation vectors
 
     def at(self, seconds: Array) -> tuple[Array, Array]:
         """R (n, 3, 3) and t (n, 3) at the times (n,), with 1 for n where it does not turn, or not move.
@@ -102,10 +103,10 @@ class Path3:
         if not len(seconds):
             return np.empty((0, 3, 3)), np.empty((0, 3))
         self.check_span(float(seconds.min()), float(seconds.max()))
-        from scipy.spatial.transform import Rotation, Slerp
+        from lidarcfg.capture.ray_kernels import posed
 
-        t = np.stack([np.interp(seconds, self.times_s, column) for column in self.positions_m.T], axis=1)
-        return Slerp(self.times_s, Rotation.from_quat(self.quaternions_xyzw))(seconds).as_matrix(), t
+        R, t = posed(np.asarray(seconds, np.float64), self.times_s, self.positions_m, self.rotations, self.turns_rad)
+        return R, t
 
     def check_span(self, first_s: float, last_s: float) -> None:
         """Raises ConfigError unless the timed poses, if that is what they are, cover these times."""
@@ -129,31 +130,29 @@ class Path3:
             return abs(math.radians(self.motion.arc.yaw_rate_deg_s))
         if self.motion.velocity_m_s is not None:
             return 0.0
-        from scipy.spatial.transform import Rotation
-
-        turns = Rotation.from_quat(self.quaternions_xyzw)
-        return float(((turns[:-1].inv() * turns[1:]).magnitude() / np.diff(self.times_s)).max())
+        return float((np.linalg.norm(self.turns_rad, axis=1) / np.diff(self.times_s)).max())
 
 
 def prepared(motion: Motion) -> Path3:
     """The motion, ready to be asked."""
     poses = motion.poses or ()
-    quaternions = np.zeros((len(poses), 4))
+    rotations, turns_rad = np.zeros((len(poses), 3, 3)), np.zeros((0, 3))
     if poses:
         from scipy.spatial.transform import Rotation
 
-        turns = [
-            Rotation.from_quat(pose.quaternion_xyzw).as_matrix()
-            if pose.quaternion_xyzw
-            else rotation(np.radians(pose.rpy_deg or (0.0, 0.0, 0.0)))
-            for pose in poses
-        ]
-        quaternions = Rotation.from_matrix(np.array(turns)).as_quat()
+        for i, one in enumerate(poses):
+            if one.quaternion_xyzw:
+                rotations[i] = Rotation.from_quat(one.quaternion_xyzw).as_matrix()
+            else:
+                rotations[i] = rotation(np.radians(one.rpy_deg or (0.0, 0.0, 0.0)))
+        turns = Rotation.from_matrix(rotations)
+        turns_rad = (turns[:-1].inv() * turns[1:]).as_rotvec()
     return Path3(
         motion=motion,
         times_s=np.array([pose.time_s for pose in poses]),
         positions_m=np.array([pose.position_m for pose in poses]).reshape(-1, 3),
-        quaternions_xyzw=quaternions,
+        rotations=rotations,
+        turns_rad=turns_rad,
     )
 
 
