@@ -4,6 +4,10 @@ import base64
 import hashlib
 import http.client
 import json
+import re
+import signal
+import subprocess
+import sys
 import threading
 import time
 from io import BytesIO
@@ -14,6 +18,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.cloud import PointCloud
+from lidarcfg.errors import ConfigError
 from lidarcfg.placement.study import evaluate, load_study
 from lidarcfg.rig import load_rig
 from lidarcfg.view.page import ASSETS, MODULES, moved, page_of, save_html
@@ -373,6 +378,86 @@ def test_a_moved_rig_is_told_what_it_breaks(served, stage):
         "roof_0: z 2.500 m is outside 1.65 to 1.9 m",
         "front_bumper: roll -30.00° is outside -10 to 10°",
     ]
+
+
+@in_browser
+def test_fewer_points_while_moving_are_a_fair_sample(chromium, served, stage):
+    """A tenth of them: of each sensor, each half of the time and each half of the place a tenth, within six sigma."""
+    opened(chromium, served)
+    count = len(stage.cloud.xyz)
+    code = (
+        "return lidarcfg.cloud.ranges(arguments[0]).flatMap(([a, b]) => Array.from({ length: b - a }, (_, i) => a + i))"
+    )
+    drawn = np.array(chromium.execute_script(code, count // 10))
+    assert len(set(drawn.tolist())) == len(drawn)
+    assert count / 10 <= len(drawn) <= count / 10 + 256
+    arrays = page_of(stage).arrays
+    for part in (arrays["fact"][:, 2] == 1, arrays["time"] < 150_000, arrays["position"][:, 0] < 0):
+        expected = len(drawn) * part.mean()
+        assert abs(part[drawn].sum() - expected) < 6 * np.sqrt(expected)
+    assert len(chromium.execute_script(code, 10 * count)) == count
+
+
+@in_browser
+def test_the_keyboard(chromium, served):
+    opened(chromium, served)
+    body = chromium.find_element("tag name", "body")
+    body.send_keys("4")
+    assert (
+        chromium.execute_script("return [lidarcfg.cloud.mode, document.getElementById('colour').value]")
+        == ["height"] * 2
+    )
+    from selenium.webdriver import Keys
+
+    body.send_keys(Keys.ARROW_RIGHT)
+    assert chromium.execute_script("return [lidarcfg.time.at, lidarcfg.time.whole]") == [1, False]
+    body.send_keys(" ")
+    assert chromium.execute_script("return lidarcfg.time.playing")
+    body.send_keys(" m")
+    assert chromium.execute_script("return [lidarcfg.time.playing, lidarcfg.measure.on]") == [False, True]
+    body.send_keys(Keys.ESCAPE)
+    assert not chromium.execute_script("return lidarcfg.measure.on")
+
+
+def test_nothing_is_lost_in_a_standalone_file(stage, tmp_path):
+    """Its arrays, taken out of the HTML again, hold each point with its facts once."""
+    save_html(page_of(stage), tmp_path / "p.html")
+    pieces = re.findall(
+        r'<script data-array="(\w+)" type="text/plain">([^<]*)</script>', (tmp_path / "p.html").read_text()
+    )
+    raw = {name: b"".join(base64.b64decode(text) for key, text in pieces if key == name) for name, _ in pieces}
+    about = page_of(stage).about["points"]
+    seen = stage.cloud
+    found = np.column_stack(
+        [
+            np.frombuffer(raw["position"], "<f4").reshape(-1, 3) + np.array(about["origin_m"]),
+            np.frombuffer(raw["time"], "<u4"),
+            np.frombuffer(raw["fact"], "u1").reshape(-1, 4)[:, :3],
+        ]
+    )
+    since_us = (seen.time_ns - seen.time_ns.min()) // 1000
+    given = np.column_stack([seen.xyz, since_us, seen.intensity, seen.ring, seen.sensor])
+    order, other = (np.lexsort(rows[:, 3:].T) for rows in (found, given))
+    np.testing.assert_allclose(found[order], given[other], atol=1e-6)
+
+
+def test_the_command_serves_until_ctrl_c():
+    words = [sys.executable, "-m", "lidarcfg", "view", str(ROOF), "--port", "0"]
+    heeding = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **heeding) as running:
+        told = running.stdout.readline()
+        url = told.split()[0]
+        assert told == f"{url} shows 0 points; Ctrl-C ends it\n"
+        assert asked(url, "GET", "/about.json")[0] == 200
+        running.send_signal(signal.SIGINT)
+        assert running.wait(30) == 130
+        assert running.stderr.read().strip() == "interrupted"
+
+
+def test_a_port_that_is_taken(served, stage):
+    port = int(served.rstrip("/").rpartition(":")[2])
+    with pytest.raises(ConfigError, match=f"port {port}: address already in use"):
+        Server(stage, page_of(stage), port)
 
 
 def test_what_is_vendored_is_what_was_made():

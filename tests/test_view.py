@@ -27,11 +27,13 @@ from lidarcfg.placement.study import evaluate, load_study
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig, load_rig, rig_text
 from lidarcfg.view.bodies import faces, judge
+from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, rgb, scaled
 from lidarcfg.view.kernels import fill
 from lidarcfg.view.objects import load_objects
+from lidarcfg.view.shades import point_colours
 from lidarcfg.view.stage import Stage, kind_of, load_stage
-from lidarcfg.view.still import Camera, point_colours, save_still
+from lidarcfg.view.still import save_still
 from lidarcfg.view.window import parts
 from tests.capture_fixtures import AT_NS, STREET, no_note, recording, scene, tilted_rig
 

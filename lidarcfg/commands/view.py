@@ -107,9 +107,10 @@ def view(
     import numpy as np
 
     from lidarcfg.capture.choice import Choice
+    from lidarcfg.view.camera import Camera
     from lidarcfg.view.page import page_of, save_html
     from lidarcfg.view.stage import load_stage
-    from lidarcfg.view.still import Camera, save_still
+    from lidarcfg.view.still import save_still
     from lidarcfg.view.window import show_window
 
     seen_from = Camera(np.array(camera[:3]), np.array(camera[3:6]), *camera[6:]) if camera else None

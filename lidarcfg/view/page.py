@@ -19,9 +19,11 @@ from lidarcfg.placement.study import WORST, Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
 from lidarcfg.view.bodies import Judged, broken, faces, judge
+from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import COLOUR_BY, By, colour
+from lidarcfg.view.shades import span
 from lidarcfg.view.stage import Stage
-from lidarcfg.view.still import GROUND_M, Camera, span
+from lidarcfg.view.still import GROUND_M
 
 ASSETS = Path(__file__).parent.parent / "page"
 MODULES = {"three": "vendor/three.js"} | {

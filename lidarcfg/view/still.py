@@ -1,22 +1,19 @@
 """Stills: what there is to see, drawn without a screen, a GPU or a display server."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.cloud import PointCloud
-from lidarcfg.config import COORDINATE_MAX_M, replacing
-from lidarcfg.errors import CloudError, ConfigError
+from lidarcfg.config import replacing
+from lidarcfg.errors import CloudError
 from lidarcfg.geometry import Array, transform
 from lidarcfg.rig import Mount
 from lidarcfg.view.bodies import faces, judge
+from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import (
     BACKGROUND,
-    BRIGHT,
-    DIFFUSE,
     LEFT_OUT,
     NIGHT,
     RETRO,
@@ -28,6 +25,7 @@ from lidarcfg.view.colours import (
     scaled,
 )
 from lidarcfg.view.kernels import fill
+from lidarcfg.view.shades import point_colours, span
 from lidarcfg.view.stage import Stage
 
 if TYPE_CHECKING:
@@ -39,44 +37,6 @@ GROUND_M = 200.0  # so much of the ground is drawn to each side of the vehicle
 AXIS_M = 0.6
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
 TOP_SHARE = 0.58  # of the picture's height, without a camera: the perspective; below it the view from above
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A pinhole: where it stands, what it looks at, and how wide it sees. Raises ConfigError where it sees nothing."""
-
-    eye_m: Array  # (3,)
-    target_m: Array  # (3,)
-    field_deg: float = 60.0  # across the picture's width
-
-    def __post_init__(self) -> None:
-        if not (abs(np.concatenate([self.eye_m, self.target_m])) <= COORDINATE_MAX_M).all():
-            raise ConfigError(f"camera: a coordinate is not a number up to {COORDINATE_MAX_M:g} m")
-        if not np.linalg.norm(self.target_m - self.eye_m) >= 1e-6:
-            raise ConfigError("camera: eye and target are one point; allowed: at least 1e-06 m apart")
-        if not 1 <= self.field_deg <= 170:
-            raise ConfigError(f"camera: field of view {self.field_deg:g}°; allowed: 1 to 170")
-
-    def view(self, points_m: Array) -> Array:
-        """Points (…, 3) as right, up and ahead of the camera in metres; +x is up where it looks straight down."""
-        forward = (self.target_m - self.eye_m) / np.linalg.norm(self.target_m - self.eye_m)
-        right = np.cross(forward, (0.0, 0.0, 1.0))
-        if np.linalg.norm(right) < 1e-9:
-            right = np.array([0.0, -1.0, 0.0])
-        right /= np.linalg.norm(right)
-        return np.asarray((points_m - self.eye_m) @ np.stack([right, np.cross(right, forward), forward], axis=1))
-
-    def focal_px(self, width: int) -> float:
-        """Pixels to the side of a metre that is one metre ahead."""
-        return float(width / 2 / np.tan(np.radians(self.field_deg) / 2))
-
-    def project(self, xyz: Array, width: int, height: int) -> tuple[Array, Array, Array]:
-        """Columns, rows (fractional pixels) and depth in metres of points (N, 3); behind it: depth <= 0."""
-        view = self.view(xyz)
-        depth = view[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            flat = view[:, :2] / depth[:, None] * self.focal_px(width)
-        return width / 2 + flat[:, 0], height / 2 - flat[:, 1], depth
 
 
 def save_still(
@@ -110,48 +70,6 @@ def save_still(
     _legend(axes, stage, by, height, worst)
     with replacing(path, "wb") as file:
         figure.savefig(file, format="png", facecolor=NIGHT)
-
-
-def point_colours(stage: Stage, by: By) -> NDArray[np.uint8]:
-    """(N, 3) of the cloud's points. Raises CloudError if that is not known of them."""
-    cloud = stage.cloud
-    if by == "object":
-        if stage.objects is None:
-            raise CloudError("objects are known from the truth alone; give the .npz of export --truth, too")
-        table = rgb([*(colour(i) for i in range(len(stage.objects.names) - 1)), UNKNOWN])
-        return _lit(table[stage.objects.index], cloud)
-    if by == "sensor":
-        return _lit(rgb([stage.colours[name] for name in cloud.sensor_names] or [BRIGHT[0]])[cloud.sensor], cloud)
-    low, high = span(stage, by)
-    values = {
-        "intensity": cloud.intensity,
-        "ring": cloud.ring,
-        "height": cloud.xyz[:, 2],
-        "time": (cloud.time_ns - cloud.time_ns.min(initial=2**62)) / 1e9,
-    }[by]
-    shades = scaled(values, low, high).astype(np.uint8)
-    if by == "intensity":
-        shades[cloud.intensity > DIFFUSE] = rgb([RETRO])
-    return shades
-
-
-def span(stage: Stage, by: By) -> tuple[float, float]:
-    """Where the scale of colours begins and ends: per cent, rings, metres or seconds since the first point."""
-    cloud = stage.cloud
-    if not len(cloud.xyz) or by == "intensity":
-        return 0.0, float(DIFFUSE)
-    if by == "ring":
-        return 0.0, float(max(cloud.ring.max(), 1))
-    if by == "height":
-        low, high = np.percentile(cloud.xyz[:: max(len(cloud.xyz) // 100_000, 1), 2], (1, 99)).tolist()
-        return low, max(high, low + 0.1)
-    return 0.0, max(float(np.ptp(cloud.time_ns)) / 1e9, 1e-6)
-
-
-def _lit(base: NDArray[np.uint8], cloud: PointCloud) -> NDArray[np.uint8]:
-    """Colours (N, 3), darker for dark objects."""
-    light = 0.7 + 0.3 * np.sqrt(np.minimum(cloud.intensity, DIFFUSE) / DIFFUSE)
-    return np.asarray(base * light[:, None], np.uint8)
 
 
 def _faded(colours: NDArray[np.uint8], depth: Array) -> NDArray[np.uint8]:

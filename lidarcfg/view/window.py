@@ -10,8 +10,8 @@ from lidarcfg.errors import CloudError
 from lidarcfg.geometry import transform
 from lidarcfg.view.bodies import faces, judge
 from lidarcfg.view.colours import BACKGROUND, LEFT_OUT, WORST, By, rgb
+from lidarcfg.view.shades import point_colours
 from lidarcfg.view.stage import Stage
-from lidarcfg.view.still import point_colours
 
 
 def has_screen() -> bool:
