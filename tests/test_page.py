@@ -306,6 +306,7 @@ def test_a_cloud_far_away_is_not_blurred(chromium, tmp_path):
     save_html(page_of(Stage(cloud, None, (), None, (), np.eye(4))), tmp_path / "far.html")
     opened(chromium, (tmp_path / "far.html").as_uri())
     assert (abs(picture(chromium) - NIGHT).max(axis=-1) > 24).sum() > 200
+    assert complaints(chromium) == []
     places = np.array(
         chromium.execute_script("return [...Array(200).keys()].map((i) => lidarcfg.cloud.place(i).toArray())")
     )

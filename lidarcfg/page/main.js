@@ -46,7 +46,7 @@ function build(about, cloud) {
     const { colour } = about.sensors.find(({ name }) => name === mount.name);
     return new Mount(mount, colour, stage);
   });
-  scene.add(...mounts.map((mount) => mount.object));
+  for (const mount of mounts) scene.add(mount.object);
 
   panel.append(
     sensorSection(about, (name, on) => {
