@@ -1,0 +1,187 @@
+#!/usr/bin/env python3
+"""How fast captures are written, as medians of several runs, beside the bare ray caster and in the same run.
+
+    .venv/bin/python tools/bench_capture.py            # prints the tables of docs/benchmarks.md
+    .venv/bin/python tools/bench_capture.py --long 600 # and the memory of ten minutes, in a file of 2.5 GB
+
+Four VLP-16 stand in data/scenes/street.yaml, whose road is paved here with a mesh of 200,000 triangles.
+"""
+
+import argparse
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+
+import lidarcfg
+from lidarcfg.capture.export import CHUNK_RAYS, START_NS, export, in_time_order
+from lidarcfg.capture.firing import firing_chunks, firings, packet_period_ns, packet_stamps_ns, rays
+from lidarcfg.capture.pcap import Sender, write_pcap
+from lidarcfg.capture.scene import Scene, load_scene
+from lidarcfg.capture.velodyne import encode
+from lidarcfg.geometry import transform
+from lidarcfg.rig import Mount, Rig, load_rig
+
+ROOT = Path(__file__).parent.parent
+SECOND_NS, RUNS = 10**9, 5
+RIG = """
+name: roof corners
+sensors:
+  - {name: front_left, model: vlp-16, position_m: [0.8, 0.6, 1.9], rpy_deg: [-5, 3, 0]}
+  - {name: front_right, model: vlp-16, position_m: [0.8, -0.6, 1.9], rpy_deg: [5, 3, 0]}
+  - {name: rear_left, model: vlp-16, position_m: [-0.8, 0.6, 1.9], rpy_deg: [-5, -3, 0]}
+  - {name: rear_right, model: vlp-16, position_m: [-0.8, -0.6, 1.9], rpy_deg: [5, -3, 0]}
+"""
+COLUMNS, ROWS = 500, 200  # cells of the paving, two triangles each
+LENGTH_M, WIDTH_M = 60.0, 13.0
+
+
+def pave(folder: Path) -> Path:
+    """The street with setts of 3 cm on its road, 200,000 triangles; returns the scene's file."""
+    x, y = np.linspace(-LENGTH_M / 2, LENGTH_M / 2, COLUMNS + 1), np.linspace(-WIDTH_M / 2, WIDTH_M / 2, ROWS + 1)
+    xx, yy = np.meshgrid(x, y, indexing="ij")
+    height = 0.02 + 0.015 * np.sin(xx * (2 * np.pi / 0.6)) * np.sin(yy * (2 * np.pi / 0.4))
+    number = np.arange((COLUMNS + 1) * (ROWS + 1)).reshape(COLUMNS + 1, ROWS + 1)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.stack([xx, yy, height], axis=-1).reshape(-1, 3)),
+        o3d.utility.Vector3iVector(np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])),
+    )
+    o3d.io.write_triangle_mesh(str(folder / "setts.ply"), mesh)
+    text = (ROOT / "data/scenes/street.yaml").read_text().replace("meshes/", f"{ROOT}/data/scenes/meshes/")
+    setts = "  - {name: setts, file: setts.ply, position_m: [0, 0, 0], reflectivity: 20}\n"
+    (folder / "scene.yaml").write_text(text.replace("meshes:\n", "meshes:\n" + setts))
+    (folder / "rig.yaml").write_text(RIG)
+    return folder / "scene.yaml"
+
+
+def seconds(function: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    function()
+    return time.perf_counter() - began
+
+
+def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], int]:
+    """What casts the capture's rays, chunk by chunk, by Open3D alone; and how many they are."""
+    caster = o3d.t.geometry.RaycastingScene()
+    tensor = o3d.core.Tensor.from_numpy
+    caster.add_triangles(tensor(scene.vertices_m.astype(np.float32)), tensor(scene.triangles.astype(np.uint32)))
+    chunks = []
+    for mount in rig.mounts:
+        packets = duration_ns // packet_period_ns(mount.sensor)
+        for fired in firing_chunks(mount.sensor, mount.rpm, START_NS, packets, CHUNK_RAYS // 384):
+            origins, axes = (values.reshape(-1, 3) for values in rays(mount.sensor, fired))
+            T = mount.T_vehicle_sensor
+            both = np.concatenate([transform(T, origins), axes @ T[:3, :3].T], axis=1)
+            chunks.append(tensor(both.astype(np.float32)))
+
+    def cast() -> None:
+        for chunk in chunks:
+            caster.cast_rays(chunk)
+
+    return cast, sum(len(chunk) for chunk in chunks)
+
+
+def encoding(mount: Mount, packets: int, path: Path) -> tuple[Callable[[], None], int]:
+    """What encodes and writes so many packets, all of whose returns are there; and how many returns."""
+    fired = firings(mount.sensor, mount.rpm, START_NS, range(packets))
+    range_m = np.random.default_rng(1).uniform(1, 99, fired.time_ns.shape)
+    reflectivity = np.full(range_m.shape, 9, np.uint8)
+    assert mount.sensor.headers
+    sender = Sender(mount.sensor.headers, mount.sensor.headers.data, mount.host, mount.data_port)
+
+    def write() -> None:
+        encoded = encode(mount.sensor, mount.return_mode, fired, range_m, reflectivity)
+        payloads = encoded.view(np.uint8).reshape(packets, -1)
+        write_pcap(path, [sender.frames(packet_stamps_ns(mount.sensor, fired)[1], payloads)])
+
+    return write, int(range_m.size)
+
+
+def writing(folder: Path, simulated_s: float) -> None:
+    """The table of exports."""
+    scene, rig = load_scene(pave(folder)), load_rig(folder / "rig.yaml")
+    duration_ns = round(simulated_s * SECOND_NS)
+    cast, count = bare(rig, scene, duration_ns)
+    write, returns = encoding(rig.mounts[0], 2000, folder / "b.pcap")
+
+    def whole() -> None:
+        write_pcap(folder / "a.pcap", in_time_order(export(rig, scene, np.eye(4), duration_ns)))
+
+    def start() -> None:
+        next(in_time_order(export(rig, scene, np.eye(4), duration_ns)))
+
+    rows: dict[str, list[float]] = {}
+    for run in range(RUNS + 1):  # the first is not counted
+        for name, function in (("whole", whole), ("cast", cast), ("start", start), ("write", write)):
+            if run:
+                rows.setdefault(name, []).append(seconds(function))
+            else:
+                function()
+    share = [cast_s / whole_s for cast_s, whole_s in zip(rows["cast"], rows["whole"], strict=True)]
+    triangles = f"{len(scene.triangles):,} triangles"
+    print(f"\n| capture: four VLP-16, a street and a mesh, {triangles} | median | spread |\n|---|---|---|")
+    for name, values, digits in (
+        ("export to pcap, × real time", [simulated_s / s for s in rows["whole"]], 1),
+        ("export, million rays/s", [count / s / 1e6 for s in rows["whole"]], 1),
+        ("bare `cast_rays`, the same rays, million rays/s", [count / s / 1e6 for s in rows["cast"]], 1),
+        ("export against bare `cast_rays`, %", [100 * value for value in share], 0),
+        ("of which the start, until the first packets, s", rows["start"], 2),
+        ("encode + write alone, one thread, million returns/s", [returns / s / 1e6 for s in rows["write"]], 1),
+    ):
+        low, high = min(values), max(values)
+        print(f"| {name} | {statistics.median(values):.{digits}f} | {low:.{digits}f} to {high:.{digits}f} |")
+
+
+LONG = """
+import sys, time
+import numpy as np
+from pathlib import Path
+from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.capture.scene import load_scene
+from lidarcfg.rig import load_rig
+folder, minutes = Path(sys.argv[1]), float(sys.argv[2]) / 60
+began, marks = time.perf_counter(), [m for m in (1, 5) if m < minutes] + [minutes]
+def peak_mb():
+    return int(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]) / 1024
+def progress(done_ns):
+    while marks and done_ns >= marks[0] * 60e9:
+        print(f"| {marks.pop(0):g} | {peak_mb():.0f} | {time.perf_counter() - began:.0f} |", flush=True)
+scene, rig = load_scene(folder / "scene.yaml"), load_rig(folder / "rig.yaml")
+streams = export(rig, scene, np.eye(4), round(minutes * 60e9), on_progress=progress)
+write_pcap(folder / "long.pcap", in_time_order(streams))
+"""
+
+
+def long(folder: Path, simulated_s: float) -> None:
+    """The table of memory, of a process that does nothing else."""
+    pave(folder)
+    print("\n| minutes simulated | peak memory (MB) | seconds |\n|---|---|---|", flush=True)
+    subprocess.run([sys.executable, "-c", LONG, str(folder), str(simulated_s)], check=True)
+    print(f"\nThe file has {(folder / 'long.pcap').stat().st_size / 1e9:.2f} GB.")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--seconds", type=float, default=30.0, help="simulated in each run (30)")
+    parser.add_argument("--long", type=float, metavar="SECONDS", help="also measure the memory of so long a capture")
+    arguments = parser.parse_args()
+    cpu = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+    print(f"lidarcfg {lidarcfg.__version__}, {cpu}, medians of {RUNS} runs of {arguments.seconds:g} s")
+    with tempfile.TemporaryDirectory() as folder:
+        writing(Path(folder), arguments.seconds)
+        if arguments.long:
+            long(Path(folder), arguments.long)
+
+
+if __name__ == "__main__":
+    main()
