@@ -22,7 +22,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import evaluate, load_study
 from lidarcfg.placement.subspace import segment
-from lidarcfg.report.page import ring_edges_m, vehicle_m
+from lidarcfg.report.page import date, ring_edges_m, vehicle_m
 from lidarcfg.rig import load_rig
 from tests import naive
 from tests.chromium import LACKING, asked_for, browser, complaints
@@ -208,10 +208,11 @@ def test_no_error_bar_where_it_would_cost_too_much(tmp_path, monkeypatch):
     assert "its error bar were not computed" in page.words
 
 
-def test_a_date_that_is_none(study, found, tmp_path, monkeypatch):
-    monkeypatch.setenv("SOURCE_DATE_EPOCH", "noon")
-    with pytest.raises(ConfigError, match="SOURCE_DATE_EPOCH: 'noon' is not a number of seconds"):
-        report.save_placement(study, found, tmp_path)
+@pytest.mark.parametrize("text", ["noon", "1e9", "9" * 30])
+def test_a_date_that_is_none(text, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", text)
+    with pytest.raises(ConfigError, match=f"SOURCE_DATE_EPOCH: '{text}' is not a number of seconds"):
+        date()
 
 
 def test_rigs_that_break_the_constraints_do_not_flatten_the_rest(study, found):

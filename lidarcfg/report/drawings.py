@@ -196,8 +196,10 @@ def draw_mounts(study: Study, rig: Rig) -> Html:
     points = np.concatenate([at, tips, *drawn])
     low, high = points.min(axis=0) - 0.15 * span, points.max(axis=0) + 0.15 * span
     floor = float(study.region.min_m[2]) - 0.02 * span
-    if 0 < low[2] - floor < span:
+    if 0 < low[2] - floor < 2 * span:
         low[2] = floor
+    wider = np.maximum(0.6 * (high - low).max() - (high - low), 0.0) / 2  # none of the three is a sliver
+    low, high = low - wider, high + wider
     size = high - low
 
     def draw(figure: "Figure") -> None:

@@ -65,7 +65,7 @@ summary { cursor: pointer; }
   tbody th { min-width: 5.5rem; }
   figure svg { max-height: 21cm; }
   h3, caption, summary { break-after: avoid; }
-  figure, tr, .summary, .together { break-inside: avoid; }
+  figure, tr, .wide, .summary { break-inside: avoid; }
   thead { display: table-header-group; break-after: avoid; }
   tbody tr:first-child { break-before: avoid; }
   .summary dd b { font-size: 12pt; }

@@ -77,7 +77,7 @@ def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
         [f"{value} *" if best else f"{value}  " for value, best in zip(row.values, row.best, strict=True)]
         for row in lines
     ]
-    widest = max(len(cell) for line in cells for cell in line) + 2
+    widest = max(len(cell) for line in cells for cell in line) + 3  # and what is between two columns
     fit = max((console.width - max(len(row.what) for row in lines) - 4) // widest, 1)
     for first in range(0, len(rigs), fit):
         part = slice(first, first + fit)
