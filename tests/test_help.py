@@ -127,6 +127,16 @@ def test_a_real_bash(tmp_path):
     assert tab("lidarcfg decode x.pcap --model ./my", tmp_path) == ["compopt default", ""]
 
 
+@pytest.mark.skipif(not shutil.which("fish"), reason="there is no fish")
+def test_a_real_fish():
+    script = 'lidarcfg completion fish | source; complete -C "lidarcfg sensors show puck"'
+    environment = os.environ | {"PATH": f"{BIN}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["fish", "--no-config", "-c", script], capture_output=True, text=True, env=environment, check=True
+    )
+    assert done.stdout.splitlines() == ["puck-hi-res", "puck-lite"]
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_scripts(shell, tmp_path):
     done = subprocess.run(
