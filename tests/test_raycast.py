@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.triangles import PAST_M, beside
+from lidarcfg.capture.triangles import PAST, Triangles, beside
 from lidarcfg.geometry import directions
 from tests import edges
 from tests.capture_fixtures import scene
@@ -108,9 +109,8 @@ def test_which_rays_pass_beside_their_triangle(tmp_path):
     looked_at = np.full(1, np.inf, np.float32)
     hit_m, which = np.ones(500, np.float32), np.zeros(500, np.uint32)
     hit_m[::7] = np.inf
-    rows, moved = beside(
-        rays, hit_m, which, np.full((500, 2), 0.3, np.float32), looked_at, vertices, np.array([[0, 1, 2]])
-    )
+    uv, hair_m = np.full((500, 2), 0.3, np.float32), np.array([1e-4])
+    rows, moved = beside(rays, hit_m, which, uv, looked_at, hair_m, vertices, np.array([[0, 1, 2]]))
     a, b, c = vertices.tolist()
     normal = np.cross(np.subtract(b, a), np.subtract(c, a))
     outside = []
@@ -123,8 +123,26 @@ def test_which_rays_pass_beside_their_triangle(tmp_path):
     assert 0 < len(outside) < 100
     assert rows.tolist() == outside
     step = moved[:, :3] - rays[rows, :3]
-    np.testing.assert_allclose(np.linalg.norm(step, axis=1), PAST_M)
+    np.testing.assert_allclose(np.linalg.norm(step, axis=1), PAST * hair_m[0])
     np.testing.assert_allclose(step @ normal, 0, atol=1e-15)  # in the plane
     assert (moved[:, 3:] == rays[rows, 3:]).all()
     middle = vertices.mean(axis=0)
     assert (((aims[rows] - middle) * step).sum(axis=1) > 0).all()  # and away from the triangle
+
+
+def test_a_mesh_as_fine_as_a_hair(tmp_path):
+    """A ball of 2 cm whose triangles' edges are half a millimetre: none is larger than its neighbours leave room for."""
+    rng = np.random.default_rng(6)
+    points = rng.normal(size=(5000, 3))
+    vertices = points * 0.01 / np.linalg.norm(points, axis=1)[:, None] + (8, 3, 1)
+    faces = ConvexHull(vertices).simplices.astype(np.int64)
+    way = rng.normal(size=(1000, 3)) * 0.003 + (8, 3, 1)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    enter, _, depth = edges.through(edges.half_spaces(vertices[faces], np.array((8.0, 3, 1))), np.zeros(3), way)
+    triangles = Triangles(vertices, faces)
+    deep = depth > 1e-3
+    _, met = triangles.cast(np.hstack([np.zeros((deep.sum(), 3)), way[deep]]))
+    plane = triangles.planes[met]
+    range_m = plane[:, 3] / (plane[:, :3] * way[deep]).sum(axis=1)
+    assert len(met) > 900
+    assert abs(range_m - enter[deep]).max() < 1e-5

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 
 HAIR_M = 2e-4  # beyond what float32 is off by within a sensor's range
-RIM_M = 1.5 * HAIR_M  # what is met nearer to an edge is looked at
-PAST_M = 2 * HAIR_M
+SHARE = 0.02  # of a small triangle's longest edge, which is less than HAIR_M
+RIM = 1.5  # hairs: what is met nearer to an edge is looked at
+PAST = 2.0  # hairs beyond an edge, for a second look
 MOVES_MAX = 4  # past the rims of so many triangles, as where some meet in a corner
 SHARP = 0.1  # the sine of a corner's angle; one that is sharper is not moved out further
 FLAT = 1e-12  # of its longest edge: a triangle of less height has no area, and nothing meets it
@@ -39,8 +40,9 @@ class Triangles:
         doubled[flat] = 1.0
         normal /= doubled[:, None]
         self.planes = np.column_stack([normal, np.einsum("ij,ij->i", normal, corners[:, 0])])  # (T, 4) n·p = d
-        self._rim = (RIM_M * longest / doubled).astype(np.float32)  # (T,) in barycentric coordinates
-        corners = enlarged(corners)
+        self._hair_m = np.minimum(SHARE * longest, HAIR_M)
+        self._rim = (RIM * self._hair_m * longest / doubled).astype(np.float32)  # (T,) in barycentric coordinates
+        corners = enlarged(corners, self._hair_m)
         corners[flat] = corners[flat, :1]
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(triangles):
@@ -53,7 +55,7 @@ class Triangles:
         hit_m, triangle, uv = self._cast(rays)
         hit, met, rows = hit_m, triangle, np.arange(len(rays))
         for _ in range(MOVES_MAX):
-            which, rays = beside(rays, hit, met, uv, self._rim, self._vertices_m, self._triangles)
+            which, rays = beside(rays, hit, met, uv, self._rim, self._hair_m, self._vertices_m, self._triangles)
             if not len(which):
                 break
             rows = rows[which]
@@ -68,11 +70,11 @@ class Triangles:
         return found["t_hit"].numpy(), found["primitive_ids"].numpy(), found["primitive_uvs"].numpy()
 
 
-def enlarged(corners: Array) -> Array:
-    """Triangles (T, 3, 3) with every edge moved out by HAIR_M in its plane; by less towards a sharp corner."""
+def enlarged(corners: Array, by_m: Array) -> Array:
+    """Triangles (T, 3, 3) with every edge moved out by_m (T,) in its plane; by less towards a sharp corner."""
     ahead, behind = (_unit(corners - np.roll(corners, step, axis=1)) for step in (-1, 1))
     sine = np.linalg.norm(np.cross(ahead, behind), axis=2, keepdims=True)
-    moved: Array = corners + (ahead + behind) * (HAIR_M / np.maximum(sine, SHARP))
+    moved: Array = corners + (ahead + behind) * (by_m[:, None, None] / np.maximum(sine, SHARP))
     return moved
 
 
@@ -90,12 +92,13 @@ def beside(
     triangle: NDArray[np.uint32],
     uv: NDArray[np.float32],
     rim: NDArray[np.float32],
+    hair_m: Array,
     vertices_m: Array,
     triangles: Index,
 ) -> tuple[Index, Array]:
     """Which rays (N, 6) hit the rim of their triangle and pass beside it in float64, and the same moved past its edge.
 
-    uv (N, 2) says where they hit, rim (T,) how near to an edge that must be to be looked at.
+    uv (N, 2) says where they hit, rim (T,) how near to an edge that must be to be looked at; hair_m is (T,).
     """
     rows, moved, count = np.empty(len(rays), np.int64), np.empty_like(rays), 0
     corners, normal, out = np.empty((3, 3)), np.empty(3), np.empty(3)
@@ -117,7 +120,7 @@ def beside(
             continue
         _cross(corners[(edge + 2) % 3] - corners[(edge + 1) % 3], normal, out)
         rows[count], moved[count] = i, ray
-        moved[count, :3] += out * (PAST_M / np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2))
+        moved[count, :3] += out * (PAST * hair_m[triangle[i]] / np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2))
         count += 1
     return rows[:count], moved[:count]
 
