@@ -99,7 +99,7 @@ function legendOf(mode, points, colours) {
   const bar = el("div", { className: "bar", style: { background: `linear-gradient(to right, ${colours.scale.join()})` } });
   const parts = [bar, el("div", { className: "ticks" }, ...ticks)];
   if (mode === "intensity") parts.push(entry(colours.retro, "retro-reflectors, 101 to 255", ""));
-  if (mode === "height") parts.push(el("div", { className: "dim", textContent: "z in the vehicle frame; ends hold 1 % of the points each" }));
+  if (mode === "height") parts.push(el("div", { className: "dim", textContent: "z; beyond each end lies 1 % of the points" }));
   return parts;
 }
 
