@@ -317,9 +317,10 @@ def test_veloview_figures():
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recorded_packets_encode_to_the_same_bytes(name):
-    """From azimuths, times, distances and intensities as decoded: all 1206 bytes, but for what is no return.
+    """From azimuths, times, distances and intensities as decoded: all 1206 bytes, but for two things.
 
-    Real sensors send an intensity beside a distance of 0, which is nothing that a decoder hands on; ours send 0.
+    Real sensors send an intensity beside a distance of 0, which is no return and nothing that a decoder hands on; and
+    one block of 32,000 in these recordings says 360° where ours say 0°. Both come out as 0.
     """
     sensor = load_sensor(RECORDINGS[name])
     datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_note) if len(d.payload) == 1206]
@@ -348,12 +349,15 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
         range_m[same, 1], intensity[same, 1] = range_m[same, 0], intensity[same, 0]
     wide = sensor.model_copy(update={"range": sensor.range.model_copy(update={"min_m": 0.0, "max_m": 300.0})})
     shape = (len(packets), -1, sensor.count, 2) if dual else (len(packets), -1, sensor.count)
+    facts = sensor.packet.model_copy(update={"product_id": int(packets["product_id"][0])})  # old firmware has another
+    wide = wide.model_copy(update={"packet": facts})
     again = encode(wide, mode, fired, range_m.reshape(shape), intensity.reshape(shape))
     expected = packets.copy()
     returns = expected["blocks"]["returns"]
     returns["intensity"] = np.where(returns["distance"] > 0, returns["intensity"], 0)
-    expected["blocks"]["azimuth"] %= 36000
-    expected["product_id"] = sensor.packet.product_id
+    full_turns = expected["blocks"]["azimuth"] >= 36000
+    assert full_turns.sum() == (name == "veloview_hdl32e_monterey")
+    expected["blocks"]["azimuth"][full_turns] = 0
     assert again.tobytes() == expected.tobytes()
 
 
@@ -537,6 +541,25 @@ def test_what_a_sensor_does_not_do():
     fired = firings(sensor, 600, AT_NS, range(1), dual=True)
     with pytest.raises(ConfigError, match="'vlp-16' has no dual returns"):
         encode(none, "dual", fired, np.zeros((*fired.time_ns.shape, 2)), np.zeros((*fired.time_ns.shape, 2), np.uint8))
+
+
+def test_no_distance_says_a_point_that_is_corrected_unevenly():
+    """Near by x and y are corrected each by its own: along a beam no raw distance gives the point where it is met."""
+    sensor = load_sensor("hdl-64e-s3")
+    table = np.array(sensor.beams.distance_offset_mm)
+    near = {"near_x_offset_mm": tuple((table + 20).tolist()), "near_y_offset_mm": tuple(table.tolist())}
+    unit = sensor.model_copy(update={"beams": sensor.beams.model_copy(update=near)})
+    fired = firings(unit, 600, AT_NS, range(1))
+    met = np.full(fired.time_ns.shape, 5.0)
+    packets = encode(sensor, "strongest", fired, met, np.full(met.shape, 9, np.uint8))
+    straight, bent = (decode(one, packets, packet_stamps_ns(one, fired)[1]) for one in (sensor, unit))
+    beam = straight.xyz_m - np.stack(
+        [0 * met.ravel(), 0 * met.ravel(), sensor.vertical_offset_m[straight.laser]], axis=-1
+    )
+    away = np.cross(beam / np.linalg.norm(beam, axis=1)[:, None], bent.xyz_m - straight.xyz_m)
+    assert np.linalg.norm(away, axis=1).max() > sensor.range.resolution_m
+    with pytest.raises(ConfigError, match="'hdl-64e-s3' measures unevenly near by, which only decoding knows"):
+        encode(unit, "strongest", fired, met, np.full(met.shape, 9, np.uint8))
 
 
 @pytest.mark.parametrize("name", OTHERS)

@@ -13,7 +13,6 @@ from decimal import Decimal
 from pathlib import Path
 from typing import IO, Any
 
-import dpkt
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,12 +23,12 @@ from lidarcfg.sensor import Header, Headers
 SNAPLEN = 65535
 TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC
 RECORD_MAX = 262144  # bytes; libpcap allows no longer record
-ETHERNET = dpkt.pcap.DLT_EN10MB
+ETHERNET, LINUX_COOKED, RAW_IP, RAW_IP_FILE = 1, 113, 12, 101  # link types, as tcpdump.org lists them
 LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP header, and where its kind is told
     ETHERNET: (14, 12),
-    dpkt.pcap.DLT_LINUX_SLL: (16, 14),
-    dpkt.pcap.DLT_RAW: (0, None),
-    101: (0, None),  # raw IP, as files have it
+    LINUX_COOKED: (16, 14),
+    RAW_IP: (0, None),
+    RAW_IP_FILE: (0, None),
 }
 VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
 TAGS_MAX = 4  # VLAN tags in a frame: two are in use
@@ -56,7 +55,6 @@ RECORDS = 1000  # of a pcapng, read at once
 SPAN_S = 10**8  # a capture is not longer: three years
 SECOND_NS = 10**9
 Times = NDArray[np.int64]
-DAMAGE = (dpkt.Error, ValueError, struct.error)  # what dpkt raises on bytes that make no sense
 
 
 @dataclass(frozen=True)
@@ -307,13 +305,16 @@ class _File:
 
 def _other_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None]) -> Iterator[_Piece]:
     """The frames of what dpkt knows besides, which is pcapng above all."""
+    import dpkt
+
+    damage = dpkt.Error, ValueError, struct.error  # what it raises on bytes that make no sense
     watched = _File(file, name)
     try:
         reader = dpkt.pcap.UniversalReader(watched)
-    except (*DAMAGE, PacketError):
+    except (*damage, PacketError):
         raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng") from None
     link = _checked_link(reader.datalink(), name)
-    records = _whole_records(reader, watched, name, on_note)
+    records = _whole_records(reader, damage, watched, name, on_note)
     while some := list(itertools.islice(records, RECORDS)):
         sizes = np.array([len(frame) for _, frame in some], np.int64)
         times_ns = np.array([time_ns for time_ns, _ in some], np.int64)
@@ -321,7 +322,7 @@ def _other_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None]) ->
 
 
 def _whole_records(
-    reader: Any, watched: _File, name: str, on_note: Callable[[str], None]
+    reader: Any, damage: tuple[type[Exception], ...], watched: _File, name: str, on_note: Callable[[str], None]
 ) -> Iterator[tuple[int, bytes]]:
     """Time and frame of each record up to the first that is not whole."""
     records = iter(reader)
@@ -331,7 +332,7 @@ def _whole_records(
             whole = not watched.short
         except StopIteration:
             return
-        except DAMAGE:
+        except damage:
             whole = False
         if not whole:
             on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")

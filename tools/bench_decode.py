@@ -1,0 +1,171 @@
+#!/usr/bin/env python3
+"""How fast captures are decoded, as medians of several runs, beside velodyne-decoder in the same run.
+
+    .venv/bin/python tools/bench_decode.py              # prints the tables of docs/benchmarks.md
+    .venv/bin/python tools/bench_decode.py --long 600   # and those of ten minutes of four sensors, a file of 2.3 GB
+
+Nine returns of ten are there, at random ranges. The arrays that come are let go one after another, as a driver would;
+what each decoder takes to start is measured with few packets, and taken off.
+"""
+
+import argparse
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import velodyne_decoder as vd
+
+import lidarcfg
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.firing import firings, packet_period_ns, packet_stamps_ns
+from lidarcfg.capture.pcap import ETHERNET_HEADER, FILE_HEADER, IP, RECORD, UDP
+from lidarcfg.capture.velodyne import PACKET, encode
+from lidarcfg.sensor import load_sensor
+
+RUNS, PACKETS = 7, 40_000
+START_NS = 1_767_225_600 * 10**9
+HERE = Path(__file__).parent.parent
+CASES = {
+    ("vlp-16", "strongest"): vd.Model.VLP16,
+    ("vlp-16", "dual"): vd.Model.VLP16,
+    ("hdl-32e", "strongest"): vd.Model.HDL32E,
+    ("vls-128", "strongest"): vd.Model.VLS128,
+}
+FRAME = np.dtype([("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP), ("packet", PACKET)])
+
+
+def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> None:
+    """A capture of sensors that send together; every thousand packets their ranges are the same again."""
+    sensor, dual = load_sensor(model), mode == "dual"
+    rng = np.random.default_rng(1)
+    fired = firings(sensor, 600.0, START_NS, range(1000), dual)
+    shape = (*fired.time_ns.shape, 2) if dual else fired.time_ns.shape
+    range_m = np.where(rng.random(shape) < 0.1, np.inf, rng.uniform(2, 100, shape))
+    reflectivity = rng.integers(1, 256, shape, np.uint8)
+    if dual:  # half of the firings had one return
+        one = rng.random(fired.time_ns.shape) < 0.5
+        range_m[one, 0], reflectivity[one, 0] = range_m[one, 1], reflectivity[one, 1]
+    frames = np.zeros((1000, sensors), FRAME)
+    frames["record"]["captured"] = frames["record"]["length"] = FRAME.itemsize - RECORD.itemsize
+    frames["ethernet"]["kind"] = 0x0800
+    ip = frames["ip"]
+    ip["version"], ip["protocol"] = 0x45, 17
+    ip["length"] = FRAME.itemsize - RECORD.itemsize - ETHERNET_HEADER.itemsize
+    ip["source"][:] = [[192, 168, 1, 201 + i] for i in range(sensors)]
+    frames["udp"]["source_port"] = frames["udp"]["port"] = 2368
+    with open(path, "wb") as file:
+        file.write(FILE_HEADER)
+        for first in range(0, packets, 1000):
+            count = min(packets - first, 1000)
+            fired = firings(sensor, 600.0, START_NS, range(first, first + count), dual)
+            frames["packet"][:count] = encode(sensor, mode, fired, range_m[:count], reflectivity[:count])[:, None]
+            us = packet_stamps_ns(sensor, fired)[1][:, None] // 1000 + np.arange(sensors)
+            frames["record"]["seconds"][:count], frames["record"]["microseconds"][:count] = np.divmod(us, 10**6)
+            file.write(frames[:count].tobytes())
+
+
+def ours(path: Path) -> int:
+    """The points of a capture."""
+    return sum(len(cloud.xyz) for cloud in decode_pcap(path, print))
+
+
+def theirs(path: Path, model: vd.Model) -> int:
+    """The points of a capture by velodyne-decoder, the way its page shows."""
+    config = vd.Config(model=model, min_range=0, max_range=1000)
+    return sum(len(points) for _, points in vd.read_pcap(str(path), config))
+
+
+def against(folder: Path) -> None:
+    """The table of both decoders, in turns."""
+    print(
+        "\n| capture | lidarcfg, million points/s | velodyne-decoder | times as fast | by CPU time |\n|---|---|---|---|---|"
+    )
+    for (name, mode), model in CASES.items():
+        path, few = folder / "a.pcap", folder / "few.pcap"
+        write(path, name, mode, PACKETS)
+        write(few, name, mode, 20)
+        rows = []
+        for run in range(RUNS + 1):
+            row = []
+            for function, arguments in ((ours, ()), (theirs, (model,))):
+                _, start_s, start_cpu_s = timed(function, few, *arguments)
+                count, wall_s, cpu_s = timed(function, path, *arguments)
+                row += [count / (wall_s - start_s) / 1e6, count / (cpu_s - start_cpu_s) / 1e6]
+            rows += [row] * (run > 0)  # the first is not counted
+        mine, mine_cpu, other, other_cpu = (statistics.median(column) for column in zip(*rows, strict=True))
+        ratios = [row[0] / row[2] for row in rows]
+        spread = f"{statistics.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})"
+        print(f"| {name}, {mode} | {mine:.1f} | {other:.1f} | {spread} | {mine_cpu / other_cpu:.1f} |", flush=True)
+
+
+def timed(function, *arguments) -> tuple[int, float, float]:  # type: ignore[no-untyped-def]
+    """What it gives, seconds by the clock, seconds of all threads."""
+    began, began_cpu = time.perf_counter(), time.process_time()
+    count = function(*arguments)
+    return count, time.perf_counter() - began, time.process_time() - began_cpu
+
+
+LONG = """
+import resource, sys, time
+began = time.perf_counter()
+from lidarcfg.capture.choice import Choice
+from lidarcfg.capture.decode import decode_pcap
+loaded_s = time.perf_counter() - began
+began, count = time.perf_counter(), 0
+choice = Choice(float(sys.argv[2]), float(sys.argv[3]))
+for cloud in decode_pcap(sys.argv[1], print, choice=choice):
+    count += len(cloud.xyz)
+peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+print(loaded_s, time.perf_counter() - began, count, peak_mb)
+"""
+
+
+def long(folder: Path, seconds: float) -> None:
+    """The table of a long capture of four VLP-16: each row in a process of its own."""
+    path = folder / "long.pcap"
+    write(path, "vlp-16", "strongest", int(seconds * 1e9) // packet_period_ns(load_sensor("vlp-16")), sensors=4)
+    print(
+        f"\n| four VLP-16, {seconds:g} s, {path.stat().st_size / 1e9:.1f} GB | s | of them to load | points | peak MB |"
+    )
+    print("|---|---|---|---|---|")
+    windows = {
+        "the first turn": (0.0, 0.1),
+        "a turn in the middle": (seconds / 2, seconds / 2 + 0.1),
+        "the last turn": (seconds - 0.2, seconds - 0.1),
+        "a tenth of it": (0.0, seconds / 10),
+        "all of it": (0.0, seconds),
+    }
+    for name, (low, high) in windows.items():
+        rows = []
+        for _ in range(3 if high - low < 1 else 1):
+            command = [sys.executable, "-c", LONG, str(path), str(low), str(high)]
+            out = subprocess.run(command, cwd=HERE, check=True, capture_output=True, text=True).stdout
+            rows.append([float(value) for value in out.split()])
+        loaded, took, count, peak = (statistics.median(column) for column in zip(*rows, strict=True))
+        print(f"| {name} | {loaded + took:.2f} | {loaded:.2f} | {count:,.0f} | {peak:.0f} |", flush=True)
+
+
+def main() -> None:
+    """Print the machine and the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--long", type=float, metavar="S", help="also a capture of so many seconds")
+    args = parser.parse_args()
+    print(
+        f"lidarcfg {lidarcfg.__version__}, velodyne-decoder {vd.__version__}, Python {platform.python_version()}, ",
+        end="",
+    )
+    print(f"{versions}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    with tempfile.TemporaryDirectory() as name:
+        against(Path(name))
+        if args.long:
+            long(Path(name), args.long)
+
+
+if __name__ == "__main__":
+    main()

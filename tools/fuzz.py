@@ -1,0 +1,354 @@
+#!/usr/bin/env python3
+"""Captures made odd, millions of packets of them, through the decoder: nothing may crash, hang, grow or be nonsense.
+
+    .venv/bin/python tools/fuzz.py --packets 10000000     # the table of docs/capture.md
+    .venv/bin/python tools/fuzz.py --case HEX              # one case again
+
+A case is a string of bytes that says which capture is made and what is changed in it: packets of every model and mode
+(and recordings, where LIDARCFG_CAPTURES names a folder of them), their fields, their order, headers, the file around
+them, and what the decoder is asked for. With atheris from the package index, cases that reach new branches of the
+decoder are kept and varied, and all is done on one thread, as atheris sees no other; without it, or with --random, they
+are random. Kernels are compiled with checks of their bounds.
+"""
+
+import argparse
+import contextlib
+import functools
+import json
+import os
+import resource
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+if os.environ.setdefault("NUMBA_BOUNDSCHECK", "1") == "1":
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "lidarcfg-fuzz"))  # kernels of its own
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
+try:
+    import atheris
+except ImportError:
+    atheris = None
+if "--random" in sys.argv:
+    atheris = None
+
+import numpy as np  # noqa: E402
+from numpy.typing import NDArray  # noqa: E402
+
+with atheris.instrument_imports(include=["lidarcfg.capture"]) if atheris else contextlib.nullcontext():
+    from lidarcfg.capture import decode as decoder
+    from lidarcfg.capture.choice import Choice
+    from lidarcfg.capture.firing import firings
+    from lidarcfg.capture.pcap import ETHERNET_HEADER, IP, PCAP_MAGIC, RECORD, UDP, read_batches
+    from lidarcfg.capture.velodyne import PACKET, encode
+from lidarcfg.cloud import concatenate  # noqa: E402
+from lidarcfg.errors import LidarcfgError  # noqa: E402
+from lidarcfg.rig import Mount, Rig  # noqa: E402
+from lidarcfg.sensor import load_sensor  # noqa: E402
+
+MODELS = ("vlp-16", "puck-hi-res", "vlp-32c", "hdl-32e", "vls-128", "hdl-64e-s2", "hdl-64e-s3")
+MODES = ("strongest", "last", "dual")
+START_NS = 1_700_000_000 * 10**9
+ODD = (3, 4, 5, 6, 7, 8, 11)  # changes that no check of flags and ids refuses
+SLOW_S = 60.0  # a case that takes longer hangs
+REACH_M = 65535 * 0.004 + 100.0  # the largest distance on the wire, and offsets that a calibration may carry
+CLASSIC = struct.pack("<I", 0xA1B2C3D4)
+SYNTHETIC = len(MODELS) * len(MODES)
+SEEDS = SYNTHETIC + 7  # and as many recordings at most
+CASE_BYTES = 64
+WARM = 1000  # cases, after which all is loaded and compiled and has been used at its largest
+FRAME = np.dtype([("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP), ("packet", PACKET)])
+
+load_sensor = functools.cache(load_sensor)
+decoder.load_sensor = load_sensor  # its YAML is another matter
+
+
+class Here(ThreadPoolExecutor):
+    """Does things at once, on this thread."""
+
+    def submit(self, function: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """What the function gave or raised."""
+        done: Future[Any] = Future()
+        try:
+            done.set_result(function(*args, **kwargs))
+        except LidarcfgError as error:
+            done.set_exception(error)
+        return done
+
+
+if atheris:
+    decoder.ThreadPoolExecutor = Here
+
+
+class Case:
+    """Numbers from a string of bytes; zeros when it ends."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+        self.rng = np.random.default_rng(list(data[:8]))
+
+    def seldom(self, one_of: int) -> bool:
+        """Once in so many, and not when the bytes end."""
+        return self.below(one_of) == one_of - 1
+
+    def below(self, count: int) -> int:
+        """0 to count - 1, count up to 65536."""
+        pair = self._data[self._at : self._at + 2].ljust(2, b"\0")
+        self._at += 2
+        return int.from_bytes(pair) % count
+
+
+@functools.cache
+def seed_packets(number: int) -> NDArray[Any]:
+    """400 packets of a model and mode, or of a recording."""
+    recorded = sorted(Path(os.environ.get("LIDARCFG_CAPTURES", "/none")).glob("*.pcap"))
+    for path in recorded[number - SYNTHETIC :][:1] if number >= SYNTHETIC else []:
+        batches = [batch[batch.size == PACKET.itemsize] for batch in read_batches(path, lambda note: None)]
+        packets = np.concatenate([batch.payloads(PACKET) for batch in batches])
+        if len(packets):
+            return packets[:400]
+    sensor, mode = load_sensor(MODELS[number % len(MODELS)]), MODES[number % len(MODES)]
+    fired = firings(sensor, 600.0, START_NS, range(400), mode == "dual")
+    rng = np.random.default_rng(number)
+    shape = (*fired.time_ns.shape, 2) if mode == "dual" else fired.time_ns.shape
+    range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 100, shape), np.inf)
+    return encode(sensor, mode, fired, range_m, rng.integers(0, 256, shape, np.uint8))
+
+
+def changed(case: Case, packets: NDArray[Any]) -> NDArray[Any]:
+    """The packets with fields that are odd in some of them."""
+    packets = packets.copy()
+    raw = packets.view(np.uint8).reshape(len(packets), -1)
+    blocks = packets["blocks"]
+    for _ in range(case.below(5)):
+        share = (0.001, 0.02, 0.3, 1.0)[case.below(4)]
+        which = np.flatnonzero(case.rng.random(len(packets)) < share)
+        what = case.below(12) if case.seldom(3) else ODD[case.below(len(ODD))]
+        if what == 0:
+            raw[which, case.below(1206)] = case.below(256)
+        elif what == 1:
+            at, size = case.below(1206), 1 + case.below(20)
+            raw[which, at : at + size] = case.rng.integers(0, 256, raw[which, at : at + size].shape)
+        elif what == 2:
+            blocks["flag"][which, case.below(12)] = (0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF, 0, 0xFFFF)[case.below(6)]
+        elif what == 3:
+            blocks["azimuth"][which] = case.rng.integers(0, 65536, (len(which), 12))
+        elif what == 4:
+            blocks["azimuth"][which, case.below(12) :] += np.uint16(case.below(65536))
+        elif what == 5:
+            blocks["azimuth"][which] = case.below(65536)
+        elif what == 6:
+            blocks["returns"]["distance"][which] = (0, 1, 65535, case.below(65536))[case.below(4)]
+        elif what == 7:
+            packets["stamp_us"][which] = case.rng.integers(0, 2**32, len(which))
+        elif what == 8:
+            packets["stamp_us"][which] += np.uint32(case.below(65536) << case.below(17))
+        elif what == 9:
+            packets["return_mode"][which] = case.below(256)
+        elif what == 10:
+            packets["product_id"][which] = case.below(256)
+        else:
+            raw[which] = raw[case.rng.integers(0, len(packets), len(which))]
+    return packets
+
+
+def capture(case: Case, seed: int) -> tuple[bytes, int]:
+    """A file, and how many packets are in it."""
+    packets = seed_packets(seed)
+    count = (5, 60, 400, 2000)[case.below(4)]
+    packets = changed(case, packets[np.arange(count) % len(packets)])
+    frames = np.zeros(count, FRAME)
+    record, ip, udp = frames["record"], frames["ip"], frames["udp"]
+    frames["packet"] = packets
+    time_us = START_NS // 1000 + np.arange(count, dtype=np.int64) * (1327, 553, 160, 100_000)[case.below(4)]
+    if case.seldom(3):
+        time_us += case.rng.integers(-(10**9), 10**9, count) >> case.below(31)
+    record["seconds"], record["microseconds"] = np.divmod(np.maximum(time_us, 0), 10**6)
+    record["captured"] = record["length"] = FRAME.itemsize - RECORD.itemsize
+    frames["ethernet"]["kind"] = 0x0800
+    ip["version"], ip["protocol"] = 0x45, socket.IPPROTO_UDP
+    ip["length"] = IP.itemsize + UDP.itemsize + PACKET.itemsize
+    ip["source"] = [192, 168, 1, 201]
+    ip["source"][:, 3] += (np.arange(count) % (1 + case.below(3))).astype(np.uint8)
+    udp["source_port"] = udp["port"] = 2368
+    for _ in range(case.below(3)):
+        which = np.flatnonzero(case.rng.random(count) < (0.01, 0.3)[case.below(2)])
+        header = frames.view(np.uint8).reshape(count, -1)[:, : FRAME.itemsize - PACKET.itemsize]
+        header[which, RECORD.itemsize + case.below(header.shape[1] - RECORD.itemsize)] = case.below(256)
+    if case.seldom(4):
+        frames = frames[case.rng.permutation(count)] if case.below(2) else np.sort(frames, order="udp")
+    magic = sorted(PCAP_MAGIC)[case.below(4)] if case.seldom(4) else CLASSIC
+    body = frames.tobytes()
+    link = (1, 1, 1, 113, 101, 12, 195, 0)[case.below(8) if case.seldom(8) else 0]
+    data = bytearray(magic + struct.pack("<HHiIII", 2, 4, 0, 0, 65535, link) + body)
+    for _ in range(case.below(4) if case.seldom(4) else 0):
+        at, how = case.below(65536) * 7919 % len(data), case.below(4)
+        if how == 0:
+            del data[at : at + case.below(3000)]
+        elif how == 1:
+            data[at:at] = case.rng.bytes(case.below(3000))
+        elif how == 2:
+            data[at : at + 4] = case.rng.bytes(4)
+        else:
+            del data[at:]
+    return bytes(data), count
+
+
+def rig(model: str) -> Rig:
+    """Three sensors of a model, as the addresses have it."""
+    mounts = [
+        Mount(
+            name=f"m{i}",
+            sensor=load_sensor(model),
+            position_m=(0.1 * i, 0.0, 2.0),
+            rpy_rad=(0.0, 0.1, i),
+            model=model,
+            host=f"192.168.1.{201 + i}",
+            data_port=2368,
+            telemetry_port=8308,
+            rpm=600.0,
+            return_mode="strongest",
+        )
+        for i in range(3)
+    ]
+    return Rig("three", tuple(mounts))
+
+
+def run(data: bytes, folder: Path) -> tuple[int, int, str]:
+    """Decode a case; packets, points and, if it was refused, why. Raises AssertionError for what must not be."""
+    case = Case(data)
+    number = case.below(SEEDS)
+    content, count = capture(case, number)
+    path = folder / "case.pcap"
+    path.write_bytes(content)
+    model = MODELS[(case.below(len(MODELS)) if case.seldom(4) else number) % len(MODELS)]
+    began = time.perf_counter()
+    points, why, clouds = 0, "", []
+    try:
+        low_s = case.below(1000) / 500
+        choice = Choice(low_s, low_s + (1 + case.below(1000)) / 500) if case.seldom(4) else Choice()
+        clouds = list(
+            decoder.decode_pcap(
+                path,
+                lambda note: None,
+                rig(model) if case.seldom(4) else None,
+                model if case.seldom(3) else None,
+                (1024, 1024, 64, 7)[case.below(4)],
+                lambda stats: None,
+                choice,
+            )
+        )
+    except LidarcfgError as error:
+        why = str(error)
+        assert "\n" not in why, why
+    if clouds:
+        cloud = concatenate(clouds)
+        points = len(cloud.xyz)
+        assert points <= (count + 3) * 384, f"{points} points of {count} packets"
+        assert np.isfinite(cloud.xyz).all(), "not finite"
+        assert abs(cloud.xyz).max(initial=0) <= REACH_M, f"{abs(cloud.xyz).max()} m away"
+        assert cloud.ring.max(initial=0) < 128, f"ring {cloud.ring.max()}"
+        assert cloud.return_type.max(initial=0) <= 2, f"return type {cloud.return_type.max()}"
+        assert cloud.sensor.max(initial=0) < len(cloud.sensor_names), "a sensor without a name"
+    took = time.perf_counter() - began
+    assert took < SLOW_S, f"{took:.0f} s for {count} packets"
+    return count, points, why
+
+
+def resident_mb() -> float:
+    """Of this process, now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+class Tally:
+    """What a worker has done, kept in a file."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.cases = self.packets = self.points = self.refused = 0
+        self.first_mb = self.most_mb = 0.0
+
+    def add(self, count: int, points: int, why: str) -> None:
+        """One more case."""
+        self.cases, self.packets, self.points = self.cases + 1, self.packets + count, self.points + points
+        self.refused += bool(why)
+        if self.cases % 100 == 0:
+            self.save()
+
+    def save(self) -> None:
+        """Look at the memory, and write all down."""
+        now_mb = resident_mb()
+        if self.cases <= WARM:
+            self.first_mb = max(self.first_mb, now_mb)
+        self.most_mb = max(self.most_mb, now_mb)
+        self._path.write_text(json.dumps({key: value for key, value in vars(self).items() if key != "_path"}))
+
+
+def work(folder: Path, packets: int, seed: int) -> None:
+    """Cases until so many packets are through."""
+    tally = Tally(folder / "tally.json")
+
+    def one(data: bytes) -> None:
+        try:
+            tally.add(*run(bytes(data), folder))
+        except BaseException:
+            (folder / "failed").write_text(bytes(data).hex())
+            raise
+        if tally.packets >= packets:
+            tally.save()
+            os._exit(0)  # atheris knows no other end
+
+    rng = np.random.default_rng(seed)
+    if atheris:
+        corpus = folder / "corpus"
+        corpus.mkdir()
+        for i in range(200):
+            (corpus / str(i)).write_bytes(rng.bytes(CASE_BYTES))
+        options = [f"-max_len={2 * CASE_BYTES}", "-rss_limit_mb=4000", "-timeout=120", f"-seed={seed}"]
+        atheris.Setup([sys.argv[0], *options, str(corpus)], one)
+        atheris.Fuzz()
+    while True:
+        one(rng.bytes(CASE_BYTES))
+
+
+def main() -> None:
+    """Run a worker and say what it did."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--packets", type=int, default=10_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--random", action="store_true", help="without atheris")
+    parser.add_argument("--case", type=bytes.fromhex)
+    parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.worker:
+        work(args.worker, args.packets, args.seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if args.case is not None:
+            print(run(args.case, folder))
+            return
+        began = time.perf_counter()
+        command = [sys.executable, __file__, "--worker", name, "--packets", str(args.packets), "--seed", str(args.seed)]
+        command += ["--random"] * args.random
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+        tally = json.loads((folder / "tally.json").read_text())
+        covered = [line for line in done.stdout.splitlines() if " cov: " in line]
+        print(f"{tally['cases']:,} captures, {tally['packets']:,} packets, {tally['points']:,} points, ", end="")
+        print(f"{tally['refused']:,} refused, in {(time.perf_counter() - began) / 60:.1f} minutes")
+        print(f"memory: {tally['first_mb']:.0f} MB in the first {WARM:,} captures, {tally['most_mb']:.0f} MB at most")
+        print("coverage: " + (covered[-1].split("exec/s")[0].strip() if covered else "not guided, atheris is missing"))
+        if done.returncode:
+            failed = folder / "failed"
+            sys.exit(done.stdout[-3000:] + (f"\nfailed: --case {failed.read_text()}" if failed.exists() else ""))
+        print("no crash, no hang, nothing that is not so")
+
+
+if __name__ == "__main__":
+    main()
