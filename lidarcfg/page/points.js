@@ -1,5 +1,5 @@
 // The merged cloud, drawn by the processor into an image with depths that takes part in the scene like any surface.
-// A browser without a GPU wants half a microsecond for each of WebGL's points; this takes a fiftieth of it.
+// For a browser without a GPU each of WebGL's points is ten times the work.
 
 import { AlwaysDepth, DataTexture, FloatType, GLSL3, Matrix4, Mesh, PlaneGeometry, RedFormat, ShaderMaterial, Vector2, Vector3 } from "three";
 import { readArray } from "lidarcfg/data";
