@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -83,9 +84,8 @@ def theirs(path: Path, model: vd.Model) -> int:
 
 def against(folder: Path) -> None:
     """The table of both decoders, in turns."""
-    print(
-        "\n| capture | lidarcfg, million points/s | velodyne-decoder | times as fast | by CPU time |\n|---|---|---|---|---|"
-    )
+    print("\n| capture | lidarcfg, million points/s | velodyne-decoder | times as fast | by CPU time |")
+    print("|---|---|---|---|---|")
     for (name, mode), model in CASES.items():
         path, few = folder / "a.pcap", folder / "few.pcap"
         write(path, name, mode, PACKETS)
@@ -156,11 +156,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--long", type=float, metavar="S", help="also a capture of so many seconds")
     args = parser.parse_args()
-    print(
-        f"lidarcfg {lidarcfg.__version__}, velodyne-decoder {vd.__version__}, Python {platform.python_version()}, ",
-        end="",
-    )
-    print(f"{versions}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    versions = f"lidarcfg {lidarcfg.__version__}, velodyne-decoder {version('velodyne-decoder')}"
+    print(f"{versions}, Python {platform.python_version()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     with tempfile.TemporaryDirectory() as name:
         against(Path(name))
         if args.long:
