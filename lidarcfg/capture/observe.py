@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.firing import Firings, aimed
+from lidarcfg.capture.firing import Firings, Times, aimed
 from lidarcfg.capture.ray_kernels import chained, may_meet
 from lidarcfg.capture.raycast import NOTHING, Mask, Raycaster
 from lidarcfg.capture.reach import Balls, Reach
@@ -65,12 +65,12 @@ class Observer:
         Changes nothing, so that threads may ask for several at a time. Raises ConfigError outside timed poses.
         """
         fired, count = plan.fired, plan.fired.time_ns.size
-        rows, what = np.arange(count), None
+        rows, what, time_ns = np.arange(count), None, fired.time_ns.ravel()
         if plan.tables is not None:
             rows, what = may_meet(fired.azimuth_rad.reshape(-1, self._mount.sensor.count), plan.tables)
-        starts, along, shares = self._rays(fired, rows)
+            time_ns = time_ns[rows]
+        starts, along, shares = self._rays(fired, rows, time_ns)
         width = len(shares)
-        time_ns = fired.time_ns.ravel()[rows]
         if width > 1:
             time_ns, what = np.repeat(time_ns, width), None if what is None else np.repeat(what, width, axis=1)
         hits = self._stage.caster.cast(starts, along, time_ns, what, normals=not self._exact)
@@ -94,11 +94,11 @@ class Observer:
             found = all_three.reported(self._mount.return_mode)
         return found, count * width, len(hits.range_m)
 
-    def _rays(self, fired: Firings, rows: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    def _rays(self, fired: Firings, rows: NDArray[np.int64], time_ns: Times) -> tuple[Array, Array, Array]:
         """Origins and directions (M × K, 3) in the world of the K sub-rays of the firings `rows`; their shares (K,)."""
         mount, trajectory = self._mount, self._stage.trajectory
         outer, inner = trajectory.T_world_start, mount.T_vehicle_sensor
-        motion = trajectory.motion(fired.time_ns.ravel()[rows])
+        motion = trajectory.motion(time_ns)
         R, t = chained(*_parted(outer), *motion, *_parted(inner))
         if self.sub_rays == 1:
             return *aimed(mount.sensor, fired, rows, R, t), np.ones(1)

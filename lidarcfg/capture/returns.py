@@ -64,12 +64,12 @@ class Echoes:
 
 def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
     """Exact echoes of thin beams, (N, 1) or for dual returns (N, 2): there is only one, reported twice."""
-    width = 2 if return_mode == "dual" else 1
+    shape = len(range_m), 2 if return_mode == "dual" else 1
     return Echoes(
-        range_m=np.repeat(range_m, width, axis=1),
-        noise_m=np.zeros((len(range_m), width)),
-        reflectivity=np.repeat(reflectivity, width, axis=1),
-        object=np.repeat(objects, width, axis=1),
+        range_m=np.broadcast_to(range_m, shape),
+        noise_m=np.broadcast_to(0.0, shape),
+        reflectivity=np.broadcast_to(reflectivity, shape),
+        object=np.broadcast_to(objects, shape),
     )
 
 
