@@ -37,6 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
         for name in given.sections or SECTIONS:
             section = import_module(f"accuracy_{name}")
             if name == "vsr":  # has a page of its own, docs/measure.md
+                print("\n## vsr\n", flush=True)
                 section.main(["--quick"] if given.quick else [])
                 continue
             started = time.perf_counter()
