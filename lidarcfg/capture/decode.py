@@ -171,7 +171,10 @@ class _Capture:
 
 
 def _fail(error: LidarcfgError) -> PointCloud:
-    raise error
+    try:
+        raise error
+    finally:
+        del error  # else its traceback holds it, and the packets with it, until the garbage is collected
 
 
 def _together(jobs: list[Job], names: tuple[str, ...]) -> PointCloud:
