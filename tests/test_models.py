@@ -320,7 +320,7 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
     """From azimuths, times, distances and intensities as decoded: all 1206 bytes, but for two things.
 
     Real sensors send an intensity beside a distance of 0, which is no return and nothing that a decoder hands on; and
-    one block of 32,000 in these recordings says 360° where ours say 0°. Both come out as 0.
+    one block of 53,376 in these recordings says 360° where ours say 0°. Both come out as 0.
     """
     sensor = load_sensor(RECORDINGS[name])
     datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_note) if len(d.payload) == 1206]
