@@ -141,7 +141,8 @@ def test_a_mesh_as_fine_as_a_hair(tmp_path):
     enter, _, depth = edges.through(edges.half_spaces(vertices[faces], np.array((8.0, 3, 1))), np.zeros(3), way)
     triangles = Triangles(vertices, faces)
     deep = depth > 1e-3
-    _, met = triangles.cast(np.hstack([np.zeros((deep.sum(), 3)), way[deep]]))
+    cast = np.hstack([np.zeros((deep.sum(), 3)), way[deep]])
+    _, met = triangles.cast(cast, cast.astype(np.float32))
     plane = triangles.planes[met]
     range_m = plane[:, 3] / (plane[:, :3] * way[deep]).sum(axis=1)
     assert len(met) > 900

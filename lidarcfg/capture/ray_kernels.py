@@ -125,9 +125,9 @@ def wire(range_m, offset_m, least_m, most_m, unit_m, most):  # type: ignore[no-u
 def local_rays(origins_m, directions, rows, R, t):  # type: ignore[no-untyped-def]  # numba infers them
     """Origins and directions (M, 6) of the rays `rows` (M,) of (N, 3), in a frame that stands at t and is turned by R.
 
-    R (M or 1, 3, 3) and t (M or 1, 3) are one each or one for all.
+    R (M or 1, 3, 3) and t (M or 1, 3) are one each or one for all. The same in float32 besides.
     """
-    out = np.empty((len(rows), 6))
+    out, narrow = np.empty((len(rows), 6)), np.empty((len(rows), 6), np.float32)
     for i in range(len(rows)):
         turn, place, n = R[min(i, len(R) - 1)], t[min(i, len(t) - 1)], rows[i]
         x, y, z = origins_m[n, 0] - place[0], origins_m[n, 1] - place[1], origins_m[n, 2] - place[2]
@@ -135,7 +135,9 @@ def local_rays(origins_m, directions, rows, R, t):  # type: ignore[no-untyped-de
         for k in range(3):
             out[i, k] = turn[0, k] * x + turn[1, k] * y + turn[2, k] * z
             out[i, 3 + k] = turn[0, k] * u + turn[1, k] * v + turn[2, k] * w
-    return out
+        for k in range(6):
+            narrow[i, k] = out[i, k]
+    return out, narrow
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -176,3 +178,13 @@ def keep_ground(origins_m, directions, rows, z_m, object_number, range_m, object
             object_[n] = object_number
             kept[i] = True
     return kept
+
+
+@njit(cache=True, nogil=True)
+def of_objects(values, object_):  # type: ignore[no-untyped-def]  # numba infers them
+    """The values (objects,) of the objects (N,) met, 0 where it is -1, nothing."""
+    out = np.zeros(len(object_), values.dtype)
+    for i in range(len(object_)):
+        if object_[i] >= 0:
+            out[i] = values[object_[i]]
+    return out

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.ray_kernels import keep_ground, keep_nearer, local_rays
+from lidarcfg.capture.ray_kernels import keep_ground, keep_nearer, local_rays, of_objects
 from lidarcfg.capture.scene import Scene
 from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared, rotated
 from lidarcfg.capture.triangles import Triangles
@@ -60,7 +60,6 @@ class Raycaster:
         moving = np.isin(scene.triangle_object, [mover.object for mover in self.movers])
         self.still_triangles = scene.triangles[~moving]  # (T, 3) indices of the scene's vertices
         self._still_object = scene.triangle_object[~moving]
-        self._reflectivity = np.append(scene.reflectivity, np.uint8(0))  # the last, -1, is nothing's
         self._origin_m = np.array(origin_m, np.float64)
         self._parts: dict[bytes, Triangles] = {}
         self._lock = Lock()
@@ -94,7 +93,7 @@ class Raycaster:
         count = len(directions)
         hits = Hits(
             range_m=np.full(count, np.inf),
-            reflectivity=np.zeros(count, np.uint8),
+            reflectivity=np.empty(0, np.uint8),  # to come
             object=np.full(count, NOTHING, np.int32),
             normal=np.zeros((count if normals else 0, 3), np.float32),
         )
@@ -113,8 +112,7 @@ class Raycaster:
                 R, t = mover.path.at(seconds)
                 index = np.array([mover.object], np.int32)
                 _nearer(hits, which, mover.part, index, origins_m, directions, R, mover.place_m + t)
-        np.take(self._reflectivity, hits.object, out=hits.reflectivity, mode="wrap")
-        return hits
+        return hits._replace(reflectivity=of_objects(self.scene.reflectivity, hits.object))
 
 
 def _mover(scene: Scene, index: int) -> Mover:
@@ -141,8 +139,8 @@ def _nearer(
 
     `objects` is one a triangle, or one for all.
     """
-    rays = local_rays(origins_m, directions, rows, R, t)
-    hit_m, triangle = part.cast(rays)
+    rays, narrow = local_rays(origins_m, directions, rows, R, t)
+    hit_m, triangle = part.cast(rays, narrow)
     kept = keep_nearer(rays, rows, hit_m, triangle, part.planes, objects, GRAZING_M, hits.range_m, hits.object)
     if len(hits.normal):
         normal = part.planes[triangle[kept], :3]

@@ -50,23 +50,23 @@ class Triangles:
             index = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
             self._scene.add_triangles(tensor(corners.reshape(-1, 3).astype(np.float32)), tensor(index))
 
-    def cast(self, rays: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    def cast(self, rays: Array, narrow: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
         """How far (N,) rays (N, 6) along unit vectors get, inf for nothing, and the triangles (N,) that they meet."""
-        hit_m, triangle, uv = self._cast(rays)
+        hit_m, triangle, uv = self._cast(narrow)
         hit, met, rows = hit_m, triangle, np.arange(len(rays))
         for _ in range(MOVES_MAX):
             which, rays = beside(rays, hit, met, uv, self._rim, self._hair_m, self._vertices_m, self._triangles)
             if not len(which):
                 break
             rows = rows[which]
-            hit, met, uv = self._cast(rays)
+            hit, met, uv = self._cast(rays.astype(np.float32))
             hit_m[rows], triangle[rows] = hit, met
         return hit_m, triangle
 
-    def _cast(self, rays: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
+    def _cast(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
         import open3d as o3d
 
-        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays.astype(np.float32)))
+        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
         return found["t_hit"].numpy(), found["primitive_ids"].numpy(), found["primitive_uvs"].numpy()
 
 
