@@ -59,15 +59,22 @@ class Beams(Model):
     distance_offset_mm: tuple[Millimetres, ...] = ()  # added to what the packet says
     near_x_offset_mm: tuple[Millimetres, ...] = ()  # instead of it, at 2.4 m to the side
     near_y_offset_mm: tuple[Millimetres, ...] = ()  # instead of it, at 1.93 m ahead
+    focal_distance_mm: tuple[Millimetres, ...] = ()  # where intensities are right as they come
+    focal_slope: tuple[float, ...] = ()  # by how much they are raised elsewhere
+    intensity_min: tuple[Byte, ...] = ()  # after that
+    intensity_max: tuple[Byte, ...] = ()
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "Beams":
         for key in type(self).model_fields:
-            if key.endswith(("_deg", "_mm")) and len(getattr(self, key)) not in (0, len(self.elevation_deg)):
+            if key != "source" and len(getattr(self, key)) not in (0, len(self.elevation_deg)):
                 count = len(getattr(self, key))
                 raise fault(f"has {count} values; allowed: {len(self.elevation_deg)}, one a beam", key)
         if bool(self.near_x_offset_mm) != bool(self.near_y_offset_mm):
             raise fault("stand without the other; give both or neither of near_x_offset_mm and near_y_offset_mm")
+        focal = [bool(v) for v in (self.focal_distance_mm, self.focal_slope, self.intensity_min, self.intensity_max)]
+        if len(set(focal)) > 1:
+            raise fault("stand without each other; give all or none of focal_* and intensity_*")
         return self
 
 
@@ -266,6 +273,14 @@ class Sensor(Model):
         if not self.beams.near_x_offset_mm:
             return None
         return np.stack([self._table("near_x_offset_mm"), self._table("near_y_offset_mm")], axis=-1) / 1000
+
+    @property
+    def focal(self) -> Array | None:
+        """(count, 4) by laser id: focal distance in metres, slope, least and greatest intensity; None: as they come."""
+        if not self.beams.focal_slope:
+            return None
+        tables = (self._table(key) for key in ("focal_slope", "intensity_min", "intensity_max"))
+        return np.stack([self._table("focal_distance_mm") / 1000, *tables], axis=-1)
 
     def _table(self, key: str) -> Array:
         return np.array(getattr(self.beams, key) or (0.0,) * self.count, np.float64)

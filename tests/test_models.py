@@ -1,6 +1,7 @@
 """Every model and return mode: published figures, velodyne-decoder, real recordings, and round trips in stated bounds."""
 
 import math
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -404,7 +405,30 @@ def test_a_unit_has_its_own_calibration(tmp_path):
 
 
 def uneven(packets, status):
-    """The packets with near corrections of their own in each laser's record, and the checksum that goes with them."""
+    """The packets with near corrections of their own in each laser's record."""
+
+    def change(laser, record):
+        for place in (7, 9):  # distance corrections X and Y, after the far one
+            value = int.from_bytes(record[place : place + 2], "little") + 3 * laser % 60
+            record[place : place + 2] = value.to_bytes(2, "little")
+
+    return with_changed_records(packets, status, change)
+
+
+def with_records(packets, status, focal):
+    """The packets with focal distances, slopes and limits of intensity in each laser's record."""
+
+    def change(laser, record):
+        record[15:19] = struct.pack(
+            "<hh", int(focal["focal_distance_mm"][laser]), round(focal["focal_slope"][laser] * 10)
+        )
+        record[19:21] = bytes([focal["intensity_min"][laser], focal["intensity_max"][laser]])
+
+    return with_changed_records(packets, status, change)
+
+
+def with_changed_records(packets, status, change):
+    """The packets with each laser's record changed, and the checksum that goes with them."""
     packets = packets.copy()
     letters = np.isin(packets["return_mode"], [ord(letter) for letter in status.letters])
     stream = bytearray(packets["product_id"][~letters].tobytes())
@@ -412,16 +436,38 @@ def uneven(packets, status):
     order = (at + np.arange(1820)) % 1820
     found = bytearray(np.frombuffer(bytes(stream), np.uint8)[order].tobytes())
     for laser in range(64):
-        record = 7 + 28 * laser
-        for place in (7, 9):  # distance corrections X and Y, after the far one
-            value = int.from_bytes(found[record + place : record + place + 2], "little") + 3 * laser % 60
-            found[record + place : record + place + 2] = value.to_bytes(2, "little")
+        record = found[7 + 28 * laser : 35 + 28 * laser]
+        change(laser, record)
+        found[7 + 28 * laser : 35 + 28 * laser] = record
     data = b"".join(bytes(found[7 + 28 * laser + 1 : 7 + 28 * laser + 21]) for laser in range(64))
     found[-2:] = vd.hdl64e.crc16(data).to_bytes(2, "little")
     back = np.frombuffer(bytes(stream), np.uint8).copy()
     back[order] = np.frombuffer(bytes(found), np.uint8)
     packets["product_id"][~letters] = back
     return packets
+
+
+def test_intensities_are_corrected_by_the_focal_distance(tmp_path):
+    """As velodyne-decoder does with the calibration that a unit carries, but in whole bytes."""
+    sensor = load_sensor("hdl-64e-s3")
+    rng = np.random.default_rng(6)
+    focal = {
+        "focal_distance_mm": tuple(map(float, rng.integers(0, 20_000, 64))),
+        "focal_slope": tuple((rng.integers(0, 25, 64) / 10).tolist()),
+        "intensity_min": tuple(rng.integers(0, 60, 64).tolist()),
+        "intensity_max": tuple(rng.integers(150, 256, 64).tolist()),
+    }
+    packets, fired = calibrating(sensor)
+    packets["blocks"]["returns"]["intensity"][:20] = rng.integers(0, 256, (20, 12, 32))
+    packets = with_records(packets, sensor.packet.status, focal)
+    write(tmp_path / "a.pcap", sensor, packets, fired)
+    ours = whole(tmp_path / "a.pcap")
+    _, calibration = vd.hdl64e.read_calibration_from_pcap(str(tmp_path / "a.pcap"))
+    xyz, time_s, intensity, ring, _ = elsewhere(tmp_path / "a.pcap", vd.Model.HDL64E_S3, calibration)
+    mine, theirs = order(ours.xyz, ours.ring, ours.time_ns / 1e9), order(xyz, ring, time_s)
+    assert abs(ours.intensity[mine] - intensity[theirs].astype(float)).max() <= 0.5 + 1e-4
+    raw = decode(sensor, packets[:20], packet_stamps_ns(sensor, fired)[1][:20]).intensity
+    assert np.mean(raw != ours.intensity[: len(raw)]) > 0.5
 
 
 def test_without_a_calibration_the_example_unit_is_taken(tmp_path):

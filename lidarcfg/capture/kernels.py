@@ -18,6 +18,7 @@ SECOND_NS = 10**9
 PERIOD_SLACK = 0.1  # successive packets are this near to the period, as a share of it
 JUMP = 50  # hundredths: a turn that is half as large again as the packet's least one, and this, leaves out a sector
 FAR_M, NEAR_X_M, NEAR_Y_M = 25.04, 2.4, 1.93  # where distance offsets are given: HDL-64E manual, two-point calibration
+FOCAL_FAR_M, RAW_MAX = 131.0, 65535  # the intensity's correction, as velodyne_decoder 3.1 and ros-drivers have it
 SECOND_STRONGEST = 2
 SMALL = 0.05  # radians, up to which three terms of sine and cosine are exact to 2e-12
 KNOWN_TURNS = 16  # of which sines and cosines are kept: a head that turns evenly has two or three
@@ -48,6 +49,7 @@ class Lasers(NamedTuple):
     distance_offset: Array
     ring: Bytes
     near_offset: Array  # (L, 2), or (0, 2) if distances near by are as those far off
+    focal: Array  # (L, 4) focal distance, slope, least and greatest intensity; or (0, 4) if they are right as they come
 
 
 class Columns(NamedTuple):
@@ -152,6 +154,14 @@ def _turned(turn: float, share: Array, cos: Array, sin: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _focused(intensity: int, raw: int, focal: Array) -> int:
+    """An intensity corrected by how far the raw distance is from the laser's focal one."""
+    away = 256 * (1 - focal[0] / FOCAL_FAR_M) ** 2 - 256 * (1 - raw / RAW_MAX) ** 2
+    corrected: int = round(min(max(intensity + focal[1] * abs(away), focal[2]), focal[3]))
+    return corrected
+
+
+@njit(cache=True, nogil=True)
 def points(
     distance: Words,
     intensity: Bytes,
@@ -235,5 +245,7 @@ def points(
                     angle += lasers.azimuth_offset[slots.laser[k]]
                     out.range_m[count] = raw[k] * unit_m + offset[k]
                     out.azimuth_rad[count] = angle - 2 * math.pi * math.floor(angle / (2 * math.pi))
+                if len(lasers.focal):
+                    out.intensity[count] = _focused(strength[k], raw[k], lasers.focal[slots.laser[k]])
                 count += kept[k]
     return count

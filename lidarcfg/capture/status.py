@@ -120,6 +120,9 @@ def _beams(table: NDArray[np.void]) -> Beams:
         return tuple((table[key] * scale).round(9).tolist())
 
     near = (table["near_x"] != table["far"]).any() or (table["near_y"] != table["far"]).any()
+    focal = (
+        (table["focal_slope"] != 0).any() or (table["intensity_min"] > 0).any() or (table["intensity_max"] < 255).any()
+    )
     return Beams(
         source="the capture's status bytes",
         elevation_deg=column("elevation", 0.01),
@@ -129,4 +132,8 @@ def _beams(table: NDArray[np.void]) -> Beams:
         distance_offset_mm=column("far"),
         near_x_offset_mm=column("near_x") if near else (),
         near_y_offset_mm=column("near_y") if near else (),
+        focal_distance_mm=column("focal_distance") if focal else (),
+        focal_slope=column("focal_slope", 0.1) if focal else (),
+        intensity_min=tuple(table["intensity_min"].tolist()) if focal else (),
+        intensity_max=tuple(table["intensity_max"].tolist()) if focal else (),
     )

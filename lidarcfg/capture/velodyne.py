@@ -208,7 +208,7 @@ def _decode(
 
     distance, intensity = (_read_only(used["returns"][key]) for key in ("distance", "intensity"))
     modes = facts.return_modes
-    near = sensor.near_offset_m
+    near, focal = sensor.near_offset_m, sensor.focal
     size = kernels.count(distance, wanted) + 1  # the kernel writes one ahead
     out = Returns(
         xyz_m=np.empty((size, 3)),
@@ -238,6 +238,7 @@ def _decode(
             sensor.distance_offset_m,
             sensor.ring.astype(np.uint8),  # packets have no more beams
             np.empty((0, 2)) if near is None else near,
+            np.empty((0, 4)) if focal is None else focal,
         ),
         range_facts(sensor).resolution_m,
         kernels.Columns(*(getattr(out, field.name) for field in fields(out))),
