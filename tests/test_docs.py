@@ -25,7 +25,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
 EXAMPLES = sorted((DOCS / "examples").glob("*.py"))
 # What others' commands are given in the text.
-OTHERS_OPTIONS = {"--help", "--no-deps"}
+OTHERS_OPTIONS = {"--long", "--help", "--no-deps"}
 COMMANDS = {
     f"{prefix}{name}": command
     for prefix, group in (("", cli), ("sensors ", cli.commands["sensors"]))

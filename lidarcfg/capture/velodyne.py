@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture import ray_kernels
+from lidarcfg.capture import kernels, ray_kernels
 from lidarcfg.capture.firing import (
     Firings,
     Times,
@@ -30,9 +30,6 @@ from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.rig import PpsState
 from lidarcfg.sensor import BLOCKS, SLOTS, Packet, Range, Sensor
-
-if TYPE_CHECKING:
-    from lidarcfg.capture import kernels
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
@@ -193,8 +190,6 @@ def _decode(
     sensor: Sensor, packets: Packets, host_time_ns: Times, wanted: NDArray[np.bool_], dual: bool, polar: bool
 ) -> Returns:
     """The same of packets that are all dual, or all not."""
-    from lidarcfg.capture import kernels  # loads numba, which encoding does without
-
     firing, facts = firing_facts(sensor)
     order, span = slots(facts, dual), _span(facts, dual)
     used = packets["blocks"][:, : len(order)]
@@ -246,10 +241,8 @@ def _decode(
     return Returns(*(getattr(out, field.name)[:count] for field in fields(out)))
 
 
-def _slots(sensor: Sensor, dual: bool) -> "kernels.Slots":
+def _slots(sensor: Sensor, dual: bool) -> kernels.Slots:
     """What the kernels know of a packet's slots."""
-    from lidarcfg.capture import kernels
-
     firing, facts = firing_facts(sensor)
     numbers, width = slots(facts, dual).ravel(), _span(facts, dual) * SLOTS
     fired, group = numbers // (1 + dual), np.arange(numbers.size) // width
