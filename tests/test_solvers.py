@@ -80,33 +80,34 @@ def test_cma_es_begins_anew_with_twice_the_population():
     assert sizes == sorted(sizes)
 
 
-def test_auto_walks_from_the_best_of_its_points():
-    solver = Auto(3, 1)
-    points = solver.ask().x
-    assert len(points) == 200
-    solver.tell(bowl(points))
-    best = points[bowl(points).argmin()]
-    assert np.abs(solver.ask().x - best).mean() < 0.15
-    assert solver.best_cost == bowl(points).min()
-
-
 def test_autos_rounds_are_half_cma_es_of_growing_populations_and_half_differential_evolution():
     solver = Auto(2, 1)
     for share in (8000, 8000, 16000):  # 4000 a dimension, and twice as many from the third round on
-        runs, evolution = [], 0  # the generations of each CMA-ES, and how many the evolution tries
-        while not evolution or len(solver.ask().x) != 200:
-            size = len(solver.ask().x)
-            if size == 200:
-                runs.append([])
-            elif size == 36 or evolution:  # 18 points a dimension is an evolution's first generation
-                evolution += size
-            else:
-                runs[-1].append(size)
+        sizes = []  # of CMA-ES' generations: 6 is the usual one of two dimensions, and they double
+        while (size := len(solver.ask().x)) != 36:  # 18 points a dimension is an evolution's first generation
+            sizes.append(size)
             solver.tell(bowl(solver.ask().x))
-        assert [set(run) for run in runs] == [{30 * 2**n} for n in range(len(runs))]
-        spent = np.cumsum([200 + sum(run) for run in runs])
-        assert spent[-2] < share <= spent[-1]
-        assert share <= evolution < share + 36
+        runs = sorted(set(sizes))
+        assert sizes == sorted(sizes)
+        assert runs == [6 * 2**n for n in range(len(runs))]
+        assert sum(size for size in sizes if size < runs[-1]) < share <= sum(sizes)
+        evolution = 0
+        while evolution < share:
+            assert len(solver.ask().x) == max(4, round(36 - 32 * evolution / share)) if evolution else 36
+            evolution += len(solver.ask().x)
+            solver.tell(bowl(solver.ask().x))
+        assert len(solver.ask().x) == 6
+
+
+def test_auto_begins_as_cma_es_does():
+    rng = np.random.default_rng(4)
+    auto, alone = Auto(20, 4), CmaEs(20, int(rng.integers(2**63)))
+    for _ in range(100):
+        assert np.array_equal(auto.ask().x, alone.ask().x)
+        for solver in (auto, alone):
+            solver.tell(bowl(solver.ask().x))
+    assert auto.best_cost == alone.best_cost
+    assert np.array_equal(auto.best_x, alone.best_x)
 
 
 def test_success_history_shrinks_to_four_points_that_lie_deep():
