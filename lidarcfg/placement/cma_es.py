@@ -13,18 +13,21 @@ HUGE = 1e300  # what inf is told as: cma subtracts costs
 class CmaEs:
     """A search by covariance matrix adaptation (Hansen; restarts after Auger and Hansen 2005, IPOP).
 
-    `over` says that a run has just ended; the next one has begun.
+    It begins at `start` (dimensions,) or anywhere, with the usual population or another. `over` says that a run has
+    just ended; the next one has begun.
     """
 
-    def __init__(self, dimensions: int, seed: int) -> None:
+    def __init__(
+        self, dimensions: int, seed: int, start: Array | None = None, step: float = STEP, population: int = 0
+    ) -> None:
         self._rng = np.random.default_rng(seed)
-        self._dimensions = dimensions
-        self._population = 4 + int(3 * np.log(dimensions))
+        self._dimensions, self._step = dimensions, step
+        self._population = population or 4 + int(3 * np.log(dimensions))
         self.cycles = 0
         self.best_x, self.best_cost = self._rng.random(dimensions), np.inf
         self.mean_cost = np.inf
         self.over = False
-        self._begin(self.best_x)
+        self._begin(start if start is not None else self.best_x)
 
     @property
     def sources(self) -> Array:
@@ -39,7 +42,7 @@ class CmaEs:
             "seed": np.nan,  # the generator is ours: NumPy's global one stays alone
             "verbose": -9,
         }
-        self._es = cma.CMAEvolutionStrategy(start, STEP, options)
+        self._es = cma.CMAEvolutionStrategy(start, self._step, options)
         self._asked = self._es.ask()
 
     def ask(self) -> Trials:
