@@ -1,10 +1,21 @@
 """A short run of tools/fuzz.py; docs/capture.md has the long one. And what it found, each with a test of its own."""
 
+import gc
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.pcap import Datagram
+from lidarcfg.capture.source import Source
+from lidarcfg.capture.velodyne import PACKET
+from lidarcfg.errors import PacketError
+from tests.capture_fixtures import AT_NS, no_note, write_datagrams
 
 TOOL = Path(__file__).parent.parent / "tools" / "fuzz.py"
 
@@ -23,3 +34,20 @@ def test_odd_captures_end_well():
     assert packets >= 20_000
     assert points > 10 * packets  # most are decoded, not refused
     assert 0 < refused < captures
+
+
+def test_a_refused_capture_leaves_no_packets_behind(tmp_path):
+    """Not even until the garbage is collected: a traceback had held the error that held it."""
+    packet = np.zeros((), PACKET)  # of no model
+    write_datagrams(tmp_path / "a.pcap", [Datagram(AT_NS, "192.168.1.201", 2368, 2368, packet.tobytes())] * 40)
+    gc.collect()
+    gc.disable()
+    try:
+        clouds = decode_pcap(tmp_path / "a.pcap", no_note)
+        try:
+            pytest.fail(f"decoded: {list(clouds)}")
+        except PacketError:
+            del clouds
+        assert [thing for thing in gc.get_objects() if isinstance(thing, Source)] == []
+    finally:
+        gc.enable()

@@ -58,6 +58,7 @@ def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
     with ThreadPoolExecutor(threads) as pool:
         for job in jobs:
             waiting.append(pool.submit(job))
+            del job  # if it is to raise an error, that one's traceback would hold it until the garbage is collected
             if len(waiting) > threads:
                 yield waiting.popleft().result()
         while waiting:
