@@ -14,7 +14,7 @@ from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.compare import compare
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
-from lidarcfg.commands.options import one_line
+from lidarcfg.commands.options import interrupt, one_line
 from lidarcfg.commands.page import Tasks
 from lidarcfg.commands.placement import evaluate, optimize
 from lidarcfg.commands.sensors import sensors
@@ -24,10 +24,10 @@ from lidarcfg.errors import LidarcfgError
 
 def main() -> None:
     """Entry point: 0 when done, 2 with one line for the user's mistake, 130 after Ctrl-C, 1 for a bug."""
-    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: what was reached is kept, nothing half-written stays
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # what was reached is kept, nothing half-written stays
         number = getattr(signal, name, None)
         if number and signal.getsignal(number) != signal.SIG_IGN:  # nohup's wish stands
-            signal.signal(number, signal.default_int_handler)
+            signal.signal(number, interrupt)
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # who read our output has gone: end quietly, as other tools do
     sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
@@ -48,7 +48,8 @@ def main() -> None:
         _fail(f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)")
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
-        sys.exit(130)
+        sys.stdout.flush()
+        os._exit(130)  # threads that still cast are not waited for
     sys.exit(code or 0)
 
 

@@ -6,9 +6,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
+from threading import Event
 
 import pytest
+
+from lidarcfg.commands import options
 
 ROOT = Path(__file__).parent.parent
 STUDY = str(ROOT / "data/studies/liu2018-2x16.yaml")
@@ -232,6 +236,17 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     result = json.loads((tmp_path / "run/result.json").read_text())
     assert result["interrupted"]
     run("evaluate", STUDY, tmp_path / "run/rig.yaml", "--quiet")
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet, monkeypatch):
+    monkeypatch.setattr(options, "_interrupted", Event())
+    with options.progress(quiet) as on_share:
+        on_share(0.1, "")
+        with suppress(KeyboardInterrupt):  # as a callback in C does
+            options.interrupt(signal.SIGTERM, None)
+        with pytest.raises(KeyboardInterrupt):
+            on_share(0.2, "")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path)
 SECOND_NS = 10**9
+_interrupted = Event()
 START_HELP = "ISO 8601, UTC unless it says.  [default: 2026-01-01T00:00:00]"
 
 
@@ -137,11 +140,25 @@ def nanoseconds(start: str) -> int:
     return (since.days * 86_400 + since.seconds) * SECOND_NS + since.microseconds * 1000
 
 
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """What signals that end a command do. It is remembered, as a compiler's callbacks lose what is raised in them."""
+    _interrupted.set()
+    raise KeyboardInterrupt
+
+
+def _check_interrupted() -> None:
+    if _interrupted.is_set():
+        raise KeyboardInterrupt
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable[[float, str], None]]:
-    """A bar on stderr that is told the share that is done and a text; it shows from the first share on."""
+    """A bar on stderr that is told the share that is done and a text; it shows from the first share on.
+
+    Being told raises KeyboardInterrupt if there was an interrupt that got lost.
+    """
     if quiet:
-        yield lambda share, text: None
+        yield lambda share, text: _check_interrupted()
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -151,6 +168,7 @@ def progress(quiet: bool) -> Iterator[Callable[[float, str], None]]:
     task = bar.add_task("", total=1.0)
 
     def on_share(share: float, text: str) -> None:
+        _check_interrupted()
         bar.start()
         bar.update(task, completed=share, description=text)
 
