@@ -9,7 +9,7 @@ SMALL = 0.02  # radians, up to which four terms of sine and cosine are exact
 
 
 @njit(cache=True, nogil=True)
-def may_meet(azimuth, tables):  # type: ignore[no-untyped-def]  # numba infers them
+def may_meet(azimuth, tables):
     """By tables (K, sectors, L), of firings (N, L): the numbers (M,) of those that may meet anything; what (K, M)."""
     kinds, sectors, lasers = tables.shape
     flat, scale = azimuth.ravel(), sectors / (2 * math.pi)
@@ -26,7 +26,7 @@ def may_meet(azimuth, tables):  # type: ignore[no-untyped-def]  # numba infers t
 
 
 @njit(cache=True, nogil=True)
-def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):  # type: ignore[no-untyped-def]
+def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):
     """Origins and unit vectors (M, 3) of the firings `rows` (M,) of (N, L), in the frame into which R and t lead.
 
     The tables (L,) are the lasers'; R (M or 1, 3, 3) and t (M or 1, 3) are one each or one for all.
@@ -60,7 +60,7 @@ def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):  # type
 
 
 @njit(cache=True, nogil=True)
-def posed(seconds, times_s, positions_m, rotations, turns_rad):  # type: ignore[no-untyped-def]
+def posed(seconds, times_s, positions_m, rotations, turns_rad):
     """R (n, 3, 3) and t (n, 3) at times (n,) between poses (K): in a straight line, and about one axis, evenly.
 
     The turns (K - 1, 3) from each rotation (K, 3, 3) to the next are rotation vectors in the frame that turns.
@@ -87,7 +87,7 @@ def posed(seconds, times_s, positions_m, rotations, turns_rad):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def chained(outer_R, outer_t, R, t, inner_R, inner_t):  # type: ignore[no-untyped-def]
+def chained(outer_R, outer_t, R, t, inner_R, inner_t):
     """Rotations (M, 3, 3) and places (M, 3) of frames in frames that move by R (M or 1, 3, 3) and t (M or 1, 3)."""
     count = max(len(R), len(t)) if min(len(R), len(t)) else 0
     turns, places = np.empty((count, 3, 3)), np.empty((count, 3))
@@ -108,7 +108,7 @@ def chained(outer_R, outer_t, R, t, inner_R, inner_t):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def wire(range_m, offset_m, least_m, most_m, unit_m, most):  # type: ignore[no-untyped-def]  # numba infers them
+def wire(range_m, offset_m, least_m, most_m, unit_m, most):
     """Ranges (N, L, R) of lasers with offsets (L,) in whole units, 0 for what is not measured or more than `most`."""
     out = np.zeros(range_m.shape, np.uint16)
     for n in range(range_m.shape[0]):
@@ -122,7 +122,7 @@ def wire(range_m, offset_m, least_m, most_m, unit_m, most):  # type: ignore[no-u
 
 
 @njit(cache=True, nogil=True)
-def local_rays(origins_m, directions, rows, R, t):  # type: ignore[no-untyped-def]  # numba infers them
+def local_rays(origins_m, directions, rows, R, t):
     """Origins and directions (M, 6) of the rays `rows` (M,) of (N, 3), in a frame that stands at t and is turned by R.
 
     R (M or 1, 3, 3) and t (M or 1, 3) are one each or one for all. The same in float32 besides.
@@ -141,9 +141,7 @@ def local_rays(origins_m, directions, rows, R, t):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def keep_nearer(  # type: ignore[no-untyped-def]  # numba infers them
-    rays, rows, hit_m, triangle, planes, objects, grazing_m, range_m, object_
-):
+def keep_nearer(rays, rows, hit_m, triangle, planes, objects, grazing_m, range_m, object_):
     """Of rays (M, 6) that hit a triangle (M,) at hit_m (M,): those nearer than `range_m` (N,) are kept there.
 
     How far it is, is for the triangle's plane (n·p = d) to say, unless that is further than `grazing_m` from the hit,
@@ -167,7 +165,7 @@ def keep_nearer(  # type: ignore[no-untyped-def]  # numba infers them
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def keep_ground(origins_m, directions, rows, z_m, object_number, range_m, object_):  # type: ignore[no-untyped-def]
+def keep_ground(origins_m, directions, rows, z_m, object_number, range_m, object_):
     """The same for the horizontal plane at `z_m`, without end and from both sides."""
     kept = np.zeros(len(rows), np.bool_)
     for i in range(len(rows)):
@@ -181,7 +179,7 @@ def keep_ground(origins_m, directions, rows, z_m, object_number, range_m, object
 
 
 @njit(cache=True, nogil=True)
-def of_objects(values, object_):  # type: ignore[no-untyped-def]  # numba infers them
+def of_objects(values, object_):
     """The values (objects,) of the objects (N,) met, 0 where it is -1, nothing."""
     out = np.zeros(len(object_), values.dtype)
     for i in range(len(object_)):

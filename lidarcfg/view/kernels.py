@@ -5,7 +5,7 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def fill(image, depth_m, triangles, colours, alpha, focal_px, near_m):  # type: ignore[no-untyped-def]  # as kernels are
+def fill(image, depth_m, triangles, colours, alpha, focal_px, near_m):
     """Blend triangles (T, 3, 3), far ones first, into image (H, W, 3) where they are nearer than depth_m (H, W).
 
     Corners are right, up and ahead of the camera in metres; colours (T, 3) as the image's, alpha (T,) 0 to 1. What is
