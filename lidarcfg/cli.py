@@ -14,12 +14,12 @@ from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.compare import compare
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
-from lidarcfg.commands.options import interrupt, one_line
+from lidarcfg.commands.options import interrupt
 from lidarcfg.commands.page import Tasks
 from lidarcfg.commands.placement import evaluate, optimize
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.view import view
-from lidarcfg.errors import LidarcfgError
+from lidarcfg.errors import LidarcfgError, one_line
 
 
 def main() -> None:

@@ -1,8 +1,16 @@
 """What can go wrong by the user's hand: each error is one line that says where, what, and what is allowed."""
 
 
+def one_line(text: str) -> str:
+    """With control characters written out, as a name may hold them."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 class LidarcfgError(Exception):
     """The user's mistake, told in one line. The command line prints it and ends with 2."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 class ConfigError(LidarcfgError):

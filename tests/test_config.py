@@ -105,3 +105,8 @@ def test_a_device_is_not_replaced():
     with pytest.raises(OSError, match="not a regular file"), replacing(os.devnull):
         pass
     assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+
+
+def test_an_error_is_one_line_whatever_names_hold():
+    """Found by tools/stress.py: a key with a line break stood in the place that an error names."""
+    assert refused(f'{GOOD}"a\\nb": 1\n').startswith("f.yaml:4:1: a\\nb: unknown key")

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
+from lidarcfg.errors import one_line
+
 if TYPE_CHECKING:
     from lidarcfg.capture.trajectory import Trajectory
     from lidarcfg.geometry import Array
@@ -86,11 +88,6 @@ sensor_option = click.option(
     "--sensor", "sensors", type=MountName(), multiple=True, help="Only this mount, or host:port; may be given again."
 )
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-
-
-def one_line(text: str) -> str:
-    """With control characters written out, as a name may hold them."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def typed() -> str:
