@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from lidarcfg.capture.ray_kernels import keep_nearer
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.triangles import PAST, Triangles, beside
 from lidarcfg.geometry import directions
@@ -147,3 +148,12 @@ def test_a_mesh_as_fine_as_a_hair(tmp_path):
     range_m = plane[:, 3] / (plane[:, :3] * way[deep]).sum(axis=1)
     assert len(met) > 900
     assert abs(range_m - enter[deep]).max() < 1e-5
+
+
+def test_a_ray_that_starts_on_a_plane_is_nowhere_behind_its_start():
+    """Found by tools/stress.py: float32 lost the 8e-12 m by which the ray starts beyond, and the plane gave them back."""
+    ray, plane, range_m = np.array([[1 + 8e-12, 0, 0, 1, 0, 0]]), np.array([[1.0, 0, 0, 1]]), np.full(1, np.inf)
+    hit_m, triangle, objects = np.zeros(1, np.float32), np.zeros(1, np.uint32), np.zeros(1, np.int32)
+    kept = keep_nearer(ray, np.zeros(1, np.int64), hit_m, triangle, plane, objects, 0.01, range_m, objects.copy())
+    assert kept.all()
+    assert range_m[0] == 0

@@ -156,7 +156,7 @@ def keep_nearer(rays, rows, hit_m, triangle, planes, objects, grazing_m, range_m
         rise = a * rays[i, 3] + b * rays[i, 4] + c * rays[i, 5]
         exact_m = (d - (a * rays[i, 0] + b * rays[i, 1] + c * rays[i, 2])) / rise
         if abs(exact_m - far_m) < grazing_m:
-            far_m = exact_m
+            far_m = max(exact_m, 0.0)  # a ray that starts on the plane, by float32
         if far_m < range_m[rows[i]]:
             range_m[rows[i]] = far_m
             object_[rows[i]] = objects[triangle[i] if len(objects) > 1 else 0]
