@@ -133,7 +133,8 @@ def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
         keys = set(re.findall(r"^(\w+):", text, re.MULTILINE))
         kinds = {"region": StudyFile, "beams": Sensor, "sensors": RigFile, "ground": SceneFile, "boxes": SceneFile}
         (tmp_path / "it.yaml").write_text(text)
-        load(tmp_path / "it.yaml", next((kinds[key] for key in kinds if key in keys), Motion))
+        kind = next((kinds[key] for key in kinds if key in keys), Motion)
+        assert isinstance(load(tmp_path / "it.yaml", kind), kind)
 
 
 def anchors(page):

@@ -104,7 +104,7 @@ def against(folder: Path) -> None:
         print(f"| {name}, {mode} | {mine:.1f} | {other:.1f} | {spread} | {mine_cpu / other_cpu:.1f} |", flush=True)
 
 
-def timed(function, *arguments) -> tuple[int, float, float]:  # type: ignore[no-untyped-def]
+def timed(function, *arguments) -> tuple[int, float, float]:
     """What it gives, seconds by the clock, seconds of all threads."""
     began, began_cpu = time.perf_counter(), time.process_time()
     count = function(*arguments)

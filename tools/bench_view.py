@@ -169,7 +169,7 @@ def measure_viser(python: str, count: int, folder: Path) -> None:
 
 def at_rest(driver: object) -> None:
     """Wait until everything is drawn."""
-    while not driver.execute_script(AT_REST):  # type: ignore[attr-defined]
+    while not driver.execute_script(AT_REST):
         time.sleep(0.02)
 
 

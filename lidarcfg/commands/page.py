@@ -2,6 +2,7 @@
 
 import re
 import textwrap
+from typing import Any
 
 import click
 
@@ -46,8 +47,8 @@ class _PageContext(click.Context):
 class Tasks(click.Group):
     """A command whose help names its commands task by task, in the order of the work."""
 
-    def __init__(self, *args: object, **settings: object) -> None:
-        super().__init__(*args, **settings)  # type: ignore[arg-type]
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
         self.context_class = _PageContext
         self.tasks: dict[str, tuple[click.Command, ...]] = {}
 
