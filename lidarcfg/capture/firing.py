@@ -1,6 +1,5 @@
 """When and where each laser fires: a sensor fires on its own clock while its head turns."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -66,13 +65,9 @@ def firings(
     turn_ns = MINUTE_NS / Fraction(rpm)
     whole, part = turn_ns.numerator, turn_ns.denominator
     into_ns, ahead = (0, 0.0) if phase_deg is None else (start_ns % SECOND_NS, phase_deg / 360)
-    turned = np.array([(into_ns + n * period_ns) * part % whole / whole for n in packets], np.float64)
-    azimuth = turned[:, None, None] + offsets * (rpm / MINUTE_NS)
-    azimuth += ahead
-    azimuth -= np.floor(azimuth)
-    azimuth *= 2 * math.pi
+    turns = np.array([(into_ns + n * period_ns) * part % whole / whole for n in packets], np.float64)
     first_ns = start_ns + np.array(packets, np.int64) * period_ns
-    return Firings(first_ns[:, None, None] + offsets, azimuth)
+    return Firings(*ray_kernels.turned(turns + ahead, offsets, rpm / MINUTE_NS, first_ns))
 
 
 def firing_chunks(

@@ -26,6 +26,23 @@ def may_meet(azimuth, tables):
 
 
 @njit(cache=True, nogil=True)
+def turned(turns, offset_ns, turns_per_ns, first_ns):
+    """Times and azimuths (P, S, L) of firings that come so much (S, L) after their packets' stamps (P,).
+
+    `turns` (P,) is how far the head has turned then, in whole turns.
+    """
+    shape = len(turns), *offset_ns.shape
+    time_ns, azimuth_rad = np.empty(shape, np.int64), np.empty(shape)
+    for p in range(shape[0]):
+        for s in range(shape[1]):
+            for k in range(shape[2]):
+                turn = turns[p] + offset_ns[s, k] * turns_per_ns
+                time_ns[p, s, k] = first_ns[p] + offset_ns[s, k]
+                azimuth_rad[p, s, k] = (turn - math.floor(turn)) * (2 * math.pi)
+    return time_ns, azimuth_rad
+
+
+@njit(cache=True, nogil=True)
 def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):
     """Origins and unit vectors (M, 3) of the firings `rows` (M,) of (N, L), in the frame into which R and t lead.
 
@@ -34,28 +51,43 @@ def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):
     lasers = azimuth.shape[1]
     cos_w, sin_w = np.cos(elevation), np.sin(elevation)
     cos_o, sin_o = np.cos(azimuth_offset), np.sin(azimuth_offset)
+    c, s, turned = np.empty(lasers), np.empty(lasers), np.empty(lasers)
     origins, directions = np.empty((len(rows), 3)), np.empty((len(rows), 3))
-    n, begin, cos_h, sin_h = -1, -lasers, 1.0, 0.0
+    begin = -lasers
     for i in range(len(rows)):
         if rows[i] >= begin + lasers:  # another sequence
             n = rows[i] // lasers
-            begin, cos_h, sin_h = n * lasers, math.cos(azimuth[n, 0]), math.sin(azimuth[n, 0])
+            begin, most = n * lasers, 0.0
+            for k in range(lasers):
+                turned[k] = azimuth[n, k] - azimuth[n, 0]
+                most = max(most, abs(turned[k]))
+            if most < SMALL:  # a little since the sequence's first firing
+                cos_h, sin_h = math.cos(azimuth[n, 0]), math.sin(azimuth[n, 0])
+                for k in range(lasers):
+                    square = turned[k] * turned[k]
+                    sin_d = turned[k] * (1 - square * (1 / 6) * (1 - square * (1 / 20) * (1 - square * (1 / 42))))
+                    cos_d = 1 - square * 0.5 * (1 - square * (1 / 12) * (1 - square * (1 / 30)))
+                    c[k], s[k] = cos_h * cos_d - sin_h * sin_d, sin_h * cos_d + cos_h * sin_d
+            else:
+                for k in range(lasers):
+                    c[k], s[k] = math.cos(azimuth[n, k]), math.sin(azimuth[n, k])
+            for k in range(lasers):
+                c[k], s[k] = c[k] * cos_o[k] - s[k] * sin_o[k], s[k] * cos_o[k] + c[k] * sin_o[k]
         k = rows[i] - begin
-        turned = azimuth[n, k] - azimuth[n, 0]
-        if abs(turned) < SMALL:  # a little since the sequence's first firing
-            square = turned * turned
-            sin_d = turned * (1 - square * (1 / 6) * (1 - square * (1 / 20) * (1 - square * (1 / 42))))
-            cos_d = 1 - square * 0.5 * (1 - square * (1 / 12) * (1 - square * (1 / 30)))
-            c, s = cos_h * cos_d - sin_h * sin_d, sin_h * cos_d + cos_h * sin_d
-        else:
-            c, s = math.cos(azimuth[n, k]), math.sin(azimuth[n, k])
-        c, s = c * cos_o[k] - s * sin_o[k], s * cos_o[k] + c * sin_o[k]
-        x, y, z = left_m[k] * s, left_m[k] * c, up_m[k]
-        u, v, w = cos_w[k] * c, -cos_w[k] * s, sin_w[k]
-        a, b = min(i, len(R) - 1), min(i, len(t) - 1)
-        for j in range(3):
-            origins[i, j] = R[a, j, 0] * x + R[a, j, 1] * y + R[a, j, 2] * z + t[b, j]
-            directions[i, j] = R[a, j, 0] * u + R[a, j, 1] * v + R[a, j, 2] * w
+        x, y, z = left_m[k] * s[k], left_m[k] * c[k], up_m[k]
+        u, v, w = cos_w[k] * c[k], -cos_w[k] * s[k], sin_w[k]
+        if i < len(R):
+            a0, a1, a2 = R[i, 0, 0], R[i, 0, 1], R[i, 0, 2]
+            b0, b1, b2 = R[i, 1, 0], R[i, 1, 1], R[i, 1, 2]
+            c0, c1, c2 = R[i, 2, 0], R[i, 2, 1], R[i, 2, 2]
+        if i < len(t):
+            t0, t1, t2 = t[i, 0], t[i, 1], t[i, 2]
+        origins[i, 0] = a0 * x + a1 * y + a2 * z + t0
+        origins[i, 1] = b0 * x + b1 * y + b2 * z + t1
+        origins[i, 2] = c0 * x + c1 * y + c2 * z + t2
+        directions[i, 0] = a0 * u + a1 * v + a2 * w
+        directions[i, 1] = b0 * u + b1 * v + b2 * w
+        directions[i, 2] = c0 * u + c1 * v + c2 * w
     return origins, directions
 
 
@@ -108,74 +140,96 @@ def chained(outer_R, outer_t, R, t, inner_R, inner_t):
 
 
 @njit(cache=True, nogil=True)
-def wire(range_m, offset_m, least_m, most_m, unit_m, most):
-    """Ranges (N, L, R) of lasers with offsets (L,) in whole units, 0 for what is not measured or more than `most`."""
-    out = np.zeros(range_m.shape, np.uint16)
+def wire(range_m, offset_m, limits):
+    """Ranges (N, L, R) of lasers with offsets (L,) in whole units, 0 for what cannot be said; limits as in `_units`."""
+    out = np.empty(range_m.shape, np.uint16)
     for n in range(range_m.shape[0]):
         for k in range(range_m.shape[1]):
             for r in range(range_m.shape[2]):
-                if least_m <= range_m[n, k, r] <= most_m:
-                    units = np.rint((range_m[n, k, r] - offset_m[k]) / unit_m)
-                    if 0 <= units <= most:
-                        out[n, k, r] = int(units)
+                out[n, k, r] = _units(range_m[n, k, r], offset_m[k], limits)
     return out
 
 
 @njit(cache=True, nogil=True)
-def local_rays(origins_m, directions, rows, R, t):
-    """Origins and directions (M, 6) of the rays `rows` (M,) of (N, 3), in a frame that stands at t and is turned by R.
+def fill(range_m, reflectivity, number, offset_m, limits, distance, intensity):
+    """Write the blocks of packets (P, B, 32): in each slot (B, 32) the return with that number of the packet's (P, N).
 
-    R (M or 1, 3, 3) and t (M or 1, 3) are one each or one for all. The same in float32 besides.
+    The slot's laser has the offset (B, 32); limits as in `_units`.
     """
-    out, narrow = np.empty((len(rows), 6)), np.empty((len(rows), 6), np.float32)
+    for p in range(len(range_m)):
+        for b in range(number.shape[0]):
+            for i in range(number.shape[1]):
+                n = number[b, i]
+                units = _units(range_m[p, n], offset_m[b, i], limits)
+                distance[p, b, i] = units
+                intensity[p, b, i] = reflectivity[p, n] if units > 0 else 0
+
+
+@njit(cache=True, nogil=True)
+def _units(range_m, offset_m, limits):
+    """A range in whole units: 0 unless it is within least and most metres, and no more units than there may be."""
+    least_m, most_m, unit_m, units_max = limits
+    units = np.rint((range_m - offset_m) / unit_m)
+    return np.uint16(units) if least_m <= range_m <= most_m and 0 <= units <= units_max else np.uint16(0)
+
+
+@njit(cache=True, nogil=True)
+def local_rays(origins_m, directions, rows, R, t):
+    """The rays `rows` (M,) of (N, 3), in a frame that stands at t (M or 1, 3) and is turned by R (M or 1, 3, 3)."""
+    origins, along = np.empty((len(rows), 3)), np.empty((len(rows), 3))
     for i in range(len(rows)):
         turn, place, n = R[min(i, len(R) - 1)], t[min(i, len(t) - 1)], rows[i]
         x, y, z = origins_m[n, 0] - place[0], origins_m[n, 1] - place[1], origins_m[n, 2] - place[2]
         u, v, w = directions[n, 0], directions[n, 1], directions[n, 2]
         for k in range(3):
-            out[i, k] = turn[0, k] * x + turn[1, k] * y + turn[2, k] * z
-            out[i, 3 + k] = turn[0, k] * u + turn[1, k] * v + turn[2, k] * w
-        for k in range(6):
-            narrow[i, k] = out[i, k]
-    return out, narrow
+            origins[i, k] = turn[0, k] * x + turn[1, k] * y + turn[2, k] * z
+            along[i, k] = turn[0, k] * u + turn[1, k] * v + turn[2, k] * w
+    return origins, along
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def keep_nearer(rays, rows, hit_m, triangle, planes, objects, grazing_m, range_m, object_):
-    """Of rays (M, 6) that hit a triangle (M,) at hit_m (M,): those nearer than `range_m` (N,) are kept there.
+@njit(cache=True, nogil=True)
+def narrowed(origins_m, directions, pick, place_m):
+    """The rays `pick` (M,) of (N, 3) as (M, 6) in float32, relative to a place (3,)."""
+    out = np.empty((len(pick), 6), np.float32)
+    x, y, z = place_m
+    for i in range(len(pick)):
+        n = pick[i]
+        out[i, 0], out[i, 1], out[i, 2] = origins_m[n, 0] - x, origins_m[n, 1] - y, origins_m[n, 2] - z
+        out[i, 3], out[i, 4], out[i, 5] = directions[n, 0], directions[n, 1], directions[n, 2]
+    return out
 
-    How far it is, is for the triangle's plane (n·p = d) to say, unless that is further than `grazing_m` from the hit,
-    as where it is seen edge on. `objects` is one a triangle, or one for all. Returns (M,) what was kept.
+
+@njit(cache=True, nogil=True)
+def keep_nearer(rows, found_m, triangle, planes, objects, R, range_m, object_, normal):
+    """Of the rays `rows` (M,) that meet triangles (M,) at found_m (M,): those nearer than `range_m` (N,) are kept.
+
+    So is the object met, one a triangle or one for all, and unless there is no room for it the normal of the plane
+    (T, 4), turned by R (M or 1, 3, 3).
     """
-    kept = np.zeros(len(rows), np.bool_)
     for i in range(len(rows)):
-        far_m = float(hit_m[i])
-        if not far_m < np.inf:
-            continue
-        a, b, c, d = planes[triangle[i]]
-        rise = a * rays[i, 3] + b * rays[i, 4] + c * rays[i, 5]
-        exact_m = (d - (a * rays[i, 0] + b * rays[i, 1] + c * rays[i, 2])) / rise
-        if abs(exact_m - far_m) < grazing_m:
-            far_m = max(exact_m, 0.0)  # a ray that starts on the plane, by float32
-        if far_m < range_m[rows[i]]:
-            range_m[rows[i]] = far_m
-            object_[rows[i]] = objects[triangle[i] if len(objects) > 1 else 0]
-            kept[i] = True
-    return kept
+        n = rows[i]
+        if found_m[i] < range_m[n]:
+            range_m[n] = found_m[i]
+            object_[n] = objects[triangle[i] if len(objects) > 1 else 0]
+            if len(normal):
+                turn, plane = R[min(i, len(R) - 1)], planes[triangle[i]]
+                for k in range(3):
+                    normal[n, k] = turn[k, 0] * plane[0] + turn[k, 1] * plane[1] + turn[k, 2] * plane[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def keep_ground(origins_m, directions, rows, z_m, object_number, range_m, object_):
-    """The same for the horizontal plane at `z_m`, without end and from both sides."""
-    kept = np.zeros(len(rows), np.bool_)
+def keep_ground(origins_m, directions, rows, z_m, object_number, range_m, object_, normal):
+    """Of the rays `rows` (M,) of (N, 3): those that meet the horizontal plane at `z_m` nearer than `range_m` (N,) are
+    kept; so is what they meet, and its normal, unless there is no room for it. The plane has no end and two sides.
+    """
     for i in range(len(rows)):
         n = rows[i]
         far_m = (z_m - origins_m[n, 2]) / directions[n, 2]
         if 0 < far_m < range_m[n]:
             range_m[n] = far_m
             object_[n] = object_number
-            kept[i] = True
-    return kept
+            if len(normal):
+                normal[n] = 0, 0, 1
 
 
 @njit(cache=True, nogil=True)

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.ray_kernels import keep_ground, keep_nearer, local_rays, of_objects
 from lidarcfg.capture.scene import Scene
-from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared, rotated
+from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared
 from lidarcfg.capture.triangles import Triangles
 from lidarcfg.geometry import Array
 
 LOCAL_M = 1000.0  # at so much from a local origin a float32 steps by 0.06 mm
 PARTS_MAX = 4  # local origins kept at a time, as a rig may stand across their borders
 NOTHING = -1
-GRAZING_M = 0.01  # a plane's range further than this from float32's is rounding's
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
@@ -99,19 +98,20 @@ class Raycaster:
         )
         everyone = np.arange(count)
         rows = [everyone] * (1 + len(self.movers)) if may_meet is None else [np.flatnonzero(row) for row in may_meet]
+        kept = hits.range_m, hits.object, hits.normal
         if self.scene.file.ground:
-            kept = keep_ground(origins_m, directions, rows[0], self.scene.file.ground.z_m, 0, hits.range_m, hits.object)
-            if normals:
-                hits.normal[rows[0][kept]] = 0, 0, 1
+            keep_ground(origins_m, directions, rows[0], self.scene.file.ground.z_m, 0, *kept)
         if len(rows[0]) and len(self.still_triangles):
             local_m, part = self._local(origins_m[0])
-            _nearer(hits, rows[0], part, self._still_object, origins_m, directions, np.eye(3)[None], local_m[None])
+            found = part.cast(origins_m, directions, rows[0], local_m)
+            keep_nearer(rows[0], *found, part.planes, self._still_object, np.eye(3)[None], *kept)
         for mover, which in zip(self.movers, rows[1:], strict=True):
             if len(which):
                 seconds = np.zeros(len(which)) if time_ns is None else (time_ns[which] - self.zero_ns) / SECOND_NS
                 R, t = mover.path.at(seconds)
-                index = np.array([mover.object], np.int32)
-                _nearer(hits, which, mover.part, index, origins_m, directions, R, mover.place_m + t)
+                start_m, along = local_rays(origins_m, directions, which, R, mover.place_m + t)
+                found = mover.part.cast(start_m, along, np.arange(len(which)), np.zeros(3))
+                keep_nearer(which, *found, mover.part.planes, np.array([mover.object], np.int32), R, *kept)
         return hits._replace(reflectivity=of_objects(self.scene.reflectivity, hits.object))
 
 
@@ -123,25 +123,3 @@ def _mover(scene: Scene, index: int) -> Mover:
     vertices = scene.vertices_m[used] - place_m
     radius_m = float(np.linalg.norm(vertices, axis=1).max())
     return Mover(index, prepared(motion), place_m, radius_m, Triangles(vertices, local.reshape(-1, 3)))
-
-
-def _nearer(
-    hits: Hits,
-    rows: Rows,
-    part: Triangles,
-    objects: NDArray[np.int32],
-    origins_m: Array,
-    directions: Array,
-    R: Array,
-    t: Array,
-) -> None:
-    """Cast the rays `rows` in a part's own frame, which stands at t and is turned by R; keep in `hits` what is nearer.
-
-    `objects` is one a triangle, or one for all.
-    """
-    rays, narrow = local_rays(origins_m, directions, rows, R, t)
-    hit_m, triangle = part.cast(rays, narrow)
-    kept = keep_nearer(rays, rows, hit_m, triangle, part.planes, objects, GRAZING_M, hits.range_m, hits.object)
-    if len(hits.normal):
-        normal = part.planes[triangle[kept], :3]
-        hits.normal[rows[kept]] = rotated(R if len(R) == 1 else R[kept], normal)

@@ -88,7 +88,7 @@ class Path3:
 
         Raises ConfigError outside the timed poses.
         """
-        if self.motion == STANDING:
+        if self.stands:
             return np.eye(3)[None], np.zeros((1, 3))
         if self.motion.velocity_m_s is not None:
             return np.eye(3)[None], seconds[:, None] * np.array(self.motion.velocity_m_s)
@@ -107,6 +107,11 @@ class Path3:
 
         R, t = posed(np.asarray(seconds, np.float64), self.times_s, self.positions_m, self.rotations, self.turns_rad)
         return R, t
+
+    @property
+    def stands(self) -> bool:
+        """Whether it never moves: it is the same at all times."""
+        return self.motion == STANDING
 
     def check_span(self, first_s: float, last_s: float) -> None:
         """Raises ConfigError unless the timed poses, if that is what they are, cover these times."""
@@ -174,7 +179,7 @@ class Trajectory:
 
     def motion(self, time_ns: NDArray[np.int64]) -> tuple[Array, Array]:
         """R (n or 1, 3, 3) and t (n or 1, 3) from the vehicle's frame into the one where it started."""
-        return self.path.at((time_ns - self.zero_ns) / SECOND_NS)
+        return self.path.at(np.empty(0) if self.path.stands else (time_ns - self.zero_ns) / SECOND_NS)
 
     def pose(self, time_ns: int) -> Array:
         """T_world_vehicle (4, 4) at one time."""
@@ -185,7 +190,7 @@ class Trajectory:
 
     def velocity_m_s(self, time_ns: NDArray[np.int64]) -> Array:
         """(n, 3) in the world: over the millisecond around the times (n,), or what of it the poses cover."""
-        if self.path.motion == STANDING:
+        if self.path.stands:
             return np.zeros((len(time_ns), 3))
         ends = np.stack([time_ns - STEP_NS // 2, time_ns + STEP_NS // 2])
         if len(self.path.times_s):

@@ -6,10 +6,13 @@ is cast once more, moved past the edge: there it meets the neighbour, or whateve
 """
 
 # mypy: disallow-untyped-decorators=False
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lidarcfg.capture.ray_kernels import narrowed
 from lidarcfg.geometry import Array
 
 HAIR_M = 2e-4  # beyond what float32 is off by within a sensor's range
@@ -19,6 +22,7 @@ PAST = 2.0  # hairs beyond an edge, for a second look
 MOVES_MAX = 4  # past the rims of so many triangles, as where some meet in a corner
 SHARP = 0.1  # the sine of a corner's angle; one that is sharper is not moved out further
 FLAT = 1e-12  # of its longest edge: a triangle of less height has no area, and nothing meets it
+GRAZING_M = 0.01  # a plane's range further than this from float32's is rounding's
 BESIDE = 1e-9  # of a triangle: by so much a ray may pass beside it, lest it slip through in float64
 
 Index = NDArray[np.int64]
@@ -50,24 +54,36 @@ class Triangles:
             index = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
             self._scene.add_triangles(tensor(corners.reshape(-1, 3).astype(np.float32)), tensor(index))
 
-    def cast(self, rays: Array, narrow: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-        """How far (N,) rays (N, 6) along unit vectors get, inf for nothing, and the triangles (N,) that they meet."""
-        hit_m, triangle, uv = self._cast(narrow)
-        hit, met, rows = hit_m, triangle, np.arange(len(rays))
-        for _ in range(MOVES_MAX):
-            which, rays = beside(rays, hit, met, uv, self._rim, self._hair_m, self._vertices_m, self._triangles)
-            if not len(which):
-                break
-            rows = rows[which]
-            hit, met, uv = self._cast(rays.astype(np.float32))
-            hit_m[rows], triangle[rows] = hit, met
-        return hit_m, triangle
+    def cast(
+        self, origins_m: Array, directions: Array, pick: Index, place_m: Array
+    ) -> tuple[Array, NDArray[np.uint32]]:
+        """How far the rays `pick` (M,) of (N, 3) get, inf for nothing, and the triangles (M,) that they meet.
 
-    def _cast(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
+        Directions are unit vectors; origins are in a frame in which that of the triangles stands at place_m (3,).
+        """
+        range_m, triangle, rows, moved_m = self._look(origins_m, origins_m, directions, pick, place_m)
+        for _ in range(MOVES_MAX):
+            if not len(rows):
+                break
+            rays = moved_m, origins_m[pick[rows]] - place_m, directions[pick[rows]]
+            range_m[rows], triangle[rows], again, moved_m = self._look(*rays, np.arange(len(rows)), np.zeros(3))
+            rows = rows[again]
+        return range_m, triangle
+
+    def _look(
+        self, start_m: Array, origins_m: Array, directions: Array, pick: Index, place_m: Array
+    ) -> tuple[Array, NDArray[np.uint32], Index, Array]:
+        """The same of rays that are cast from `start_m` (N, 3), beside their origins, and what `met` says of them."""
         import open3d as o3d
 
-        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
-        return found["t_hit"].numpy(), found["primitive_ids"].numpy(), found["primitive_uvs"].numpy()
+        narrow = narrowed(start_m, directions, pick, place_m)
+        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(narrow))
+        hit_m, triangle, uv = (found[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
+        rays = start_m, origins_m, directions, pick, place_m
+        range_m, again, moved_m = met(
+            *rays, hit_m, triangle, uv, self.planes, self._rim, self._hair_m, self._vertices_m, self._triangles
+        )
+        return range_m, triangle, again, moved_m
 
 
 def enlarged(corners: Array, by_m: Array) -> Array:
@@ -86,43 +102,63 @@ def _unit(vectors: Array) -> Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def beside(
-    rays: Array,
+def met(
+    start_m: Array,
+    origins_m: Array,
+    directions: Array,
+    pick: Index,
+    place_m: Array,
     hit_m: NDArray[np.float32],
     triangle: NDArray[np.uint32],
     uv: NDArray[np.float32],
+    planes: Array,
     rim: NDArray[np.float32],
     hair_m: Array,
     vertices_m: Array,
     triangles: Index,
-) -> tuple[Index, Array]:
-    """Which rays (N, 6) hit the rim of their triangle and pass beside it in float64, and the same moved past its edge.
+) -> tuple[Array, Index, Array]:
+    """How far (M,) the rays `pick` (M,) get that were cast from `start_m` (N, 3) and hit triangles (M,) at hit_m (M,).
 
-    uv (N, 2) says where they hit, rim (T,) how near to an edge that must be to be looked at; hair_m is (T,).
+    That is for the triangle's plane (n·p = d) to say, unless it is further than GRAZING_M from the hit, as where it is
+    seen edge on. And which of the rays hit the rim of their triangle, but in float64 pass beside it, and where to
+    start them anew, past its edge: in the triangles' frame, which stands at place_m (3,). uv (M, 2) says where they
+    hit, rim (T,) how near to an edge that must be to be looked at; hair_m is (T,).
     """
-    rows, moved, count = np.empty(len(rays), np.int64), np.empty_like(rays), 0
+    range_m, rows, moved_m, count = np.empty(len(pick)), np.empty(len(pick), np.int64), np.empty((len(pick), 3)), 0
     corners, normal, out = np.empty((3, 3)), np.empty(3), np.empty(3)
-    for i in range(len(rays)):
-        if not hit_m[i] < np.inf or min(uv[i, 0], uv[i, 1], 1 - uv[i, 0] - uv[i, 1]) >= rim[triangle[i]]:
+    place_x, place_y, place_z = place_m
+    for i in range(len(pick)):
+        range_m[i] = hit_m[i]
+        if not hit_m[i] < np.inf:
             continue
-        ray = rays[i]
-        for c in range(3):  # relative to the ray's origin
-            corners[c] = vertices_m[triangles[triangle[i], c]] - ray[:3]
+        n, t = pick[i], triangle[i]
+        x, y, z = origins_m[n, 0] - place_x, origins_m[n, 1] - place_y, origins_m[n, 2] - place_z
+        u, v, w = directions[n, 0], directions[n, 1], directions[n, 2]
+        away_m = planes[t, 3] - (planes[t, 0] * x + planes[t, 1] * y + planes[t, 2] * z)
+        exact_m = away_m / (planes[t, 0] * u + planes[t, 1] * v + planes[t, 2] * w)
+        if abs(exact_m - hit_m[i]) < GRAZING_M:
+            range_m[i] = max(exact_m, 0.0)  # a ray that starts on the plane, by float32
+        if min(uv[i, 0], uv[i, 1], 1 - uv[i, 0] - uv[i, 1]) >= rim[t]:
+            continue
+        for k in range(3):  # relative to the ray's start
+            corners[k] = vertices_m[triangles[t, k]] - (start_m[n] - place_m)
         _cross(corners[1] - corners[0], corners[2] - corners[0], normal)
-        rise = normal[0] * ray[3] + normal[1] * ray[4] + normal[2] * ray[5]
+        rise = normal[0] * u + normal[1] * v + normal[2] * w
         least, edge = -BESIDE, -1  # the share of the corner across an edge is negative beyond it
-        for c in range(3):
-            _cross(corners[(c + 1) % 3], corners[(c + 2) % 3], out)
-            share = (out[0] * ray[3] + out[1] * ray[4] + out[2] * ray[5]) / rise
+        for k in range(3):
+            _cross(corners[(k + 1) % 3], corners[(k + 2) % 3], out)
+            share = (out[0] * u + out[1] * v + out[2] * w) / rise
             if share < least:
-                least, edge = share, c
+                least, edge = share, k
         if edge < 0:
             continue
         _cross(corners[(edge + 2) % 3] - corners[(edge + 1) % 3], normal, out)
-        rows[count], moved[count] = i, ray
-        moved[count, :3] += out * (PAST * hair_m[triangle[i]] / np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2))
+        step = PAST * hair_m[t] / math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
+        for k in range(3):
+            moved_m[count, k] = start_m[n, k] - place_m[k] + out[k] * step
+        rows[count] = i
         count += 1
-    return rows[:count], moved[:count]
+    return range_m, rows[:count], moved_m[:count]
 
 
 @njit(cache=True, nogil=True)

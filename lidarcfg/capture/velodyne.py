@@ -82,19 +82,23 @@ def encode(
     firing, facts = firing_facts(sensor)
     dual = return_mode == "dual"
     _check_encodable(sensor, dual)
-    distance = wire_distance(sensor, range_m if dual else range_m[..., None])
-
-    order, span = slots(facts, dual), _span(facts, dual)
+    number, span = slots(facts, dual), _span(facts, dual)
     first_laser = int(np.argmin(firing.offset_ns))
     head = firings.azimuth_rad[:, :: facts.sequences_per_block, first_laser]
     packets = np.zeros(len(range_m), PACKET)
-    blocks = packets["blocks"][:, : len(order)]
-    blocks["flag"] = np.tile(_flags(facts, dual), len(order) // span)
+    blocks = packets["blocks"][:, : len(number)]
+    blocks["flag"] = np.tile(_flags(facts, dual), len(number) // span)
     blocks["azimuth"] = np.repeat(np.rint(head / RADIANS).astype(np.int64) % TURN, span, axis=1)
-    shape = len(packets), *order.shape
-    intensity = np.where(distance > 0, reflectivity.reshape(distance.shape), np.uint8(0))
-    for key, values in ("distance", distance), ("intensity", intensity):
-        blocks["returns"][key] = values.reshape(len(packets), -1)[:, order] if dual else values.reshape(shape)
+    offset_m = sensor.distance_offset_m[number // (1 + dual) % sensor.count]
+    ray_kernels.fill(
+        _flat(range_m, len(packets)),
+        _flat(reflectivity, len(packets)),
+        number,
+        offset_m,
+        _limits(sensor),
+        blocks["returns"]["distance"],
+        blocks["returns"]["intensity"],
+    )
     stamps_ns, _ = packet_stamps_ns(sensor, firings)
     packets["stamp_us"] = stamp_us(stamps_ns)
     if facts.return_modes:
@@ -108,10 +112,14 @@ def encode(
 
 def wire_distance(sensor: Sensor, range_m: Array) -> NDArray[np.uint16]:
     """What the packet says of ranges (…, L, R) in metres: whole units, 0 for what it cannot say or is not measured."""
-    facts = range_facts(sensor)
     each = np.ascontiguousarray(range_m, np.float64).reshape(-1, *range_m.shape[-2:])
-    limits = facts.min_m, facts.max_m, facts.resolution_m, DISTANCE_MAX
-    return np.asarray(ray_kernels.wire(each, sensor.distance_offset_m, *limits)).reshape(range_m.shape)
+    return np.asarray(ray_kernels.wire(each, sensor.distance_offset_m, _limits(sensor))).reshape(range_m.shape)
+
+
+def _limits(sensor: Sensor) -> tuple[float, float, float, float]:
+    """What is measured, from and to, in metres; the packet's unit; and how many of them it can say."""
+    facts = range_facts(sensor)
+    return facts.min_m, facts.max_m, facts.resolution_m, float(DISTANCE_MAX)
 
 
 def _check_encodable(sensor: Sensor, dual: bool) -> None:
@@ -264,6 +272,11 @@ def _slots(sensor: Sensor, dual: bool) -> kernels.Slots:
 def _read_only(field: NDArray[Any]) -> NDArray[Any]:
     """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
     return np.broadcast_to(field, field.shape)
+
+
+def _flat(values: NDArray[Any], rows: int) -> NDArray[Any]:
+    """(rows, …) as a matrix, for the kernels."""
+    return _read_only(np.ascontiguousarray(values).reshape(rows, -1))
 
 
 def _check(got: NDArray[np.integer], right: NDArray[np.bool_], what: str, allowed: tuple[int, ...]) -> None:
