@@ -95,7 +95,9 @@ def test_rays_of_a_sensor_that_moves(motion):
     found = []
     for rows in (np.arange(fired.time_ns.size), np.arange(1, fired.time_ns.size, 7)):
         R, t = way.motion(fired.time_ns.ravel()[rows])
-        R, t = chained(outer[:3, :3].copy(), outer[:3, 3].copy(), R, t, inner[:3, :3].copy(), inner[:3, 3].copy())
+        R, t = chained(
+            outer[None, :3, :3].copy(), outer[:3, 3].copy(), R, t, inner[None, :3, :3].copy(), inner[:3, 3].copy()
+        )
         found.append(np.concatenate(aimed(sensor, fired, rows, R, t), axis=1))
     assert (found[0][1::7] == found[1]).all()
     origins, directions = (values.reshape(-1, 3) for values in rays(sensor, fired))

@@ -110,5 +110,5 @@ class Observer:
 
 
 def _parted(T: Array) -> tuple[Array, Array]:
-    """R (3, 3) and t (3,) of a rigid motion (4, 4)."""
-    return np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+    """R (1, 3, 3) and t (3,) of a rigid motion (4, 4)."""
+    return np.ascontiguousarray(T[None, :3, :3]), np.ascontiguousarray(T[:3, 3])

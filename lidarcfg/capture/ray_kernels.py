@@ -9,6 +9,33 @@ SMALL = 0.02  # radians, up to which four terms of sine and cosine are exact
 
 
 @njit(cache=True, nogil=True)
+def _matrix(R, i):
+    """Matrix i of R (n, 3, 3), or the only one, row by row: nine numbers stay in registers where an array does not."""
+    i = min(i, len(R) - 1)
+    return R[i, 0, 0], R[i, 0, 1], R[i, 0, 2], R[i, 1, 0], R[i, 1, 1], R[i, 1, 2], R[i, 2, 0], R[i, 2, 1], R[i, 2, 2]
+
+
+@njit(cache=True, nogil=True)
+def _times(m, x, y, z):
+    """A matrix times a vector."""
+    return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
+
+
+@njit(cache=True, nogil=True)
+def _product(m, n):
+    """Of two matrices."""
+    a, b, c = _times(m, n[0], n[3], n[6]), _times(m, n[1], n[4], n[7]), _times(m, n[2], n[5], n[8])
+    return a[0], b[0], c[0], a[1], b[1], c[1], a[2], b[2], c[2]
+
+
+@njit(cache=True, nogil=True)
+def _write(out, i, m):
+    """To matrix i of out (n, 3, 3)."""
+    for k in range(3):
+        out[i, 0, k], out[i, 1, k], out[i, 2, k] = m[k], m[3 + k], m[6 + k]
+
+
+@njit(cache=True, nogil=True)
 def may_meet(azimuth, tables):
     """By tables (K, sectors, L), of firings (N, L): the numbers (M,) of those that may meet anything; what (K, M)."""
     kinds, sectors, lasers = tables.shape
@@ -77,17 +104,12 @@ def beams(azimuth, rows, elevation, azimuth_offset, left_m, up_m, R, t):
         x, y, z = left_m[k] * s[k], left_m[k] * c[k], up_m[k]
         u, v, w = cos_w[k] * c[k], -cos_w[k] * s[k], sin_w[k]
         if i < len(R):
-            a0, a1, a2 = R[i, 0, 0], R[i, 0, 1], R[i, 0, 2]
-            b0, b1, b2 = R[i, 1, 0], R[i, 1, 1], R[i, 1, 2]
-            c0, c1, c2 = R[i, 2, 0], R[i, 2, 1], R[i, 2, 2]
+            turn = _matrix(R, i)
         if i < len(t):
-            t0, t1, t2 = t[i, 0], t[i, 1], t[i, 2]
-        origins[i, 0] = a0 * x + a1 * y + a2 * z + t0
-        origins[i, 1] = b0 * x + b1 * y + b2 * z + t1
-        origins[i, 2] = c0 * x + c1 * y + c2 * z + t2
-        directions[i, 0] = a0 * u + a1 * v + a2 * w
-        directions[i, 1] = b0 * u + b1 * v + b2 * w
-        directions[i, 2] = c0 * u + c1 * v + c2 * w
+            place = t[i, 0], t[i, 1], t[i, 2]
+        x, y, z = _times(turn, x, y, z)
+        origins[i, 0], origins[i, 1], origins[i, 2] = x + place[0], y + place[1], z + place[2]
+        directions[i, 0], directions[i, 1], directions[i, 2] = _times(turn, u, v, w)
     return origins, directions
 
 
@@ -98,44 +120,54 @@ def posed(seconds, times_s, positions_m, rotations, turns_rad):
     The turns (K - 1, 3) from each rotation (K, 3, 3) to the next are rotation vectors in the frame that turns.
     """
     R, t = np.empty((len(seconds), 3, 3)), np.empty((len(seconds), 3))
-    part = np.empty((3, 3))
+    k = 0
     for i in range(len(seconds)):
-        k = min(max(np.searchsorted(times_s, seconds[i], "right") - 1, 0), len(times_s) - 2)
+        while k < len(times_s) - 2 and seconds[i] >= times_s[k + 1]:
+            k += 1
+        while k > 0 and seconds[i] < times_s[k]:
+            k -= 1
         share = (seconds[i] - times_s[k]) / (times_s[k + 1] - times_s[k])
         x, y, z = share * turns_rad[k, 0], share * turns_rad[k, 1], share * turns_rad[k, 2]
         angle = math.sqrt(x * x + y * y + z * z)
         a = math.sin(angle) / angle if angle > 0 else 1.0
         b = 2 * (math.sin(angle / 2) / angle) ** 2 if angle > 0 else 0.5
-        part[0] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-        part[1] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
-        part[2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+        above = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+        middle = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+        below = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+        _write(R, i, _product(_matrix(rotations, k), above + middle + below))
         for j in range(3):
             t[i, j] = positions_m[k, j] + share * (positions_m[k + 1, j] - positions_m[k, j])
-            for m in range(3):
-                R[i, j, m] = (
-                    rotations[k, j, 0] * part[0, m] + rotations[k, j, 1] * part[1, m] + rotations[k, j, 2] * part[2, m]
-                )
+    return R, t
+
+
+@njit(cache=True, nogil=True)
+def arced(seconds, speed_m_s, rate_rad_s, heading_rad):
+    """The same along a circle at a constant speed, from the origin at time 0, where it heads that far from x."""
+    R, t = np.zeros((len(seconds), 3, 3)), np.zeros((len(seconds), 3))
+    cos_0, sin_0 = math.cos(heading_rad), math.sin(heading_rad)
+    for i in range(len(seconds)):
+        half = seconds[i] * rate_rad_s / 2
+        c, s = math.cos(half), math.sin(half)
+        chord_m = speed_m_s * seconds[i] * (s / half if half != 0 else 1.0)
+        t[i, 0], t[i, 1] = chord_m * (c * cos_0 - s * sin_0), chord_m * (s * cos_0 + c * sin_0)
+        R[i, 0, 0] = R[i, 1, 1] = 1 - 2 * s * s
+        R[i, 1, 0], R[i, 0, 1], R[i, 2, 2] = 2 * s * c, -2 * s * c, 1.0
     return R, t
 
 
 @njit(cache=True, nogil=True)
 def chained(outer_R, outer_t, R, t, inner_R, inner_t):
-    """Rotations (M, 3, 3) and places (M, 3) of frames in frames that move by R (M or 1, 3, 3) and t (M or 1, 3)."""
-    count = max(len(R), len(t)) if min(len(R), len(t)) else 0
-    turns, places = np.empty((count, 3, 3)), np.empty((count, 3))
-    both, middle = np.empty((3, 3)), np.empty(3)
+    """Rotations and places of frames in frames that move by R (M or 1, 3, 3) and t (M or 1, 3): as many of each."""
+    count, outer, inner = max(len(R), len(t)) if min(len(R), len(t)) else 0, _matrix(outer_R, 0), _matrix(inner_R, 0)
+    turns, places = np.empty((min(len(R), count), 3, 3)), np.empty((count, 3))
     for i in range(count):
-        turn, place = R[min(i, len(R) - 1)], t[min(i, len(t) - 1)]
-        for j in range(3):
-            middle[j] = place[j]
-            for k in range(3):
-                both[j, k] = turn[j, 0] * inner_R[0, k] + turn[j, 1] * inner_R[1, k] + turn[j, 2] * inner_R[2, k]
-                middle[j] += turn[j, k] * inner_t[k]
-        for j in range(3):
-            places[i, j] = outer_t[j]
-            for k in range(3):
-                turns[i, j, k] = outer_R[j, 0] * both[0, k] + outer_R[j, 1] * both[1, k] + outer_R[j, 2] * both[2, k]
-                places[i, j] += outer_R[j, k] * middle[k]
+        if i < len(R):
+            both = _product(outer, _matrix(R, i))
+            _write(turns, i, _product(both, inner))
+            x, y, z = _times(both, inner_t[0], inner_t[1], inner_t[2])
+        if i < len(t):
+            u, v, w = _times(outer, t[i, 0], t[i, 1], t[i, 2])
+        places[i, 0], places[i, 1], places[i, 2] = x + u + outer_t[0], y + v + outer_t[1], z + w + outer_t[2]
     return turns, places
 
 
@@ -178,12 +210,12 @@ def local_rays(origins_m, directions, rows, R, t):
     """The rays `rows` (M,) of (N, 3), in a frame that stands at t (M or 1, 3) and is turned by R (M or 1, 3, 3)."""
     origins, along = np.empty((len(rows), 3)), np.empty((len(rows), 3))
     for i in range(len(rows)):
-        turn, place, n = R[min(i, len(R) - 1)], t[min(i, len(t) - 1)], rows[i]
-        x, y, z = origins_m[n, 0] - place[0], origins_m[n, 1] - place[1], origins_m[n, 2] - place[2]
+        k, n, m = min(i, len(t) - 1), rows[i], _matrix(R, i)
+        back = m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]
+        x, y, z = origins_m[n, 0] - t[k, 0], origins_m[n, 1] - t[k, 1], origins_m[n, 2] - t[k, 2]
+        origins[i, 0], origins[i, 1], origins[i, 2] = _times(back, x, y, z)
         u, v, w = directions[n, 0], directions[n, 1], directions[n, 2]
-        for k in range(3):
-            origins[i, k] = turn[0, k] * x + turn[1, k] * y + turn[2, k] * z
-            along[i, k] = turn[0, k] * u + turn[1, k] * v + turn[2, k] * w
+        along[i, 0], along[i, 1], along[i, 2] = _times(back, u, v, w)
     return origins, along
 
 
@@ -212,9 +244,10 @@ def keep_nearer(rows, found_m, triangle, planes, objects, R, range_m, object_, n
             range_m[n] = found_m[i]
             object_[n] = objects[triangle[i] if len(objects) > 1 else 0]
             if len(normal):
-                turn, plane = R[min(i, len(R) - 1)], planes[triangle[i]]
-                for k in range(3):
-                    normal[n, k] = turn[k, 0] * plane[0] + turn[k, 1] * plane[1] + turn[k, 2] * plane[2]
+                k = triangle[i]
+                normal[n, 0], normal[n, 1], normal[n, 2] = _times(
+                    _matrix(R, i), planes[k, 0], planes[k, 1], planes[k, 2]
+                )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

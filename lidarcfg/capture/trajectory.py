@@ -92,20 +92,19 @@ class Path3:
             return np.eye(3)[None], np.zeros((1, 3))
         if self.motion.velocity_m_s is not None:
             return np.eye(3)[None], seconds[:, None] * np.array(self.motion.velocity_m_s)
+        from lidarcfg.capture import ray_kernels
+
         if self.motion.arc is not None:
             arc = self.motion.arc
-            half = seconds * (math.radians(arc.yaw_rate_deg_s) / 2)
-            chord, bearing = arc.speed_m_s * seconds * np.sinc(half / math.pi), half + math.radians(arc.heading_deg)
-            t = np.stack([chord * np.cos(bearing), chord * np.sin(bearing), 0 * chord], axis=1)
-            c, s, R = np.cos(2 * half), np.sin(2 * half), np.zeros((len(seconds), 3, 3))
-            R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1
+            turn_rad_s, heading_rad = math.radians(arc.yaw_rate_deg_s), math.radians(arc.heading_deg)
+            R, t = ray_kernels.arced(np.asarray(seconds, np.float64), arc.speed_m_s, turn_rad_s, heading_rad)
             return R, t
         if not len(seconds):
             return np.empty((0, 3, 3)), np.empty((0, 3))
         self.check_span(float(seconds.min()), float(seconds.max()))
-        from lidarcfg.capture.ray_kernels import posed
-
-        R, t = posed(np.asarray(seconds, np.float64), self.times_s, self.positions_m, self.rotations, self.turns_rad)
+        R, t = ray_kernels.posed(
+            np.asarray(seconds, np.float64), self.times_s, self.positions_m, self.rotations, self.turns_rad
+        )
         return R, t
 
     @property
