@@ -1,4 +1,7 @@
-"""Plain-loop twins of the placement kernels, written from the paper's text, and the released program's rule."""
+"""Plain-loop twins of the placement kernels, written from the paper's text, and the released program's rule.
+
+Below them those of casting: triangles made ready.
+"""
 
 import itertools
 import math
@@ -302,3 +305,33 @@ def wholes(count, pairs):
                 least[a] = least[b] = min(least[a], least[b])
                 changed = True
     return least
+
+
+def measured(vertices, triangles, hair, share, rim, sharp, flat):
+    """Of triangles: planes (n, d), hairs, rims, and corners moved out; the numbers are the module's constants."""
+    found = []
+    for triangle in triangles:
+        corners = [vertices[v] for v in triangle]
+        edges = [[corners[(c + 1) % 3][k] - corners[c][k] for k in range(3)] for c in range(3)]
+        lengths = [length(edge) for edge in edges]
+        along = [[e / n if n > 0 else 0.0 for e in edge] for edge, n in zip(edges, lengths, strict=True)]
+        normal, longest = cross(edges[2], edges[0]), max(lengths)
+        doubled, moves = length(normal), [0.0] * 3
+        by = min(share * longest, hair)
+        if doubled <= flat * longest**2:
+            doubled, corners = 1.0, [corners[0]] * 3
+        else:
+            moves = [by / max(length(cross(along[c - 1], along[c])), sharp) for c in range(3)]
+        normal = [n / doubled for n in normal]
+        plane = [*normal, normal[0] * corners[0][0] + normal[1] * corners[0][1] + normal[2] * corners[0][2]]
+        moved = [[corners[c][k] + (along[c - 1][k] - along[c][k]) * moves[c] for k in range(3)] for c in range(3)]
+        found.append((plane, by, rim * by * longest / doubled, moved))
+    return zip(*found, strict=True)
+
+
+def length(v):
+    return math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+
+
+def cross(a, b):
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

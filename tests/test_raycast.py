@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.triangles import PAST, Triangles, met
+from lidarcfg.capture.triangles import FLAT, HAIR_M, PAST, RIM, SHARE, SHARP, Triangles, measured, met
 from lidarcfg.geometry import directions
-from tests import edges
+from tests import edges, naive
 from tests.capture_fixtures import scene
 
 TEXT = """
@@ -98,6 +98,27 @@ def test_open_sheets_end_at_their_edges(tmp_path):
         origins = np.stack([x, 0.3 * x, np.full(7, start)], axis=1)
         range_m = Raycaster(stage, np.zeros(3)).cast(origins, np.tile([0.0, 0, way], (7, 1)))[0]
         assert range_m.tolist() == [5, 5, 5, np.inf, np.inf, 5, np.inf]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e4, 1e7])
+def test_triangles_are_measured(scale):
+    """Bit for bit as in plain loops: any, needles, and such as have no area."""
+    rng = np.random.default_rng(7)
+    vertices = rng.normal(size=(300, 3))
+    vertices[100:200] = vertices[:100] + rng.normal(size=(100, 3)) * 10.0 ** -rng.integers(3, 16, (100, 1))
+    vertices[200:] = 3 * vertices[:100]
+    rows = np.arange(100)
+    needles, flat = np.stack([rows, rows + 100, rows + 200], axis=1), np.stack([rows, rows + 200, rows], axis=1)
+    faces = np.concatenate([rng.integers(0, 300, (300, 3)), needles, flat, np.full((1, 3), 5)])
+    vertices *= scale
+    planes, hair_m, rim, corners = measured(vertices, faces)
+    twin = naive.measured(vertices.tolist(), faces.tolist(), HAIR_M, SHARE, RIM, SHARP, FLAT)
+    plane, hair, wide, moved = (np.array(values) for values in twin)
+    assert np.array_equal(planes, plane)
+    assert np.array_equal(hair_m, hair)
+    assert np.array_equal(rim, wide.astype(np.float32))
+    assert np.array_equal(corners, moved.reshape(-1, 3).astype(np.float32))
+    assert all(len(values) == 0 for values in measured(vertices, faces[:0]))
 
 
 def test_which_rays_pass_beside_their_triangle():

@@ -36,23 +36,12 @@ class Triangles:
         import open3d as o3d
 
         self._vertices_m, self._triangles = vertices_m, triangles
-        corners = vertices_m[triangles]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        doubled = np.linalg.norm(normal, axis=1)
-        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-        flat = doubled <= FLAT * longest**2
-        doubled[flat] = 1.0
-        normal /= doubled[:, None]
-        self.planes = np.column_stack([normal, np.einsum("ij,ij->i", normal, corners[:, 0])])  # (T, 4) n·p = d
-        self._hair_m = np.minimum(SHARE * longest, HAIR_M)
-        self._rim = (RIM * self._hair_m * longest / doubled).astype(np.float32)  # (T,) in barycentric coordinates
-        corners = enlarged(corners, self._hair_m)
-        corners[flat] = corners[flat, :1]
+        self.planes, self._hair_m, self._rim, corners = measured(vertices_m, triangles)
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(triangles):
             tensor = o3d.core.Tensor.from_numpy
-            index = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
-            self._scene.add_triangles(tensor(corners.reshape(-1, 3).astype(np.float32)), tensor(index))
+            index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+            self._scene.add_triangles(tensor(corners), tensor(index))
 
     def cast(
         self, origins_m: Array, directions: Array, pick: Index, place_m: Array
@@ -86,19 +75,52 @@ class Triangles:
         return range_m, triangle, again, moved_m
 
 
-def enlarged(corners: Array, by_m: Array) -> Array:
-    """Triangles (T, 3, 3) with every edge moved out by_m (T,) in its plane; by less towards a sharp corner."""
-    ahead, behind = (_unit(corners - np.roll(corners, step, axis=1)) for step in (-1, 1))
-    sine = np.linalg.norm(np.cross(ahead, behind), axis=2, keepdims=True)
-    moved: Array = corners + (ahead + behind) * (by_m[:, None, None] / np.maximum(sine, SHARP))
-    return moved
+@njit(cache=True, nogil=True, error_model="numpy")
+def measured(vertices_m: Array, triangles: Index) -> tuple[Array, Array, NDArray[np.float32], NDArray[np.float32]]:
+    """Of triangles (T, 3): planes (T, 4), n·p = d; hairs (T,); rims (T,) in barycentric coordinates; larger corners.
+
+    The corners (3 T, 3) are of triangles with every edge moved out by a hair, by less towards a sharp corner. A
+    triangle without area becomes a point there.
+    """
+    count = len(triangles)
+    planes, hair_m, rim = np.empty((count, 4)), np.empty(count), np.empty(count, np.float32)
+    larger = np.empty((3 * count, 3), np.float32)
+    corners, edges, units = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    normal, across = np.empty(3), np.empty(3)
+    for t in range(count):
+        longest = 0.0
+        for c in range(3):
+            for k in range(3):
+                corners[c, k] = vertices_m[triangles[t, c], k]
+        for c in range(3):  # from each corner to the next
+            for k in range(3):
+                edges[c, k] = corners[(c + 1) % 3, k] - corners[c, k]
+            length = _length(edges[c])
+            for k in range(3):
+                units[c, k] = edges[c, k] / length if length > 0 else 0.0
+            longest = max(longest, length)
+        _cross(edges[2], edges[0], normal)
+        doubled = _length(normal)
+        flat = doubled <= FLAT * longest**2
+        if flat:
+            doubled = 1.0
+        for k in range(3):
+            planes[t, k] = normal[k] / doubled
+        planes[t, 3] = planes[t, 0] * corners[0, 0] + planes[t, 1] * corners[0, 1] + planes[t, 2] * corners[0, 2]
+        hair_m[t] = min(SHARE * longest, HAIR_M)
+        rim[t] = RIM * hair_m[t] * longest / doubled
+        for c in range(3):
+            behind = (c + 2) % 3
+            _cross(units[behind], units[c], across)
+            by_m = 0.0 if flat else hair_m[t] / max(_length(across), SHARP)
+            for k in range(3):
+                larger[3 * t + c, k] = corners[0 if flat else c, k] + (units[behind, k] - units[c, k]) * by_m
+    return planes, hair_m, rim, larger
 
 
-def _unit(vectors: Array) -> Array:
-    """The same of unit length; what has none stays."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unit: Array = vectors / np.where(length > 0, length, 1.0)
-    return unit
+@njit(cache=True, nogil=True)
+def _length(vector: Array) -> float:
+    return float(np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
