@@ -1,6 +1,6 @@
 """Plain-loop twins of the placement kernels, written from the paper's text, and the released program's rule.
 
-Below them those of casting: triangles made ready.
+Below them those of casting: triangles made ready, and what of them beams can meet.
 """
 
 import itertools
@@ -335,3 +335,40 @@ def length(v):
 
 def cross(a, b):
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def gathered(vertices, triangles, size):
+    """Boxes [low, high] around pieces of triangles no longer than `size`, cell by cell, as cells are met."""
+    boxes = {}
+    for triangle in triangles:
+        pieces = [[vertices[v] for v in triangle]]
+        while pieces:
+            piece = pieces.pop()
+            squares = []
+            for c in range(3):
+                x, y, z = (piece[(c + 1) % 3][k] - piece[c][k] for k in range(3))
+                squares.append(x * x + y * y + z * z)
+            c = squares.index(max(squares))
+            if squares[c] > size * size:
+                middle = [(a + b) / 2 for a, b in zip(piece[c], piece[(c + 1) % 3], strict=True)]
+                pieces += [[*piece[:end], middle, *piece[end + 1 :]] for end in ((c + 1) % 3, c)]
+                continue
+            low, high = ([pick(axis) for axis in zip(*piece, strict=True)] for pick in (min, max))
+            box = boxes.setdefault(tuple(math.floor((low[k] + high[k]) / 2 / size) for k in range(3)), [low, high])
+            box[0] = [min(pair) for pair in zip(box[0], low, strict=True)]
+            box[1] = [max(pair) for pair in zip(box[1], high, strict=True)]
+    return list(boxes.values())
+
+
+def comes_near(towards, half, elevation, azimuth_offset, sectors):
+    """Whether, sector by sector, a laser comes within an angle of a unit vector: by its beam that comes nearest."""
+    step, middle = 2 * math.pi / sectors, math.atan2(-towards[1], towards[0]) - azimuth_offset
+    found = []
+    for sector in range(sectors):
+        past = (middle - sector * step) % (2 * math.pi)  # the sector's start
+        nearest = past if past <= step else min(0, step, key=lambda end: abs(math.remainder(past - end, 2 * math.pi)))
+        azimuth, flat = sector * step + nearest + azimuth_offset, math.cos(elevation)
+        beam = flat * math.cos(azimuth), -flat * math.sin(azimuth), math.sin(elevation)
+        along = sum(b * t for b, t in zip(beam, towards, strict=True))
+        found.append(math.atan2(length(cross(beam, towards)), along) <= half)
+    return found

@@ -57,7 +57,10 @@ class Observer:
         """For the next firings: these are asked in the order of time."""
         first, count = self._fired, fired.time_ns.size
         self._fired += count
-        return Plan(fired, first, self._reach.tables(fired.time_ns) if self._reach and count else None)
+        tables = None
+        if self._reach and count:  # packets are in the order of time; the firings of one need not be
+            tables = self._reach.tables(int(fired.time_ns[0].min()), int(fired.time_ns[-1].max()))
+        return Plan(fired, first, tables)
 
     def report(self, plan: Plan) -> tuple[Echoes, int, int]:
         """What the N firings planned report, (N, 1) or with dual returns (N, 2); how many rays, and how many were cast.

@@ -85,8 +85,8 @@ class Raycaster:
     ) -> Hits:
         """Rays (N, 3) from points of the world along unit vectors at times (N,): what each meets first.
 
-        Without times everything stands where it does at time 0. `may_meet` (1 + movers, N) says which rays can
-        meet what stands still, and each mover; the others are not cast. Normals come only if asked for.
+        Without times everything stands where it does at time 0. `may_meet` (2 + movers, N) says which rays can
+        meet the ground, what stands still, and each mover; the others are not cast. Normals come only if asked for.
         Raises ConfigError outside timed poses.
         """
         count = len(directions)
@@ -97,15 +97,15 @@ class Raycaster:
             normal=np.zeros((count if normals else 0, 3), np.float32),
         )
         everyone = np.arange(count)
-        rows = [everyone] * (1 + len(self.movers)) if may_meet is None else [np.flatnonzero(row) for row in may_meet]
+        rows = [everyone] * (2 + len(self.movers)) if may_meet is None else [np.flatnonzero(row) for row in may_meet]
         kept = hits.range_m, hits.object, hits.normal
         if self.scene.file.ground:
             keep_ground(origins_m, directions, rows[0], self.scene.file.ground.z_m, 0, *kept)
-        if len(rows[0]) and len(self.still_triangles):
+        if len(rows[1]) and len(self.still_triangles):
             local_m, part = self._local(origins_m[0])
-            found = part.cast(origins_m, directions, rows[0], local_m)
-            keep_nearer(rows[0], *found, part.planes, self._still_object, np.eye(3)[None], *kept)
-        for mover, which in zip(self.movers, rows[1:], strict=True):
+            found = part.cast(origins_m, directions, rows[1], local_m)
+            keep_nearer(rows[1], *found, part.planes, self._still_object, np.eye(3)[None], *kept)
+        for mover, which in zip(self.movers, rows[2:], strict=True):
             if len(which):
                 seconds = np.zeros(len(which)) if time_ns is None else (time_ns[which] - self.zero_ns) / SECOND_NS
                 R, t = mover.path.at(seconds)
