@@ -34,7 +34,7 @@ from lidarcfg.rig import Mount, Rig
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export repeats
 YEAR_2000_NS = 946_684_800 * 10**9
-CHUNK_NS, CHUNK_RAYS = 100_000_000, 32_768  # cast at a time, at most
+CHUNK_NS, CHUNK_RAYS = 500_000_000, 131_072  # cast at a time, at most
 AHEAD = 2  # chunks of a sensor that are cast while others are written
 SECOND_NS = 10**9
 POSITIONS = 1024  # position packets at a time

@@ -108,8 +108,8 @@ def firing_chunks(
 def packet_stamps_ns(sensor: Sensor, firings: Firings) -> tuple[Times, Times]:
     """(P,) when each packet is stamped and when it is complete, a sequence after its last one began."""
     firing, _ = firing_facts(sensor)
-    first = firings.time_ns[:, :, 0] - firing.offset_ns[0]
-    return first[:, 0], first[:, -1] + firing.sequence_ns
+    first, last = (firings.time_ns[:, sequence, 0] - firing.offset_ns[0] for sequence in (0, -1))
+    return first, last + firing.sequence_ns
 
 
 def rays(sensor: Sensor, firings: Firings) -> tuple[Array, Array]:

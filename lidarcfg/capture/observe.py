@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Firings, Times, aimed
-from lidarcfg.capture.ray_kernels import chained, may_meet
+from lidarcfg.capture.ray_kernels import chained, may_meet, spread
 from lidarcfg.capture.raycast import NOTHING, Mask, Raycaster
 from lidarcfg.capture.reach import Balls, Reach
 from lidarcfg.capture.returns import Echoes, Met, echoes, single, spread_rad, sub_rays, wide
@@ -80,11 +80,8 @@ class Observer:
 
         def whole(values: NDArray[T], missing: float) -> NDArray[T]:
             """Of all firings (N, K), from those that were cast."""
-            if what is None:
-                return values.reshape(count, width)
-            out = np.full((count, width), missing, values.dtype)
-            out[rows] = values.reshape(-1, width)
-            return out
+            values = values.reshape(-1, width)
+            return values if what is None else spread(values, rows, count, values.dtype.type(missing))
 
         range_m, reflectivity = whole(hits.range_m, np.inf), whole(hits.reflectivity, 0)
         objects = whole(hits.object, NOTHING)

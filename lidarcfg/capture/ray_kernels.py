@@ -39,17 +39,27 @@ def _write(out, i, m):
 def may_meet(azimuth, tables):
     """By tables (K, sectors, L), of firings (N, L): the numbers (M,) of those that may meet anything; what (K, M)."""
     kinds, sectors, lasers = tables.shape
-    flat, scale = azimuth.ravel(), sectors / (2 * math.pi)
-    rows, what, count = np.empty(flat.size, np.int64), np.empty((kinds, flat.size), np.bool_), 0
-    for i in range(flat.size):
-        sector, laser, any_ = int(flat[i] * scale) % sectors, i % lasers, False
-        for k in range(kinds):
-            what[k, count] = tables[k, sector, laser]
-            any_ |= what[k, count]
-        if any_:
-            rows[count] = i
-            count += 1
+    scale = sectors / (2 * math.pi)
+    rows, what, count = np.empty(azimuth.size, np.int64), np.empty((kinds, azimuth.size), np.bool_), 0
+    for n in range(len(azimuth)):
+        for laser in range(lasers):
+            sector, any_ = min(int(azimuth[n, laser] * scale), sectors - 1), False
+            for k in range(kinds):
+                what[k, count] = tables[k, sector, laser]
+                any_ |= what[k, count]
+            rows[count] = n * lasers + laser
+            count += any_
     return rows[:count], what[:, :count].copy()
+
+
+@njit(cache=True, nogil=True)
+def spread(values, rows, count, missing):
+    """Values (M, K) of the firings `rows` (M,) among those of all firings (count, K); the others have none."""
+    out = np.full((count, values.shape[1]), missing, values.dtype)
+    for i in range(len(rows)):
+        for k in range(values.shape[1]):
+            out[rows[i], k] = values[i, k]
+    return out
 
 
 @njit(cache=True, nogil=True)
