@@ -337,27 +337,43 @@ def cross(a, b):
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
-def gathered(vertices, triangles, size):
-    """Boxes [low, high] around pieces of triangles no longer than `size`, cell by cell, as cells are met."""
+def gathered(vertices, triangles, size, small):
+    """Boxes [low, high] around the pieces of triangles in each cell of a grid, as cells are met."""
     boxes = {}
     for triangle in triangles:
-        pieces = [[vertices[v] for v in triangle]]
+        pieces = [([vertices[v] for v in triangle], [-math.inf] * 3, [math.inf] * 3)]
         while pieces:
-            piece = pieces.pop()
-            squares = []
-            for c in range(3):
-                x, y, z = (piece[(c + 1) % 3][k] - piece[c][k] for k in range(3))
-                squares.append(x * x + y * y + z * z)
-            c = squares.index(max(squares))
-            if squares[c] > size * size:
-                middle = [(a + b) / 2 for a, b in zip(piece[c], piece[(c + 1) % 3], strict=True)]
-                pieces += [[*piece[:end], middle, *piece[end + 1 :]] for end in ((c + 1) % 3, c)]
-                continue
+            piece, first, last = pieces.pop()
             low, high = ([pick(axis) for axis in zip(*piece, strict=True)] for pick in (min, max))
-            box = boxes.setdefault(tuple(math.floor((low[k] + high[k]) / 2 / size) for k in range(3)), [low, high])
+            first = [min(max(f, math.floor(x * (1 / size))), e) for f, x, e in zip(first, low, last, strict=True)]
+            last = [max(min(e, math.ceil(x * (1 / size)) - 1), f) for e, x, f in zip(last, high, first, strict=True)]
+            wide = [(high[k] - low[k]) * (last[k] > first[k]) for k in range(3)]
+            if max(wide) > small * size:
+                k = wide.index(max(wide))
+                middle = (first[k] + last[k] + 1) // 2
+                below, above = cut(piece, k, middle * size)
+                pieces.append((below, first, [*last[:k], middle - 1, *last[k + 1 :]]))
+                pieces.append((above, [*first[:k], middle, *first[k + 1 :]], last))
+                continue
+            box = boxes.setdefault(tuple(first), [low, high])
             box[0] = [min(pair) for pair in zip(box[0], low, strict=True)]
             box[1] = [max(pair) for pair in zip(box[1], high, strict=True)]
     return list(boxes.values())
+
+
+def cut(polygon, k, at):
+    """What of a polygon is below a plane across axis k, and what above."""
+    below, above = [], []
+    for here, there in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        below += [here] * (here[k] <= at)
+        above += [here] * (here[k] >= at)
+        if (here[k] < at) != (there[k] < at) and here[k] != at != there[k]:
+            share = (at - here[k]) / (there[k] - here[k])
+            on = [a + (b - a) * share for a, b in zip(here, there, strict=True)]
+            on[k] = at
+            below.append(on)
+            above.append(on)
+    return below, above
 
 
 def comes_near(towards, half, elevation, azimuth_offset, sectors):

@@ -13,7 +13,7 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.ray_kernels import may_meet
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.reach import BALLS, PATIENCE, SECTORS, Reach, balls
-from lidarcfg.capture.reach_kernels import gathered, mark_balls, mark_cap
+from lidarcfg.capture.reach_kernels import SMALL, gathered, mark_balls, mark_cap
 from lidarcfg.capture.trajectory import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.geometry import pose, transform
 from lidarcfg.realism import Realism
@@ -178,7 +178,7 @@ def test_balls_hold_all_that_stands_still(tmp_path, more):
 
 
 def test_pieces_are_gathered(tmp_path):
-    """Bit for bit as in plain loops: small and large triangles, needles, points; until there are too many cells."""
+    """Bit for bit as in plain loops: small and large triangles, needles, points; until there are too many of them."""
     rng = np.random.default_rng(6)
     vertices = np.concatenate(
         [rng.normal(size=(40, 3)) * 3, rng.normal(size=(40, 3)) * 0.1 - 2, [[0, 0, 0], [60, 1, 0]]]
@@ -186,13 +186,16 @@ def test_pieces_are_gathered(tmp_path):
     faces = np.concatenate([rng.integers(0, 82, (30, 3)), [[80, 81, 80], [7, 7, 7], [80, 81, 5]]])
     box = scene(tmp_path, BOX.format([1, 2, 3], [8, 8, 8], ""))  # edges as long as each other
     for vertices_m, triangles in ((vertices, faces), (box.vertices_m, box.triangles)):
-        for size in (0.7, 4.0):
-            boxes = naive.gathered(vertices_m.tolist(), triangles.tolist(), size)
+        for size in (0.5, 4.0):
+            boxes = naive.gathered(vertices_m.tolist(), triangles.tolist(), size, SMALL)
             low, high, enough = gathered(vertices_m, triangles, size, len(boxes))
             assert enough
             assert np.array_equal(np.stack([low, high], axis=1), boxes)
             assert not gathered(vertices_m, triangles, size, len(boxes) - 1)[2]
     assert [len(values) for values in gathered(vertices, faces[:0], 1.0, 8)[:2]] == [0, 0]
+    needle = np.array([[0.1, 0.1, 0.1], [63.9, 0.1, 0.1], [63.9, 0.2, 0.1]])
+    for beside, enough in ((50, True), (100, False)):  # too many cuts, though not too many boxes
+        assert gathered(needle, np.tile([0, 1, 2], (beside, 1)), 1.0, 64)[2] == enough
 
 
 def test_caps_are_marked():

@@ -21,7 +21,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.rig import Mount
 
 SECTORS = 360
-CELL_M, BALLS = 1.0, 16_384  # a ball a cell; cells are so much larger that there are no more balls
+CELL_M, BALLS = 1.0, 16_384  # a ball a cell; cells are doubled until there are no more balls
 TRAVEL_M, TURN_RAD = 0.5, math.radians(2)  # how far a table may be carried along
 WORTH = 0.05  # a table that leaves out less than this share costs more to use than it saves
 PATIENCE = 20  # where a table does not save what it takes to make, as many times are passed over
@@ -37,7 +37,7 @@ class Balls:
 
 
 def balls(caster: Raycaster) -> Balls:
-    """Still triangles, cut into pieces and gathered by the cells of a grid."""
+    """Around still triangles, as they are gathered by the cells of a grid."""
     size_m, enough = CELL_M / 2, False
     while not enough:
         size_m *= 2

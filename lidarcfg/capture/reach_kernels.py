@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 
-CUTS = 128  # of a triangle in a row: two halve its longest edge
+SMALL = 1 / 8  # of a cell: what is no wider is not cut
+CUTS = 64  # a box, at most
+DEPTH = 128  # cuts of a triangle in a row, each of which halves its cells along an axis
+OUT = 2**60  # a cell beyond all others
+CORNERS = 16  # of a piece that is cut further; there are nine, but for rounding
+MIX = 0x5851F42D4C957F2D  # Knuth's multiplier, for a hash of cells
 
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -17,40 +22,48 @@ Mask = NDArray[np.bool_]
 
 @njit(cache=True, nogil=True)
 def gathered(vertices_m: Array, triangles: Index, size_m: float, most: int) -> tuple[Array, Array, bool]:
-    """Low and high corners (C, 3) of boxes that hold all triangles (T, 3), and whether `most` of them are enough.
+    """Low and high corners (C, 3) of boxes that hold all triangles (T, 3); whether `most` are enough, by so many CUTS.
 
-    Triangles are cut across their longest edge until none is longer than `size_m`. Pieces whose middles share a cell
-    of a grid of that size share a box; boxes are in the order in which their cells are met.
+    Triangles are cut where they cross the planes of a grid, unless they are SMALL. Pieces in one of its cells share a
+    box; boxes are in the order in which their cells are met. `size_m` is a power of two, so that no cell is rounded.
     """
     low, high, cells, count, box = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3), np.int64), 0, -1
     slots = 2
     while slots < 2 * most:
         slots *= 2
     table = np.full(slots, -1, np.int64)  # of boxes, by their cells
-    stack, cell, least, largest = np.empty((CUTS, 3, 3)), np.empty(3, np.int64), np.empty(3), np.empty(3)
+    stack, corners = np.empty((DEPTH, 2 * CORNERS, 3)), np.empty(DEPTH, np.int64)  # pieces; so many corners each
+    first, last = np.empty((DEPTH, 3), np.int64), np.empty((DEPTH, 3), np.int64)  # their cells
+    least, largest = np.empty(3), np.empty(3)
+    cuts, scale = CUTS * most, 1 / size_m
     for t in range(len(triangles)):
         for c in range(3):
-            stack[0, c] = vertices_m[triangles[t, c]]
-        height = 1
-        while height:
-            piece = stack[height - 1]
-            a, b, longest = 0, 1, -1.0
-            for c in range(3):
-                d = (c + 1) % 3
-                x, y, z = piece[d, 0] - piece[c, 0], piece[d, 1] - piece[c, 1], piece[d, 2] - piece[c, 2]
-                if x * x + y * y + z * z > longest:
-                    a, b, longest = c, d, x * x + y * y + z * z
-            if longest > size_m * size_m:
-                stack[height] = piece
-                for k in range(3):
-                    stack[height, a, k] = piece[b, k] = (piece[a, k] + piece[b, k]) / 2
-                height += 1
-                continue
-            height -= 1
             for k in range(3):
-                least[k] = min(piece[0, k], piece[1, k], piece[2, k])
-                largest[k] = max(piece[0, k], piece[1, k], piece[2, k])
-                cell[k] = math.floor((least[k] + largest[k]) / 2 / size_m)
+                stack[0, c, k], first[0, k], last[0, k] = vertices_m[triangles[t, c], k], -OUT, OUT
+        corners[0] = 3
+        top = 0
+        while top >= 0:
+            axis, widest = -1, SMALL * size_m
+            for k in range(3):
+                least[k] = largest[k] = stack[top, 0, k]
+                for c in range(1, corners[top]):
+                    least[k], largest[k] = min(least[k], stack[top, c, k]), max(largest[k], stack[top, c, k])
+                first[top, k] = min(max(first[top, k], math.floor(least[k] * scale)), last[top, k])
+                last[top, k] = max(min(last[top, k], math.ceil(largest[k] * scale) - 1), first[top, k])
+                if last[top, k] > first[top, k] and largest[k] - least[k] > widest:
+                    axis, widest = k, largest[k] - least[k]
+            if axis >= 0 and corners[top] <= CORNERS:
+                cuts -= 1
+                if cuts < 0:
+                    return low, high, False
+                middle = (first[top, axis] + last[top, axis] + 1) // 2
+                corners[top], corners[top + 1] = _cut(stack[top], corners[top], axis, middle * size_m, stack[top + 1])
+                first[top + 1], last[top + 1] = first[top], last[top]
+                last[top, axis], first[top + 1, axis] = middle - 1, middle
+                top += 1
+                continue
+            cell = first[top]
+            top -= 1
             if box < 0 or not _same(cell, cells[box]):
                 slot = _slot(cell, cells, table)
                 box = table[slot]
@@ -66,10 +79,34 @@ def gathered(vertices_m: Array, triangles: Index, size_m: float, most: int) -> t
 
 
 @njit(cache=True, nogil=True)
+def _cut(piece: Array, corners: int, axis: int, at_m: float, above: Array) -> tuple[int, int]:
+    """Cut a piece across an axis: what is below stays, the rest is written to `above`; how many corners each has."""
+    whole, below, beyond = piece[:corners].copy(), 0, 0
+    for c in range(corners):
+        here, there = whole[c], whole[(c + 1) % corners]
+        if here[axis] <= at_m:
+            piece[below] = here
+            below += 1
+        if here[axis] >= at_m:
+            above[beyond] = here
+            beyond += 1
+        if min(here[axis], there[axis]) < at_m < max(here[axis], there[axis]):
+            share = (at_m - here[axis]) / (there[axis] - here[axis])
+            for k in range(3):
+                piece[below, k] = above[beyond, k] = here[k] + (there[k] - here[k]) * share
+            piece[below, axis] = above[beyond, axis] = at_m
+            below, beyond = below + 1, beyond + 1
+    return below, beyond
+
+
+@njit(cache=True, nogil=True)
 def _slot(cell: Index, cells: Index, table: Index) -> int:
     """Where a cell (3,) is in a table by open addressing, or where it is to be."""
-    mixed = cell[0] * 73856093 ^ cell[1] * 19349663 ^ cell[2] * 83492791
-    slot = (mixed ^ mixed >> 17) & len(table) - 1
+    mixed = cell[0]
+    for k in (1, 2):
+        mixed = (mixed ^ mixed >> 31) * MIX + cell[k]
+    mixed = (mixed ^ mixed >> 31) * MIX
+    slot = (mixed >> 32) & len(table) - 1
     while table[slot] >= 0 and not _same(cell, cells[table[slot]]):
         slot = (slot + 1) & len(table) - 1
     return int(slot)
