@@ -116,8 +116,7 @@ class _Capture:
     def _add(self, some: Datagrams) -> None:
         """Hand the packets to their sources."""
         keys = some.host.astype(np.int64) << 16 | some.port
-        _, first = np.unique(keys, return_index=True)
-        for key in keys[np.sort(first)].tolist():
+        for key in dict.fromkeys(keys.tolist()):
             endpoint = socket.inet_ntoa((key >> 16).to_bytes(4)), key & 0xFFFF
             if endpoint not in self._endpoints:
                 self._endpoints[endpoint] = self._source(endpoint)

@@ -190,9 +190,13 @@ def points(
     near = lasers.near_offset[slots.laser] if len(lasers.near_offset) else lasers.near_offset
     known = np.full((KNOWN_TURNS, groups), math.nan)  # turns that the tables hold
     cos_t, sin_t = np.empty((KNOWN_TURNS, groups, width)), np.empty((KNOWN_TURNS, groups, width))
-    raw, strength = np.empty(width, np.int64), np.empty(width, np.uint8)
-    kept, kind, paired = np.empty(width, np.bool_), np.empty(width, np.uint8), slots.other[0] >= 0
-    ring = lasers.ring[slots.laser]
+    # One width, so that the compiler can do several at once; indices have no sign, else each would be looked at.
+    raw, strength = np.empty(width, np.int64), np.empty(width, np.int64)
+    kept, kind, return_type = np.empty(width, np.int64), np.empty(width, np.int64), slots.kind.astype(np.int64)
+    paired, other, which = slots.other[0] >= 0, slots.other.astype(np.uint64), np.empty(width, np.uint64)
+    raw_other, strength_other = np.empty(width, np.int64), np.empty(width, np.int64)
+    laser, ring = slots.laser.astype(np.uint8), lasers.ring[slots.laser]
+    share, offset_ns = slots.share.reshape(groups, width), slots.offset_ns.reshape(groups, width)
     c, s, ahead, side = np.empty(width), np.empty(width), np.empty(width), np.empty(width)
     x, y, z = np.empty(width), np.empty(width), np.empty(width)
     count = 0
@@ -203,13 +207,14 @@ def points(
             row = int(turn[p, g]) % KNOWN_TURNS
             if known[row, g] != turn[p, g]:
                 known[row, g] = turn[p, g]
-                _turned(turn[p, g], slots.share[g * width : (g + 1) * width], cos_t[row, g], sin_t[row, g])
+                _turned(turn[p, g], share[g], cos_t[row, g], sin_t[row, g])
             cos_g, sin_g = math.cos(azimuth[p, g] * RADIANS), math.sin(azimuth[p, g] * RADIANS)
             cos_d, sin_d = cos_t[row, g], sin_t[row, g]
-            for k in range(width):
-                raw[k] = distance[p, g * blocks + k // SLOTS, k % SLOTS]
-                strength[k] = intensity[p, g * blocks + k // SLOTS, k % SLOTS]
-            for k in range(width):  # with a return or without: the compiler can do several at once
+            for b in range(blocks):
+                for i in range(SLOTS):
+                    raw[b * SLOTS + i] = distance[p, g * blocks + b, i]
+                    strength[b * SLOTS + i] = intensity[p, g * blocks + b, i]
+            for k in range(width):  # with a return or without
                 cos_a, sin_a = cos_g * cos_d[k] - sin_g * sin_d[k], sin_g * cos_d[k] + cos_g * sin_d[k]
                 c[k], s[k] = cos_a * cos_o[k] - sin_a * sin_o[k], sin_a * cos_o[k] + cos_a * sin_o[k]
                 ahead[k] = side[k] = raw[k] * unit_m + offset[k]
@@ -229,23 +234,44 @@ def points(
                 kind[k] = last[p]
             if paired:
                 for k in range(width):
-                    o = slots.other[k]
-                    same = (raw[k] == raw[o]) & (strength[k] == strength[o])
-                    second = (slots.kind[k] == 0) & (raw[o] != 0) & (strength[k] < strength[o])
-                    kept[k] &= (slots.kind[k] == 0) | ~same
-                    kind[k] = slots.kind[k] + SECOND_STRONGEST * (second & ~same)
+                    raw_other[k], strength_other[k] = raw[other[k]], strength[other[k]]
+                for k in range(width):
+                    differs = (raw[k] != raw_other[k]) | (strength[k] != strength_other[k])
+                    second = (raw_other[k] != 0) & (strength[k] < strength_other[k])
+                    kept[k] &= (return_type[k] == 0) | differs
+                    kind[k] = return_type[k] + SECOND_STRONGEST * ((return_type[k] == 0) & differs & second)
+            found = 0
+            for k in range(width):  # what is not kept is written over: no branch
+                which[found] = k
+                found += kept[k]
             began_ns = stamp_ns[p] + late_ns[p, g]
-            for k in range(width):  # what is not kept is written as well, and then written over: no branch
-                out.xyz[count, 0], out.xyz[count, 1], out.xyz[count, 2] = x[k], y[k], z[k]
-                out.time_ns[count] = began_ns + slots.offset_ns[g * width + k]
-                out.laser[count], out.ring[count] = slots.laser[k], ring[k]
-                out.intensity[count], out.return_type[count] = strength[k], kind[k]
-                if len(out.range_m):
-                    angle = azimuth[p, g] * RADIANS + turn[p, g] * slots.share[g * width + k] * RADIANS
-                    angle += lasers.azimuth_offset[slots.laser[k]]
-                    out.range_m[count] = raw[k] * unit_m + offset[k]
-                    out.azimuth_rad[count] = angle - 2 * math.pi * math.floor(angle / (2 * math.pi))
-                if len(lasers.focal):
-                    out.intensity[count] = _focused(strength[k], raw[k], lasers.focal[slots.laser[k]])
-                count += kept[k]
+            rows = slice(count, count + found)
+            part = Columns(
+                out.xyz[rows],
+                out.range_m[rows],
+                out.azimuth_rad[rows],
+                out.time_ns[rows],
+                out.laser[rows],
+                out.ring[rows],
+                out.intensity[rows],
+                out.return_type[rows],
+            )
+            for j in range(found):
+                k = which[j]
+                part.xyz[j, 0], part.xyz[j, 1], part.xyz[j, 2] = x[k], y[k], z[k]
+                part.time_ns[j] = began_ns + offset_ns[g, k]
+                part.laser[j], part.ring[j] = laser[k], ring[k]
+                part.intensity[j], part.return_type[j] = strength[k], kind[k]
+            if len(out.range_m):
+                for j in range(found):
+                    k = which[j]
+                    angle = azimuth[p, g] * RADIANS + turn[p, g] * share[g, k] * RADIANS
+                    angle += lasers.azimuth_offset[laser[k]]
+                    part.range_m[j] = raw[k] * unit_m + offset[k]
+                    part.azimuth_rad[j] = angle - 2 * math.pi * math.floor(angle / (2 * math.pi))
+            if len(lasers.focal):
+                for j in range(found):
+                    k = which[j]
+                    part.intensity[j] = _focused(strength[k], raw[k], lasers.focal[laser[k]])
+            count += found
     return count

@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import IO, Any
 
@@ -52,6 +53,7 @@ HEADER = 24  # bytes of a classic pcap before its records
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 20
 RECORDS = 1000  # of a pcapng, read at once
+RECORDS_ALIKE = 64  # of a pcap, looked at together
 SPAN_S = 10**8  # a capture is not longer: three years
 SECOND_NS = 10**9
 Times = NDArray[np.int64]
@@ -156,7 +158,7 @@ class Datagrams:
     port: NDArray[np.uint16]  # (N,) the one it was sent to
     start: NDArray[np.int64]  # (N,) where the payload is in `data`
     size: NDArray[np.int64]  # (N,) its bytes
-    data: bytes
+    data: NDArray[np.uint8]
 
     def __getitem__(self, which: NDArray[Any] | slice) -> "Datagrams":
         """Some of them, in the same data."""
@@ -175,7 +177,7 @@ class _Piece:
     time_ns: Times  # (N,)
     start: NDArray[np.int64]  # (N,) where the frame is in `data`
     size: NDArray[np.int64]  # (N,) its bytes
-    data: bytes
+    data: NDArray[np.uint8]
 
 
 def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator[Datagram]:
@@ -184,7 +186,7 @@ def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator
         hosts = [socket.inet_ntoa(host.to_bytes(4)) for host in batch.host.tolist()]
         columns = (batch.time_ns, batch.source_port, batch.port, batch.start, batch.start + batch.size)
         for host, time_ns, source_port, port, start, stop in zip(hosts, *(c.tolist() for c in columns), strict=True):
-            yield Datagram(time_ns, host, source_port, port, batch.data[start:stop])
+            yield Datagram(time_ns, host, source_port, port, batch.data[start:stop].tobytes())
 
 
 def read_batches(path: str | Path, on_note: Callable[[str], None], from_ns: int | None = None) -> Iterator[Datagrams]:
@@ -195,7 +197,7 @@ def read_batches(path: str | Path, on_note: Callable[[str], None], from_ns: int 
     records before it are read and `on_note` is told. Raises PacketError.
     """
     try:
-        with open(path, "rb", BUFFER) as file:
+        with BufferedReader(FileIO(path), BUFFER) as file:
             magic = file.read(4)
             if not magic:
                 raise PacketError(f"{path}: the file is empty")
@@ -209,7 +211,9 @@ def read_batches(path: str | Path, on_note: Callable[[str], None], from_ns: int 
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
-def _pcap_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None], from_ns: int | None) -> Iterator[_Piece]:
+def _pcap_pieces(
+    file: "BufferedReader[FileIO]", name: str, on_note: Callable[[str], None], from_ns: int | None
+) -> Iterator[_Piece]:
     """The frames of a classic pcap."""
     header = file.read(HEADER)
     if len(header) < HEADER:
@@ -219,24 +223,41 @@ def _pcap_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None], fro
     record = RECORD if order == "<" else RECORD.newbyteorder()
     if from_ns is not None:
         file.seek(_place(file, record, unit_ns, from_ns))
-    size_of = struct.Struct(order + "I").unpack_from
-    count, left = 0, b""
-    while piece := file.read(BUFFER):
-        data, at, size, starts = left + piece, 0, 0, []
-        while at + record.itemsize <= len(data):
-            size = size_of(data, at + 8)[0]
-            end = at + record.itemsize + size
-            if size > RECORD_MAX or end > len(data):
-                break
-            starts.append(at)
-            at = end
-        start = np.array(starts, np.int64)
+    count, left = 0, np.empty(0, np.uint8)
+    while True:
+        data = np.empty(len(left) + BUFFER, np.uint8)
+        data[: len(left)] = left
+        read = file.readinto(data[len(left) :].data)
+        if not read:
+            break
+        data = data[: len(left) + read]
+        start, at, size = _records(data, record)
         heads = _gathered(data, start, record)
         yield _Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data)
         _check_size(size, name)
-        count, left = count + len(starts), data[at:]
-    if left:
+        count, left = count + len(start), data[at:]
+    if len(left):
         on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")
+
+
+def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np.int64], int, int]:
+    """Where the whole records at the beginning of the data start (N,), and where they end; the size last read.
+
+    They are often equally long, so each step looks at as many as may be.
+    """
+    sizes = np.ndarray(max(len(data) - record.itemsize + 1, 0), record, data, strides=(1,))["captured"]
+    rows, at, size = [np.empty(0, np.int64)], 0, 0
+    while at < len(sizes):
+        size = int(sizes[at])
+        length = record.itemsize + size
+        if size > RECORD_MAX or at + length > len(data):
+            break
+        stop = min(at + RECORDS_ALIKE * length, len(data) - length + 1)
+        others = np.flatnonzero(sizes[at:stop:length] != size)
+        row = np.arange(at, at + length * int(others[0]) if len(others) else stop, length)
+        rows.append(row)
+        at = int(row[-1]) + length
+    return np.concatenate(rows), at, size
 
 
 def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
@@ -318,7 +339,8 @@ def _other_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None]) ->
     while some := list(itertools.islice(records, RECORDS)):
         sizes = np.array([len(frame) for _, frame in some], np.int64)
         times_ns = np.array([time_ns for time_ns, _ in some], np.int64)
-        yield _Piece(link, times_ns, np.cumsum(sizes) - sizes, sizes, b"".join(frame for _, frame in some))
+        data = np.frombuffer(b"".join(frame for _, frame in some), np.uint8)
+        yield _Piece(link, times_ns, np.cumsum(sizes) - sizes, sizes, data)
 
 
 def _whole_records(
@@ -351,7 +373,7 @@ def _checked_link(link: int, name: str) -> int:
     return link
 
 
-def _gathered(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+def _gathered(data: NDArray[np.uint8], start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
     """(N,) of a dtype, whose bytes start at these places."""
     kind = np.dtype((np.void, dtype.itemsize))  # copied whole, not field by field
     everywhere = np.ndarray(max(len(data) - dtype.itemsize + 1, 0), kind, data, strides=(1,))

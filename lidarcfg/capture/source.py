@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Times, firing_facts, packet_period_ns
 from lidarcfg.capture.identify import alike, check_period, identify
-from lidarcfg.capture.velodyne import HOUR_US, PACKET, TURN, Packets, decode, device_time_ns, is_dual
+from lidarcfg.capture.velodyne import HOUR_US, PACKET, TURN, Packets, decode, device_time_ns, is_dual, one_of
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
@@ -150,8 +150,10 @@ class Source:
     def _check_ids(self, sensor: Sensor, packets: Packets) -> None:
         """Raises PacketError if a packet says that it is of another model."""
         _, facts = firing_facts(sensor)
-        wrong = ~np.isin(packets["product_id"], facts.product_ids)
-        if self._trusted and facts.product_ids and wrong.any():
+        if not (self._trusted and facts.product_ids):
+            return
+        wrong = ~one_of(packets["product_id"], facts.product_ids)
+        if wrong.any():
             raise PacketError(
                 f"{self._where} sends product id 0x{packets['product_id'][wrong][0]:02X}, not "
                 f"{sensor.name}'s 0x{facts.product_id:02X}; --model says what it is all the same"

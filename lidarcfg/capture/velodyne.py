@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -181,7 +182,8 @@ def decode(
     if facts.return_modes:
         allowed = facts.return_modes.strongest, facts.return_modes.last, facts.return_modes.dual
         modes = packets["return_mode"]
-        _check(modes, np.isin(modes, allowed if facts.dual else allowed[:2]), f"{sensor.name}: return mode", allowed)
+        known = one_of(modes, allowed if facts.dual else allowed[:2])
+        _check(modes, known, f"{sensor.name}: return mode", allowed)
     dual = is_dual(facts, packets)
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
     edges = [0, *(np.flatnonzero(np.diff(dual)) + 1).tolist(), len(packets)]
@@ -204,6 +206,7 @@ def _decode(
     flags = np.tile(_flags(facts, dual), len(order) // span)
     _check(used["flag"], used["flag"] == flags, f"not a packet of {sensor.name}: block flag", facts.block_flags)
 
+    tables, lasers = _tables(sensor, dual)
     group_ns = facts.sequences_per_block * firing.sequence_ns
     azimuth = np.ascontiguousarray(used["azimuth"][:, ::span], np.int64)
     stamp = packets["stamp_us"].astype(np.int64)
@@ -211,8 +214,7 @@ def _decode(
 
     distance, intensity = (_read_only(used["returns"][key]) for key in ("distance", "intensity"))
     modes = facts.return_modes
-    near, focal = sensor.near_offset_m, sensor.focal
-    size = kernels.count(distance, wanted) + 1  # the kernel writes one ahead
+    size = kernels.count(distance, wanted)
     out = Returns(
         xyz_m=np.empty((size, 3)),
         range_m=np.empty(size if polar else 0),
@@ -232,25 +234,17 @@ def _decode(
         device_time_ns(packets["stamp_us"], host_time_ns),
         packets["return_mode"] == modes.last if modes else np.zeros(len(packets), np.bool_),
         wanted,
-        _slots(sensor, dual),
-        kernels.Lasers(
-            sensor.elevation_rad,
-            sensor.azimuth_offset_rad,
-            sensor.lateral_offset_m,
-            sensor.vertical_offset_m,
-            sensor.distance_offset_m,
-            sensor.ring.astype(np.uint8),  # packets have no more beams
-            np.empty((0, 2)) if near is None else near,
-            np.empty((0, 4)) if focal is None else focal,
-        ),
+        tables,
+        lasers,
         range_facts(sensor).resolution_m,
         kernels.Columns(*(getattr(out, field.name) for field in fields(out))),
     )
     return Returns(*(getattr(out, field.name)[:count] for field in fields(out)))
 
 
-def _slots(sensor: Sensor, dual: bool) -> kernels.Slots:
-    """What the kernels know of a packet's slots."""
+@lru_cache
+def _tables(sensor: Sensor, dual: bool) -> tuple[kernels.Slots, kernels.Lasers]:
+    """What the kernels know of a packet's slots, and of the lasers."""
     firing, facts = firing_facts(sensor)
     numbers, width = slots(facts, dual).ravel(), _span(facts, dual) * SLOTS
     fired, group = numbers // (1 + dual), np.arange(numbers.size) // width
@@ -260,18 +254,37 @@ def _slots(sensor: Sensor, dual: bool) -> kernels.Slots:
     if dual:
         pairs = np.argsort(numbers[:width]).reshape(-1, 2)
         other[pairs] = pairs[:, ::-1]
-    return kernels.Slots(
+    near, focal = sensor.near_offset_m, sensor.focal
+    slots_of_packet = kernels.Slots(
         laser=fired[:width] % sensor.count,
         share=(offset_ns - head_offset_ns(sensor)) / group_ns - group,
         offset_ns=offset_ns,
         kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
         other=other,
     )
+    lasers = kernels.Lasers(
+        sensor.elevation_rad,
+        sensor.azimuth_offset_rad,
+        sensor.lateral_offset_m,
+        sensor.vertical_offset_m,
+        sensor.distance_offset_m,
+        sensor.ring.astype(np.uint8),  # packets have no more beams
+        np.empty((0, 2)) if near is None else near,
+        np.empty((0, 4)) if focal is None else focal,
+    )
+    return slots_of_packet, lasers
 
 
 def _read_only(field: NDArray[Any]) -> NDArray[Any]:
     """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
-    return np.broadcast_to(field, field.shape)
+    view = field.view()
+    view.flags.writeable = False
+    return view
+
+
+def one_of(values: NDArray[np.integer], allowed: Sequence[int]) -> NDArray[np.bool_]:
+    """(n,) whether each of the values (n,) is one of a few."""
+    return np.asarray(np.logical_or.reduce([values == one for one in allowed]))
 
 
 def _flat(values: NDArray[Any], rows: int) -> NDArray[Any]:
