@@ -308,7 +308,7 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
     known = catalogue()
     if name in known:
         path = known[str(name)]
-        sensor = load(path, Sensor)
+        sensor = load(path, Sensor, own=True)
         if sensor.name != name:
             raise ConfigError(f"{path}:1:1: name: {sensor.name!r} is not the file's name, {name!r}")
         return sensor

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from lidarcfg.config import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
 
@@ -14,6 +15,11 @@ def test_the_whole_catalogue_loads():
     assert {"vlp-16", "fan-4", "fan-8", "fan-16"} <= set(catalogue())
     for name in catalogue():
         assert load_sensor(name).name == name
+
+
+def test_the_catalogue_is_read_as_any_file_is():
+    for path in catalogue().values():
+        assert load(path, Sensor, own=True) == load(path, Sensor)
 
 
 def test_vlp_16_as_its_manual_has_it():
