@@ -127,3 +127,15 @@ def nmea_checksum(sentence: bytes) -> str:
     for byte in sentence[1 : sentence.index(b"*")]:
         value ^= byte
     return f"{value:02X}"
+
+
+def records(data: bytes, order: str, most: int) -> tuple[list[int], int, int]:
+    """Where a pcap's whole records start, where the last one ends, and the size last read, in either byte order."""
+    starts, at, size = [], 0, 0
+    while at + 16 <= len(data):
+        size = struct.unpack_from(order + "I", data, at + 8)[0]
+        if size > most or at + 16 + size > len(data):
+            break
+        starts.append(at)
+        at += 16 + size
+    return starts, at, size

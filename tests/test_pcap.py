@@ -4,12 +4,15 @@ import struct
 from contextlib import suppress
 
 import dpkt
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lidarcfg.capture import pcap
 from lidarcfg.capture.pcap import Datagram, read_datagrams
 from lidarcfg.errors import PacketError
+from tests import naive_capture
 from tests.capture_fixtures import no_note, recording
 from tests.capture_fixtures import write_datagrams as write_pcap
 
@@ -48,6 +51,22 @@ def test_times_are_exact(tmp_path_factory, microseconds):
     write_pcap(path, [data(microseconds * 1000)])
     assert struct.unpack("=II", path.read_bytes()[24:32]) == divmod(microseconds, 10**6)
     assert next(read_datagrams(path, no_note)).time_ns == microseconds * 1000
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.sampled_from("<>"),
+    st.lists(st.tuples(st.sampled_from([0, 1, 30, 42, 1248, pcap.RECORD_MAX + 1]), st.integers(1, 150)), max_size=6),
+    st.integers(0, 2000),
+)
+def test_records_by_a_plain_loop(order, rows, cut):
+    raw = b"".join(
+        struct.pack(order + "IIII", 1, 2, n, n) + bytes(min(n, 2000)) for n, count in rows for _ in range(count)
+    )
+    raw = raw[: max(len(raw) - cut, 0)]
+    record = pcap.RECORD if order == "<" else pcap.RECORD.newbyteorder()
+    starts, end, size = pcap._records(np.frombuffer(raw, np.uint8), record)
+    assert (starts.tolist(), end, size) == naive_capture.records(raw, order, pcap.RECORD_MAX)
 
 
 @pytest.mark.parametrize("sent", [data(), position()])

@@ -277,17 +277,27 @@ def _place(file: IO[bytes], record: np.dtype[Any], unit_ns: int, time_ns: int) -
     while high - low > BUFFER:
         middle = (low + high) // 2
         file.seek(middle)
-        data = file.read(2 * RECORD_MAX)
-        heads = np.ndarray(max(len(data) - record.itemsize + 1, 0), record, data, strides=(1,))
-        sound = (heads["captured"] > 0) & (heads["captured"] <= RECORD_MAX) & (heads["captured"] <= heads["length"])
-        sound &= heads["microseconds"].astype(np.int64) * unit_ns < SECOND_NS
-        sound &= abs(heads["seconds"].astype(np.int64) - first_s) < SPAN_S
-        at = _sure_record(sound, record.itemsize + heads["captured"].astype(np.int64))
-        if at is None or _time_ns(heads[at], unit_ns) >= time_ns:
+        data = np.frombuffer(file.read(2 * RECORD_MAX), np.uint8)
+        near = _near(data, record, first_s)
+        heads = _gathered(data, near, record)
+        good = (heads["captured"] > 0) & (heads["captured"] <= RECORD_MAX) & (heads["captured"] <= heads["length"])
+        good &= heads["microseconds"].astype(np.int64) * unit_ns < SECOND_NS
+        good &= abs(heads["seconds"].astype(np.int64) - first_s) < SPAN_S
+        sound, size = np.zeros(len(data), np.bool_), np.zeros(len(data), np.int64)
+        sound[near[good]], size[near] = True, record.itemsize + heads["captured"].astype(np.int64)
+        at = _sure_record(sound[: len(data) - record.itemsize + 1], size)
+        if at is None or _time_ns(_gathered(data, np.array([at]), record), unit_ns)[0] >= time_ns:
             high = middle
         else:
             low = middle + at
     return low
+
+
+def _near(data: NDArray[np.uint8], record: np.dtype[Any], first_s: int) -> NDArray[np.int64]:
+    """Where records may begin whose times are within SPAN_S, by the highest byte of their seconds alone."""
+    highest = 3 if record["seconds"].str.startswith("<") else 0
+    octets = data[highest : highest + max(len(data) - record.itemsize + 1, 0)]
+    return np.flatnonzero((octets >= max(first_s - SPAN_S, 0) >> 24) & (octets <= (first_s + SPAN_S) >> 24))
 
 
 def _sure_record(sound: NDArray[np.bool_], size: NDArray[np.int64]) -> int | None:
