@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +18,10 @@ from lidarcfg.capture.status import carried_beams
 from lidarcfg.capture.velodyne import PACKET
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
-from lidarcfg.rig import Rig
 from lidarcfg.sensor import Beams, Sensor, Status, catalogue, load_sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Rig
 
 CHUNK_PACKETS = 1024
 CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
@@ -30,7 +33,7 @@ Job = Callable[[], PointCloud]
 def decode_pcap(
     path: str | Path,
     on_note: Callable[[str], None],
-    rig: Rig | None = None,
+    rig: "Rig | None" = None,
     model: str | None = None,
     chunk_packets: int = CHUNK_PACKETS,
     on_stats: Callable[[SourceStats], None] | None = None,
@@ -69,7 +72,12 @@ class _Capture:
     """A capture that is being read: what its sources sent."""
 
     def __init__(
-        self, path: str | Path, on_note: Callable[[str], None], rig: Rig | None, override: Sensor | None, choice: Choice
+        self,
+        path: str | Path,
+        on_note: Callable[[str], None],
+        rig: "Rig | None",
+        override: Sensor | None,
+        choice: Choice,
     ) -> None:
         self._path, self._on_note, self._rig, self._override, self._choice = path, on_note, rig, override, choice
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,14 @@ from lidarcfg.capture.firing import (
     packet_period_ns,
     packet_stamps_ns,
 )
-from lidarcfg.capture.scene import GeoOrigin
 from lidarcfg.capture.status import status_bytes
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.rig import PpsState
 from lidarcfg.sensor import BLOCKS, SLOTS, Packet, Range, Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.capture.scene import GeoOrigin
+    from lidarcfg.rig import PpsState
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
@@ -50,7 +52,7 @@ DISTANCE_MAX = 65535  # units; 0 is no return
 RETURNS = ("strongest", "last")  # the last axis of dual returns
 HOUR_NS = 3600 * 10**9
 HOUR_US = 3600 * 10**6
-PPS_STATES: tuple[PpsState, ...] = ("absent", "synchronising", "locked", "error")
+PPS_STATES: tuple["PpsState", ...] = ("absent", "synchronising", "locked", "error")
 KNOT_M_S = 1852 / 3600
 WGS84_A_M, WGS84_E2 = 6378137.0, 6.69437999014e-3  # semi-major axis, eccentricity squared
 
@@ -315,7 +317,7 @@ def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:
     return past_hour + (host_time_ns - past_hour + HOUR_NS // 2) // HOUR_NS * HOUR_NS
 
 
-def position_packets(time_ns: Times, pps: PpsState, sentences: Sequence[bytes]) -> NDArray[np.void]:
+def position_packets(time_ns: Times, pps: "PpsState", sentences: Sequence[bytes]) -> NDArray[np.void]:
     """The position packets (n,) of these times (n,), each with an NMEA sentence."""
     packets = np.zeros(len(time_ns), POSITION)
     packets["stamp_us"] = stamp_us(time_ns)
@@ -326,7 +328,7 @@ def position_packets(time_ns: Times, pps: PpsState, sentences: Sequence[bytes]) 
 
 def gprmc(
     time_ns: int,
-    geo_origin: GeoOrigin,
+    geo_origin: "GeoOrigin",
     east_north_m: tuple[float, float],
     course_rad: float,
     speed_m_s: float = 0.0,
@@ -351,7 +353,7 @@ def gprmc(
     return b"$%s*%02X\r\n" % (body, checksum)
 
 
-def geographic(origin: GeoOrigin, east_north_m: tuple[float, float]) -> tuple[float, float]:
+def geographic(origin: "GeoOrigin", east_north_m: tuple[float, float]) -> tuple[float, float]:
     """Latitude and longitude in degrees of a point on the plane that touches WGS 84 at the origin.
 
     Longitude is within ±180; latitude is beyond ±90 where the plane reaches further than a pole.
