@@ -86,7 +86,7 @@ def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
 def _sensor(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.uint16]:
     """The cloud's sensors as numbers in `index`, which learns the names that it does not know."""
     table = [index.setdefault(name, len(index)) for name in cloud.sensor_names]
-    return np.array(table, np.uint16)[cloud.sensor]
+    return cloud.sensor if table == list(range(len(table))) else np.array(table, np.uint16)[cloud.sensor]
 
 
 def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
