@@ -16,7 +16,7 @@ from lidarcfg.capture.export import START_NS, export, in_time_order
 from lidarcfg.capture.firing import firings, packet_period_ns
 from lidarcfg.capture.pcap import Frames, Sender, write_pcap
 from lidarcfg.capture.status import calibration
-from lidarcfg.capture.velodyne import encode
+from lidarcfg.capture.velodyne import encode, sent_returns
 from lidarcfg.errors import ConfigError
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
@@ -84,6 +84,8 @@ def test_every_layout_is_the_twins(sensor, mode):
             else:
                 cells = [on_the_wire(i, *one) for i, one in enumerate(zip(metres, octets, strict=True))]
             returns.append(cells)
+        said = np.stack(sent_returns(sensor, mode, packets[p : p + 1]), axis=-1)
+        assert said.tolist() == np.array(returns).reshape(-1, 1 + dual, 2).tolist()
         azimuths = []
         for sequence in range(0, len(returns), facts.sequences_per_block):
             since_ns = p * period_ns + sequence * sensor.firing.sequence_ns + head_ns

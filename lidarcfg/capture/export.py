@@ -27,7 +27,7 @@ from lidarcfg.capture.reach import balls
 from lidarcfg.capture.scene import COORDINATE_MAX_M, Scene
 from lidarcfg.capture.trajectory import Trajectory, standing
 from lidarcfg.capture.truth import RECORD, records
-from lidarcfg.capture.velodyne import encode, gprmc, position_packets, wire_distance
+from lidarcfg.capture.velodyne import encode, gprmc, position_packets, sent_returns
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.rig import Mount, Rig
@@ -226,8 +226,8 @@ def data_stream(
         packets = encode(sensor, mount.return_mode, fired, *seen)
         truth = np.empty(0, RECORD)
         if told.truth:
-            distance = wire_distance(sensor, measured_m).reshape(found.range_m.shape)
-            truth = records(index, mount.return_mode, fired.time_ns, found, distance)
+            sent = sent_returns(sensor, mount.return_mode, packets)
+            truth = records(index, mount.return_mode, fired.time_ns, found, *sent)
         ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
         return Sent(sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, fired_rays, cast)
 

@@ -182,17 +182,6 @@ def chained(outer_R, outer_t, R, t, inner_R, inner_t):
 
 
 @njit(cache=True, nogil=True)
-def wire(range_m, offset_m, limits):
-    """Ranges (N, L, R) of lasers with offsets (L,) in whole units, 0 for what cannot be said; limits as in `_units`."""
-    out = np.empty(range_m.shape, np.uint16)
-    for n in range(range_m.shape[0]):
-        for k in range(range_m.shape[1]):
-            for r in range(range_m.shape[2]):
-                out[n, k, r] = _units(range_m[n, k, r], offset_m[k], limits)
-    return out
-
-
-@njit(cache=True, nogil=True)
 def fill(range_m, reflectivity, number, offset_m, limits, distance, intensity):
     """Write the blocks of packets (P, B, 32): in each slot (B, 32) the return with that number of the packet's (P, N).
 

@@ -31,12 +31,17 @@ RECORDS = 1 << 16  # at a time
 
 
 def records(
-    sensor_index: int, return_mode: str, time_ns: Times, found: Echoes, distance: NDArray[np.uint16]
+    sensor_index: int,
+    return_mode: str,
+    time_ns: Times,
+    found: Echoes,
+    distance: NDArray[np.uint16],
+    intensity: NDArray[np.uint8],
 ) -> NDArray[np.void]:
-    """The records of firings (P, S, L) whose echoes are (N, R) and on the wire distances (N, R), 0 for none."""
+    """The records of firings (P, S, L): echoes, and on the wire distances (0: none) and intensities, are all (N, R)."""
     sent = distance > 0
     if sent.shape[1] == 2:
-        sent[:, 1] &= (distance[:, 0] != distance[:, 1]) | (found.reflectivity[:, 0] != found.reflectivity[:, 1])
+        sent[:, 1] &= (distance[:, 0] != distance[:, 1]) | (intensity[:, 0] != intensity[:, 1])
     firing, slot = np.nonzero(sent)
     out = np.empty(len(firing), RECORD)
     out["sensor"] = sensor_index

@@ -113,10 +113,19 @@ def encode(
     return packets
 
 
-def wire_distance(sensor: Sensor, range_m: Array) -> NDArray[np.uint16]:
-    """What the packet says of ranges (…, L, R) in metres: whole units, 0 for what it cannot say or is not measured."""
-    each = np.ascontiguousarray(range_m, np.float64).reshape(-1, *range_m.shape[-2:])
-    return np.asarray(ray_kernels.wire(each, sensor.distance_offset_m, _limits(sensor))).reshape(range_m.shape)
+def sent_returns(sensor: Sensor, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """Distances in units, 0 for no return, and intensities that the packets (P,) say of their N firings in all.
+
+    Both (N, 1), or (N, 2) with dual returns, in the order of what is encoded.
+    """
+    dual = return_mode == "dual"
+    number = slots(firing_facts(sensor)[1], dual)
+    order, said = np.argsort(number, axis=None), packets["blocks"]["returns"][:, : len(number)]
+    distance, intensity = (
+        said[key].reshape(len(packets), -1).take(order, axis=1).reshape(-1, 1 + dual)
+        for key in ("distance", "intensity")
+    )
+    return distance, intensity
 
 
 def _limits(sensor: Sensor) -> tuple[float, float, float, float]:
