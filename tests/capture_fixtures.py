@@ -11,7 +11,7 @@ from lidarcfg.capture.pcap import Datagram, Sender, read_datagrams, write_pcap
 from lidarcfg.capture.scene import Scene, load_scene
 from lidarcfg.capture.velodyne import POSITION
 from lidarcfg.rig import Mount, Rig
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensor import Sensor, load_sensor
 
 STREET = Path(__file__).parent.parent / "data" / "scenes" / "street.yaml"
 AT_NS = 1_700_000_000_123_456_789
@@ -31,6 +31,28 @@ def mount(index: int = 0, position_m=(0.0, 0.0, 2.0), rpy_deg=(0.0, 0.0, 0.0), r
         rpm=rpm,
         return_mode="strongest",
     )
+
+
+def hdl_64e(name: str) -> Sensor:
+    """An HDL-64E with beams of its own: corrections near by, focal distances and limits of intensity too."""
+    sensor, rng = load_sensor(name), np.random.default_rng(2)
+
+    def table(low: int, high: int, scale: int = 1) -> tuple[float, ...]:
+        return tuple((rng.integers(low, high, 64) / scale).tolist())
+
+    far = np.array(table(500, 1500))
+    beams = {
+        "elevation_deg": tuple((np.array(sensor.beams.elevation_deg) - 0.5).round(2).tolist()),
+        "vertical_offset_mm": table(-300, 300),
+        "distance_offset_mm": tuple(far.tolist()),
+        "near_x_offset_mm": tuple((far + table(-60, 61)).tolist()),
+        "near_y_offset_mm": tuple((far + table(-60, 61)).tolist()),
+        "focal_distance_mm": table(0, 20_000),
+        "focal_slope": table(0, 25, 10),
+        "intensity_min": tuple(rng.integers(0, 60, 64).tolist()),
+        "intensity_max": tuple(rng.integers(150, 256, 64).tolist()),
+    }
+    return sensor.model_copy(update={"beams": sensor.beams.model_copy(update=beams)})
 
 
 def tilted_rig() -> Rig:

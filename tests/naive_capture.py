@@ -59,6 +59,53 @@ def encode_any(flags, sequences_per_block, order, by, stamp_us, azimuths, return
     return b"".join(blocks).ljust(1200, b"\0") + struct.pack("<I", stamp_us) + tail
 
 
+def unit_point(beam: dict[str, float], raw: int, unit_m: float, azimuth: float) -> tuple[float, float, float]:
+    """x, y, z in metres of a raw distance by one beam's whole calibration (HDL-64E manual, velodyne_decoder 3.1)."""
+    a, w = azimuth + math.radians(beam["azimuth_offset_deg"]), math.radians(beam["elevation_deg"])
+    left, far = beam["lateral_offset_mm"] / 1000, beam["distance_offset_mm"] / 1000
+    r = for_x = for_y = raw * unit_m + far
+    if raw * unit_m < 25.04:
+        x = abs(r * math.cos(w) * math.sin(a) - left * math.cos(a))
+        y = abs(r * math.cos(w) * math.cos(a) + left * math.sin(a))
+        for_y += (beam["near_x_offset_mm"] / 1000 - far) * (25.04 - x) / (25.04 - 2.4)
+        for_x += (beam["near_y_offset_mm"] / 1000 - far) * (25.04 - y) / (25.04 - 1.93)
+    return (
+        for_x * math.cos(w) * math.cos(a) + left * math.sin(a),
+        left * math.cos(a) - for_y * math.cos(w) * math.sin(a),
+        (for_x + for_y) / 2 * math.sin(w) + beam["vertical_offset_mm"] / 1000,
+    )
+
+
+def unit_distance(beam: dict[str, float], range_m: float, unit_m: float, azimuth: float) -> int:
+    """Whole units, of all those around, whose point is nearest along the beam; the far ones where these will do."""
+    a, w = azimuth + math.radians(beam["azimuth_offset_deg"]), math.radians(beam["elevation_deg"])
+    far = round((range_m - beam["distance_offset_mm"] / 1000) / unit_m)
+    if far * unit_m >= 25.04:
+        return far
+
+    def away(raw: int) -> float:
+        x, y, z = unit_point(beam, raw, unit_m, azimuth)
+        x -= beam["lateral_offset_mm"] / 1000 * math.sin(a)
+        y -= beam["lateral_offset_mm"] / 1000 * math.cos(a)
+        z -= beam["vertical_offset_mm"] / 1000
+        return abs(x * math.cos(w) * math.cos(a) - y * math.cos(w) * math.sin(a) + z * math.sin(w) - range_m)
+
+    return min(range(far - 100, far + 101), key=away)
+
+
+def unit_intensity(beam: dict[str, float], raw: int, intensity: int) -> int:
+    """The byte, of all, that is corrected by the focal distance to this intensity, or to what is nearest to it."""
+    raised = beam["focal_slope"] * abs(
+        256 * (1 - beam["focal_distance_mm"] / 131_000) ** 2 - 256 * (1 - raw / 65535) ** 2
+    )
+
+    def away(byte: int) -> tuple[float, float]:
+        corrected = round(min(max(byte + raised, beam["intensity_min"]), beam["intensity_max"]))
+        return abs(corrected - intensity), abs(byte + raised - intensity)
+
+    return min(range(256), key=away)
+
+
 def status(packet: int, when: datetime, letters: str, warnings: str, calibration: bytes) -> bytes:
     """Type and value of packet number `packet` since 1970: the letters, then seven bytes of the calibration."""
     cycle, place = packet // (len(letters) + 7), packet % (len(letters) + 7)

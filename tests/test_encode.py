@@ -21,7 +21,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
 from tests import naive_capture as naive
-from tests.capture_fixtures import datagrams_of, mount, recording, scene
+from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 
 VLP16 = load_sensor("vlp-16")
 SECOND_NS = 10**9
@@ -46,6 +46,7 @@ def made_up(beams, sequences, flags, order, by):
 
 LAYOUTS = [
     *[(load_sensor(name), mode) for name in MODELS for mode in CODES],
+    *[(hdl_64e(name), mode) for name in ("hdl-64e-s2", "hdl-64e-s3") for mode in CODES],
     (made_up(8, 4, (0xEEFF,), ("strongest", "last"), "sequence"), "dual"),
     (made_up(64, 1, (1, 2), ("last", "strongest"), "sequence"), "dual"),
     (made_up(64, 1, (1, 2), ("strongest", "last"), "block"), "dual"),
@@ -59,30 +60,45 @@ LAYOUTS = [
 
 @pytest.mark.parametrize(("sensor", "mode"), LAYOUTS)
 def test_every_layout_is_the_twins(sensor, mode):
-    """Blocks in groups, pairs by block and by sequence, blocks that are left empty, status bytes; over the hour."""
+    """Blocks in groups, pairs by block and by sequence, blocks that are left empty, status bytes; over the hour.
+
+    A unit's own distances and intensities are those that are found by trying them all.
+    """
     dual, rng, facts = mode == "dual", np.random.default_rng(3), sensor.packet
     period_ns = packet_period_ns(sensor, dual)
     start_ns = START_NS - 3 * period_ns + 777
-    fired = firings(sensor, 600, start_ns, range(30), dual)
+    fired = firings(sensor, 600, start_ns, range(8 if sensor.focal is not None else 30), dual)
     range_m = rng.uniform(0, 1.2 * sensor.range.max_m, (*fired.time_ns.shape, 2) if dual else fired.time_ns.shape)
+    range_m[5] = rng.uniform(23, 28, range_m[5].shape)  # where an HDL-64E's corrections end
     range_m[rng.random(range_m.shape) < 0.1] = np.inf
     reflectivity = rng.integers(0, 256, range_m.shape, np.uint8)
     packets = encode(sensor, mode, fired, range_m, reflectivity)
     head_ns = min(sensor.firing.offset_ns)
 
-    def on_the_wire(laser, metres, byte):
+    beams = []
+    if sensor.focal is not None:
+        tables = sensor.beams.model_dump(exclude={"source"})
+        beams = [dict(zip(tables, values, strict=True)) for values in zip(*tables.values(), strict=True)]
+
+    def on_the_wire(laser, azimuth, metres, byte):
         if not sensor.range.min_m <= metres <= sensor.range.max_m:
             return 0, 0
         units = round((metres - sensor.distance_offset_m[laser]) / sensor.range.resolution_m)
-        return (units, byte if units else 0) if 0 <= units <= 65535 else (0, 0)
+        if beams:
+            units = naive.unit_distance(beams[laser], metres, sensor.range.resolution_m, azimuth)
+        if not 0 < units <= 65535:
+            return 0, 0
+        return units, naive.unit_intensity(beams[laser], units, byte) if beams else byte
 
     for p, packet in enumerate(packets):
         stamp_ns, returns = start_ns + p * period_ns, []
-        for metres, octets in zip(range_m[p].tolist(), reflectivity[p].tolist(), strict=True):
-            if dual:
-                cells = [[on_the_wire(i, *one) for one in zip(*pair, strict=True)] for i, pair in enumerate(zip(metres, octets, strict=True))]  # fmt: skip
-            else:
-                cells = [on_the_wire(i, *one) for i, one in enumerate(zip(metres, octets, strict=True))]
+        for row in zip(*(values[p].tolist() for values in (fired.azimuth_rad, range_m, reflectivity)), strict=True):
+            cells = []
+            for laser, (azimuth, metres, octets) in enumerate(zip(*row, strict=True)):
+                if dual:
+                    cells.append([on_the_wire(laser, azimuth, *one) for one in zip(metres, octets, strict=True)])
+                else:
+                    cells.append(on_the_wire(laser, azimuth, metres, octets))
             returns.append(cells)
         said = np.stack(sent_returns(sensor, mode, packets[p : p + 1]), axis=-1)
         assert said.tolist() == np.array(returns).reshape(-1, 1 + dual, 2).tolist()

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lidarcfg.capture.firing import (
     Times,
     firing_chunks,
-    firing_facts,
     packet_offsets_ns,
     packet_period_ns,
     packet_stamps_ns,
@@ -27,7 +26,7 @@ from lidarcfg.capture.reach import balls
 from lidarcfg.capture.scene import COORDINATE_MAX_M, Scene
 from lidarcfg.capture.trajectory import Trajectory, standing
 from lidarcfg.capture.truth import RECORD, records
-from lidarcfg.capture.velodyne import encode, gprmc, position_packets, sent_returns
+from lidarcfg.capture.velodyne import check_encodable, encode, gprmc, position_packets, sent_returns
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.rig import Mount, Rig
@@ -157,7 +156,7 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
     """Raises ConfigError unless the mount's sensor can be exported for this long."""
     sensor = mount.sensor
     try:
-        firing_facts(sensor)
+        check_encodable(sensor, mount.return_mode)
     except ConfigError as error:
         raise ConfigError(f"{mount.name}: {error}") from None
     for key in ("rotation", "range", "headers"):

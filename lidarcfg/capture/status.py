@@ -5,12 +5,13 @@ After each cycle's letters (clock and state) come seven bytes of the calibration
 """
 
 from datetime import UTC, datetime
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from lidarcfg.errors import PacketError
+from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.sensor import Beams, Sensor, Status
 
 MARK = b"UNIT#"
@@ -32,7 +33,20 @@ LASER = np.dtype(
         *[("vertical", "<i2"), ("lateral", "<i2"), ("focal_distance", "<i2"), ("focal_slope", "<i2")],
         *[("intensity_min", "u1"), ("intensity_max", "u1")],
     ]
-)  # hundredths of a degree, millimetres
+)
+BEAMS = {  # the beams' table that a field holds, and how many of the field's units are one of its
+    "elevation": ("elevation_deg", 100),
+    "rotation": ("azimuth_offset_deg", -100),
+    "far": ("distance_offset_mm", 1),
+    "near_x": ("near_x_offset_mm", 1),
+    "near_y": ("near_y_offset_mm", 1),
+    "vertical": ("vertical_offset_mm", 1),
+    "lateral": ("lateral_offset_mm", 1),
+    "focal_distance": ("focal_distance_mm", 1),
+    "focal_slope": ("focal_slope", 10),
+    "intensity_min": ("intensity_min", 1),
+    "intensity_max": ("intensity_max", 1),
+}
 
 
 def crc16(data: bytes) -> int:
@@ -45,18 +59,31 @@ def crc16(data: bytes) -> int:
     return value
 
 
+@lru_cache
 def calibration(sensor: Sensor, status: Status, return_mode: str) -> bytes:
-    """The calibration of a sensor's beams, as its status bytes carry it. Times and thresholds are left at zero."""
+    """The calibration of a sensor's beams, as its status bytes carry it. Times and thresholds are left at zero.
+
+    Raises ConfigError for what they cannot say; digits beyond theirs are rounded away.
+    """
+    if sensor.count != LASERS:
+        raise ConfigError(f"sensor {sensor.name!r} has {sensor.count} beams; status bytes say those of {LASERS}")
     table = np.zeros(LASERS, LASER)
-    beams = sensor.beams
-    table["id"] = np.arange(LASERS)
-    table["elevation"] = np.rint(np.array(beams.elevation_deg) * 100)
-    table["rotation"] = -np.rint(np.degrees(sensor.azimuth_offset_rad) * 100)
-    for key in ("far", "near_x", "near_y"):
-        table[key] = np.rint(sensor.distance_offset_m * 1000)
-    for key in ("vertical", "lateral"):
-        table[key] = np.rint(np.array(getattr(beams, f"{key}_offset_mm") or (0.0,) * LASERS))
-    table["intensity_max"] = 255
+    table["id"], table["intensity_max"] = np.arange(LASERS), 255
+    for field, (key, scale) in BEAMS.items():
+        values = getattr(sensor.beams, key)
+        if not values and field in ("near_x", "near_y"):
+            values = sensor.beams.distance_offset_mm
+        if not values:
+            continue
+        units, allowed = np.rint(np.array(values) * scale), np.iinfo(table[field].dtype)
+        for k in np.flatnonzero((units < allowed.min) | (units > allowed.max)):
+            low, high = sorted((allowed.min / scale, allowed.max / scale))
+            what = f"{values[k]:g} is beyond what status bytes can say; allowed: {low:g} to {high:g}"
+            raise ConfigError(f"sensor {sensor.name!r}: beams.{key}[{k}]: {what}")
+        table[field] = units
+    for k in np.setdiff1d(table["id"], np.unique(table["elevation"], return_index=True)[1]):
+        what = f"{sensor.beams.elevation_deg[k]} is another beam's already in the hundredths of status bytes"
+        raise ConfigError(f"sensor {sensor.name!r}: beams.elevation_deg[{k}]: {what}")
     out = bytearray(LENGTH)
     out[: len(MARK)] = MARK
     for i, row in enumerate(table):
@@ -116,24 +143,14 @@ def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.u
 
 
 def _beams(table: NDArray[np.void]) -> Beams:
-    def column(key: str, scale: float = 1) -> tuple[float, ...]:
-        return tuple((table[key] * scale).round(9).tolist())
-
-    near = (table["near_x"] != table["far"]).any() or (table["near_y"] != table["far"]).any()
-    focal = (
-        (table["focal_slope"] != 0).any() or (table["intensity_min"] > 0).any() or (table["intensity_max"] < 255).any()
-    )
-    return Beams(
-        source="the capture's status bytes",
-        elevation_deg=column("elevation", 0.01),
-        azimuth_offset_deg=column("rotation", -0.01),
-        vertical_offset_mm=column("vertical"),
-        lateral_offset_mm=column("lateral"),
-        distance_offset_mm=column("far"),
-        near_x_offset_mm=column("near_x") if near else (),
-        near_y_offset_mm=column("near_y") if near else (),
-        focal_distance_mm=column("focal_distance") if focal else (),
-        focal_slope=column("focal_slope", 0.1) if focal else (),
-        intensity_min=tuple(table["intensity_min"].tolist()) if focal else (),
-        intensity_max=tuple(table["intensity_max"].tolist()) if focal else (),
-    )
+    even = (table["near_x"] == table["far"]) & (table["near_y"] == table["far"])
+    focused = (table["focal_slope"] == 0) & (table["intensity_min"] == 0) & (table["intensity_max"] == 255)
+    left_out = {"near_x", "near_y"} if even.all() else set[str]()
+    if focused.all():
+        left_out |= {"focal_distance", "focal_slope", "intensity_min", "intensity_max"}
+    columns = {
+        key: tuple((table[field] if table[field].dtype == np.uint8 else table[field] / scale).tolist())
+        for field, (key, scale) in BEAMS.items()
+        if field not in left_out
+    }
+    return Beams(source="the capture's status bytes", **columns)

@@ -25,7 +25,7 @@ from lidarcfg.capture.firing import (
     packet_period_ns,
     packet_stamps_ns,
 )
-from lidarcfg.capture.status import status_bytes
+from lidarcfg.capture.status import calibration, status_bytes
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.sensor import BLOCKS, SLOTS, Packet, Range, Sensor
@@ -80,11 +80,11 @@ def encode(
 
     With dual returns both are (P, S, L, 2): strongest (or second strongest, if the last is the strongest) and
     last, equal where there is one return only. What the sensor does not measure, or the packet cannot say, is no
-    return. Raises ConfigError.
+    return. Distances and intensities are those of which decoding makes the nearest there are. Raises ConfigError.
     """
+    check_encodable(sensor, return_mode)
     firing, facts = firing_facts(sensor)
     dual = return_mode == "dual"
-    _check_encodable(sensor, dual)
     number, span = slots(facts, dual), _span(facts, dual)
     first_laser = int(np.argmin(firing.offset_ns))
     head = firings.azimuth_rad[:, :: facts.sequences_per_block, first_laser]
@@ -92,16 +92,16 @@ def encode(
     blocks = packets["blocks"][:, : len(number)]
     blocks["flag"] = np.tile(_flags(facts, dual), len(number) // span)
     blocks["azimuth"] = np.repeat(np.rint(head / RADIANS).astype(np.int64) % TURN, span, axis=1)
-    offset_m = sensor.distance_offset_m[number // (1 + dual) % sensor.count]
-    ray_kernels.fill(
-        _flat(range_m, len(packets)),
-        _flat(reflectivity, len(packets)),
-        number,
-        offset_m,
-        _limits(sensor),
-        blocks["returns"]["distance"],
-        blocks["returns"]["intensity"],
-    )
+    laser, limits = number // (1 + dual) % sensor.count, _limits(sensor)
+    seen = _flat(range_m, len(packets)), _flat(reflectivity, len(packets))
+    returns = blocks["returns"]["distance"], blocks["returns"]["intensity"]
+    ray_kernels.fill(*seen, number, sensor.distance_offset_m[laser], limits, *returns)
+    if sensor.near_offset_m is not None:
+        azimuth = _flat(firings.azimuth_rad, len(packets))
+        tables = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, sensor.distance_offset_m
+        ray_kernels.fill_near(*seen, azimuth, number, laser, (*tables, sensor.near_offset_m), limits, *returns)
+    if sensor.focal is not None:
+        ray_kernels.unfocus(returns[0], laser, sensor.focal, returns[1])
     stamps_ns, _ = packet_stamps_ns(sensor, firings)
     packets["stamp_us"] = stamp_us(stamps_ns)
     if facts.return_modes:
@@ -128,18 +128,19 @@ def sent_returns(sensor: Sensor, return_mode: str, packets: Packets) -> tuple[ND
     return distance, intensity
 
 
+def check_encodable(sensor: Sensor, return_mode: str) -> None:
+    """Raises ConfigError unless packets can say the sensor's returns in this mode, and its calibration."""
+    _, facts = firing_facts(sensor)
+    if return_mode == "dual" and facts.dual is None:
+        raise ConfigError(f"sensor {sensor.name!r} has no dual returns")
+    if facts.status:
+        calibration(sensor, facts.status, return_mode)
+
+
 def _limits(sensor: Sensor) -> tuple[float, float, float, float]:
     """What is measured, from and to, in metres; the packet's unit; and how many of them it can say."""
     facts = range_facts(sensor)
     return facts.min_m, facts.max_m, facts.resolution_m, float(DISTANCE_MAX)
-
-
-def _check_encodable(sensor: Sensor, dual: bool) -> None:
-    _, facts = firing_facts(sensor)
-    if dual and facts.dual is None:
-        raise ConfigError(f"sensor {sensor.name!r} has no dual returns")
-    if sensor.near_offset_m is not None:
-        raise ConfigError(f"sensor {sensor.name!r} measures unevenly near by, which only decoding knows")
 
 
 def _span(facts: Packet, dual: bool) -> int:
