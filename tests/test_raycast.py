@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from lidarcfg.capture.ray_kernels import NOTHING, Nearest, Rays
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.triangles import FLAT, HAIR_M, PAST, RIM, SHARE, SHARP, Triangles, measured, met
 from lidarcfg.geometry import directions
@@ -15,6 +16,13 @@ ground: {z_m: -1, reflectivity: 12}
 boxes: [{name: box, center_m: [10, 0, 0], size_m: [2, 2, 1.5], reflectivity: 30}]
 spheres: [{name: ball, center_m: [0, 20, 0], radius_m: 3, reflectivity: 40}]
 """
+
+
+ONE = np.array([[0, 1, 2]])  # triangle
+
+
+def nothing_known(count):
+    return Nearest(np.full(count, np.inf), np.full(count, NOTHING, np.int32), np.zeros((count, 3), np.float32))
 
 
 @pytest.fixture
@@ -111,14 +119,13 @@ def test_triangles_are_measured(scale):
     needles, flat = np.stack([rows, rows + 100, rows + 200], axis=1), np.stack([rows, rows + 200, rows], axis=1)
     faces = np.concatenate([rng.integers(0, 300, (300, 3)), needles, flat, np.full((1, 3), 5)])
     vertices *= scale
-    planes, hair_m, rim, corners = measured(vertices, faces)
+    objects = rng.integers(0, 2**31, len(faces)).astype(np.int32)
+    facets, corners = measured(vertices, faces, objects)
     twin = naive.measured(vertices.tolist(), faces.tolist(), HAIR_M, SHARE, RIM, SHARP, FLAT)
     plane, hair, wide, moved = (np.array(values) for values in twin)
-    assert np.array_equal(planes, plane)
-    assert np.array_equal(hair_m, hair)
-    assert np.array_equal(rim, wide.astype(np.float32))
+    assert np.array_equal(facets, np.column_stack([plane, hair, wide, objects, 0 * hair]))
     assert np.array_equal(corners, moved.reshape(-1, 3).astype(np.float32))
-    assert all(len(values) == 0 for values in measured(vertices, faces[:0]))
+    assert all(len(values) == 0 for values in measured(vertices, faces[:0], objects[:0]))
 
 
 def test_which_rays_pass_beside_their_triangle():
@@ -131,22 +138,30 @@ def test_which_rays_pass_beside_their_triangle():
     normal = np.cross(np.subtract(b, a), np.subtract(c, a))
     hit_m = (normal @ a / (way @ normal)).astype(np.float32)
     hit_m[::7], hit_m[1::7] = np.inf, 0.5
-    uv, rim, hair_m = np.full((500, 2), 0.3, np.float32), np.full(1, np.inf, np.float32), np.array([1e-4])
-    start, plane, zero = np.tile(place, (500, 1)), np.append(normal, normal @ a)[None], np.zeros(500, np.uint32)
-    mesh = plane, rim, hair_m, vertices, np.array([[0, 1, 2]])
-    range_m, rows, moved = met(start, start, way, np.arange(500), place, hit_m, zero, uv, *mesh)
+    uv, nearest = np.full((500, 2), 0.3, np.float32), nothing_known(500)
+    nearest.range_m[2::7] = 0.1
+    facets = np.array([[*normal, normal @ a, 1e-4, np.inf, 5, 0]])
+    rays, zero = Rays(np.tile(place, (500, 1)), way, np.arange(500)), np.zeros(500, np.uint32)
+    given = rays.origins_m, rays, np.arange(500), place, np.eye(3)[None], hit_m, zero, uv, facets, vertices, ONE
+    rows, moved = met(*given, False, nearest)
     outside = []
     for i, ray in enumerate(way.tolist()):
         exact = np.dot(normal, a) / np.dot(normal, ray)
-        expected = [np.inf, 0.5][i % 7] if i % 7 < 2 else exact  # nothing; the plane is too far from the hit; the plane
-        assert range_m[i] == pytest.approx(expected, rel=1e-12)
         p = np.multiply(exact, ray)
         shares = [np.linalg.norm(np.cross(np.subtract(q, p), np.subtract(r, p))) for q, r in ((a, b), (b, c), (c, a))]
         if sum(shares) > np.linalg.norm(normal) * (1 + 1e-9) and i % 7:
             outside.append(i)
     assert 0 < len(outside) < 100
     assert rows.tolist() == outside
-    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), PAST * hair_m[0])
+    assert np.isinf(nearest.range_m[[i for i in outside if i % 7 != 2]]).all()  # not yet
+    assert not len(met(*given, True, nearest)[0])
+    for i, ray in enumerate(way.tolist()):
+        exact = np.dot(normal, a) / np.dot(normal, ray)
+        expected = [np.inf, 0.5, 0.1][i % 7] if i % 7 < 3 else exact  # nothing; the plane is too far; nearer is known
+        assert nearest.range_m[i] == pytest.approx(expected, rel=1e-12)
+        assert nearest.object[i] == (NOTHING if i % 7 in (0, 2) else 5)
+        assert nearest.normal[i] == pytest.approx(0 * normal if i % 7 in (0, 2) else normal)
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), PAST * 1e-4)
     np.testing.assert_allclose(moved @ normal, 0, atol=1e-15)  # in the plane
     middle = vertices.mean(axis=0)
     assert (((aims[rows] - middle) * moved).sum(axis=1) > 0).all()  # and away from the triangle
@@ -161,19 +176,21 @@ def test_a_mesh_as_fine_as_a_hair(tmp_path):
     way = rng.normal(size=(1000, 3)) * 0.003 + (8, 3, 1)
     way /= np.linalg.norm(way, axis=1)[:, None]
     enter, _, depth = edges.through(edges.half_spaces(vertices[faces], np.array((8.0, 3, 1))), np.zeros(3), way)
-    triangles = Triangles(vertices, faces)
+    triangles, nearest = Triangles(vertices, faces, np.zeros(len(faces), np.int32)), nothing_known(len(way))
     deep = depth > 1e-3
-    range_m, _ = triangles.cast(np.zeros_like(way), way, np.flatnonzero(deep), np.zeros(3))
-    assert len(range_m) > 900
-    assert abs(range_m - enter[deep]).max() < 1e-5
+    rays = Rays(np.zeros_like(way), way, np.arange(len(way)))
+    triangles.cast(rays, np.flatnonzero(deep), np.zeros(3), np.eye(3)[None], nearest)
+    assert deep.sum() > 900
+    assert abs(nearest.range_m - enter)[deep].max() < 1e-5
+    assert np.isinf(nearest.range_m[~deep]).all()
 
 
 def test_a_ray_that_starts_on_a_plane_is_nowhere_behind_its_start():
     """Found by tools/stress.py: float32 lost the 8e-12 m by which the ray starts beyond, and the plane gave them back."""
-    start, way, place = np.array([[1 + 8e-12, 0, 0]]), np.array([[1.0, 0, 0]]), np.zeros(3)
+    rays = Rays(np.array([[1 + 8e-12, 0, 0]]), np.array([[1.0, 0, 0]]), np.arange(1))
     hit_m, triangle, uv = np.zeros(1, np.float32), np.zeros(1, np.uint32), np.full((1, 2), 0.3, np.float32)
-    corners = np.array([[1.0, -1, -1], [1, 2, -1], [1, -1, 2]])
-    mesh = np.array([[1.0, 0, 0, 1]]), np.full(1, 1e-3, np.float32), np.full(1, 1e-4), corners, np.array([[0, 1, 2]])
-    range_m, again, _ = met(start, start, way, np.arange(1), place, hit_m, triangle, uv, *mesh)
-    assert range_m[0] == 0
+    corners, facets = np.array([[1.0, -1, -1], [1, 2, -1], [1, -1, 2]]), np.array([[1.0, 0, 0, 1, 1e-4, 1e-3, 0, 0]])
+    mesh, nearest = (facets, corners, ONE), nothing_known(1)
+    again, _ = met(rays.origins_m, rays, np.arange(1), np.zeros(3), np.eye(3)[None], hit_m, triangle, uv, *mesh, False, nearest)  # fmt: skip
+    assert nearest.range_m[0] == 0
     assert not len(again)

@@ -1,14 +1,13 @@
 """What the firings of one sensor report: its rays from the vehicle's pose at each firing, cast, and made echoes."""
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Firings, Times, aimed
-from lidarcfg.capture.ray_kernels import chained, may_meet, spread
-from lidarcfg.capture.raycast import NOTHING, Mask, Raycaster
+from lidarcfg.capture.ray_kernels import chained, may_meet
+from lidarcfg.capture.raycast import Mask, Raycaster
 from lidarcfg.capture.reach import Balls, Reach
 from lidarcfg.capture.returns import Echoes, Met, echoes, single, spread_rad, sub_rays, wide
 from lidarcfg.capture.scene import Weather
@@ -17,7 +16,6 @@ from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 
-T = TypeVar("T", bound=np.generic)
 EXACT, CLEAR = Realism(), Weather()
 
 
@@ -67,32 +65,35 @@ class Observer:
 
         Changes nothing, so that threads may ask for several at a time. Raises ConfigError outside timed poses.
         """
-        fired, count = plan.fired, plan.fired.time_ns.size
-        rows, what, time_ns = np.arange(count), None, fired.time_ns.ravel()
-        if plan.tables is not None:
+        fired, count, caster = plan.fired, plan.fired.time_ns.size, self._stage.caster
+        time_ns, what = fired.time_ns.ravel(), None
+        if plan.tables is None:
+            rows = np.arange(count)
+        else:
             rows, what = may_meet(fired.azimuth_rad.reshape(-1, self._mount.sensor.count), plan.tables)
-            time_ns = time_ns[rows]
+            time_ns = time_ns[rows] if caster.movers or not self._stage.trajectory.path.stands else time_ns[:0]
         starts, along, shares = self._rays(fired, rows, time_ns)
-        width = len(shares)
+        width, at = len(shares), rows
         if width > 1:
             time_ns, what = np.repeat(time_ns, width), None if what is None else np.repeat(what, width, axis=1)
-        hits = self._stage.caster.cast(starts, along, time_ns, what, normals=not self._exact)
-
-        def whole(values: NDArray[T], missing: float) -> NDArray[T]:
-            """Of all firings (N, K), from those that were cast."""
-            values = values.reshape(-1, width)
-            return values if what is None else spread(values, rows, count, values.dtype.type(missing))
-
-        range_m, reflectivity = whole(hits.range_m, np.inf), whole(hits.reflectivity, 0)
-        objects = whole(hits.object, NOTHING)
+            at = (rows[:, None] * width + np.arange(width)).ravel()
+        hits = caster.cast(starts, along, time_ns, what, normals=not self._exact, at=at, total=count * width)
         if self._exact:
-            found = single(range_m, reflectivity, objects, self._mount.return_mode)
+            columns = hits.range_m[:, None], hits.reflectivity[:, None], hits.object[:, None]
+            found = single(*columns, self._mount.return_mode)
         else:
-            cosine = abs(np.einsum("ij,ij->i", hits.normal, along))
-            met = Met(range_m, reflectivity, objects, whole(cosine, 1))
+            cosine = np.ones(count * width)
+            cosine[at] = abs(np.einsum("ij,ij->i", hits.normal[at], along))
+            shape = count, width
+            met = Met(
+                hits.range_m.reshape(shape),
+                hits.reflectivity.reshape(shape),
+                hits.object.reshape(shape),
+                cosine.reshape(shape),
+            )
             all_three = echoes(self._mount.sensor, self._realism, self._weather, self._index, plan.first, shares, met)
             found = all_three.reported(self._mount.return_mode)
-        return found, count * width, len(hits.range_m)
+        return found, count * width, len(along)
 
     def _rays(self, fired: Firings, rows: NDArray[np.int64], time_ns: Times) -> tuple[Array, Array, Array]:
         """Origins and directions (M × K, 3) in the world of the K sub-rays of the firings `rows`; their shares (K,)."""

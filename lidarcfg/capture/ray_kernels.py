@@ -1,14 +1,34 @@
 """The loops of casting: where beams point, rays brought into a part's own frame, what of a part they meet first."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from lidarcfg.capture.kernels import FAR_M, FOCAL_FAR_M, NEAR_X_M, NEAR_Y_M, RAW_MAX
+from lidarcfg.geometry import Array
 
+NOTHING = -1  # for an object
 SMALL = 0.02  # radians, up to which four terms of sine and cosine are exact
 STEPS, SETTLED_M = 40, 1e-9  # to a correction near by; of a real unit's, each leaves a hundredth of what is wrong
+
+
+class Rays(NamedTuple):
+    """N rays in some frame."""
+
+    origins_m: Array  # (N, 3)
+    directions: Array  # (N, 3) of unit length
+    at: NDArray[np.int64]  # (N,) where what they meet is kept
+
+
+class Nearest(NamedTuple):
+    """What is known of what rays meet first."""
+
+    range_m: Array  # inf: nothing
+    object: NDArray[np.int32]  # -1: nothing
+    normal: NDArray[np.float32]  # (…, 3) of the surface, towards either side; 0: nothing; (0, 3): not asked for
 
 
 @njit(cache=True, nogil=True)
@@ -22,6 +42,12 @@ def _matrix(R, i):
 def _times(m, x, y, z):
     """A matrix times a vector."""
     return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
+
+
+@njit(cache=True, nogil=True)
+def turned_by(R, i, x, y, z):
+    """A vector turned by matrix i of R (n, 3, 3), or the only one."""
+    return _times(_matrix(R, i), x, y, z)
 
 
 @njit(cache=True, nogil=True)
@@ -42,27 +68,20 @@ def _write(out, i, m):
 def may_meet(azimuth, tables):
     """By tables (K, sectors, L), of firings (N, L): the numbers (M,) of those that may meet anything; what (K, M)."""
     kinds, sectors, lasers = tables.shape
-    scale = sectors / (2 * math.pi)
+    scale, sector = sectors / (2 * math.pi), np.empty(lasers, np.int64)
     rows, what, count = np.empty(azimuth.size, np.int64), np.empty((kinds, azimuth.size), np.bool_), 0
     for n in range(len(azimuth)):
-        for laser in range(lasers):
-            sector, any_ = min(int(azimuth[n, laser] * scale), sectors - 1), False
-            for k in range(kinds):
-                what[k, count] = tables[k, sector, laser]
-                any_ |= what[k, count]
-            rows[count] = n * lasers + laser
+        for k in range(lasers):
+            sector[k] = min(int(azimuth[n, k] * scale), sectors - 1)
+        for k in range(lasers):
+            any_ = False
+            for kind in range(kinds):
+                here = tables[kind, sector[k], k]
+                what[kind, count] = here
+                any_ |= here
+            rows[count] = n * lasers + k
             count += any_
     return rows[:count], what[:, :count].copy()
-
-
-@njit(cache=True, nogil=True)
-def spread(values, rows, count, missing):
-    """Values (M, K) of the firings `rows` (M,) among those of all firings (count, K); the others have none."""
-    out = np.full((count, values.shape[1]), missing, values.dtype)
-    for i in range(len(rows)):
-        for k in range(values.shape[1]):
-            out[rows[i], k] = values[i, k]
-    return out
 
 
 @njit(cache=True, nogil=True)
@@ -296,38 +315,18 @@ def narrowed(origins_m, directions, pick, place_m):
     return out
 
 
-@njit(cache=True, nogil=True)
-def keep_nearer(rows, found_m, triangle, planes, objects, R, range_m, object_, normal):
-    """Of the rays `rows` (M,) that meet triangles (M,) at found_m (M,): those nearer than `range_m` (N,) are kept.
-
-    So is the object met, one a triangle or one for all, and unless there is no room for it the normal of the plane
-    (T, 4), turned by R (M or 1, 3, 3).
-    """
-    for i in range(len(rows)):
-        n = rows[i]
-        if found_m[i] < range_m[n]:
-            range_m[n] = found_m[i]
-            object_[n] = objects[triangle[i] if len(objects) > 1 else 0]
-            if len(normal):
-                k = triangle[i]
-                normal[n, 0], normal[n, 1], normal[n, 2] = _times(
-                    _matrix(R, i), planes[k, 0], planes[k, 1], planes[k, 2]
-                )
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def keep_ground(origins_m, directions, rows, z_m, object_number, range_m, object_, normal):
-    """Of the rays `rows` (M,) of (N, 3): those that meet the horizontal plane at `z_m` nearer than `range_m` (N,) are
-    kept; so is what they meet, and its normal, unless there is no room for it. The plane has no end and two sides.
+def ground(rays, may_meet, z_m, nearest):
+    """Keep what rays (N,) meet of the horizontal plane at `z_m`, object 0, if they may (N,): the first that is known.
+
+    The plane has no end and two sides.
     """
-    for i in range(len(rows)):
-        n = rows[i]
-        far_m = (z_m - origins_m[n, 2]) / directions[n, 2]
-        if 0 < far_m < range_m[n]:
-            range_m[n] = far_m
-            object_[n] = object_number
-            if len(normal):
-                normal[n] = 0, 0, 1
+    for i in range(len(rays.at)):
+        far_m = (z_m - rays.origins_m[i, 2]) / rays.directions[i, 2]
+        if may_meet[i] and 0 < far_m < np.inf:
+            nearest.range_m[rays.at[i]], nearest.object[rays.at[i]] = far_m, 0
+            if len(nearest.normal):
+                nearest.normal[rays.at[i]] = 0, 0, 1
 
 
 @njit(cache=True, nogil=True)

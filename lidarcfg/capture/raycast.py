@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.ray_kernels import keep_ground, keep_nearer, local_rays, of_objects
+from lidarcfg.capture.ray_kernels import NOTHING, Nearest, Rays, ground, local_rays, of_objects
 from lidarcfg.capture.scene import Scene
 from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared
 from lidarcfg.capture.triangles import Triangles
@@ -19,7 +19,6 @@ from lidarcfg.geometry import Array
 
 LOCAL_M = 1000.0  # at so much from a local origin a float32 steps by 0.06 mm
 PARTS_MAX = 4  # local origins kept at a time, as a rig may stand across their borders
-NOTHING = -1
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
@@ -72,7 +71,7 @@ class Raycaster:
             if key not in self._parts:
                 if len(self._parts) == PARTS_MAX:
                     del self._parts[next(iter(self._parts))]
-                self._parts[key] = Triangles(self.scene.vertices_m - origin_m, self.still_triangles)
+                self._parts[key] = Triangles(self.scene.vertices_m - origin_m, self.still_triangles, self._still_object)
             return origin_m, self._parts[key]
 
     def cast(
@@ -82,37 +81,40 @@ class Raycaster:
         time_ns: NDArray[np.int64] | None = None,
         may_meet: Mask | None = None,
         normals: bool = False,
+        at: Rows | None = None,
+        total: int | None = None,
     ) -> Hits:
         """Rays (N, 3) from points of the world along unit vectors at times (N,): what each meets first.
 
         Without times everything stands where it does at time 0. `may_meet` (2 + movers, N) says which rays can
         meet the ground, what stands still, and each mover; the others are not cast. Normals come only if asked for.
+        With `at` (N,) these are some of `total` rays, the others of which meet nothing.
         Raises ConfigError outside timed poses.
         """
         count = len(directions)
-        hits = Hits(
-            range_m=np.full(count, np.inf),
-            reflectivity=np.empty(0, np.uint8),  # to come
-            object=np.full(count, NOTHING, np.int32),
-            normal=np.zeros((count if normals else 0, 3), np.float32),
+        at, total = np.arange(count) if at is None else at, count if total is None else total
+        nearest = Nearest(
+            range_m=np.full(total, np.inf),
+            object=np.full(total, NOTHING, np.int32),
+            normal=np.zeros((total if normals else 0, 3), np.float32),
         )
-        everyone = np.arange(count)
-        rows = [everyone] * (2 + len(self.movers)) if may_meet is None else [np.flatnonzero(row) for row in may_meet]
-        kept = hits.range_m, hits.object, hits.normal
+        rays = Rays(origins_m, directions, at)
+        masks = np.ones((2 + len(self.movers), count), np.bool_) if may_meet is None else may_meet
         if self.scene.file.ground:
-            keep_ground(origins_m, directions, rows[0], self.scene.file.ground.z_m, 0, *kept)
-        if len(rows[1]) and len(self.still_triangles):
+            ground(rays, masks[0], self.scene.file.ground.z_m, nearest)
+        still = np.flatnonzero(masks[1])
+        if len(still) and len(self.still_triangles):
             local_m, part = self._local(origins_m[0])
-            found = part.cast(origins_m, directions, rows[1], local_m)
-            keep_nearer(rows[1], *found, part.planes, self._still_object, np.eye(3)[None], *kept)
-        for mover, which in zip(self.movers, rows[2:], strict=True):
+            part.cast(rays, still, local_m, np.eye(3)[None], nearest)
+        for mover, mask in zip(self.movers, masks[2:], strict=True):
+            which = np.flatnonzero(mask)
             if len(which):
                 seconds = np.zeros(len(which)) if time_ns is None else (time_ns[which] - self.zero_ns) / SECOND_NS
                 R, t = mover.path.at(seconds)
                 start_m, along = local_rays(origins_m, directions, which, R, mover.place_m + t)
-                found = mover.part.cast(start_m, along, np.arange(len(which)), np.zeros(3))
-                keep_nearer(which, *found, mover.part.planes, np.array([mover.object], np.int32), R, *kept)
-        return hits._replace(reflectivity=of_objects(self.scene.reflectivity, hits.object))
+                mover.part.cast(Rays(start_m, along, at[which]), np.arange(len(which)), np.zeros(3), R, nearest)
+        reflectivity = of_objects(self.scene.reflectivity, nearest.object)
+        return Hits(nearest.range_m, reflectivity, nearest.object, nearest.normal)
 
 
 def _mover(scene: Scene, index: int) -> Mover:
@@ -122,4 +124,5 @@ def _mover(scene: Scene, index: int) -> Mover:
     used, local = np.unique(triangles, return_inverse=True)
     vertices = scene.vertices_m[used] - place_m
     radius_m = float(np.linalg.norm(vertices, axis=1).max())
-    return Mover(index, prepared(motion), place_m, radius_m, Triangles(vertices, local.reshape(-1, 3)))
+    part = Triangles(vertices, local.reshape(-1, 3), np.full(len(triangles), index, np.int32))
+    return Mover(index, prepared(motion), place_m, radius_m, part)

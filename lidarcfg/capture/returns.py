@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.raycast import NOTHING
+from lidarcfg.capture.ray_kernels import NOTHING
 from lidarcfg.capture.scene import Weather
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lidarcfg.capture.ray_kernels import narrowed
+from lidarcfg.capture.ray_kernels import Nearest, Rays, narrowed, turned_by
 from lidarcfg.geometry import Array
 
 HAIR_M = 2e-4  # beyond what float32 is off by within a sensor's range
@@ -23,6 +23,7 @@ MOVES_MAX = 4  # past the rims of so many triangles, as where some meet in a cor
 SHARP = 0.1  # the sine of a corner's angle; one that is sharper is not moved out further
 FLAT = 1e-12  # of its longest edge: a triangle of less height has no area, and nothing meets it
 GRAZING_M = 0.01  # a plane's range further than this from float32's is rounding's
+HAIR, EDGE, OBJECT = 4, 5, 6  # columns of a facet
 BESIDE = 1e-9  # of a triangle: by so much a ray may pass beside it, lest it slip through in float64
 
 Index = NDArray[np.int64]
@@ -31,60 +32,57 @@ Index = NDArray[np.int64]
 class Triangles:
     """Triangles in a frame whose origin is near; from either side alike."""
 
-    def __init__(self, vertices_m: Array, triangles: Index) -> None:
-        """`triangles` (T, 3) are indices of vertices (V, 3)."""
+    def __init__(self, vertices_m: Array, triangles: Index, objects: NDArray[np.int32]) -> None:
+        """`triangles` (T, 3) are indices of vertices (V, 3); objects (T,) say what they are of."""
         import open3d as o3d
 
         self._vertices_m, self._triangles = vertices_m, triangles
-        self.planes, self._hair_m, self._rim, corners = measured(vertices_m, triangles)
+        self._facets, corners = measured(vertices_m, triangles, objects)
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(triangles):
             tensor = o3d.core.Tensor.from_numpy
             index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
             self._scene.add_triangles(tensor(corners), tensor(index))
 
-    def cast(
-        self, origins_m: Array, directions: Array, pick: Index, place_m: Array
-    ) -> tuple[Array, NDArray[np.uint32]]:
-        """How far the rays `pick` (M,) of (N, 3) get, inf for nothing, and the triangles (M,) that they meet.
+    def cast(self, rays: Rays, pick: Index, place_m: Array, R: Array, nearest: Nearest) -> None:
+        """Keep what the rays `pick` (M,) meet, if it is nearer than what is known.
 
-        Directions are unit vectors; origins are in a frame in which that of the triangles stands at place_m (3,).
+        The triangles' frame stands at place_m (3,) of the rays'; that is turned by R (M or 1, 3, 3) in the one in
+        which normals are asked for.
         """
-        range_m, triangle, rows, moved_m = self._look(origins_m, origins_m, directions, pick, place_m)
-        for _ in range(MOVES_MAX):
-            if not len(rows):
+        start_m = rays.origins_m
+        for left in range(MOVES_MAX, -1, -1):
+            again, moved_m = self._look(start_m, rays, pick, place_m, R, nearest, left == 0)
+            if not len(again):
                 break
-            rays = moved_m, origins_m[pick[rows]] - place_m, directions[pick[rows]]
-            range_m[rows], triangle[rows], again, moved_m = self._look(*rays, np.arange(len(rows)), np.zeros(3))
-            rows = rows[again]
-        return range_m, triangle
+            which, R = pick[again], R if len(R) == 1 else R[again]
+            rays = Rays(rays.origins_m[which] - place_m, rays.directions[which], rays.at[which])
+            start_m, pick, place_m = moved_m, np.arange(len(which)), np.zeros(3)
 
     def _look(
-        self, start_m: Array, origins_m: Array, directions: Array, pick: Index, place_m: Array
-    ) -> tuple[Array, NDArray[np.uint32], Index, Array]:
-        """The same of rays that are cast from `start_m` (N, 3), beside their origins, and what `met` says of them."""
+        self, start_m: Array, rays: Rays, pick: Index, place_m: Array, R: Array, nearest: Nearest, last: bool
+    ) -> tuple[Index, Array]:
+        """The same of rays that are cast from `start_m` (N, 3), beside their origins; what `met` says of the others."""
         import open3d as o3d
 
-        narrow = narrowed(start_m, directions, pick, place_m)
+        narrow = narrowed(start_m, rays.directions, pick, place_m)
         found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(narrow))
         hit_m, triangle, uv = (found[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
-        rays = start_m, origins_m, directions, pick, place_m
-        range_m, again, moved_m = met(
-            *rays, hit_m, triangle, uv, self.planes, self._rim, self._hair_m, self._vertices_m, self._triangles
-        )
-        return range_m, triangle, again, moved_m
+        mesh = self._facets, self._vertices_m, self._triangles
+        again, moved_m = met(start_m, rays, pick, place_m, R, hit_m, triangle, uv, *mesh, last, nearest)
+        return again, moved_m
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measured(vertices_m: Array, triangles: Index) -> tuple[Array, Array, NDArray[np.float32], NDArray[np.float32]]:
-    """Of triangles (T, 3): planes (T, 4), n·p = d; hairs (T,); rims (T,) in barycentric coordinates; larger corners.
+def measured(vertices_m: Array, triangles: Index, objects: NDArray[np.int32]) -> tuple[Array, NDArray[np.float32]]:
+    """Facets (T, 8) of triangles (T, 3), and the corners of larger ones.
 
-    The corners (3 T, 3) are of triangles with every edge moved out by a hair, by less towards a sharp corner. A
-    triangle without area becomes a point there.
+    A facet is all that is asked for together: the plane, n·p = d; the hair; the rim in barycentric coordinates; the
+    object; and nothing. The corners (3 T, 3) are of triangles with every edge moved out by a hair, by less towards a
+    sharp corner. A triangle without area becomes a point there.
     """
     count = len(triangles)
-    planes, hair_m, rim = np.empty((count, 4)), np.empty(count), np.empty(count, np.float32)
-    larger = np.empty((3 * count, 3), np.float32)
+    facets, larger = np.zeros((count, 8)), np.empty((3 * count, 3), np.float32)
     corners, edges, units = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     normal, across = np.empty(3), np.empty(3)
     for t in range(count):
@@ -105,17 +103,17 @@ def measured(vertices_m: Array, triangles: Index) -> tuple[Array, Array, NDArray
         if flat:
             doubled = 1.0
         for k in range(3):
-            planes[t, k] = normal[k] / doubled
-        planes[t, 3] = planes[t, 0] * corners[0, 0] + planes[t, 1] * corners[0, 1] + planes[t, 2] * corners[0, 2]
-        hair_m[t] = min(SHARE * longest, HAIR_M)
-        rim[t] = RIM * hair_m[t] * longest / doubled
+            facets[t, k] = normal[k] / doubled
+            facets[t, 3] += facets[t, k] * corners[0, k]
+        hair_m = min(SHARE * longest, HAIR_M)
+        facets[t, HAIR], facets[t, EDGE], facets[t, OBJECT] = hair_m, RIM * hair_m * longest / doubled, objects[t]
         for c in range(3):
             behind = (c + 2) % 3
             _cross(units[behind], units[c], across)
-            by_m = 0.0 if flat else hair_m[t] / max(_length(across), SHARP)
+            by_m = 0.0 if flat else hair_m / max(_length(across), SHARP)
             for k in range(3):
                 larger[3 * t + c, k] = corners[0 if flat else c, k] + (units[behind, k] - units[c, k]) * by_m
-    return planes, hair_m, rim, larger
+    return facets, larger
 
 
 @njit(cache=True, nogil=True)
@@ -126,61 +124,69 @@ def _length(vector: Array) -> float:
 @njit(cache=True, nogil=True, error_model="numpy")
 def met(
     start_m: Array,
-    origins_m: Array,
-    directions: Array,
+    rays: Rays,
     pick: Index,
     place_m: Array,
+    R: Array,
     hit_m: NDArray[np.float32],
     triangle: NDArray[np.uint32],
     uv: NDArray[np.float32],
-    planes: Array,
-    rim: NDArray[np.float32],
-    hair_m: Array,
+    facets: Array,
     vertices_m: Array,
     triangles: Index,
-) -> tuple[Array, Index, Array]:
-    """How far (M,) the rays `pick` (M,) get that were cast from `start_m` (N, 3) and hit triangles (M,) at hit_m (M,).
+    last: bool,
+    nearest: Nearest,
+) -> tuple[Index, Array]:
+    """Keep what the rays `pick` (M,) met that were cast from `start_m` (N, 3) and hit triangles (M,) at hit_m (M,).
 
-    That is for the triangle's plane (n·p = d) to say, unless it is further than GRAZING_M from the hit, as where it is
-    seen edge on. And which of the rays hit the rim of their triangle, but in float64 pass beside it, and where to
-    start them anew, past its edge: in the triangles' frame, which stands at place_m (3,). uv (M, 2) says where they
-    hit, rim (T,) how near to an edge that must be to be looked at; hair_m is (T,).
+    How far that is, is for the triangle's plane to say, unless it is further than GRAZING_M from the hit, as where it
+    is seen edge on. But rays that hit the rim of their triangle, where uv (M, 2) says, and in float64 pass beside it,
+    are not kept unless this look is the last: which these are, and where to start them anew, past the edge, in the
+    triangles' frame.
     """
-    range_m, rows, moved_m, count = np.empty(len(pick)), np.empty(len(pick), np.int64), np.empty((len(pick), 3)), 0
+    rows, moved_m, count = np.empty(len(pick), np.int64), np.empty((len(pick), 3)), 0
     corners, normal, out = np.empty((3, 3)), np.empty(3), np.empty(3)
     place_x, place_y, place_z = place_m
     for i in range(len(pick)):
-        range_m[i] = hit_m[i]
         if not hit_m[i] < np.inf:
             continue
         n, t = pick[i], triangle[i]
-        x, y, z = origins_m[n, 0] - place_x, origins_m[n, 1] - place_y, origins_m[n, 2] - place_z
-        u, v, w = directions[n, 0], directions[n, 1], directions[n, 2]
-        away_m = planes[t, 3] - (planes[t, 0] * x + planes[t, 1] * y + planes[t, 2] * z)
-        exact_m = away_m / (planes[t, 0] * u + planes[t, 1] * v + planes[t, 2] * w)
-        if abs(exact_m - hit_m[i]) < GRAZING_M:
-            range_m[i] = max(exact_m, 0.0)  # a ray that starts on the plane, by float32
-        if min(uv[i, 0], uv[i, 1], 1 - uv[i, 0] - uv[i, 1]) >= rim[t]:
-            continue
-        for k in range(3):  # relative to the ray's start
-            corners[k] = vertices_m[triangles[t, k]] - (start_m[n] - place_m)
-        _cross(corners[1] - corners[0], corners[2] - corners[0], normal)
-        rise = normal[0] * u + normal[1] * v + normal[2] * w
-        least, edge = -BESIDE, -1  # the share of the corner across an edge is negative beyond it
-        for k in range(3):
-            _cross(corners[(k + 1) % 3], corners[(k + 2) % 3], out)
-            share = (out[0] * u + out[1] * v + out[2] * w) / rise
-            if share < least:
-                least, edge = share, k
-        if edge < 0:
-            continue
-        _cross(corners[(edge + 2) % 3] - corners[(edge + 1) % 3], normal, out)
-        step = PAST * hair_m[t] / math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
-        for k in range(3):
-            moved_m[count, k] = start_m[n, k] - place_m[k] + out[k] * step
-        rows[count] = i
-        count += 1
-    return range_m, rows[:count], moved_m[:count]
+        u, v, w = rays.directions[n, 0], rays.directions[n, 1], rays.directions[n, 2]
+        if min(uv[i, 0], uv[i, 1], 1 - uv[i, 0] - uv[i, 1]) < facets[t, EDGE] and not last:
+            for k in range(3):  # relative to the ray's start
+                corners[k] = vertices_m[triangles[t, k]] - (start_m[n] - place_m)
+            if _beside(corners, (u, v, w), normal, out):
+                step = PAST * facets[t, HAIR] / math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
+                for k in range(3):
+                    moved_m[count, k] = start_m[n, k] - place_m[k] + out[k] * step
+                rows[count] = i
+                count += 1
+                continue
+        a, b, c, at = facets[t, 0], facets[t, 1], facets[t, 2], rays.at[n]
+        x, y, z = rays.origins_m[n, 0] - place_x, rays.origins_m[n, 1] - place_y, rays.origins_m[n, 2] - place_z
+        exact_m, far_m = (facets[t, 3] - (a * x + b * y + c * z)) / (a * u + b * v + c * w), float(hit_m[i])
+        if abs(exact_m - far_m) < GRAZING_M:
+            far_m = max(exact_m, 0.0)  # a ray that starts on the plane, by float32
+        if far_m < nearest.range_m[at]:
+            nearest.range_m[at], nearest.object[at] = far_m, facets[t, OBJECT]
+            if len(nearest.normal):
+                nearest.normal[at, 0], nearest.normal[at, 1], nearest.normal[at, 2] = turned_by(R, i, a, b, c)
+    return rows[:count], moved_m[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _beside(corners: Array, way: tuple[float, float, float], normal: Array, out: Array) -> bool:
+    """Whether a ray from the origin passes beside a triangle (3, 3); if so, which way (3,) leads out past its edge."""
+    _cross(corners[1] - corners[0], corners[2] - corners[0], normal)
+    rise = normal[0] * way[0] + normal[1] * way[1] + normal[2] * way[2]
+    least, edge = -BESIDE, -1  # the share of the corner across an edge is negative beyond it
+    for k in range(3):
+        _cross(corners[(k + 1) % 3], corners[(k + 2) % 3], out)
+        share = (out[0] * way[0] + out[1] * way[1] + out[2] * way[2]) / rise
+        if share < least:
+            least, edge = share, k
+    _cross(corners[(edge + 2) % 3] - corners[(edge + 1) % 3], normal, out)
+    return edge >= 0
 
 
 @njit(cache=True, nogil=True)
