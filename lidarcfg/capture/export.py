@@ -33,8 +33,8 @@ from lidarcfg.rig import Mount, Rig
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export repeats
 YEAR_2000_NS = 946_684_800 * 10**9
-CHUNK_NS, CHUNK_RAYS = 500_000_000, 131_072  # cast at a time, at most
-AHEAD = 2  # chunks of a sensor that are cast while others are written
+CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 262_144  # cast at a time, at most: what is done once a chunk is not nothing
+AHEAD = 1  # chunks of a sensor that are cast while others are written
 SECOND_NS = 10**9
 POSITIONS = 1024  # position packets at a time
 SLOWEST_M_S = 0.1  # a vehicle that is slower has its heading for a course
@@ -218,17 +218,20 @@ def data_stream(
         fired = plan.fired
         if not len(fired.time_ns):
             return None
-        found, fired_rays, cast = observer.report(plan)
-        measured_m = (found.range_m + found.noise_m).reshape(*fired.time_ns.shape, -1)
-        reflectivity = found.reflectivity.reshape(measured_m.shape)
-        seen = (measured_m, reflectivity) if dual else (measured_m[..., 0], reflectivity[..., 0])
-        packets = encode(sensor, mount.return_mode, fired, *seen)
-        truth = np.empty(0, RECORD)
-        if told.truth:
-            sent = sent_returns(sensor, mount.return_mode, packets)
-            truth = records(index, mount.return_mode, fired.time_ns, found, *sent)
-        ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
-        return Sent(sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, fired_rays, cast)
+        with stage.caster.turns.together():
+            found, fired_rays, cast = observer.report(plan)
+            measured_m = (found.range_m + found.noise_m).reshape(*fired.time_ns.shape, -1)
+            reflectivity = found.reflectivity.reshape(measured_m.shape)
+            seen = (measured_m, reflectivity) if dual else (measured_m[..., 0], reflectivity[..., 0])
+            packets = encode(sensor, mount.return_mode, fired, *seen)
+            truth = np.empty(0, RECORD)
+            if told.truth:
+                sent = sent_returns(sensor, mount.return_mode, packets)
+                truth = records(index, mount.return_mode, fired.time_ns, found, *sent)
+            ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
+            return Sent(
+                sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, fired_rays, cast
+            )
 
     chunks = firing_chunks(sensor, mount.rpm, start_ns, total, chunk, dual, mount.phase_deg, mount.sector_deg)
     for number, sent in enumerate(ahead(pool, work, map(observer.plan, chunks)), 1):

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.capture.ray_kernels import Nearest, Rays, narrowed, turned_by
+from lidarcfg.capture.turns import Turns
 from lidarcfg.geometry import Array
 
 HAIR_M = 2e-4  # beyond what float32 is off by within a sensor's range
@@ -23,6 +24,7 @@ MOVES_MAX = 4  # past the rims of so many triangles, as where some meet in a cor
 SHARP = 0.1  # the sine of a corner's angle; one that is sharper is not moved out further
 FLAT = 1e-12  # of its longest edge: a triangle of less height has no area, and nothing meets it
 GRAZING_M = 0.01  # a plane's range further than this from float32's is rounding's
+FEW = 2048  # rays, which Open3D casts on one core
 HAIR, EDGE, OBJECT = 4, 5, 6  # columns of a facet
 BESIDE = 1e-9  # of a triangle: by so much a ray may pass beside it, lest it slip through in float64
 
@@ -32,11 +34,11 @@ Index = NDArray[np.int64]
 class Triangles:
     """Triangles in a frame whose origin is near; from either side alike."""
 
-    def __init__(self, vertices_m: Array, triangles: Index, objects: NDArray[np.int32]) -> None:
+    def __init__(self, vertices_m: Array, triangles: Index, objects: NDArray[np.int32], turns: Turns) -> None:
         """`triangles` (T, 3) are indices of vertices (V, 3); objects (T,) say what they are of."""
         import open3d as o3d
 
-        self._vertices_m, self._triangles = vertices_m, triangles
+        self._vertices_m, self._triangles, self._turns = vertices_m, triangles, turns
         self._facets, corners = measured(vertices_m, triangles, objects)
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(triangles):
@@ -65,8 +67,12 @@ class Triangles:
         """The same of rays that are cast from `start_m` (N, 3), beside their origins; what `met` says of the others."""
         import open3d as o3d
 
-        narrow = narrowed(start_m, rays.directions, pick, place_m)
-        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(narrow))
+        narrow = o3d.core.Tensor.from_numpy(narrowed(start_m, rays.directions, pick, place_m))
+        if len(pick) <= FEW:
+            found = self._scene.cast_rays(narrow, nthreads=1)
+        else:
+            with self._turns.alone():
+                found = self._scene.cast_rays(narrow)
         hit_m, triangle, uv = (found[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
         mesh = self._facets, self._vertices_m, self._triangles
         again, moved_m = met(start_m, rays, pick, place_m, R, hit_m, triangle, uv, *mesh, last, nearest)
