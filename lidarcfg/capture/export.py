@@ -33,7 +33,7 @@ from lidarcfg.rig import Mount, Rig
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export repeats
 YEAR_2000_NS = 946_684_800 * 10**9
-CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 262_144  # cast at a time, at most: what is done once a chunk is not nothing
+CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # cast at a time, at most: what is done once a chunk is not nothing
 AHEAD = 1  # chunks of a sensor that are cast while others are written
 SECOND_NS = 10**9
 POSITIONS = 1024  # position packets at a time

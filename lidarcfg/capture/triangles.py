@@ -65,18 +65,22 @@ class Triangles:
         self, start_m: Array, rays: Rays, pick: Index, place_m: Array, R: Array, nearest: Nearest, last: bool
     ) -> tuple[Index, Array]:
         """The same of rays that are cast from `start_m` (N, 3), beside their origins; what `met` says of the others."""
+        hits = self._hits(narrowed(start_m, rays.directions, pick, place_m))
+        mesh = self._facets, self._vertices_m, self._triangles
+        again, moved_m = met(start_m, rays, pick, place_m, R, *hits, *mesh, last, nearest)
+        return again, moved_m
+
+    def _hits(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
+        """How far (M,) rays (M, 6) get, the triangles (M,) that they hit, and where on these (M, 2), by Open3D."""
         import open3d as o3d
 
-        narrow = o3d.core.Tensor.from_numpy(narrowed(start_m, rays.directions, pick, place_m))
-        if len(pick) <= FEW:
-            found = self._scene.cast_rays(narrow, nthreads=1)
+        tensor = o3d.core.Tensor.from_numpy(rays)
+        if len(rays) <= FEW:
+            found = self._scene.cast_rays(tensor, nthreads=1)
         else:
             with self._turns.alone():
-                found = self._scene.cast_rays(narrow)
-        hit_m, triangle, uv = (found[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
-        mesh = self._facets, self._vertices_m, self._triangles
-        again, moved_m = met(start_m, rays, pick, place_m, R, hit_m, triangle, uv, *mesh, last, nearest)
-        return again, moved_m
+                found = self._scene.cast_rays(tensor)
+        return found["t_hit"].numpy(), found["primitive_ids"].numpy(), found["primitive_uvs"].numpy()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
