@@ -212,7 +212,7 @@ def data_stream(
     sender = Sender(sensor.headers, sensor.headers.data, mount.host, mount.data_port)
     period_ns = packet_period_ns(sensor, dual)
     total = duration_ns // period_ns
-    chunk = max(min(chunk_ns // period_ns, CHUNK_RAYS // (packet_offsets_ns(sensor, dual).size * observer.sub_rays)), 1)
+    chunk = max(min(chunk_ns // period_ns, CHUNK_RAYS // (packet_offsets_ns(sensor, dual).size * observer.width)), 1)
 
     def work(plan: Plan) -> Sent | None:
         fired = plan.fired

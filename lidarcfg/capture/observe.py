@@ -9,7 +9,18 @@ from lidarcfg.capture.firing import Firings, Times, aimed
 from lidarcfg.capture.ray_kernels import chained, may_meet
 from lidarcfg.capture.raycast import Mask, Raycaster
 from lidarcfg.capture.reach import Balls, Reach
-from lidarcfg.capture.returns import Echoes, Met, echoes, single, spread_rad, sub_rays, wide
+from lidarcfg.capture.returns import (
+    CELLS,
+    NODES,
+    Echoes,
+    Met,
+    echoes,
+    extinction_per_m,
+    single,
+    spread_rad,
+    sub_rays,
+    wide,
+)
 from lidarcfg.capture.scene import Weather
 from lidarcfg.capture.trajectory import Trajectory, rotated
 from lidarcfg.geometry import Array
@@ -48,7 +59,9 @@ class Observer:
         if stage.still:
             spread = spread_rad(mount.sensor, self._realism)
             self._reach = Reach(mount, stage.caster, stage.still, stage.trajectory, spread)
-        self.sub_rays = sub_rays(mount.sensor, self._realism)
+        self._sub_rays = sub_rays(mount.sensor, self._realism)
+        cells = CELLS if extinction_per_m(self._weather) else 0
+        self.width = 1 if self._exact else max(self._sub_rays + cells, len(NODES) ** 2)  # numbers a firing, at a time
         self._fired = 0  # firings so far
 
     def plan(self, fired: Firings) -> Plan:
@@ -101,12 +114,12 @@ class Observer:
         outer, inner = trajectory.T_world_start, mount.T_vehicle_sensor
         motion = trajectory.motion(time_ns)
         R, t = chained(*_parted(outer), *motion, *_parted(inner))
-        if self.sub_rays == 1:
+        if self._sub_rays == 1:
             return *aimed(mount.sensor, fired, rows, R, t), np.ones(1)
         origins, axes = aimed(mount.sensor, fired, rows, np.eye(3)[None], np.zeros((1, 3)))
         directions, shares = wide(axes, mount.sensor)
-        starts = np.repeat(rotated(R, origins) + t, self.sub_rays, axis=0)
-        R = R if len(R) == 1 else np.repeat(R, self.sub_rays, axis=0)
+        starts = np.repeat(rotated(R, origins) + t, self._sub_rays, axis=0)
+        R = R if len(R) == 1 else np.repeat(R, self._sub_rays, axis=0)
         return starts, rotated(R, directions.reshape(-1, 3)), shares
 
 
