@@ -34,6 +34,7 @@ from lidarcfg.rig import Mount, Rig
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export repeats
 YEAR_2000_NS = 946_684_800 * 10**9
 CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # cast at a time, at most: what is done once a chunk is not nothing
+CHUNK_M = 3.0  # how far a vehicle gets meanwhile: beyond that little is sure of what its beams may meet
 AHEAD = 1  # chunks of a sensor that are cast while others are written
 SECOND_NS = 10**9
 POSITIONS = 1024  # position packets at a time
@@ -94,6 +95,8 @@ def export(
         except ConfigError as error:
             raise ConfigError(f"{scene.names[mover.object]}: {error}") from None
     stage = Stage(caster, trajectory, balls(caster) if skip else None)
+    if trajectory.path.speed_max_m_s:
+        chunk_ns = min(chunk_ns, int(CHUNK_M / trajectory.path.speed_max_m_s * SECOND_NS))
     pool = ThreadPoolExecutor(threads or os.cpu_count())
     streams = []
     for i, (mount, first_ns) in enumerate(zip(rig.mounts, starts_ns, strict=True)):
