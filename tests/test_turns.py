@@ -44,12 +44,13 @@ def test_who_is_alone_is_alone(threads):
 
 def test_alone_from_outside():
     """As a caster is used by itself: nobody to wait for."""
-    turns = Turns()
+    turns, seen = Turns(), []
     for _ in range(2):
         with turns.alone():
-            pass
+            seen.append("alone")
     with turns.together():
-        pass
+        seen.append("together")
+    assert seen == ["alone", "alone", "together"]
 
 
 def test_an_error_lets_the_others_on():
