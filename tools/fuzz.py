@@ -42,7 +42,7 @@ if "--random" in sys.argv:
 import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from lidarcfg.capture import kernels, ray_kernels  # noqa: E402, F401 - compiled as they are
+from lidarcfg.capture import encode_kernels, kernels, ray_kernels  # noqa: E402, F401 - compiled as they are
 
 with atheris.instrument_imports(include=["lidarcfg.capture"]) if atheris else contextlib.nullcontext():
     from lidarcfg.capture import decode as decoder
@@ -302,7 +302,7 @@ def work(folder: Path, packets: int, seed: int) -> None:
     def one(data: bytes) -> None:
         try:
             tally.add(*run(bytes(data), folder))
-        except BaseException:
+        except BaseException:  # whatever ends the case, it is to be found again
             (folder / "failed").write_text(bytes(data).hex())
             raise
         if tally.packets >= packets:

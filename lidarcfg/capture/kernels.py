@@ -154,10 +154,16 @@ def _turned(turn: float, share: Array, cos: Array, sin: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _focused(intensity: int, raw: int, focal: Array) -> int:
-    """An intensity corrected by how far the raw distance is from the laser's focal one."""
+def raised(raw: int, focal: Array) -> float:
+    """By how much an intensity is corrected for how far the raw distance is from the laser's focal one."""
     away = 256 * (1 - focal[0] / FOCAL_FAR_M) ** 2 - 256 * (1 - raw / RAW_MAX) ** 2
-    corrected: int = round(min(max(intensity + focal[1] * abs(away), focal[2]), focal[3]))
+    return float(focal[1] * abs(away))
+
+
+@njit(cache=True, nogil=True)
+def _focused(intensity: int, raw: int, focal: Array) -> int:
+    """An intensity corrected so, within the laser's least and greatest."""
+    corrected: int = round(min(max(intensity + raised(raw, focal), focal[2]), focal[3]))
     return corrected
 
 

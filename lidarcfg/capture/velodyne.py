@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture import kernels, ray_kernels
+from lidarcfg.capture import encode_kernels, kernels
 from lidarcfg.capture.firing import (
     Firings,
     Times,
@@ -95,13 +95,13 @@ def encode(
     laser, limits = number // (1 + dual) % sensor.count, _limits(sensor)
     seen = _flat(range_m, len(packets)), _flat(reflectivity, len(packets))
     returns = blocks["returns"]["distance"], blocks["returns"]["intensity"]
-    ray_kernels.fill(*seen, number, sensor.distance_offset_m[laser], limits, *returns)
+    encode_kernels.fill(*seen, number, sensor.distance_offset_m[laser], limits, *returns)
     if sensor.near_offset_m is not None:
         azimuth = _flat(firings.azimuth_rad, len(packets))
         tables = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, sensor.distance_offset_m
-        ray_kernels.fill_near(*seen, azimuth, number, laser, (*tables, sensor.near_offset_m), limits, *returns)
+        encode_kernels.fill_near(*seen, azimuth, number, laser, (*tables, sensor.near_offset_m), limits, *returns)
     if sensor.focal is not None:
-        ray_kernels.unfocus(returns[0], laser, sensor.focal, returns[1])
+        encode_kernels.unfocus(returns[0], laser, sensor.focal, returns[1])
     stamps_ns, _ = packet_stamps_ns(sensor, firings)
     packets["stamp_us"] = stamp_us(stamps_ns)
     if facts.return_modes:

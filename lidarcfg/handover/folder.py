@@ -47,7 +47,7 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
             if whole.exists():
                 whole.rename(old)
             new.rename(whole)
-        except BaseException:
+        except BaseException:  # an interrupt as well: what was there stays
             if old.exists() and not whole.exists():
                 old.rename(whole)
             raise
