@@ -9,9 +9,8 @@ import errno
 import math
 import os
 import re
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Annotated, Any, TypeVar
 
@@ -299,19 +298,14 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
         raise IsADirectoryError(errno.EISDIR, "is a directory", str(path))
     if path.exists() and not path.is_file():  # a device or a pipe, which a rename would replace
         raise OSError(errno.EINVAL, "is not a regular file", str(path))
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
-    try:
-        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
+    temporary = str(path.parent / f".{path.name}.{os.urandom(4).hex()}.part")
+    try:  # from before it is there: an interrupt comes at any time
+        with open(temporary, mode.replace("w", "x"), encoding=None if "b" in mode else "utf-8") as file:
             yield file
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
     except BaseException as error:
-        Path(temporary).unlink(missing_ok=True)
+        with suppress(OSError):
+            os.unlink(temporary)
         if isinstance(error, OSError) and error.filename in (None, temporary):  # a full disk names no file
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise

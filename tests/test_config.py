@@ -2,6 +2,7 @@
 
 import os
 import stat
+import sys
 
 import pytest
 from hypothesis import given
@@ -99,6 +100,38 @@ def test_replacing_leaves_the_old_file_until_the_new_is_whole(tmp_path):
         file.write("new")
         assert path.read_text() == "old"
     assert [p.read_text() for p in tmp_path.iterdir()] == ["new"]
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # between opening and `with`, only the collector closes
+def test_an_interrupt_at_any_line_leaves_nothing_half_made(tmp_path):
+    code = replacing.__wrapped__.__code__
+
+    def interrupted(lines):
+        """Whether so many lines of `replacing` ran and then an interrupt came."""
+
+        def on_line(frame, event, argument):
+            nonlocal lines
+            lines -= event == "line"
+            if lines < 0:
+                raise KeyboardInterrupt
+            return on_line
+
+        before = sys.gettrace()
+        sys.settrace(lambda frame, event, argument: on_line if frame.f_code is code else None)
+        try:
+            with replacing(tmp_path / "f"):
+                pass
+        except KeyboardInterrupt:
+            return True
+        finally:
+            sys.settrace(before)
+        return False
+
+    interrupts = 0
+    while interrupted(interrupts):
+        interrupts += 1
+        assert [path.name for path in tmp_path.iterdir() if path.name != "f"] == []
+    assert interrupts >= 5
 
 
 def test_a_device_is_not_replaced():

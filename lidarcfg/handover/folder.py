@@ -1,7 +1,7 @@
 """What is made aside and takes its place only when whole: folders, and files that others write."""
 
+import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatch
@@ -14,11 +14,9 @@ from lidarcfg.errors import HandoverError
 def beside(path: Path) -> Iterator[Path]:
     """A new folder beside `path`, for a while. What the system refuses in there is said of `path`."""
     whole = path.resolve()
-    try:
-        aside = Path(tempfile.mkdtemp(prefix=f".{whole.name}.", suffix=".part", dir=whole.parent))
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
-    try:
+    aside = whole.parent / f".{whole.name}.{os.urandom(4).hex()}.part"
+    try:  # from before it is there: an interrupt comes at any time
+        aside.mkdir(0o700)
         yield aside
     except OSError as error:
         if error.filename is None or str(error.filename).startswith(str(aside)):
