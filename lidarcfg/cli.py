@@ -32,7 +32,7 @@ def main() -> None:
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # who read our output has gone: end quietly, as other tools do
     sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     try:
-        sys.exit(cli.main(standalone_mode=False) or 0)
+        code = cli.main(standalone_mode=False)
     except click.ClickException as error:
         message = " ".join(error.format_message().split())
         _fail(f"{message} (see {_command_path(error)} --help)")
@@ -47,10 +47,10 @@ def main() -> None:
             raise
         _fail(f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)")
     except (click.Abort, KeyboardInterrupt):
-        pass  # from here on nothing holds what was interrupted, so that all of it is cleared away
-    click.echo("interrupted", err=True)
-    sys.stdout.flush()
-    os._exit(130)  # threads that still cast are not waited for
+        click.echo("interrupted", err=True)
+        sys.stdout.flush()
+        os._exit(130)  # threads that still cast are not waited for
+    sys.exit(code or 0)
 
 
 def _command_path(error: click.ClickException) -> str:

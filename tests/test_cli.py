@@ -238,6 +238,28 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     run("evaluate", STUDY, tmp_path / "run/rig.yaml", "--quiet")
 
 
+def test_an_interrupt_waits_until_numba_is_done(monkeypatch):
+    """In functions of its own and in what these call; then it comes by itself."""
+    monkeypatch.setattr(options, "_interrupted", Event())
+    done, until = (
+        [],
+        "\n".join(["def work(signal, number, wait, done):", " signal(number)", " wait()", " done.append(1)"]),
+    )
+    exec(until, inside := {"__name__": "numba.core.dispatcher"})
+    before = signal.signal(signal.SIGTERM, options.interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            inside["work"](signal.raise_signal, signal.SIGTERM, lambda: time.sleep(5 * options.AGAIN_S), done)
+            deadline = time.monotonic() + 60
+            while time.monotonic() < deadline:
+                time.sleep(0.001)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert done == [1]
+
+
 @pytest.mark.parametrize("quiet", [False, True])
 def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet, monkeypatch):
     monkeypatch.setattr(options, "_interrupted", Event())

@@ -2,11 +2,12 @@
 
 import math
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Event
+from threading import Event, Timer
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 FILE = click.Path(path_type=Path)
 SECOND_NS = 10**9
+AGAIN_S = 0.02
 _interrupted = Event()
 START_HELP = "ISO 8601, UTC unless it says.  [default: 2026-01-01T00:00:00]"
 
@@ -138,9 +140,21 @@ def nanoseconds(start: str) -> int:
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """What signals that end a command do. It is remembered, as a compiler's callbacks lose what is raised in them."""
+    """What signals that end a command do. Where numba is at work it waits: numba crashes on what is raised in it."""
     _interrupted.set()
+    if _within("numba", frame):
+        again = Timer(AGAIN_S, signal.raise_signal, (number,))
+        again.daemon = True
+        again.start()
+        return
     raise KeyboardInterrupt
+
+
+def _within(package: str, frame: FrameType | None) -> bool:
+    """Whether a function of the package is at work, or has called what is."""
+    while frame and frame.f_globals.get("__name__", "").partition(".")[0] != package:
+        frame = frame.f_back
+    return frame is not None
 
 
 def _check_interrupted() -> None:
@@ -152,7 +166,7 @@ def _check_interrupted() -> None:
 def progress(quiet: bool) -> Iterator[Callable[[float, str], None]]:
     """A bar on stderr that is told the share that is done and a text; it shows from the first share on.
 
-    Being told raises KeyboardInterrupt if there was an interrupt that got lost.
+    Being told raises KeyboardInterrupt if there was an interrupt that got lost, as in a callback of a library in C.
     """
     if quiet:
         yield lambda share, text: _check_interrupted()
