@@ -388,3 +388,18 @@ def comes_near(towards, half, elevation, azimuth_offset, sectors):
         along = sum(b * t for b, t in zip(beam, towards, strict=True))
         found.append(math.atan2(length(cross(beam, towards)), along) <= half)
     return found
+
+
+def entered(corners, start, way):
+    """How far a ray gets to a triangle, by Cramer's rule, and how far inside its edges, in shares; None beside it."""
+    edges = [[c - a for a, c in zip(corners[0], corner, strict=True)] for corner in corners[1:]]
+    columns, from_corner = [*edges, [-w for w in way]], [s - a for a, s in zip(corners[0], start, strict=True)]
+
+    def volume(a, b, c):
+        return sum(x * y for x, y in zip(a, cross(b, c), strict=True))
+
+    whole = volume(*columns)
+    if whole == 0:
+        return None
+    u, v, far = (volume(*[from_corner if k == j else columns[k] for k in range(3)]) / whole for j in range(3))
+    return (far, min(u, v, 1 - u - v)) if far > 0 and min(u, v, 1 - u - v) >= 0 else None

@@ -34,7 +34,7 @@ def caster(tmp_path):
 def test_by_hand(caster):
     down = np.array([3, 4, -1]) / np.sqrt(26)
     rays = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], down])
-    range_m, reflectivity, objects, _ = caster.cast(np.zeros((5, 3)), rays)
+    range_m, reflectivity, objects, *_ = caster.cast(np.zeros((5, 3)), rays)
     np.testing.assert_allclose(range_m, [9, 17, np.inf, np.inf, np.sqrt(26)], atol=1e-3)
     assert reflectivity.tolist() == [30, 40, 0, 0, 12]
     assert objects.tolist() == [1, 2, -1, -1, 0]

@@ -9,10 +9,11 @@ import pytest
 from lidarcfg.capture import reach as reach_module
 from lidarcfg.capture.export import START_NS, export, in_time_order
 from lidarcfg.capture.firing import firings, rays
+from lidarcfg.capture.observe import NO_LISTS
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.ray_kernels import may_meet
 from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.reach import BALLS, PATIENCE, SECTORS, Reach, balls
+from lidarcfg.capture.reach import BALLS, PATIENCE, SECTORS, Reach, Still
 from lidarcfg.capture.reach_kernels import SMALL, gathered, mark_balls, mark_cap
 from lidarcfg.capture.trajectory import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.geometry import pose, transform
@@ -49,19 +50,21 @@ def test_what_is_left_out_meets_nothing(tmp_path, seed):
     motion = Motion(arc=Arc(speed_m_s=15, yaw_rate_deg_s=40)) if seed % 3 else Motion(velocity_m_s=(0.0, 0.0, 0.0))
     way = Trajectory(pose((3, -2, 0), (0, 0, 1)), prepared(motion), START_NS)
     caster = Raycaster(stage, np.zeros(3), START_NS)
-    reach, skipped = Reach(sensor, caster, balls(caster), way, 0.0), 0
+    reach, skipped = Reach(sensor, caster, Still(caster), way, 0.0), 0
     for first in range(0, 300, 100):
         fired = firings(sensor.sensor, 1200, START_NS, range(first, first + 100))
         time_ns = fired.time_ns.ravel()
         origins, axes = (values.reshape(-1, 3) for values in rays(sensor.sensor, fired))
         starts = way.world(transform(sensor.T_vehicle_sensor, origins), time_ns)
         along = way.world(transform(sensor.T_vehicle_sensor, origins + axes), time_ns) - starts
-        tables = reach.tables(time_ns.min(), time_ns.max())
+        tables, sights = reach.known(time_ns.min(), time_ns.max())
         sector = (fired.azimuth_rad * (SECTORS / (2 * np.pi))).astype(int) % SECTORS
         masks = tables[:, sector, np.arange(16)].reshape(-1, len(time_ns))
-        rows, what = may_meet(fired.azimuth_rad.reshape(-1, 16), tables)
+        rows, what, which = may_meet(fired.azimuth_rad.reshape(-1, 16), tables, sights.which if sights else NO_LISTS)
         assert (rows == np.flatnonzero(masks.any(axis=0))).all()
         assert (what == masks[:, rows]).all()
+        if sights:
+            assert (which == sights.which[sector, np.arange(16)].ravel()[rows]).all()
         assert len(masks) == 2 + len(caster.movers)
         assert masks[0].any() == bool(ground)
         for row, mask in enumerate(masks):
@@ -78,10 +81,10 @@ def test_an_open_field(tmp_path):
     counted = []
     streams = export(
         Rig("one", (mount(),)), scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), SECOND_NS // 10,
-        on_rays=lambda rays, cast: counted.append((rays, cast)),
+        on_rays=counted.append,
     )  # fmt: skip
     assert sum(len(frames.records) for frames in in_time_order(streams)) == 75 + 15
-    assert np.sum(counted, axis=0).tolist() == [75 * 384, 75 * 384 * 7 // 16]
+    assert np.sum(counted, axis=0).tolist() == [75 * 384, 75 * 384 * 9 // 16, 0]
 
 
 GROUND = "ground: {reflectivity: 9}\n"
@@ -124,7 +127,7 @@ def test_only_the_ground(tmp_path):
     stage = scene(tmp_path, GROUND + BOX.format([0, -10, 1], [1, 1, 2], ""))
     caster = Raycaster(stage, np.zeros(3), START_NS)
     still = Trajectory(np.eye(4), prepared(WAYS["stands"]), START_NS)
-    ground, box = Reach(mount(), caster, balls(caster), still, 0.0).tables(START_NS, START_NS)
+    ground, box = Reach(mount(), caster, Still(caster), still, 0.0).known(START_NS, START_NS).tables
     down = 2 / np.sin(-mount().sensor.elevation_rad).clip(1e-9) < RANGE_M
     assert ground[:, down].all()
     assert not ground[:, ~down].any()
@@ -140,9 +143,9 @@ def test_tables_that_do_not_pay_are_passed_over(tmp_path, monkeypatch):
     stage = scene(tmp_path, BOX.format([0, 0, 0], [150, 150, 60], ""))
     caster = Raycaster(stage, np.zeros(3), START_NS)
     fast = Trajectory(np.eye(4), prepared(Motion(velocity_m_s=(20.0, 0.0, 0.0))), START_NS)
-    reach = Reach(mount(), caster, balls(caster), fast, 0.0)
+    reach = Reach(mount(), caster, Still(caster), fast, 0.0)
     for k in range(4 * PATIENCE):
-        assert reach.tables(START_NS + k * SECOND_NS // 20, START_NS + (k + 1) * SECOND_NS // 20) is None
+        assert reach.known(START_NS + k * SECOND_NS // 20, START_NS + (k + 1) * SECOND_NS // 20) is None
     assert len(made) == 4
 
 
@@ -153,7 +156,9 @@ def test_nothing_in_range_at_all(tmp_path, divergence):
     poses = tuple(TimedPose(time_s=t, position_m=(t, 0, 0)) for t in (0.0, 1.0))
     way = Trajectory(np.eye(4), prepared(Motion(poses=poses)), START_NS)
     rig, counted = Rig("one", (replace(mount(), realism=Realism(divergence=divergence)),)), []
-    streams = export(rig, stage, way, SECOND_NS // 10, on_rays=lambda rays, cast: counted.append(cast))
+    streams = export(
+        rig, stage, way, SECOND_NS // 10, on_rays=lambda counts: counted.append(counts.rays - counts.nothing)
+    )
     write_pcap(tmp_path / "a.pcap", streams[0])
     data = [d.payload for d in datagrams_of(tmp_path / "a.pcap") if d.port == 2368]
     assert len(data) == 75
@@ -168,7 +173,7 @@ def test_balls_hold_all_that_stands_still(tmp_path, more):
     """Points drawn on the triangles lie in a ball each, however large these must be."""
     rng = np.random.default_rng(5)
     caster = Raycaster(scene(tmp_path, boxes(rng, 20) + "\n" + more), np.zeros(3))
-    held = balls(caster)
+    held = Still(caster).balls
     assert len(held.radius_m) <= BALLS
     corners = caster.scene.vertices_m[caster.still_triangles]
     weights = rng.dirichlet(np.ones(3), (len(corners), 20))

@@ -141,12 +141,12 @@ def test_objects_that_move(tmp_path):
     time_ns = 77 + np.round(seconds * SECOND_NS).astype(np.int64)
     caster = Raycaster(stage, np.zeros(3), 77)
     origins = np.zeros((31, 3))
-    range_m, reflectivity, objects, _ = caster.cast(origins, np.tile([0.0, 1, 0], (31, 1)), time_ns)
+    range_m, reflectivity, objects, *_ = caster.cast(origins, np.tile([0.0, 1, 0], (31, 1)), time_ns)
     np.testing.assert_allclose(range_m, 18 - 4 * seconds, atol=0.002)
     assert set(reflectivity) == {9}
     assert {stage.names[i] for i in objects} == {"s"}
     turned = (np.radians(30 * seconds) + np.pi / 4) % (np.pi / 2) - np.pi / 4
-    range_m, _, _, normal = caster.cast(origins, np.tile([1.0, 0, 0], (31, 1)), time_ns, normals=True)
+    range_m, _, _, normal, _ = caster.cast(origins, np.tile([1.0, 0, 0], (31, 1)), time_ns, normals=True)
     np.testing.assert_allclose(range_m, 10 - 1 / np.cos(turned), atol=1e-5)
     np.testing.assert_allclose(abs(normal[:, 0]), np.cos(turned), atol=1e-6)
 

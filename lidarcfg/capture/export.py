@@ -19,10 +19,10 @@ from lidarcfg.capture.firing import (
     packet_period_ns,
     packet_stamps_ns,
 )
-from lidarcfg.capture.observe import Observer, Plan, Stage
+from lidarcfg.capture.observe import Counts, Observer, Plan, Stage
 from lidarcfg.capture.pcap import TIME_END_NS, Frames, Sender
 from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.reach import balls
+from lidarcfg.capture.reach import Still
 from lidarcfg.capture.scene import COORDINATE_MAX_M, Scene
 from lidarcfg.capture.trajectory import Trajectory, standing
 from lidarcfg.capture.truth import RECORD, records
@@ -43,7 +43,7 @@ SLOWEST_M_S = 0.1  # a vehicle that is slower has its heading for a course
 A = TypeVar("A")
 B = TypeVar("B")
 OnTruth = Callable[[NDArray[np.void]], None]
-OnRays = Callable[[int, int], None]
+OnRays = Callable[[Counts], None]
 
 
 def export(
@@ -55,7 +55,7 @@ def export(
     on_progress: Callable[[int], None] = lambda done_ns: None,
     chunk_ns: int = CHUNK_NS,
     on_truth: OnTruth | None = None,
-    on_rays: OnRays = lambda rays, cast: None,
+    on_rays: OnRays = lambda counts: None,
     skip: bool = True,
     threads: int | None = None,
 ) -> list[Iterator[Frames]]:
@@ -64,9 +64,9 @@ def export(
     `way` is where the vehicle stands, T_world_vehicle (4, 4), or how it moves; objects that move start at `start_ns`.
     Sensor i of n starts i/n of a packet later than the first, so that the packets interleave.
     `on_progress` is told the simulated time that is done, of `duration_ns`; `on_truth` the records of `truth.py`;
-    `on_rays` how many rays there were and how many were cast; all by the thread that reads. With `skip`, rays that
-    cannot meet anything in range are not cast. Neither that, nor chunks, nor threads (as many as there are cores)
-    change anything in what is sent. Raises ConfigError.
+    `on_rays` how many rays there were; all by the thread that reads. With `skip`, rays are not cast that cannot meet
+    anything in range, or only a few triangles, one of which is clearly first. Neither that, nor chunks, nor threads
+    (as many as there are cores) change anything in what is sent. Raises ConfigError.
     """
     done = [0] * len(rig.mounts)
 
@@ -94,7 +94,7 @@ def export(
             mover.path.check_span(0, (end_ns - start_ns) / SECOND_NS)
         except ConfigError as error:
             raise ConfigError(f"{scene.names[mover.object]}: {error}") from None
-    stage = Stage(caster, trajectory, balls(caster) if skip else None)
+    stage = Stage(caster, trajectory, Still(caster) if skip else None)
     if trajectory.path.speed_max_m_s:
         chunk_ns = min(chunk_ns, int(CHUNK_M / trajectory.path.speed_max_m_s * SECOND_NS))
     pool = ThreadPoolExecutor(threads or os.cpu_count())
@@ -195,8 +195,7 @@ class Sent:
 
     frames: Frames
     truth: NDArray[np.void]  # none if nobody asks
-    rays: int
-    cast: int
+    counts: Counts
 
 
 def data_stream(
@@ -222,7 +221,7 @@ def data_stream(
         if not len(fired.time_ns):
             return None
         with stage.caster.turns.together():
-            found, fired_rays, cast = observer.report(plan)
+            found, counts = observer.report(plan)
             measured_m = (found.range_m + found.noise_m).reshape(*fired.time_ns.shape, -1)
             reflectivity = found.reflectivity.reshape(measured_m.shape)
             seen = (measured_m, reflectivity) if dual else (measured_m[..., 0], reflectivity[..., 0])
@@ -232,16 +231,14 @@ def data_stream(
                 sent = sent_returns(sensor, mount.return_mode, packets)
                 truth = records(index, mount.return_mode, fired.time_ns, found, *sent)
             ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
-            return Sent(
-                sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, fired_rays, cast
-            )
+            return Sent(sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, counts)
 
     chunks = firing_chunks(sensor, mount.rpm, start_ns, total, chunk, dual, mount.phase_deg, mount.sector_deg)
     for number, sent in enumerate(ahead(pool, work, map(observer.plan, chunks)), 1):
         if sent:
             if told.truth:
                 told.truth(sent.truth)
-            told.rays(sent.rays, sent.cast)
+            told.rays(sent.counts)
             yield sent.frames
         told.progress(number * chunk * period_ns if number * chunk < total else duration_ns)
 

@@ -1,14 +1,15 @@
 """What the firings of one sensor report: its rays from the vehicle's pose at each firing, cast, and made echoes."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Firings, Times, aimed
 from lidarcfg.capture.ray_kernels import chained, may_meet
-from lidarcfg.capture.raycast import Mask, Raycaster
-from lidarcfg.capture.reach import Balls, Reach
+from lidarcfg.capture.raycast import Listed, Raycaster
+from lidarcfg.capture.reach import Known, Reach, Still
 from lidarcfg.capture.returns import (
     CELLS,
     NODES,
@@ -28,6 +29,7 @@ from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 
 EXACT, CLEAR = Realism(), Weather()
+NO_LISTS = np.empty((0, 0), np.int32)
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Stage:
 
     caster: Raycaster
     trajectory: Trajectory
-    still: Balls | None  # None: every ray is cast
+    still: Still | None  # None: every ray is cast
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,15 @@ class Plan:
 
     fired: Firings
     first: int  # the number of the first, by which random numbers are found
-    tables: Mask | None  # (K, sectors, L): which beams may meet what; None: every ray is cast
+    known: Known | None  # which beams may meet what; None: every ray is cast
+
+
+class Counts(NamedTuple):
+    """Of rays: all, those that could meet nothing in range, and those that a few triangles settled without a cast."""
+
+    rays: int
+    nothing: int
+    few: int
 
 
 class Observer:
@@ -68,29 +78,36 @@ class Observer:
         """For the next firings: these are asked in the order of time."""
         first, count = self._fired, fired.time_ns.size
         self._fired += count
-        tables = None
+        known = None
         if self._reach and count:  # packets are in the order of time; the firings of one need not be
-            tables = self._reach.tables(int(fired.time_ns[0].min()), int(fired.time_ns[-1].max()))
-        return Plan(fired, first, tables)
+            known = self._reach.known(int(fired.time_ns[0].min()), int(fired.time_ns[-1].max()))
+        return Plan(fired, first, known)
 
-    def report(self, plan: Plan) -> tuple[Echoes, int, int]:
-        """What the N firings planned report, (N, 1) or with dual returns (N, 2); how many rays, and how many were cast.
+    def report(self, plan: Plan) -> tuple[Echoes, Counts]:
+        """What the N firings planned report, (N, 1) or with dual returns (N, 2); and of how many rays.
 
         Changes nothing, so that threads may ask for several at a time. Raises ConfigError outside timed poses.
         """
         fired, count, caster = plan.fired, plan.fired.time_ns.size, self._stage.caster
-        time_ns, what = fired.time_ns.ravel(), None
-        if plan.tables is None:
+        time_ns, what, listed = fired.time_ns.ravel(), None, None
+        if plan.known is None:
             rows = np.arange(count)
         else:
-            rows, what = may_meet(fired.azimuth_rad.reshape(-1, self._mount.sensor.count), plan.tables)
+            tables, sights = plan.known
+            azimuth_rad = fired.azimuth_rad.reshape(-1, self._mount.sensor.count)
+            rows, what, which = may_meet(azimuth_rad, tables, sights.which if sights else NO_LISTS)
+            listed = Listed(which, sights) if sights else None
             time_ns = time_ns[rows] if caster.movers or not self._stage.trajectory.path.stands else time_ns[:0]
         starts, along, shares = self._rays(fired, rows, time_ns)
         width, at = len(shares), rows
         if width > 1:
-            time_ns, what = np.repeat(time_ns, width), None if what is None else np.repeat(what, width, axis=1)
+            time_ns = np.repeat(time_ns, width)
+            what = None if what is None else np.repeat(what, width, axis=1)
+            listed = Listed(np.repeat(listed.which, width), listed.sights) if listed else None
             at = (rows[:, None] * width + np.arange(width)).ravel()
-        hits = caster.cast(starts, along, time_ns, what, normals=not self._exact, at=at, total=count * width)
+        hits = caster.cast(
+            starts, along, time_ns, what, normals=not self._exact, at=at, total=count * width, listed=listed
+        )
         if self._exact:
             columns = hits.range_m[:, None], hits.reflectivity[:, None], hits.object[:, None]
             found = single(*columns, self._mount.return_mode)
@@ -106,7 +123,7 @@ class Observer:
             )
             all_three = echoes(self._mount.sensor, self._realism, self._weather, self._index, plan.first, shares, met)
             found = all_three.reported(self._mount.return_mode)
-        return found, count * width, len(along)
+        return found, Counts(count * width, count * width - len(along), hits.settled)
 
     def _rays(self, fired: Firings, rows: NDArray[np.int64], time_ns: Times) -> tuple[Array, Array, Array]:
         """Origins and directions (M × K, 3) in the world of the K sub-rays of the firings `rows`; their shares (K,)."""

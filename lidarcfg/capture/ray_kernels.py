@@ -63,11 +63,15 @@ def _write(out, i, m):
 
 
 @njit(cache=True, nogil=True)
-def may_meet(azimuth, tables):
-    """By tables (K, sectors, L), of firings (N, L): the numbers (M,) of those that may meet anything; what (K, M)."""
+def may_meet(azimuth, tables, lists):
+    """By tables (K, sectors, L), of firings (N, L): the numbers (M,) of those that may meet anything; what (K, M).
+
+    And which of the lists (sectors, L) is theirs, (M,); none are if there are none, (0, 0).
+    """
     kinds, sectors, lasers = tables.shape
-    scale, sector = sectors / (2 * math.pi), np.empty(lasers, np.int64)
+    scale, sector, listed = sectors / (2 * math.pi), np.empty(lasers, np.int64), lists.size > 0
     rows, what, count = np.empty(azimuth.size, np.int64), np.empty((kinds, azimuth.size), np.bool_), 0
+    which = np.empty(azimuth.size if listed else 0, lists.dtype)
     for n in range(len(azimuth)):
         for k in range(lasers):
             sector[k] = min(int(azimuth[n, k] * scale), sectors - 1)
@@ -77,9 +81,11 @@ def may_meet(azimuth, tables):
                 here = tables[kind, sector[k], k]
                 what[kind, count] = here
                 any_ |= here
+            if listed:
+                which[count] = lists[sector[k], k]
             rows[count] = n * lasers + k
             count += any_
-    return rows[:count], what[:, :count].copy()
+    return rows[:count], what[:, :count].copy(), which[:count]
 
 
 @njit(cache=True, nogil=True)

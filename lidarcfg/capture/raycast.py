@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.ray_kernels import NOTHING, Nearest, Rays, ground, local_rays, of_objects
 from lidarcfg.capture.scene import Scene
+from lidarcfg.capture.sights import Sights, settled
 from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared
 from lidarcfg.capture.triangles import Triangles
 from lidarcfg.capture.turns import Turns
@@ -32,6 +33,14 @@ class Hits(NamedTuple):
     reflectivity: NDArray[np.uint8]  # (N,) 0: nothing
     object: NDArray[np.int32]  # (N,) -1: nothing
     normal: NDArray[np.float32]  # (N, 3) of the surface, towards either side; 0: nothing; (0, 3): not asked for
+    settled: int  # so many were not cast at what stands still, as their lists told what they meet of it
+
+
+class Listed(NamedTuple):
+    """Which lists of triangles are those of N rays."""
+
+    which: NDArray[np.int32]  # (N,)
+    sights: Sights
 
 
 @dataclass(frozen=True)
@@ -85,12 +94,14 @@ class Raycaster:
         normals: bool = False,
         at: Rows | None = None,
         total: int | None = None,
+        listed: Listed | None = None,
     ) -> Hits:
         """Rays (N, 3) from points of the world along unit vectors at times (N,): what each meets first.
 
         Without times everything stands where it does at time 0. `may_meet` (2 + movers, N) says which rays can
         meet the ground, what stands still, and each mover; the others are not cast. Normals come only if asked for.
-        With `at` (N,) these are some of `total` rays, the others of which meet nothing.
+        With `at` (N,) these are some of `total` rays, the others of which meet nothing. Rays that are `listed` are
+        not cast at what stands still if their list settles what they meet.
         Raises ConfigError outside timed poses.
         """
         count = len(directions)
@@ -105,8 +116,12 @@ class Raycaster:
         if self.scene.file.ground:
             ground(rays, masks[0], self.scene.file.ground.z_m, nearest)
         still = np.flatnonzero(masks[1])
+        few = 0
         if len(still) and len(self.still_triangles):
             local_m, part = self._local(origins_m[0])
+            if listed:
+                left = settled(rays, still, *listed, local_m, part.facets, nearest)
+                few, still = len(still) - len(left), left
             part.cast(rays, still, local_m, np.eye(3)[None], nearest)
         for mover, mask in zip(self.movers, masks[2:], strict=True):
             which = np.flatnonzero(mask)
@@ -116,7 +131,7 @@ class Raycaster:
                 start_m, along = local_rays(origins_m, directions, which, R, mover.place_m + t)
                 mover.part.cast(Rays(start_m, along, at[which]), np.arange(len(which)), np.zeros(3), R, nearest)
         reflectivity = of_objects(self.scene.reflectivity, nearest.object)
-        return Hits(nearest.range_m, reflectivity, nearest.object, nearest.normal)
+        return Hits(nearest.range_m, reflectivity, nearest.object, nearest.normal, few)
 
 
 def _mover(scene: Scene, index: int, turns: Turns) -> Mover:

@@ -39,7 +39,7 @@ class Triangles:
         import open3d as o3d
 
         self._vertices_m, self._triangles, self._turns = vertices_m, triangles, turns
-        self._facets, corners = measured(vertices_m, triangles, objects)
+        self.facets, corners = measured(vertices_m, triangles, objects)
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(triangles):
             tensor = o3d.core.Tensor.from_numpy
@@ -66,7 +66,7 @@ class Triangles:
     ) -> tuple[Index, Array]:
         """The same of rays that are cast from `start_m` (N, 3), beside their origins; what `met` says of the others."""
         hits = self._hits(narrowed(start_m, rays.directions, pick, place_m))
-        mesh = self._facets, self._vertices_m, self._triangles
+        mesh = self.facets, self._vertices_m, self._triangles
         again, moved_m = met(start_m, rays, pick, place_m, R, *hits, *mesh, last, nearest)
         return again, moved_m
 
@@ -172,16 +172,29 @@ def met(
                 rows[count] = i
                 count += 1
                 continue
-        a, b, c, at = facets[t, 0], facets[t, 1], facets[t, 2], rays.at[n]
         x, y, z = rays.origins_m[n, 0] - place_x, rays.origins_m[n, 1] - place_y, rays.origins_m[n, 2] - place_z
-        exact_m, far_m = (facets[t, 3] - (a * x + b * y + c * z)) / (a * u + b * v + c * w), float(hit_m[i])
+        exact_m, far_m = plane_m(facets, t, x, y, z, u, v, w), float(hit_m[i])
         if abs(exact_m - far_m) < GRAZING_M:
             far_m = max(exact_m, 0.0)  # a ray that starts on the plane, by float32
-        if far_m < nearest.range_m[at]:
-            nearest.range_m[at], nearest.object[at] = far_m, facets[t, OBJECT]
-            if len(nearest.normal):
-                nearest.normal[at, 0], nearest.normal[at, 1], nearest.normal[at, 2] = turned_by(R, i, a, b, c)
+        keep(nearest, rays.at[n], far_m, facets, t, R, i)
     return rows[:count], moved_m[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def plane_m(facets: Array, t: int, x: float, y: float, z: float, u: float, v: float, w: float) -> float:
+    """How far the plane of triangle t is from a point along a unit vector."""
+    a, b, c = facets[t, 0], facets[t, 1], facets[t, 2]
+    return float((facets[t, 3] - (a * x + b * y + c * z)) / (a * u + b * v + c * w))
+
+
+@njit(cache=True, nogil=True)
+def keep(nearest: Nearest, at: int, far_m: float, facets: Array, t: int, R: Array, i: int) -> None:
+    """Keep triangle t, so far away, if it is nearer than what is known; matrix i of R turns its normal."""
+    if far_m < nearest.range_m[at]:
+        nearest.range_m[at], nearest.object[at] = far_m, facets[t, OBJECT]
+        if len(nearest.normal):
+            normal = turned_by(R, i, facets[t, 0], facets[t, 1], facets[t, 2])
+            nearest.normal[at, 0], nearest.normal[at, 1], nearest.normal[at, 2] = normal
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -22,6 +22,7 @@ from lidarcfg.commands.options import (
 )
 
 if TYPE_CHECKING:
+    from lidarcfg.capture.observe import Counts
     from lidarcfg.capture.source import SourceStats
 
 
@@ -75,10 +76,7 @@ def export(
             raise click.BadParameter(f"{str(path)!r} does not end in {suffix}", param_hint=option)
     mounted, stage = load_rig(rig), load_scene(scene)
     duration_ns, began = round(duration * SECOND_NS), time.monotonic()
-    counted = [0, 0]
-
-    def on_rays(rays: int, cast: int) -> None:
-        counted[:] = counted[0] + rays, counted[1] + cast
+    counted: list[Counts] = []
 
     with progress(quiet) as on_share, ExitStack() as stack:
 
@@ -97,7 +95,7 @@ def export(
             start_ns,
             on_progress,
             on_truth=beside.add if beside else None,
-            on_rays=on_rays,
+            on_rays=counted.append,
             skip=not no_skip,
         )
         if split:
@@ -112,8 +110,11 @@ def export(
         if truth:
             click.echo(f"{truth}: {records:,} returns")
     if stats:
-        rays, cast = counted
-        click.echo(f"{rays:,} rays, {cast:,} cast; {rays - cast:,} ({1 - cast / rays:.1%}) could meet nothing in range")
+        rays, nothing, few = map(sum, zip(*counted, strict=True))
+        click.echo(
+            f"{rays:,} rays: {nothing:,} ({nothing / rays:.1%}) could meet nothing in range, "
+            f"{few:,} ({few / rays:.1%}) were settled by a few triangles, {rays - nothing - few:,} were cast"
+        )
 
 
 @click.command()
