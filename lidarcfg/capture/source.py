@@ -186,10 +186,10 @@ class Source:
         self._count["packets"] += int(wanted.sum())
         if facts.return_modes:
             codes = {code: name for name, code in facts.return_modes.model_dump().items()}
-            self._modes |= {codes[code] for code in np.unique(packets["return_mode"][wanted]).tolist() if code in codes}
+            self._modes |= {codes[code] for code in set(packets["return_mode"][wanted].tolist()) if code in codes}
         else:
             single = "last" if self._last_only else "strongest"
-            self._modes |= {"dual" if dual else single for dual in np.unique(is_dual(facts, packets)[wanted]).tolist()}
+            self._modes |= {"dual" if dual else single for dual in set(is_dual(facts, packets)[wanted].tolist())}
         azimuth, stamp_us = packets["blocks"]["azimuth"].astype(np.int64), packets["stamp_us"].astype(np.int64)
         gap_us = np.diff(stamp_us) % HOUR_US
         single_us, dual_us = (packet_period_ns(sensor, dual) / 1000 for dual in (False, True))
