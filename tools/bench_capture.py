@@ -4,7 +4,8 @@
     .venv/bin/python tools/bench_capture.py            # prints the tables of docs/benchmarks.md
     .venv/bin/python tools/bench_capture.py --long 600 # and the memory of ten minutes, in a file of 2.5 GB
 
-Four VLP-16 stand in data/scenes/street.yaml, whose road is paved here with a mesh of 200,000 triangles.
+Four VLP-16 stand in data/scenes/street.yaml, whose road is paved here with a mesh of 200,000 triangles; or they are
+driven along the paving.
 """
 
 import argparse
@@ -25,8 +26,9 @@ from lidarcfg.capture.export import CHUNK_RAYS, START_NS, export, in_time_order
 from lidarcfg.capture.firing import firing_chunks, firings, packet_period_ns, packet_stamps_ns, rays
 from lidarcfg.capture.pcap import Sender, write_pcap
 from lidarcfg.capture.scene import Scene, load_scene
+from lidarcfg.capture.trajectory import Motion, Trajectory, prepared
 from lidarcfg.capture.velodyne import encode
-from lidarcfg.geometry import transform
+from lidarcfg.geometry import pose, transform
 from lidarcfg.rig import Mount, Rig, load_rig
 
 ROOT = Path(__file__).parent.parent
@@ -116,17 +118,29 @@ def writing(folder: Path, simulated_s: float) -> None:
     def whole() -> None:
         write_pcap(folder / "a.pcap", in_time_order(export(rig, scene, np.eye(4), duration_ns)))
 
+    along = Motion(velocity_m_s=(LENGTH_M / simulated_s, 0.0, 0.0))
+    way = Trajectory(pose((-LENGTH_M / 2, 0.0, 0.0), (0.0, 0.0, 0.0)), prepared(along), START_NS)
+
+    def driven() -> None:
+        write_pcap(folder / "c.pcap", in_time_order(export(rig, scene, way, duration_ns)))
+
     def start() -> None:
         next(in_time_order(export(rig, scene, np.eye(4), duration_ns)))
 
     measured: dict[str, list[tuple[float, float]]] = {}
     for run in range(RUNS + 1):  # the first is not counted
-        for name, function in (("whole", whole), ("cast", cast), ("start", start), ("write", write)):
+        for name, function in (
+            ("whole", whole),
+            ("cast", cast),
+            ("driven", driven),
+            ("start", start),
+            ("write", write),
+        ):
             found = seconds(function)
             if run:
                 measured.setdefault(name, []).append(found)
-    (whole_s, whole_cpu), (cast_s, cast_cpu), (start_s, _), (write_s, write_cpu) = (
-        np.array(measured[name]).T for name in ("whole", "cast", "start", "write")
+    (whole_s, whole_cpu), (cast_s, cast_cpu), (driven_s, _), (start_s, _), (write_s, write_cpu) = (
+        np.array(measured[name]).T for name in ("whole", "cast", "driven", "start", "write")
     )
     print(
         f"\n| four VLP-16, a street and a mesh, {len(scene.triangles):,} triangles | median | spread |\n|---|---|---|"
@@ -137,6 +151,7 @@ def writing(folder: Path, simulated_s: float) -> None:
         ("bare `cast_rays`, the same rays, million rays/s", count / cast_s / 1e6, 1),
         ("export's rate against that of bare `cast_rays`, %", 100 * cast_s / whole_s, 0),
         ("the same by the processor's time, %", 100 * cast_cpu / whole_cpu, 0),
+        (f"export while they are driven at {LENGTH_M / simulated_s:g} m/s, × real time", simulated_s / driven_s, 1),
         ("its start, until the first packets, s", start_s, 2),
         ("encode + write alone, one thread, million returns/s", returns / write_s / 1e6, 1),
         ("the same by the processor's time, million returns/s", returns / write_cpu / 1e6, 1),
