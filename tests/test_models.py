@@ -28,6 +28,7 @@ from lidarcfg.capture.pcap import Datagram, read_datagrams
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.returns import Echoes
 from lidarcfg.capture.scene import load_scene
+from lidarcfg.capture.source import SourceStats
 from lidarcfg.capture.status import calibration
 from lidarcfg.capture.truth import records
 from lidarcfg.capture.velodyne import PACKET, decode, device_time_ns, encode, is_dual, sent_returns
@@ -174,6 +175,25 @@ def test_every_return_comes_back(name, mode):
     last_block = time_ns[theirs] > fired.time_ns[-1, -sensor.packet.sequences_per_block].min() - 1
     assert error_deg[~last_block].max() <= 0.005 + 1e-9
     assert error_deg.max() <= 0.014
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("mode", MODES)
+def test_packets_say_what_they_are(name, mode, tmp_path):
+    """Without a model as with it; and each lost packet is counted."""
+    sensor, packets, fired, *_ = sent(name, mode)
+    datagrams = write(tmp_path / "a.pcap", sensor, packets, fired)
+    write_pcap(tmp_path / "b.pcap", [d for i, d in enumerate(datagrams) if i not in (20, 30, 31)])
+    stats: list[SourceStats] = []
+
+    def points(file, model=None):
+        clouds = decode_pcap(tmp_path / file, lambda note: None, model=model, on_stats=stats.append)
+        return sum(len(cloud.xyz) for cloud in clouds)
+
+    assert points("a.pcap") == points("a.pcap", name) > points("b.pcap") > 9_000
+    assert all(name in one.models for one in stats)
+    assert [(one.packets, one.lost) for one in stats] == [(60, 0), (60, 0), (57, 3)]
+    assert stats[0].return_modes == (mode if sensor.packet.return_modes or mode == "dual" else "strongest",)
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -616,24 +636,27 @@ def test_the_wrong_model_is_refused(tmp_path):
         whole(tmp_path / "b.pcap", rig=rig)
 
 
-@pytest.mark.parametrize("name", ["vlp-16", "vlp-32c", "vls-128", "hdl-64e-s3"])
-def test_a_sector_and_back(name, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [(name, "strongest") for name in ("vlp-16", "vlp-32c", "vls-128", "hdl-64e-s3")] + [("vls-128", "dual")],
+)
+def test_a_sector_and_back(name, mode, tmp_path):
     """Nothing outside the sector is sent; what is inside comes back with its own time and azimuth."""
-    sensor, low, high = load_sensor(name), 300.0, 40.0
-    packets = 250_000_000 // packet_period_ns(sensor)  # two turns and a half
-    chunks = list(firing_chunks(sensor, 600.0, AT_NS, packets, 100, sector_deg=(low, high)))
+    sensor, low, high, dual = load_sensor(name), 300.0, 40.0, mode == "dual"
+    packets = 250_000_000 // packet_period_ns(sensor, dual)  # two turns and a half
+    chunks = list(firing_chunks(sensor, 600.0, AT_NS, packets, 100, dual, sector_deg=(low, high)))
     fired = Firings(*(np.concatenate([getattr(c, key) for c in chunks]) for key in ("time_ns", "azimuth_rad")))
     head = np.degrees(
         fired.azimuth_rad[:, :: sensor.packet.sequences_per_block, int(np.argmin(sensor.firing.offset_ns))]
     )
     assert ((head - low) % 360 <= 100).all()
     assert len(fired.time_ns) == pytest.approx(packets * 100 / 360, rel=0.15)
-    range_m = np.full(fired.time_ns.shape, 20.0)
-    sent_packets = encode(sensor, "strongest", fired, range_m, np.full(range_m.shape, 5, np.uint8))
+    range_m = np.full((*fired.time_ns.shape, 2) if dual else fired.time_ns.shape, 20.0)
+    sent_packets = encode(sensor, mode, fired, range_m, np.full(range_m.shape, 5, np.uint8))
     stats = []
     write(tmp_path / "a.pcap", sensor, sent_packets, fired)
     got = decode(sensor, sent_packets, packet_stamps_ns(sensor, fired)[1])
-    assert len(got.range_m) == range_m.size
+    assert len(got.range_m) == fired.time_ns.size
     inner = fired.time_ns.ravel() < fired.time_ns[-1].min()
     assert abs(got.time_ns - fired.time_ns.ravel())[inner].max() <= 1000
     expected = (fired.azimuth_rad + sensor.azimuth_offset_rad).ravel()

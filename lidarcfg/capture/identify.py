@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import firing_facts, packet_period_ns
-from lidarcfg.capture.velodyne import HOUR_US, Packets, is_dual
+from lidarcfg.capture.velodyne import HOUR_US, Packets, is_dual, slots
 from lidarcfg.errors import PacketError
 from lidarcfg.sensor import Sensor
 
@@ -55,7 +55,8 @@ def check_period(where: str, sensor: Sensor, packets: Packets) -> None:
 
 def _has_flags(sensor: Sensor, packets: Packets) -> bool:
     _, facts = firing_facts(sensor)
-    return set(packets["blocks"]["flag"][0, : 2 * len(facts.block_flags)].tolist()) == set(facts.block_flags)
+    used = len(slots(facts, dual=True))  # no fewer with single returns
+    return set(packets["blocks"]["flag"][0, :used].tolist()) == set(facts.block_flags)
 
 
 def _gap_us(packets: Packets) -> float:

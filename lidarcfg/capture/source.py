@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Times, firing_facts, packet_period_ns
 from lidarcfg.capture.identify import alike, check_period, identify
-from lidarcfg.capture.velodyne import HOUR_US, PACKET, TURN, Packets, decode, device_time_ns, is_dual, one_of
+from lidarcfg.capture.velodyne import HOUR_US, PACKET, TURN, Packets, decode, device_time_ns, is_dual, one_of, slots
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
@@ -23,7 +23,7 @@ PERIOD_SLACK = 0.1  # of the period, in the time between packets
 ROWS = 1 << 14  # moved at once: BLAS starts threads of its own for more, which get in each other's way
 TURN_MAX = 300  # hundredths of a degree between a packet's blocks, where no sector is left out
 WHOLE = np.dtype((np.void, PACKET.itemsize))  # copied as they are, not field by field
-SAME_AZIMUTH = 100  # hundredths of a degree: gaps that near begin at the same edge of a sector
+DEGREE = 100  # hundredths of it: gaps that begin as near to each other begin at the same edge of a sector
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class Source:
         self._count: Counter[str] = Counter()
         self._modes: set[str] = set()
         self._turned, self._passed_us = 0, 0
-        self._gaps: list[tuple[int, int]] = []  # azimuth before the gap, packets missing
-        self._edges: list[int] = []  # azimuths where a packet goes on elsewhere
+        self._gaps: list[tuple[int, int]] = []  # degree before the gap, packets missing
+        self._edges: Counter[int] = Counter()  # degrees where a sector ends; two say that it does
 
     def add(self, packets: Packets, times_ns: Times) -> None:
         """More packets (P,), and when the host saw them."""
@@ -191,20 +191,24 @@ class Source:
             single = "last" if self._last_only else "strongest"
             self._modes |= {"dual" if dual else single for dual in set(is_dual(facts, packets)[wanted].tolist())}
         azimuth, stamp_us = packets["blocks"]["azimuth"].astype(np.int64), packets["stamp_us"].astype(np.int64)
-        gap_us = np.diff(stamp_us) % HOUR_US
+        gap_us, dual = np.diff(stamp_us) % HOUR_US, is_dual(facts, packets[:-1])
         single_us, dual_us = (packet_period_ns(sensor, dual) / 1000 for dual in (False, True))
-        period_us = np.where(is_dual(facts, packets[:-1]), dual_us, single_us)
+        period_us = np.where(dual, dual_us, single_us)
         gap_us = np.where(wanted[1:], gap_us, 0)
         follows = abs(gap_us - period_us) <= PERIOD_SLACK * period_us
         self._turned += int((np.diff(azimuth[:, 0]) % TURN)[follows].sum())
         self._passed_us += int(gap_us[follows].sum())
         for i in np.flatnonzero((gap_us > 1.5 * period_us) & (gap_us < HOUR_US // 2)):
-            steps = np.diff(azimuth[i]) % TURN
-            edges = np.flatnonzero(steps > TURN_MAX)
-            if len(edges):
-                self._edges.append(int(azimuth[i, edges[0]]))
-            else:
-                self._gaps.append((int(azimuth[i, -1]), round(gap_us[i] / period_us[i]) - 1))
+            used = len(slots(facts, bool(dual[i])))
+            steps = np.diff(azimuth[i, :used], append=azimuth[i + 1, 0]) % TURN
+            wide = np.append(np.flatnonzero(steps > TURN_MAX), used)[0]
+            degree = int(azimuth[i, min(wide, used - 1)]) % TURN // DEGREE
+            if wide < used - 1:
+                self._edges[degree] += 2
+                continue
+            self._gaps.append((degree, round(gap_us[i] / period_us[i]) - 1))
+            if wide < used and not steps[:-1].any():  # a packet of one azimuth cannot go on elsewhere
+                self._edges[degree] += 1
 
     @property
     def packets(self) -> int:
@@ -215,9 +219,9 @@ class Source:
         """What has been decoded."""
         assert self._sensor is not None
         lost = 0
-        for azimuth, packets in self._gaps:
-            away = [abs((azimuth - edge + TURN // 2) % TURN - TURN // 2) for edge in self._edges]
-            lost += packets if min(away, default=TURN) > SAME_AZIMUTH else 0
+        for degree, packets in self._gaps:
+            near = sum(self._edges[(degree + step) % (TURN // DEGREE)] for step in (-1, 0, 1))
+            lost += packets if near < 2 else 0
         return SourceStats(
             name=self.name,
             models=alike(self._sensor, self._known()),
