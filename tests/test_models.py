@@ -624,6 +624,16 @@ def test_models_mixed_on_one_port(tmp_path):
         whole(tmp_path / "d.pcap")
 
 
+def test_old_ids_do_not_hide_a_second_model(tmp_path):
+    """An HDL-32E sends what early VLP-16 do; after a VLP-16 on its port it is another model, named or not."""
+    one, two = sent("vlp-16", "strongest", 60), sent("hdl-32e", "strongest", 30, start_ns=AT_NS + 10**8)
+    write_pcap(tmp_path / "a.pcap", write(tmp_path / "b.pcap", *one[:3]) + write(tmp_path / "b.pcap", *two[:3]))
+    rig = Rig("one", (replace(mount(), sensor=load_sensor("vlp-16")),))
+    for options in ({}, {"model": "vlp-16"}, {"rig": rig}):
+        with pytest.raises(PacketError, match="sends product ids 0x22 and 0x21: two models on one port"):
+            list(decode_pcap(tmp_path / "a.pcap", no_note, chunk_packets=20, **options))
+
+
 def test_the_wrong_model_is_refused(tmp_path):
     sensor, packets, fired, *_ = sent("hdl-64e-s3", "strongest", 30)
     write(tmp_path / "a.pcap", sensor, packets, fired)

@@ -26,10 +26,8 @@ def identify(where: str, packets: Packets, known: Sequence[Sensor]) -> Sensor:
     if not candidates:
         ids = ", ".join(f"0x{s.packet.product_id:02X} {s.name}" for s in sensors if s.packet and s.packet.product_ids)
         raise PacketError(f"{where} sends the unknown product id 0x{product_id:02X}; known: {ids}; or give --model")
-    other = packets["product_id"] != product_id
-    if other.any() and not bare:
-        second = packets["product_id"][other][0]
-        raise PacketError(f"{where} sends product ids 0x{product_id:02X} and 0x{second:02X}: two models on one port")
+    if not bare:
+        check_one_id(where, packets)
     gap_us = _gap_us(packets)
     fits = [s for s in candidates if _fits(s, packets, gap_us)]
     if not fits:
@@ -44,6 +42,14 @@ def identify(where: str, packets: Packets, known: Sequence[Sensor]) -> Sensor:
 def alike(sensor: Sensor, known: Sequence[Sensor]) -> tuple[str, ...]:
     """The names of the sensor and of those known whose packets are the same, as a Puck LITE's are."""
     return (sensor.name, *(o.name for o in known if o.packet and o.packet.sent_as == sensor.name))
+
+
+def check_one_id(where: str, packets: Packets) -> None:
+    """Raises PacketError if these packets (P,) say that they are of two models."""
+    ids = packets["product_id"]
+    other = ids != ids[0]
+    if other.any():
+        raise PacketError(f"{where} sends product ids 0x{ids[0]:02X} and 0x{ids[other][0]:02X}: two models on one port")
 
 
 def check_period(where: str, sensor: Sensor, packets: Packets) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.firing import Times, firing_facts, packet_period_ns
-from lidarcfg.capture.identify import alike, check_period, identify
+from lidarcfg.capture.identify import alike, check_one_id, check_period, identify
 from lidarcfg.capture.velodyne import HOUR_US, PACKET, TURN, Packets, decode, device_time_ns, is_dual, one_of, slots
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import PacketError
@@ -148,16 +148,17 @@ class Source:
         return sensor.model_copy(update={"beams": beams})
 
     def _check_ids(self, sensor: Sensor, packets: Packets) -> None:
-        """Raises PacketError if a packet says that it is of another model."""
+        """Raises PacketError if a packet says that it is of another model than it should be, or than the others."""
         _, facts = firing_facts(sensor)
-        if not (self._trusted and facts.product_ids):
+        if not facts.product_ids:
             return
         wrong = ~one_of(packets["product_id"], facts.product_ids)
-        if wrong.any():
+        if self._trusted and wrong.any():
             raise PacketError(
                 f"{self._where} sends product id 0x{packets['product_id'][wrong][0]:02X}, not "
                 f"{sensor.name}'s 0x{facts.product_id:02X}; --model says what it is all the same"
             )
+        check_one_id(self._where, packets)
 
     def _in_order(self, sensor: Sensor, packets: Packets, times_ns: Times) -> tuple[Packets, Times]:
         """The packets, in the order of their stamps and without doubles.
