@@ -132,6 +132,15 @@ class Dual(Model):
     by: Literal["block", "sequence"]  # what is repeated: each block, or all blocks of the sequence
 
 
+class GpsValues(Model):
+    """The value of the letter G, by the state of the GPS receiver's pulse."""
+
+    absent: Byte = 0
+    synchronising: Byte = 0
+    locked: Byte = 0
+    error: Byte = 0
+
+
 class Status(Model):
     """The status bytes that stand in place of return mode and product id: clock, state and calibration."""
 
@@ -139,6 +148,7 @@ class Status(Model):
     letters: Annotated[str, Field(pattern="^[A-Z]+$")]  # the types that open a cycle, one a packet
     warnings: Annotated[str, Field(pattern="^[A-Z]?$")]  # the type of the warning byte, if it has its own
     checksum: Literal["crc16", "length"]  # what ends the calibration
+    gps: GpsValues = GpsValues()
 
 
 class Packet(Model):

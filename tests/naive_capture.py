@@ -106,7 +106,7 @@ def unit_intensity(beam: dict[str, float], raw: int, intensity: int) -> int:
     return min(range(256), key=away)
 
 
-def status(packet: int, when: datetime, letters: str, warnings: str, calibration: bytes) -> bytes:
+def status(packet: int, when: datetime, letters: str, warnings: str, gps: int, calibration: bytes) -> bytes:
     """Type and value of packet number `packet` since 1970: the letters, then seven bytes of the calibration."""
     cycle, place = packet // (len(letters) + 7), packet % (len(letters) + 7)
     if place < len(letters):
@@ -117,6 +117,7 @@ def status(packet: int, when: datetime, letters: str, warnings: str, calibration
             "D": when.day,
             "N": when.month,
             "Y": when.year - 2000,
+            "G": gps,
         }
         return bytes([ord(letters[place]), values.get(letters[place], 0)])
     at = (7 * cycle + place - len(letters)) % len(calibration)

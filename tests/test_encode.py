@@ -109,7 +109,8 @@ def test_every_layout_is_the_twins(sensor, mode):
         if facts.status:
             carried = calibration(sensor, facts.status, mode)
             when = datetime.fromtimestamp(stamp_ns // SECOND_NS, UTC)
-            tail = naive.status(stamp_ns // period_ns, when, facts.status.letters, facts.status.warnings, carried)
+            letters = facts.status.letters, facts.status.warnings, ord("A")
+            tail = naive.status(stamp_ns // period_ns, when, *letters, carried)
         else:
             tail = bytes([CODES[mode], facts.product_id])
         stamp_us = (stamp_ns + 500) // 1000 % 3_600_000_000
@@ -226,6 +227,22 @@ def test_states_of_the_pulse(tmp_path, model, pps, status, sentence):
     assert bool(read[0].nmea_sentence.strip("\0\r\n")) == bool(sentence)
     if sentence:
         assert read[-1].nmea_sentence.startswith(sentence.replace("000000", "000001"))
+
+
+@pytest.mark.parametrize("name", ["hdl-64e-s2", "hdl-64e-s3"])
+@pytest.mark.parametrize(
+    ("pps", "value"), [("locked", b"A"), ("synchronising", b"V"), ("error", b"V"), ("absent", b"\0")]
+)
+def test_states_of_the_pulse_in_status_bytes(tmp_path, name, pps, value):
+    """What sends no position packets says it beside the letter G."""
+    (tmp_path / "rig.yaml").write_text(
+        f"name: r\nsensors: [{{name: s, model: {name}, position_m: [0, 0, 2], pps: {pps}}}]"
+    )
+    stage = scene(tmp_path, "ground: {reflectivity: 9}")
+    write_pcap(tmp_path / "a.pcap", export(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS // 50)[0])
+    sent = [d.payload for d in datagrams_of(tmp_path / "a.pcap")]
+    assert {payload[1205:] for payload in sent if payload[1204:1205] == b"G"} == {value}
+    assert {len(payload) for payload in sent} == {1206}
 
 
 def test_states_of_the_pulse_are_named(tmp_path):

@@ -225,7 +225,7 @@ def data_stream(
             measured_m = (found.range_m + found.noise_m).reshape(*fired.time_ns.shape, -1)
             reflectivity = found.reflectivity.reshape(measured_m.shape)
             seen = (measured_m, reflectivity) if dual else (measured_m[..., 0], reflectivity[..., 0])
-            packets = encode(sensor, mount.return_mode, fired, *seen)
+            packets = encode(sensor, mount.return_mode, fired, *seen, mount.pps)
             truth = np.empty(0, RECORD)
             if told.truth:
                 sent = sent_returns(sensor, mount.return_mode, packets)

@@ -6,6 +6,7 @@ After each cycle's letters (clock and state) come seven bytes of the calibration
 
 from datetime import UTC, datetime
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from pydantic import ValidationError
 
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.sensor import Beams, Sensor, Status
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import PpsState
 
 MARK = b"UNIT#"
 HEAD, ROW, ROWS, RECORD = 7, 7, 4, 28  # bytes; rows of a record, of which the calibration takes three
@@ -97,11 +101,11 @@ def calibration(sensor: Sensor, status: Status, return_mode: str) -> bytes:
 
 
 def status_bytes(
-    sensor: Sensor, status: Status, return_mode: str, stamp_ns: NDArray[np.int64], period_ns: int
+    sensor: Sensor, status: Status, return_mode: str, pps: "PpsState", stamp_ns: NDArray[np.int64], period_ns: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Types (P,) and values (P,) of the packets with these stamps: the same whatever packets they come with."""
     carried = calibration(sensor, status, return_mode)
-    cycle = len(status.letters) + ROW
+    cycle, gps = len(status.letters) + ROW, getattr(status.gps, pps)
     types, values = np.zeros(len(stamp_ns), np.uint8), np.zeros(len(stamp_ns), np.uint8)
     for i, time_ns in enumerate(stamp_ns.tolist()):
         turns, place = divmod(time_ns // period_ns, cycle)
@@ -109,7 +113,7 @@ def status_bytes(
             letter = status.letters[place]
             now = datetime.fromtimestamp(time_ns // 10**9, UTC)
             clock = {"H": now.hour, "M": now.minute, "S": now.second, "D": now.day, "N": now.month, "Y": now.year % 100}
-            types[i], values[i] = ord(letter), clock.get(letter, 0)
+            types[i], values[i] = ord(letter), (clock | {"G": gps}).get(letter, 0)
         else:
             at = (turns * ROW + place - len(status.letters)) % LENGTH
             warning = status.warnings and at == WARNING_AT

@@ -74,7 +74,12 @@ class Returns:
 
 
 def encode(
-    sensor: Sensor, return_mode: str, firings: Firings, range_m: Array, reflectivity: NDArray[np.uint8]
+    sensor: Sensor,
+    return_mode: str,
+    firings: Firings,
+    range_m: Array,
+    reflectivity: NDArray[np.uint8],
+    pps: "PpsState" = "locked",
 ) -> Packets:
     """Packets (P,) of firings and what they met: range (P, S, L) in metres (inf: nothing), reflectivity.
 
@@ -108,7 +113,7 @@ def encode(
         packets["return_mode"] = getattr(facts.return_modes, return_mode)
         packets["product_id"] = facts.product_id
     elif facts.status:
-        types, values = status_bytes(sensor, facts.status, return_mode, stamps_ns, packet_period_ns(sensor, dual))
+        types, values = status_bytes(sensor, facts.status, return_mode, pps, stamps_ns, packet_period_ns(sensor, dual))
         packets["return_mode"], packets["product_id"] = types, values
     return packets
 
