@@ -379,7 +379,7 @@ def _check_size(size: int, name: str) -> None:
 
 def _checked_link(link: int, name: str) -> int:
     if link not in LINK_HEADERS:
-        raise PacketError(f"{name}: link type {link} is not known; allowed: Ethernet, raw IP")
+        raise PacketError(f"{name}: link type {link} is not known; allowed: Ethernet, Linux cooked, raw IP")
     return link
 
 
