@@ -183,6 +183,15 @@ def test_the_same_bytes_on_the_way(tmp_path, monkeypatch, motion):
     assert few > rays / 20
 
 
+def test_the_same_bytes_across_a_border_of_local_origins(tmp_path, monkeypatch):
+    """500 m off a sensor passes it within a chunk before its first beam that may meet anything."""
+    wall = "boxes: [{name: w, center_m: [480.123, 3.3, 1.1], size_m: [5.7, 20, 8], yaw_deg: 20.3, reflectivity: 9}]"
+    stage, motion = scene(tmp_path, wall), Motion(velocity_m_s=(1.0, 0.0, 0.0))
+    rig = Rig("r", (mount(0, (499.97, 0.0, 2.0)),))
+    (one, other), _ = both(tmp_path, monkeypatch, rig, stage, motion, 0, SECOND_NS // 20)
+    assert one == other
+
+
 def test_lists_are_made_when_they_are_worth_it(tmp_path, monkeypatch):
     """After some beams; never for a time for which they do not hold, nor where little would be listed."""
     room = scene(tmp_path, "boxes: [{name: b, center_m: [0, 0, 1], size_m: [300, 20, 8], reflectivity: 9}]")

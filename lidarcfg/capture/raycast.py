@@ -72,9 +72,21 @@ class Raycaster:
         self._parts: dict[bytes, Triangles] = {}
         self._lock = Lock()
 
-    def _local(self, place_m: Array) -> tuple[Array, Triangles]:
-        """The local origin for rays from a place (3,), and what stands still, relative to it."""
-        cell = np.rint((place_m - self._origin_m) / LOCAL_M) + 0.0  # which makes 0 of -0
+    def _cells(self, origins_m: Array, pick: Rows) -> list[tuple[Array, Rows]]:
+        """The cells (3,) about local origins from which the rays `pick` (M,) of (N, 3) start, and which start there.
+
+        Each ray has its own, so that what it meets does not depend on which are cast together.
+        """
+        ends = np.stack([origins_m.min(axis=0), origins_m.max(axis=0)])
+        low, high = np.rint((ends - self._origin_m) / LOCAL_M) + 0.0  # which makes 0 of -0
+        if (low == high).all():
+            return [(low, pick)]
+        cells = np.rint((origins_m[pick] - self._origin_m) / LOCAL_M) + 0.0
+        found, which = np.unique(cells, axis=0, return_inverse=True)
+        return [(cell, pick[which.ravel() == i]) for i, cell in enumerate(found)]
+
+    def _local(self, cell: Array) -> tuple[Array, Triangles]:
+        """The local origin of a cell (3,), and what stands still, relative to it."""
         origin_m = self._origin_m + cell * LOCAL_M
         key = cell.tobytes()
         with self._lock:  # threads cast together
@@ -117,12 +129,11 @@ class Raycaster:
             ground(rays, masks[0], self.scene.file.ground.z_m, nearest)
         still = np.flatnonzero(masks[1])
         few = 0
-        if len(still) and len(self.still_triangles):
-            local_m, part = self._local(origins_m[0])
-            if listed:
-                left = settled(rays, still, *listed, local_m, part.facets, nearest)
-                few, still = len(still) - len(left), left
-            part.cast(rays, still, local_m, np.eye(3)[None], nearest)
+        for cell, some in self._cells(origins_m, still) if len(still) and len(self.still_triangles) else []:
+            local_m, part = self._local(cell)
+            left = settled(rays, some, *listed, local_m, part.facets, nearest) if listed else some
+            few += len(some) - len(left)
+            part.cast(rays, left, local_m, np.eye(3)[None], nearest)
         for mover, mask in zip(self.movers, masks[2:], strict=True):
             which = np.flatnonzero(mask)
             if len(which):
