@@ -183,6 +183,39 @@ def test_the_same_bytes_on_the_way(tmp_path, monkeypatch, motion):
     assert few > rays / 20
 
 
+def far_plate(side_m):
+    """A square whose nearest edge passes 6 m ahead, askew, so that float32 moves it by what its far corners are off."""
+    turn, far_m = math.radians(33), 6 + side_m / 2
+    at = f"[{far_m * math.cos(turn)}, {far_m * math.sin(turn)}, 0.37]"
+    return f"planes: [{{name: p, center_m: {at}, size_m: [{side_m}, {side_m}], rpy_deg: [0, 0, 33], reflectivity: 9}}]"
+
+
+@pytest.mark.parametrize("side_m", [100, 1e4, 1e5, 1e6])
+def test_edges_of_what_reaches_far(tmp_path, side_m):
+    """A list settles less near these, as they are where float32 has them; a cast says what it said."""
+    rng = np.random.default_rng(3)
+    caster = Raycaster(scene(tmp_path, far_plate(side_m)), np.zeros(3))
+    sights = every(caster.scene.vertices_m, caster.still_triangles, np.arange(2))
+    out = np.array([math.cos(math.radians(33)), math.sin(math.radians(33)), 0])
+    along, beside_m = rng.uniform(-40, 40, 20_000), rng.choice([-1, 1], 20_000) * 10 ** rng.uniform(-3, 0, 20_000)
+    aim = [0, 0, 0.37] + out * (6 + beside_m[:, None]) + np.array([-out[1], out[0], 0]) * along[:, None]
+    start = np.array([0.1, 0.2, 2.1])
+    way = (aim - start) / np.linalg.norm(aim - start, axis=1)[:, None]
+    start = np.repeat(start[None], len(way), axis=0)
+    cast, told = (
+        caster.cast(start, way, listed=these) for these in (None, Listed(np.zeros(len(way), np.int32), sights))
+    )
+    assert np.array_equal(cast.range_m, told.range_m)
+    assert (told.settled > len(way) / 2) == (side_m == 100)
+
+
+def test_the_same_bytes_beside_what_reaches_far(tmp_path, monkeypatch):
+    """Lists leave out what is beside their rays only if float32 does not move it there."""
+    stage, sensors = scene(tmp_path, far_plate(1e6)), tuple(mount(k, (0.02 * k, 0, 2.0), (1, 2 + k, 0)) for k in (0, 1))
+    (one, other), _ = both(tmp_path, monkeypatch, Rig("r", sensors), stage, STANDS, 0)
+    assert one == other
+
+
 def test_the_same_bytes_across_a_border_of_local_origins(tmp_path, monkeypatch):
     """500 m off a sensor passes it within a chunk before its first beam that may meet anything."""
     wall = "boxes: [{name: w, center_m: [480.123, 3.3, 1.1], size_m: [5.7, 20, 8], yaw_deg: 20.3, reflectivity: 9}]"

@@ -21,6 +21,7 @@ from lidarcfg.geometry import Array
 FEW = 8  # triangles in a list, at most
 MANY = -1  # instead of a list
 CLEAR_M = 2e-3  # beside an edge: ten times a hair
+CLEAR_SHARE = 1e-6  # and more by so much of how far corners are: some 16 roundings to float32, which move a far edge
 APART_M = 0.05  # behind one another
 STEEP = 0.05  # the sine of the angle at which a ray meets a plane, at least
 ALIKE_M = GRAZING_M / 2  # by so much at most a range differs in float32, where a plane is met as steeply as asked for
@@ -39,6 +40,7 @@ class Sights(NamedTuple):
     lists: NDArray[np.int32]  # (lists, FEW), one at least, which of the large ones; -1 after the last
     large: Index  # (C,) which of all triangles
     steep: Array  # (C,) as what sine their planes are to be met, at least
+    clear_m: Array  # (C,) how far from their edges rays are to pass, at least
     lines: Array  # (C, 3, 8) along their edges, seen from the place: moment, edge; the lengths of edge and moment
 
 
@@ -77,15 +79,18 @@ def sighted(
     half_rad = math.pi / sectors
     lines, seen_lines = np.empty((len(large), 3, 8)), np.empty((len(large), 3, 8))
     seen, planes, spans = np.empty((len(large), 3, 3)), np.empty((len(large), 5)), np.empty((len(large), 2))
+    clear_m = np.full(len(large), CLEAR_M)
     for i in range(len(large)):
         corners = vertices_m[triangles[large[i]]] - t
         _set_lines(corners, lines[i])
         for c in range(3):
             for k in range(3):
                 seen[i, c, k] = R[0, k] * corners[c, 0] + R[1, k] * corners[c, 1] + R[2, k] * corners[c, 2]
+            x, y, z = corners[c]
+            clear_m[i] = max(clear_m[i], CLEAR_M + CLEAR_SHARE * math.sqrt(x * x + y * y + z * z))
         _set_lines(seen[i], seen_lines[i])
         _set_plane(seen_lines[i], seen[i], planes[i])
-        spans[i, 0], spans[i, 1] = _span(seen[i], off_m)
+        spans[i, 0], spans[i, 1] = _span(seen[i], off_m + clear_m[i])
     ways = np.empty((lasers, sectors, 2))
     for k in range(lasers):
         for sector in range(sectors):
@@ -105,7 +110,7 @@ def sighted(
                     c, s = ways[k, sector]
                     way = fan[1, k] * c, -fan[1, k] * s, fan[0, k]
                     met, near_m, far_m = _meets(
-                        seen[i], seen_lines[i], planes[i], way, (-s, -c), aside_rad, wide, off_m, range_m
+                        seen[i], seen_lines[i], planes[i], way, (-s, -c), aside_rad, wide, off_m, clear_m[i], range_m
                     )
                     if met and not filling:
                         cover_m[k, sector] = min(cover_m[k, sector], far_m)
@@ -119,7 +124,7 @@ def sighted(
             if not many[k, sector] and counts[k, sector] <= FEW:
                 which[sector, k], lists[used] = used, lists[k * sectors + sector]
                 used += 1
-    return Sights(t, which, lists[: max(used, 1)].copy(), large, planes[:, 4].copy(), lines)
+    return Sights(t, which, lists[: max(used, 1)].copy(), large, planes[:, 4].copy(), clear_m, lines)
 
 
 @njit(cache=True, nogil=True)
@@ -188,6 +193,7 @@ def _meets(
     aside_rad: float,
     wide_rad: float,
     off_m: float,
+    clear_m: float,
     range_m: float,
 ) -> tuple[bool, float, float]:
     """Whether rays may meet a triangle (3, 3) in range, from how far on, and up to where all of them do, if they do.
@@ -199,11 +205,11 @@ def _meets(
         line = lines[c]
         turn = line[0] * way[0] + line[1] * way[1] + line[2] * way[2]
         slack = abs(line[0] * aside[0] + line[1] * aside[1]) * aside_rad + line[7] * wide_rad
-        slack += (off_m + CLEAR_M) * line[6]
+        slack += (off_m + clear_m) * line[6]
         above, below = above + (turn > slack), below + (turn < -slack)
         x, y, z = corners[c]
         along = x * way[0] + y * way[1] + z * way[2]
-        ahead = max(ahead, along + math.sqrt(x * x + y * y + z * z) * (aside_rad + wide_rad) + off_m)
+        ahead = max(ahead, along + math.sqrt(x * x + y * y + z * z) * (aside_rad + wide_rad) + off_m + clear_m)
     if (above and below) or ahead < 0:
         return False, 0.0, math.inf
     rise, spread = plane[0] * way[0] + plane[1] * way[1] + plane[2] * way[2], aside_rad + wide_rad
@@ -236,11 +242,11 @@ def settled(
             number = sights.lists[row, j]
             if number < 0:
                 break
-            above, below = 0, 0
+            above, below, clear_m = 0, 0, sights.clear_m[number]
             for c in range(3):
                 line = sights.lines[number, c]
                 turn = line[0] * u + line[1] * v + line[2] * w + line[3] * mx + line[4] * my + line[5] * mz
-                above, below = above + (turn > CLEAR_M * line[6]), below + (turn < -CLEAR_M * line[6])
+                above, below = above + (turn > clear_m * line[6]), below + (turn < -clear_m * line[6])
             if above and below:
                 continue  # well beside it, whichever side of it is seen
             t = sights.large[number]
