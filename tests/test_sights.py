@@ -216,6 +216,20 @@ def test_the_same_bytes_beside_what_reaches_far(tmp_path, monkeypatch):
     assert one == other
 
 
+def test_the_same_bytes_of_what_is_behind(tmp_path, monkeypatch):
+    """A cast meets a slender strip that a beam left behind: by float32 it is ahead, and before the wall."""
+    wall = "boxes: [{name: far, center_m: [3, 1, 1], size_m: [150, 150, 150], yaw_deg: 5, reflectivity: 50}]"
+    strip = (
+        "planes: [{name: strip, center_m: [3.217, 1.113, 1.037], size_m: [300, 0.02], reflectivity: 9, "
+        "rpy_deg: [78.93851488032882, 2.12032263031125, 37.267903375846586]}]"
+    )
+    rpy_rad = -1.3243558659451848, -0.5167700164813327, 0.3670590323599446
+    one = replace(mount(0, (2.39309365557182, 2.756799556602684, 10.289941865942)), rpy_rad=rpy_rad)
+    stage = scene(tmp_path, strip + "\n" + wall)
+    (one, other), _ = both(tmp_path, monkeypatch, Rig("r", (one,)), stage, STANDS, 0, SECOND_NS // 10)
+    assert one == other
+
+
 def test_the_same_bytes_across_a_border_of_local_origins(tmp_path, monkeypatch):
     """500 m off a sensor passes it within a chunk before its first beam that may meet anything."""
     wall = "boxes: [{name: w, center_m: [480.123, 3.3, 1.1], size_m: [5.7, 20, 8], yaw_deg: 20.3, reflectivity: 9}]"

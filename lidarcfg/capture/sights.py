@@ -78,7 +78,7 @@ def sighted(
     lasers, sectors = many.shape
     half_rad = math.pi / sectors
     lines, seen_lines = np.empty((len(large), 3, 8)), np.empty((len(large), 3, 8))
-    seen, planes, spans = np.empty((len(large), 3, 3)), np.empty((len(large), 5)), np.empty((len(large), 2))
+    seen, planes, spans = np.empty((len(large), 3, 3)), np.empty((len(large), 6)), np.empty((len(large), 2))
     clear_m = np.full(len(large), CLEAR_M)
     for i in range(len(large)):
         corners = vertices_m[triangles[large[i]]] - t
@@ -91,6 +91,8 @@ def sighted(
         _set_lines(seen[i], seen_lines[i])
         _set_plane(seen_lines[i], seen[i], planes[i])
         spans[i, 0], spans[i, 1] = _span(seen[i], off_m + clear_m[i])
+        if abs(planes[i, 3]) - off_m <= planes[i, 5]:
+            spans[i, 0], spans[i, 1] = 0.0, 2 * math.pi  # in float32 it may be met behind as if it were ahead
     ways = np.empty((lasers, sectors, 2))
     for k in range(lasers):
         for sector in range(sectors):
@@ -140,7 +142,7 @@ def _set_lines(corners: Array, lines: Array) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _set_plane(lines: Array, corners: Array, plane: Array) -> None:
-    """Write unit normal n and d of the plane n·p = d of a triangle (3, 3), by its lines, and how steeply to meet it."""
+    """Write of the plane n·p = d of a triangle (3, 3), by its lines: n, d, how steeply to meet it, and its error."""
     for k in range(3):
         plane[k] = lines[0, k] + lines[1, k] + lines[2, k]
     doubled = math.sqrt(plane[0] ** 2 + plane[1] ** 2 + plane[2] ** 2)
@@ -148,7 +150,8 @@ def _set_plane(lines: Array, corners: Array, plane: Array) -> None:
         plane[k] = plane[k] / doubled if doubled > 0 else 0.0
     plane[3] = plane[0] * corners[0, 0] + plane[1] * corners[0, 1] + plane[2] * corners[0, 2]
     longest = max(lines[0, 6], lines[1, 6], lines[2, 6])
-    plane[4] = max(STEEP, (ROUNDED_M + TILTED * longest**3 / doubled) / ALIKE_M)
+    plane[5] = ROUNDED_M + TILTED * longest**3 / doubled
+    plane[4] = max(STEEP, plane[5] / ALIKE_M)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -210,7 +213,7 @@ def _meets(
         x, y, z = corners[c]
         along = x * way[0] + y * way[1] + z * way[2]
         ahead = max(ahead, along + math.sqrt(x * x + y * y + z * z) * (aside_rad + wide_rad) + off_m + clear_m)
-    if (above and below) or ahead < 0:
+    if (above and below) or (ahead < 0 and abs(plane[3]) - off_m > plane[5]):
         return False, 0.0, math.inf
     rise, spread = plane[0] * way[0] + plane[1] * way[1] + plane[2] * way[2], aside_rad + wide_rad
     if abs(rise) - spread < plane[4]:
