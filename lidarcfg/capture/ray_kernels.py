@@ -233,6 +233,17 @@ def narrowed(origins_m, directions, pick, place_m):
     return out
 
 
+@njit(cache=True, nogil=True)
+def bounds(points, pick):
+    """Low and high corners (2, 3) of the box around the points `pick` (M,) of (N, 3)."""
+    out = np.empty((2, 3))
+    out[0], out[1] = np.inf, -np.inf
+    for n in pick:
+        for k in range(3):
+            out[0, k], out[1, k] = min(out[0, k], points[n, k]), max(out[1, k], points[n, k])
+    return out
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def ground(rays, may_meet, z_m, nearest):
     """Keep what rays (N,) meet of the horizontal plane at `z_m`, object 0, if they may (N,): the first that is known.

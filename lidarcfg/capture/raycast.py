@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.ray_kernels import NOTHING, Nearest, Rays, ground, local_rays, of_objects
+from lidarcfg.capture.ray_kernels import NOTHING, Nearest, Rays, bounds, ground, local_rays, of_objects
 from lidarcfg.capture.scene import Scene
 from lidarcfg.capture.sights import Sights, settled
 from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared
@@ -77,8 +77,7 @@ class Raycaster:
 
         Each ray has its own, so that what it meets does not depend on which are cast together.
         """
-        ends = np.stack([origins_m.min(axis=0), origins_m.max(axis=0)])
-        low, high = np.rint((ends - self._origin_m) / LOCAL_M) + 0.0  # which makes 0 of -0
+        low, high = np.rint((bounds(origins_m, pick) - self._origin_m) / LOCAL_M) + 0.0  # which makes 0 of -0
         if (low == high).all():
             return [(low, pick)]
         cells = np.rint((origins_m[pick] - self._origin_m) / LOCAL_M) + 0.0
