@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from lidarcfg.capture.kernels import FAR_M, NEAR_X_M, NEAR_Y_M, raised
+from lidarcfg.jit import njit
 
 STEPS, SETTLED_M = 40, 1e-9  # to a correction near by; of a real unit's, each leaves a hundredth of what is wrong
 

@@ -5,10 +5,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 
 SLOTS = 32  # returns in a block
 TURN = 36000  # azimuth is in hundredths of a degree

@@ -4,10 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 
 NOTHING = -1  # for an object
 SMALL = 0.02  # radians, up to which four terms of sine and cosine are exact

@@ -4,10 +4,10 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 
 SMALL = 1 / 8  # of a cell: what is no wider is not cut
 CUTS = 64  # a box, at most

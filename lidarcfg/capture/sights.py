@@ -11,12 +11,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.capture.ray_kernels import Nearest, Rays
 from lidarcfg.capture.triangles import GRAZING_M, keep, plane_m
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 
 FEW = 8  # triangles in a list, at most
 MANY = -1  # instead of a list

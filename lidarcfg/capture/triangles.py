@@ -9,11 +9,11 @@ is cast once more, moved past the edge: there it meets the neighbour, or whateve
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.capture.ray_kernels import Nearest, Rays, narrowed, turned_by
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 
 HAIR_M = 2e-4  # beyond what float32 is off by within a sensor's range
 SHARE = 0.02  # of a small triangle's longest edge, which is less than HAIR_M

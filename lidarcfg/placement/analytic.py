@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 from lidarcfg.placement.lidar import Lidar
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region

@@ -6,10 +6,10 @@ a trial computes those of the LiDARs that moved alone.
 
 # mypy: disallow-untyped-decorators=False
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 from lidarcfg.placement.rows import Counts, Grid, Labels, Words, flood, keep, link, middle, room, vsr, worst
 
 WITNESSES = 12

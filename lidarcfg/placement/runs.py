@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
 from lidarcfg.placement.lidar import Lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.rows import lowest

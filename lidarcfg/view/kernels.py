@@ -1,7 +1,8 @@
 """The one inner loop of stills: translucent triangles behind and before points."""
 
 import numpy as np
-from numba import njit
+
+from lidarcfg.jit import njit
 
 
 @njit(cache=True, nogil=True)
