@@ -1,6 +1,7 @@
 """numba for the loops of this project: where compiled ones are kept, and a start without what none of them needs."""
 
 import atexit
+import gc
 import importlib
 import os
 import shutil
@@ -14,6 +15,10 @@ if not os.access(Path(__file__).parent, os.W_OK) and not os.access(Path.home(), 
     os.environ.setdefault("NUMBA_CACHE_DIR", _cache)
     atexit.register(shutil.rmtree, _cache, ignore_errors=True)
 
+# numba makes many objects that stay: it is loaded a tenth sooner if they are not looked through meanwhile.
+if _collecting := gc.isenabled():
+    gc.disable()
+
 import numba.np.linalg
 from numba import njit as njit
 
@@ -25,3 +30,5 @@ with suppress(AttributeError):
         importlib.import_module("numba.np.arraymath")
     finally:
         numba.np.linalg.ensure_blas = _ensure_blas
+if _collecting:
+    gc.enable()

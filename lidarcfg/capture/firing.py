@@ -7,7 +7,6 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture import ray_kernels
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.sensor import BLOCKS, Firing, Packet, Sensor
@@ -60,6 +59,8 @@ def firings(
     With a phase lock the head points to `phase_deg` at each whole second instead, for which `rpm` must be whole
     turns a second. The turns up to each packet are counted in whole numbers, so an hour adds no drift.
     """
+    from lidarcfg.capture import ray_kernels  # which decoding can do without
+
     offsets = packet_offsets_ns(sensor, dual)
     period_ns = packet_period_ns(sensor, dual)
     turn_ns = MINUTE_NS / Fraction(rpm)
@@ -124,6 +125,8 @@ def aimed(sensor: Sensor, firings: Firings, rows: NDArray[np.int64], R: Array, t
 
     These are (M or 1, 3, 3) and (M or 1, 3): one each or one for all.
     """
+    from lidarcfg.capture import ray_kernels
+
     lasers = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, sensor.vertical_offset_m
     origins, ray_directions = ray_kernels.beams(firings.azimuth_rad.reshape(-1, sensor.count), rows, *lasers, R, t)
     return origins, ray_directions

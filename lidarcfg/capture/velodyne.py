@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture import encode_kernels, kernels
+from lidarcfg.capture import kernels
 from lidarcfg.capture.firing import (
     Firings,
     Times,
@@ -87,6 +87,8 @@ def encode(
     last, equal where there is one return only. What the sensor does not measure, or the packet cannot say, is no
     return. Distances and intensities are those of which decoding makes the nearest there are. Raises ConfigError.
     """
+    from lidarcfg.capture import encode_kernels  # which decoding can do without
+
     check_encodable(sensor, return_mode)
     firing, facts = firing_facts(sensor)
     dual = return_mode == "dual"
