@@ -7,6 +7,7 @@ from scipy.spatial import ConvexHull
 from lidarcfg.capture.ray_kernels import NOTHING, Nearest, Rays
 from lidarcfg.capture.raycast import Raycaster
 from lidarcfg.capture.triangles import FLAT, HAIR_M, PAST, RIM, SHARE, SHARP, Triangles, measured, met
+from lidarcfg.capture.turns import Turns
 from lidarcfg.geometry import directions
 from tests import edges, naive
 from tests.capture_fixtures import scene
@@ -176,7 +177,7 @@ def test_a_mesh_as_fine_as_a_hair(tmp_path):
     way = rng.normal(size=(1000, 3)) * 0.003 + (8, 3, 1)
     way /= np.linalg.norm(way, axis=1)[:, None]
     enter, _, depth = edges.through(edges.half_spaces(vertices[faces], np.array((8.0, 3, 1))), np.zeros(3), way)
-    triangles, nearest = Triangles(vertices, faces, np.zeros(len(faces), np.int32)), nothing_known(len(way))
+    triangles, nearest = Triangles(vertices, faces, np.zeros(len(faces), np.int32), Turns()), nothing_known(len(way))
     deep = depth > 1e-3
     rays = Rays(np.zeros_like(way), way, np.arange(len(way)))
     triangles.cast(rays, np.flatnonzero(deep), np.zeros(3), np.eye(3)[None], nearest)

@@ -220,17 +220,18 @@ def data_stream(
         fired = plan.fired
         if not len(fired.time_ns):
             return None
-        found, counts = observer.report(plan)
-        measured_m = (found.range_m + found.noise_m).reshape(*fired.time_ns.shape, -1)
-        reflectivity = found.reflectivity.reshape(measured_m.shape)
-        seen = (measured_m, reflectivity) if dual else (measured_m[..., 0], reflectivity[..., 0])
-        packets = encode(sensor, mount.return_mode, fired, *seen, mount.pps)
-        truth = np.empty(0, RECORD)
-        if told.truth:
-            sent = sent_returns(sensor, mount.return_mode, packets)
-            truth = records(index, mount.return_mode, fired.time_ns, found, *sent)
-        ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
-        return Sent(sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, counts)
+        with stage.caster.turns.together():
+            found, counts = observer.report(plan)
+            measured_m = (found.range_m + found.noise_m).reshape(*fired.time_ns.shape, -1)
+            reflectivity = found.reflectivity.reshape(measured_m.shape)
+            seen = (measured_m, reflectivity) if dual else (measured_m[..., 0], reflectivity[..., 0])
+            packets = encode(sensor, mount.return_mode, fired, *seen, mount.pps)
+            truth = np.empty(0, RECORD)
+            if told.truth:
+                sent = sent_returns(sensor, mount.return_mode, packets)
+                truth = records(index, mount.return_mode, fired.time_ns, found, *sent)
+            ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
+            return Sent(sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, counts)
 
     chunks = firing_chunks(sensor, mount.rpm, start_ns, total, chunk, dual, mount.phase_deg, mount.sector_deg)
     for number, sent in enumerate(ahead(pool, work, map(observer.plan, chunks)), 1):

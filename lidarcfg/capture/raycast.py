@@ -16,6 +16,7 @@ from lidarcfg.capture.scene import Scene
 from lidarcfg.capture.sights import Sights, settled
 from lidarcfg.capture.trajectory import SECOND_NS, Path3, prepared
 from lidarcfg.capture.triangles import Triangles
+from lidarcfg.capture.turns import Turns
 from lidarcfg.geometry import Array
 
 LOCAL_M = 1000.0  # at so much from a local origin a float32 steps by 0.06 mm
@@ -61,8 +62,8 @@ class Raycaster:
     """
 
     def __init__(self, scene: Scene, origin_m: Array, zero_ns: int = 0) -> None:
-        self.scene = scene
-        self.movers = tuple(_mover(scene, index) for index, motion in enumerate(scene.motion) if motion)
+        self.scene, self.turns = scene, Turns()
+        self.movers = tuple(_mover(scene, index, self.turns) for index, motion in enumerate(scene.motion) if motion)
         self.zero_ns = zero_ns
         moving = np.isin(scene.triangle_object, [mover.object for mover in self.movers])
         self.still_triangles = scene.triangles[~moving]  # (T, 3) indices of the scene's vertices
@@ -92,7 +93,7 @@ class Raycaster:
                 if len(self._parts) == PARTS_MAX:
                     del self._parts[next(iter(self._parts))]
                 vertices_m = self.scene.vertices_m - origin_m
-                self._parts[key] = Triangles(vertices_m, self.still_triangles, self._still_object)
+                self._parts[key] = Triangles(vertices_m, self.still_triangles, self._still_object, self.turns)
             return origin_m, self._parts[key]
 
     def cast(
@@ -143,12 +144,12 @@ class Raycaster:
         return Hits(nearest.range_m, reflectivity, nearest.object, nearest.normal, few)
 
 
-def _mover(scene: Scene, index: int) -> Mover:
+def _mover(scene: Scene, index: int, turns: Turns) -> Mover:
     motion, place_m = scene.motion[index], scene.place_m[index]
     assert motion is not None
     triangles = scene.triangles[scene.triangle_object == index]
     used, local = np.unique(triangles, return_inverse=True)
     vertices = scene.vertices_m[used] - place_m
     radius_m = float(np.linalg.norm(vertices, axis=1).max())
-    part = Triangles(vertices, local.reshape(-1, 3), np.full(len(triangles), index, np.int32))
+    part = Triangles(vertices, local.reshape(-1, 3), np.full(len(triangles), index, np.int32), turns)
     return Mover(index, prepared(motion), place_m, radius_m, part)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.ray_kernels import Nearest, Rays, narrowed, turned_by
+from lidarcfg.capture.turns import Turns
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
 
@@ -33,11 +34,11 @@ Index = NDArray[np.int64]
 class Triangles:
     """Triangles in a frame whose origin is near; from either side alike."""
 
-    def __init__(self, vertices_m: Array, triangles: Index, objects: NDArray[np.int32]) -> None:
+    def __init__(self, vertices_m: Array, triangles: Index, objects: NDArray[np.int32], turns: Turns) -> None:
         """`triangles` (T, 3) are indices of vertices (V, 3); objects (T,) say what they are of."""
         import open3d as o3d
 
-        self._vertices_m, self._triangles = vertices_m, triangles
+        self._vertices_m, self._triangles, self._turns = vertices_m, triangles, turns
         self.facets, corners = measured(vertices_m, triangles, objects)
         self._scene = o3d.t.geometry.RaycastingScene()
         if len(triangles):
@@ -74,7 +75,11 @@ class Triangles:
         import open3d as o3d
 
         tensor = o3d.core.Tensor.from_numpy(rays)
-        found = self._scene.cast_rays(tensor, nthreads=1 if len(rays) <= FEW else 0)
+        if len(rays) <= FEW:
+            found = self._scene.cast_rays(tensor, nthreads=1)
+        else:
+            with self._turns.alone():
+                found = self._scene.cast_rays(tensor)
         return found["t_hit"].numpy(), found["primitive_ids"].numpy(), found["primitive_uvs"].numpy()
 
 
