@@ -25,9 +25,7 @@ from lidarcfg.errors import LidarcfgError, one_line
 
 def main() -> None:
     """Entry point: 0 when done, 2 with one line for the user's mistake, 130 after Ctrl-C, 1 for a bug."""
-    gc.set_threshold(
-        50_000
-    )  # modules and kernels make many objects that stay: looked through less often, all start sooner
+    gc.set_threshold(50_000)  # modules make many objects that stay: looked through less often, they load sooner
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # what was reached is kept, nothing half-written stays
         number = getattr(signal, name, None)
         if number and signal.getsignal(number) != signal.SIG_IGN:  # nohup's wish stands

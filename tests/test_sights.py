@@ -264,6 +264,10 @@ def test_lists_are_made_when_they_are_worth_it(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(reach_module, "BEAMS", 0)
     assert when(STANDS, scene(tmp_path, "spheres:\n" + grid)) == []
+    monkeypatch.setattr(reach_module, "sighted", None)  # where nothing is large none are asked for
+    assert (
+        when(STANDS, scene(tmp_path, "spheres: [{name: s, center_m: [5, 0, 1], radius_m: 0.5, reflectivity: 9}]")) == []
+    )
 
 
 def test_the_largest_are_chosen(tmp_path, monkeypatch):

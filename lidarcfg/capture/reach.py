@@ -109,7 +109,8 @@ class Reach:
         """
         if not self._from_ns <= first_ns <= last_ns <= self._to_ns:
             self._renew(first_ns, last_ns)
-        if self._beams >= BEAMS * len(self._fan.T) * len(self._still.large) and last_ns <= self._held_ns:
+        large = len(self._still.large)
+        if large and self._beams >= BEAMS * len(self._fan.T) * large and last_ns <= self._held_ns:
             self._look()
         self._beams += (last_ns - first_ns) * self._beams_per_ns
         tables = np.concatenate([self._tables, *self._mover_tables(first_ns, last_ns)])

@@ -76,7 +76,10 @@ def export(
             raise click.BadParameter(f"{str(path)!r} does not end in {suffix}", param_hint=option)
     mounted, stage = load_rig(rig), load_scene(scene)
     duration_ns, began = round(duration * SECOND_NS), time.monotonic()
-    counted: list[Counts] = []
+    counted = [0, 0, 0]
+
+    def on_rays(counts: "Counts") -> None:
+        counted[:] = map(sum, zip(counted, counts, strict=True))
 
     with progress(quiet) as on_share, ExitStack() as stack:
 
@@ -95,7 +98,7 @@ def export(
             start_ns,
             on_progress,
             on_truth=beside.add if beside else None,
-            on_rays=counted.append,
+            on_rays=on_rays,
             skip=not no_skip,
         )
         if split:
@@ -110,10 +113,11 @@ def export(
         if truth:
             click.echo(f"{truth}: {records:,} returns")
     if stats:
-        rays, nothing, few = map(sum, zip(*counted, strict=True))
+        rays, nothing, few = counted
+        some = max(rays, 1)  # a narrow sector may fire none
         click.echo(
-            f"{rays:,} rays: {nothing:,} ({nothing / rays:.1%}) could meet nothing in range, "
-            f"{few:,} ({few / rays:.1%}) were settled by a few triangles, {rays - nothing - few:,} were cast"
+            f"{rays:,} rays: {nothing:,} ({nothing / some:.1%}) could meet nothing in range, "
+            f"{few:,} ({few / some:.1%}) were settled by a few triangles, {rays - nothing - few:,} were cast"
         )
 
 
