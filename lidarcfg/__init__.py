@@ -21,8 +21,8 @@ _HOME = {
     "load_study": "placement.study",
     "optimize": "placement.optimize",
     "evaluate": "placement.study",
-    "Scene": "capture.scene",
-    "load_scene": "capture.scene",
+    "Scene": "world.scene",
+    "load_scene": "world.scene",
     "PointCloud": "cloud",
 }
 

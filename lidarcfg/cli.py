@@ -15,8 +15,8 @@ from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.compare import compare
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
+from lidarcfg.commands.help import Tasks
 from lidarcfg.commands.options import interrupt
-from lidarcfg.commands.page import Tasks
 from lidarcfg.commands.placement import evaluate, optimize
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.view import view

@@ -17,12 +17,12 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.config import replacing
 from lidarcfg.errors import CloudError
+from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
+from lidarcfg.units import SECOND_NS
 
 SUFFIXES = (".ply", ".pcd", ".npz")
-SECOND_NS = 10**9
 FIELDS: dict[str, Any] = {
     "xyz": np.float64,
     "intensity": np.uint8,

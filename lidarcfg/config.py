@@ -5,14 +5,11 @@ line numbers. Refused: unknown or repeated keys, other types, NaN and infinities
 """
 
 import difflib
-import errno
 import math
-import os
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -41,6 +38,7 @@ class Model(BaseModel):
     """A part of a file: frozen, every key known, every type exact, every number finite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    renamed: ClassVar[dict[str, str]] = {}  # keys of earlier versions, and where each now stands
 
 
 M = TypeVar("M", bound=Model)
@@ -246,7 +244,7 @@ def _message(item: Any, model: type[Model]) -> str:
     if kind == "fault":
         return str(item["msg"])
     if kind == "extra_forbidden":
-        return _unknown_key(str(item["loc"][-1]), list(_model_at(model, item["loc"][:-1]).model_fields))
+        return _unknown_key(str(item["loc"][-1]), _model_at(model, item["loc"][:-1]))
     if kind == "missing":
         return "missing"
     if kind in ("too_short", "too_long"):
@@ -264,7 +262,10 @@ def _message(item: Any, model: type[Model]) -> str:
     return f"{got} {msg[0].lower()}{msg[1:]}"
 
 
-def _unknown_key(name: str, allowed: list[str]) -> str:
+def _unknown_key(name: str, model: type[Model]) -> str:
+    if name in model.renamed:
+        return f"renamed; it is now {model.renamed[name]}"
+    allowed = list(model.model_fields)
     unit = [known for known in allowed if known.startswith(name + "_")]
     if unit:
         return f"unknown key without a unit; allowed: {', '.join(unit)}"
@@ -288,24 +289,3 @@ def _models(annotation: Any) -> Iterator[type[Model]]:
         yield annotation
     for argument in getattr(annotation, "__args__", ()):
         yield from _models(argument)
-
-
-@contextmanager
-def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A file to write that takes the place of `path` only when whole: a killed run leaves the old one."""
-    path = Path(path)
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "is a directory", str(path))
-    if path.exists() and not path.is_file():  # a device or a pipe, which a rename would replace
-        raise OSError(errno.EINVAL, "is not a regular file", str(path))
-    temporary = str(path.parent / f".{path.name}.{os.urandom(4).hex()}.part")
-    try:  # from before it is there: an interrupt comes at any time
-        with open(temporary, mode.replace("w", "x"), encoding=None if "b" in mode else "utf-8") as file:
-            yield file
-        os.replace(temporary, path)
-    except BaseException as error:
-        with suppress(OSError):
-            os.unlink(temporary)
-        if isinstance(error, OSError) and error.filename in (None, temporary):  # a full disk names no file
-            raise OSError(error.errno, error.strerror, str(path)) from None
-        raise

@@ -10,8 +10,9 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Angles, Model, Position, Positive, Vec3, error_at, fault, load, replacing
+from lidarcfg.config import Angles, Model, Position, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor

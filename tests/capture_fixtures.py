@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.pcap import Datagram, Sender, read_datagrams, write_pcap
-from lidarcfg.capture.scene import Scene, load_scene
-from lidarcfg.capture.velodyne import POSITION
+from lidarcfg.packets.velodyne.layout import POSITION
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import Sensor, load_sensor
+from lidarcfg.world.scene import Scene, load_scene
 
-STREET = Path(__file__).parent.parent / "data" / "scenes" / "street.yaml"
+STREET = Path(__file__).parents[1] / "data" / "scenes" / "street.yaml"
 AT_NS = 1_700_000_000_123_456_789
 
 

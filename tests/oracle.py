@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from mpmath.ctx_mp import MPContext
 
-from lidarcfg.placement.lidar import Lidar, lidar
+from lidarcfg.placement.cones import Lidar, lidar
 from lidarcfg.placement.region import Region
 
 MP = MPContext()

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lidarcfg.config import load, loads, replacing
+from lidarcfg.config import load, loads
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
 from lidarcfg.sensor import Sensor
 
 GOOD = "name: a\nbeams:\n  elevation_deg: [-1, 1e-05]\n"

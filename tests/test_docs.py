@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 import lidarcfg
-from lidarcfg.capture.scene import SceneFile
-from lidarcfg.capture.trajectory import Motion
 from lidarcfg.cli import cli
 from lidarcfg.config import Model, load
 from lidarcfg.errors import LidarcfgError
@@ -19,8 +17,10 @@ from lidarcfg.placement.study import StudyFile
 from lidarcfg.realism import Realism
 from lidarcfg.rig import RigFile
 from lidarcfg.sensor import Sensor
+from lidarcfg.world.motion import Motion
+from lidarcfg.world.scene import SceneFile
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
 EXAMPLES = sorted((DOCS / "examples").glob("*.py"))

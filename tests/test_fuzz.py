@@ -12,12 +12,12 @@ import pytest
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram
-from lidarcfg.capture.source import Source
-from lidarcfg.capture.velodyne import PACKET
+from lidarcfg.capture.stream import Source
 from lidarcfg.errors import PacketError
+from lidarcfg.packets.velodyne.layout import PACKET
 from tests.capture_fixtures import AT_NS, no_note, write_datagrams
 
-TOOL = Path(__file__).parent.parent / "tools" / "fuzz.py"
+TOOL = Path(__file__).parents[1] / "tools" / "fuzz.py"
 
 
 def test_odd_captures_end_well():

@@ -16,36 +16,36 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order
-from lidarcfg.capture.firing import firings, packet_period_ns, rays
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.scene import load_scene
-from lidarcfg.capture.velodyne import PACKET, decode
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
+from lidarcfg.packets.firing import firings, packet_period_ns, rays
+from lidarcfg.packets.velodyne.layout import PACKET, decode
 from lidarcfg.placement import optimize as optimize_module
 from lidarcfg.placement import region as region_module
 from lidarcfg.placement import rows
-from lidarcfg.placement.auto import Auto
+from lidarcfg.placement.cones import Lidar, gaps_at, rig_lidars
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
-from lidarcfg.placement.lidar import Lidar, gaps_at, rig_lidars
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.solvers.auto import Auto
+from lidarcfg.placement.solvers.lshade import SuccessHistory
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.success_history import SuccessHistory
 from lidarcfg.rig import Rig, load_rig, save_rig
 from lidarcfg.sensor import load_sensor
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.world.raycast import Raycaster
+from lidarcfg.world.scene import load_scene
 from tests import oracle
 from tests.capture_fixtures import datagrams_of, mount, no_note, scene
-from tests.test_runs import check
-from tests.test_scene import PLY
-from tests.test_solvers import SOLVERS
+from tests.placement.solvers.test_solvers import SOLVERS
+from tests.placement.test_runs import check
+from tests.world.test_scene import PLY
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 FAN = tuple(np.arange(-15.0, 16.0, 2.0))
 
 

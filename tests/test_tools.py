@@ -11,7 +11,7 @@ from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import beam_gaps, segment
 from tests.capture_fixtures import scene
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 TEXT = """
 ground: {z_m: -1, reflectivity: 12}
 boxes: [{name: box, center_m: [10, 0, 0], size_m: [2, 2, 1.5], yaw_deg: 45, reflectivity: 30}]

@@ -11,13 +11,13 @@ from accuracy_page import ROOT, table
 from accuracy_rays import exact_ranges
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import START_NS, export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.capture.scene import Scene, load_scene
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array, directions, inverse, pose, transform
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.rig import Rig, load_rig
+from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.world.scene import Scene, load_scene
 
 STREET = ROOT / "data/scenes/street.yaml"
 FAR_M = (1e7, -1e7)

@@ -12,10 +12,10 @@ from accuracy_page import ROOT, table
 from scipy.stats import spearmanr
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.cma_es import CmaEs
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.solvers.cma_es import CmaEs
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.report import COLOURS, new_figure, save_figure
 

@@ -13,15 +13,15 @@ from accuracy_rays import nearest_triangle, with_ground
 from numba import njit
 from numpy.typing import NDArray
 
-from lidarcfg.capture.raycast import Raycaster
-from lidarcfg.capture.scene import load_scene
 from lidarcfg.geometry import Array, directions
-from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import beam_gaps
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.sensor import load_sensor
+from lidarcfg.world.raycast import Raycaster
+from lidarcfg.world.scene import load_scene
 
 STREET = ROOT / "data/scenes/street.yaml"
 OURS, RELATIVE = "as captures are cast", "float32, relative"

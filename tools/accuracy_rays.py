@@ -5,8 +5,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lidarcfg.capture.scene import Scene
 from lidarcfg.geometry import Array, rotation
+from lidarcfg.world.scene import Scene
 
 INSIDE = 1e-12  # by so much of a triangle a ray may pass beside it, so that none slips between two
 GROUND_HALF_SIZE_M = 1000.0

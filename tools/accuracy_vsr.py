@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from accuracy_page import ROOT, heading, table
 
-from lidarcfg.config import replacing
+from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Level, error_bar, halved, level
-from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region

@@ -22,17 +22,18 @@ import numpy as np
 import open3d as o3d
 
 import lidarcfg
-from lidarcfg.capture.export import CHUNK_RAYS, START_NS, export, in_time_order
-from lidarcfg.capture.firing import firing_chunks, firings, packet_period_ns, packet_stamps_ns, rays
 from lidarcfg.capture.pcap import Sender, write_pcap
-from lidarcfg.capture.scene import Scene, load_scene
-from lidarcfg.capture.trajectory import Motion, Trajectory, prepared
-from lidarcfg.capture.velodyne import encode
 from lidarcfg.geometry import pose, transform
+from lidarcfg.packets.firing import firing_chunks, firings, packet_period_ns, packet_stamps_ns, rays
+from lidarcfg.packets.velodyne.layout import encode
 from lidarcfg.rig import Mount, Rig, load_rig
+from lidarcfg.simulate.export import CHUNK_RAYS, START_NS, export, in_time_order
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.motion import Motion, Trajectory, prepared
+from lidarcfg.world.scene import Scene, load_scene
 
 ROOT = Path(__file__).parent.parent
-SECOND_NS, RUNS = 10**9, 5
+RUNS = 5
 RIG = """
 name: roof corners
 sensors:
@@ -163,9 +164,9 @@ LONG = """
 import sys, time
 import numpy as np
 from pathlib import Path
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.capture.scene import load_scene
+from lidarcfg.world.scene import load_scene
 from lidarcfg.rig import load_rig
 folder, minutes = Path(sys.argv[1]), float(sys.argv[2]) / 60
 began, marks = time.perf_counter(), [m for m in (1, 5) if m < minutes] + [minutes]

@@ -24,9 +24,9 @@ import velodyne_decoder as vd
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.firing import firings, packet_period_ns, packet_stamps_ns
 from lidarcfg.capture.pcap import ETHERNET_HEADER, FILE_HEADER, IP, RECORD, UDP
-from lidarcfg.capture.velodyne import PACKET, encode
+from lidarcfg.packets.firing import firings, packet_period_ns, packet_stamps_ns
+from lidarcfg.packets.velodyne.layout import PACKET, encode
 from lidarcfg.sensor import load_sensor
 
 RUNS, PACKETS = 7, 40_000
@@ -114,7 +114,7 @@ def timed(function, *arguments) -> tuple[int, float, float]:
 LONG = """
 import resource, sys, time
 began = time.perf_counter()
-from lidarcfg.capture.choice import Choice
+from lidarcfg.capture.selection import Choice
 from lidarcfg.capture.decode import decode_pcap
 loaded_s = time.perf_counter() - began
 began, count = time.perf_counter(), 0

@@ -24,7 +24,7 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg.placement import rows, runs
-from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region

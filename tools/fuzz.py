@@ -42,14 +42,18 @@ if "--random" in sys.argv:
 import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from lidarcfg.capture import encode_kernels, kernels, ray_kernels  # noqa: E402, F401 - compiled as they are
+from lidarcfg.packets.velodyne import decode_kernels, encode_kernels  # noqa: E402, F401 - compiled as they are
 
-with atheris.instrument_imports(include=["lidarcfg.capture"]) if atheris else contextlib.nullcontext():
+with (
+    atheris.instrument_imports(include=["lidarcfg.capture", "lidarcfg.packets"])
+    if atheris
+    else contextlib.nullcontext()
+):
     from lidarcfg.capture import decode as decoder
-    from lidarcfg.capture.choice import Choice
-    from lidarcfg.capture.firing import firings
     from lidarcfg.capture.pcap import ETHERNET_HEADER, IP, PCAP_MAGIC, RECORD, UDP, read_batches
-    from lidarcfg.capture.velodyne import PACKET, encode
+    from lidarcfg.capture.selection import Choice
+    from lidarcfg.packets.firing import firings
+    from lidarcfg.packets.velodyne.layout import PACKET, encode
 from lidarcfg.cloud import concatenate  # noqa: E402
 from lidarcfg.errors import LidarcfgError  # noqa: E402
 from lidarcfg.rig import Mount, Rig  # noqa: E402

@@ -24,12 +24,12 @@ from hypothesis import HealthCheck, given, settings
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from lidarcfg.capture.raycast import Raycaster  # noqa: E402
 from lidarcfg.placement import region as region_module  # noqa: E402
 from lidarcfg.placement import rows, runs  # noqa: E402
+from lidarcfg.placement.cones import gaps_at  # noqa: E402
 from lidarcfg.placement.evaluator import max_vsr  # noqa: E402
-from lidarcfg.placement.lidar import gaps_at  # noqa: E402
 from lidarcfg.placement.region import Region  # noqa: E402
+from lidarcfg.world.raycast import Raycaster  # noqa: E402
 from tests import edges  # noqa: E402
 from tests import test_stress as loaders  # noqa: E402
 from tests.oracle import ANGLES, BAND, FANS, Line, Tally, along_a_cone, angles, sensor  # noqa: E402

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import lidarcfg
-from lidarcfg.handover.carla import carla
-from lidarcfg.handover.launch import launch
-from lidarcfg.handover.nuscenes import nuscenes
-from lidarcfg.handover.urdf import urdf
+from lidarcfg.formats.carla import carla
+from lidarcfg.formats.launch import launch
+from lidarcfg.formats.nuscenes import nuscenes
+from lidarcfg.formats.urdf import urdf
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)

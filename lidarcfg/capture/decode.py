@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidarcfg.capture.choice import ALL, ALWAYS_NS, Choice, around, window_ns
 from lidarcfg.capture.pcap import Datagrams, read_batches
-from lidarcfg.capture.source import Source, SourceStats
-from lidarcfg.capture.status import carried_beams
-from lidarcfg.capture.velodyne import PACKET
+from lidarcfg.capture.selection import ALL, ALWAYS_NS, Choice, around, window_ns
+from lidarcfg.capture.stream import Source, SourceStats
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
+from lidarcfg.packets.velodyne.layout import PACKET
+from lidarcfg.packets.velodyne.status import carried_beams
 from lidarcfg.sensor import Beams, Sensor, Status, catalogue, load_sensor
 
 if TYPE_CHECKING:

@@ -17,9 +17,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.config import replacing
 from lidarcfg.errors import PacketError
+from lidarcfg.files import replacing
 from lidarcfg.sensor import Header, Headers
+from lidarcfg.units import SECOND_NS
 
 SNAPLEN = 65535
 TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC
@@ -55,7 +56,6 @@ BUFFER = 1 << 20
 RECORDS = 1000  # of a pcapng, read at once
 RECORDS_ALIKE = 64  # of a pcap, looked at together
 SPAN_S = 10**8  # a capture is not longer: three years
-SECOND_NS = 10**9
 Times = NDArray[np.int64]
 
 

@@ -8,7 +8,6 @@ import click
 from lidarcfg.commands.options import (
     FILE,
     MODEL,
-    SECOND_NS,
     START_HELP,
     Seconds,
     from_option,
@@ -20,10 +19,11 @@ from lidarcfg.commands.options import (
     to_option,
     way,
 )
+from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.capture.observe import Counts
-    from lidarcfg.capture.source import SourceStats
+    from lidarcfg.capture.stream import SourceStats
+    from lidarcfg.simulate.simulator import Counts
 
 
 @click.command()
@@ -65,11 +65,11 @@ def export(
     import time
     from contextlib import ExitStack
 
-    from lidarcfg.capture import export as capture
     from lidarcfg.capture.pcap import write_pcap
-    from lidarcfg.capture.scene import load_scene
-    from lidarcfg.capture.truth import TruthFile
     from lidarcfg.rig import load_rig
+    from lidarcfg.simulate import export as capture
+    from lidarcfg.simulate.ground_truth import TruthFile
+    from lidarcfg.world.scene import load_scene
 
     for path, suffix, option in ((output, ".pcap", "-o"), (truth, ".npz", "--truth")):
         if path and path.suffix != suffix:
@@ -159,11 +159,11 @@ def decode(
     """
     from dataclasses import replace
 
-    from lidarcfg.capture.choice import Choice
     from lidarcfg.capture.decode import decode_pcap
-    from lidarcfg.capture.export import START_NS
+    from lidarcfg.capture.selection import Choice
     from lidarcfg.cloud import save_clouds
     from lidarcfg.rig import load_rig
+    from lidarcfg.simulate.export import START_NS
 
     if trajectory and not rig:
         raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")

@@ -41,7 +41,7 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
       lidarcfg convert out/two.ply -o out/two.laz
       lidarcfg convert out/two.pcap --rig out/two/rig.yaml -o out/two.mcap
     """
-    from lidarcfg.handover import formats
+    from lidarcfg.formats import formats
 
     form = formats.chosen(source, output, name)
     if form.kind != "capture" and (rig or model):

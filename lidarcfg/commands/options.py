@@ -15,13 +15,13 @@ import click
 from click.shell_completion import CompletionItem
 
 from lidarcfg.errors import one_line
+from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.capture.trajectory import Trajectory
     from lidarcfg.geometry import Array
+    from lidarcfg.world.motion import Trajectory
 
 FILE = click.Path(path_type=Path)
-SECOND_NS = 10**9
 AGAIN_S = 0.02
 _interrupted = Event()
 START_HELP = "ISO 8601, UTC unless it says.  [default: 2026-01-01T00:00:00]"
@@ -104,7 +104,7 @@ def note(message: str) -> None:
 
 def way(trajectory: Path | None, at: str, start_ns: int) -> "Trajectory":
     """How the vehicle moves from X,Y,YAW_DEG on; without a file it stands there."""
-    from lidarcfg.capture.trajectory import STANDING, Trajectory, load_motion, prepared
+    from lidarcfg.world.motion import STANDING, Trajectory, load_motion, prepared
 
     return Trajectory(_vehicle_pose(at), prepared(load_motion(trajectory) if trajectory else STANDING), start_ns)
 

@@ -106,7 +106,7 @@ def view(
     """
     import numpy as np
 
-    from lidarcfg.capture.choice import Choice
+    from lidarcfg.capture.selection import Choice
     from lidarcfg.view.camera import Camera
     from lidarcfg.view.page import page_of, save_html
     from lidarcfg.view.stage import load_stage

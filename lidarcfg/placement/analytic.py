@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
-from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces, segment

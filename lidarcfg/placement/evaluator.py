@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement import kernels, rows, runs
-from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_m, vsr_of_counts
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import RUNS_FROM, segment

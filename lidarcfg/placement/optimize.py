@@ -10,7 +10,7 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
-from lidarcfg.placement.search import Search, Trials, checked
+from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Evaluation, Solver, Study, evaluate
 from lidarcfg.rig import Rig
 
@@ -64,18 +64,18 @@ class Placement:
 def start_search(solver: Solver, dimensions: int) -> Search:
     """The search that a solver's settings mean."""
     if solver.method == "abc":
-        from lidarcfg.placement.bee_colony import BeeColony
+        from lidarcfg.placement.solvers.bee_colony import BeeColony
 
         return BeeColony(dimensions, solver.bees, solver.limit or solver.bees * dimensions, solver.seed)
     if solver.method == "cmaes":
-        from lidarcfg.placement.cma_es import CmaEs
+        from lidarcfg.placement.solvers.cma_es import CmaEs
 
         return CmaEs(dimensions, solver.seed)
     if solver.method == "de":
-        from lidarcfg.placement.differential_evolution import DifferentialEvolution
+        from lidarcfg.placement.solvers.differential_evolution import DifferentialEvolution
 
         return DifferentialEvolution(dimensions, solver.seed)
-    from lidarcfg.placement.auto import Auto
+    from lidarcfg.placement.solvers.auto import Auto
 
     return Auto(dimensions, solver.seed)
 

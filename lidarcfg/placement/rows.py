@@ -1,4 +1,4 @@
-"""Subspaces by rows of bits: 64 cuboids along x at a time. The twin of every loop is in tests/naive.py.
+"""Subspaces by rows of bits: 64 cuboids along x at a time. The twin of every loop is in tests/naive/placement.py.
 
 Two neighbours lie in one subspace if no cone passes between them, that is if every digit of their base-n labels is
 the same. So each row of up to 64 cuboids keeps three words of bits, its links: whether each cuboid and the one
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
-from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
 
 Counts = NDArray[np.int64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
-from lidarcfg.placement.lidar import Lidar
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.rows import lowest
 

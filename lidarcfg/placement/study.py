@@ -15,8 +15,8 @@ from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, e
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.analytic import Analytic, analytic
+from lidarcfg.placement.cones import Lidar, lidar, rig_lidars
 from lidarcfg.placement.detection import Detection, DetectionObject, check_fits, detection
-from lidarcfg.placement.lidar import Lidar, lidar, rig_lidars
 from lidarcfg.placement.metric import (
     bounds_m,
     centroid_m,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement import rows, runs
-from lidarcfg.placement.lidar import Lidar, gaps_at
+from lidarcfg.placement.cones import Lidar, gaps_at
 from lidarcfg.placement.region import Region
 
 if TYPE_CHECKING:

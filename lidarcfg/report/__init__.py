@@ -1,7 +1,7 @@
 """A result as JSON, files, tables, plots and a page."""
 
 from lidarcfg.report.comparison import check_count, comparison_dict, contenders, save_comparison
-from lidarcfg.report.page import Commands
+from lidarcfg.report.document import Commands
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 from lidarcfg.report.results import (
     check_writable,

@@ -8,12 +8,25 @@ from pathlib import Path
 from typing import Any
 
 from lidarcfg import __version__
-from lidarcfg.config import replacing
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
 from lidarcfg.placement.coverage import Coverage, coverage
 from lidarcfg.placement.metric import inscribed_radii_m
 from lidarcfg.placement.study import Evaluation, Study
 from lidarcfg.report import drawings
+from lidarcfg.report.document import (
+    Commands,
+    as_yaml,
+    beams,
+    counted,
+    date,
+    mounts_table,
+    object_in_words,
+    rig_in_words,
+    rings_by_object,
+    vector,
+    versions,
+)
 from lidarcfg.report.markup import (
     Cell,
     Html,
@@ -28,19 +41,6 @@ from lidarcfg.report.markup import (
     paragraph,
     summary,
     table,
-)
-from lidarcfg.report.page import (
-    Commands,
-    as_yaml,
-    beams,
-    counted,
-    date,
-    mounts_table,
-    object_in_words,
-    rig_in_words,
-    rings_by_object,
-    vector,
-    versions,
 )
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.rig import Rig

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.coverage import beams_across
 from lidarcfg.placement.detection import DetectionObject, Rings, counted_places
-from lidarcfg.placement.lidar import rig_lidars
 from lidarcfg.placement.metric import volume_m3
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.region import Region

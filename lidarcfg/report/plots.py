@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidarcfg.config import replacing
-from lidarcfg.placement.lidar import rig_lidars
+from lidarcfg.files import replacing
+from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Evaluation, Study
 from lidarcfg.rig import Rig

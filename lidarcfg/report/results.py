@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from lidarcfg import __version__
-from lidarcfg.config import replacing
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
 from lidarcfg.placement.analytic import analytic
-from lidarcfg.placement.lidar import rig_lidars
+from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.study import BUDGETS, Evaluation, Study
-from lidarcfg.report.page import CHEAP_CUBOIDS, Commands, report
+from lidarcfg.report.document import CHEAP_CUBOIDS, Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.rig import Rig, rig_to_dict, save_rig
 

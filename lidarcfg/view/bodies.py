@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement.lidar import rig_lidars
+from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.metric import centroid_m, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import COORDINATES, Study

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import __version__
-from lidarcfg.config import replacing
 from lidarcfg.errors import CloudError
+from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.placement.study import WORST, Study
 from lidarcfg.rig import Mount, Rig
@@ -25,7 +25,7 @@ from lidarcfg.view.shades import span
 from lidarcfg.view.stage import Stage
 from lidarcfg.view.still import GROUND_M
 
-ASSETS = Path(__file__).parent.parent / "page"
+ASSETS = Path(__file__).parent / "web"
 MODULES = {"three": "vendor/three.js"} | {
     f"lidarcfg/{name}": f"{name}.js"
     for name in ("main", "data", "labels", "points", "bodies", "sensors", "handles", "measure", "panel", "stage")

@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 from pydantic import ConfigDict
 
-from lidarcfg.capture.choice import ALL, Choice
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.scene import Scene, SceneFile, load_scene
+from lidarcfg.capture.selection import ALL, Choice
 from lidarcfg.cloud import DAMAGE, SUFFIXES, PointCloud, concatenate, load_cloud
 from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
@@ -19,6 +18,7 @@ from lidarcfg.placement.study import Study, load_study
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.view.colours import colour
 from lidarcfg.view.objects import Objects, load_objects
+from lidarcfg.world.scene import Scene, SceneFile, load_scene
 
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]
 CAPTURES = (".pcap", ".pcapng", ".cap")

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.config import replacing
 from lidarcfg.errors import CloudError
+from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.rig import Mount
 from lidarcfg.view.bodies import faces, judge

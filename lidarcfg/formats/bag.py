@@ -1,0 +1,167 @@
+"""ROS 2 bags, by rosbags: a PointCloud2 for each turn of each sensor, and where the sensors are.
+
+Points are laid out as velodyne_driver's PointXYZIRT: 22 bytes, nothing between the fields; `time` is in seconds
+after the message's stamp, which is the turn's first point.
+"""
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from lidarcfg.capture.scans import turns
+from lidarcfg.cloud import PointCloud
+from lidarcfg.errors import HandoverError, PacketError
+from lidarcfg.formats.extra import missing
+from lidarcfg.formats.folder import beside, replacing_folder
+from lidarcfg.formats.frames import BASE_LINK, quaternion_xyzw, ros_name, ros_names
+from lidarcfg.rig import Rig
+from lidarcfg.units import SECOND_NS
+
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
+FIELD_TYPES = {np.dtype("<f4"): 7, np.dtype("<u2"): 4}  # sensor_msgs/PointField: FLOAT32, UINT16
+TIME_END_NS = 2**31 * SECOND_NS  # builtin_interfaces/Time counts its seconds in an int32
+BAG_VERSION: Final = 8  # of metadata.yaml: QoS as text, as rosbag2 had it before Jazzy
+TF_STATIC = "/tf_static"
+FOREVER = 9223372036, 854775807  # seconds and ns: rmw's infinite time
+BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap")
+URI_SIGNS = "?#%"  # mean something else in the file: URI that rosbags gives SQLite
+
+Note = Callable[[str], None]
+
+
+def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str | None, on_note: Note) -> int:
+    """Write the capture `source` as a bag in the folder `path`, whole or not at all, and return how many messages.
+
+    `storage` is sqlite3 or mcap. Raises HandoverError, and what `turns` raises.
+    """
+    if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(path.resolve()))):
+        raise HandoverError(f"{path.resolve()}: no bag can be written where a path has {' '.join(sorted(signs))}")
+    with replacing_folder(path, *BAG_FILES) as folder:
+        return _write(folder, storage, source, rig, model, on_note)
+
+
+def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_note: Note) -> int:
+    """Write the capture `source` as one .mcap, whole or not at all, and return how many messages."""
+    if path.exists() and not path.is_file():
+        raise HandoverError(f"{path}: is not a file; give the name of a new one")
+    with beside(path) as aside:
+        folder = aside / path.stem
+        count = _write(folder, "mcap", source, rig, model, on_note)
+        (folder / f"{folder.name}.mcap").replace(path)
+    return count
+
+
+def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str | None, on_note: Note) -> int:
+    """The bag of the capture, in a new folder."""
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise missing("rosbags") from None
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    connections: dict[str, Any] = {}
+    count = 0
+    try:
+        with Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin[storage.upper()]) as writer:
+            for topic, message, time_ns in _messages(store.types, source, rig, model, on_note):
+                kind = message.__msgtype__
+                if topic not in connections:
+                    qos = [_latched()] if topic == TF_STATIC else []
+                    connections[topic] = writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=qos)
+                writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
+                count += 1
+    except sqlite3.Error as error:
+        raise HandoverError(f"{folder.name}: {error}") from None
+    if not count:
+        raise PacketError(f"{source}: holds no returns; there is nothing to put into a bag")
+    return count
+
+
+def _messages(
+    types: Any, source: Path, rig: Rig | None, model: str | None, on_note: Note
+) -> Iterator[tuple[str, Any, int]]:
+    """Topic, message and the time at which a driver would have sent it: when the turn was complete."""
+    names = ros_names(rig, on_note) if rig else {}
+    heard: set[str] = set()
+    for turn in turns(source, on_note, rig, model):
+        first_ns, last_ns = int(turn.time_ns.min()), int(turn.time_ns.max())
+        if last_ns >= TIME_END_NS:
+            raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, where the seconds of ROS 2 end")
+        if rig and not heard:
+            yield TF_STATIC, _transforms(types, rig, names, first_ns), first_ns
+        (name,) = turn.sensor_names
+        if name not in names:
+            names[name] = ros_name(name)
+            on_note(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
+        heard.add(name)
+        yield f"/{names[name]}/points", _points(types, turn, names[name], first_ns), last_ns
+    if silent := [name for name in names if name not in heard]:
+        on_note(f"{source}: nothing of {', '.join(silent)} is in it")
+
+
+def _points(types: Any, turn: PointCloud, frame: str, stamp_ns: int) -> Any:
+    rows = np.empty(len(turn.xyz), POINT)
+    rows["x"], rows["y"], rows["z"] = turn.xyz.T
+    rows["intensity"], rows["ring"] = turn.intensity, turn.ring
+    rows["time"] = (turn.time_ns - stamp_ns) / SECOND_NS
+    field = types["sensor_msgs/msg/PointField"]
+    return types["sensor_msgs/msg/PointCloud2"](
+        header=_header(types, frame, stamp_ns),
+        height=1,
+        width=len(rows),
+        fields=[
+            field(name=name, offset=offset, datatype=FIELD_TYPES[kind], count=1)
+            for name, (kind, offset, *_) in (POINT.fields or {}).items()
+        ],
+        is_bigendian=False,
+        point_step=POINT.itemsize,
+        row_step=rows.nbytes,
+        data=rows.view(np.uint8),
+        is_dense=True,
+    )
+
+
+def _transforms(types: Any, rig: Rig, names: dict[str, str], stamp_ns: int) -> Any:
+    """Where each sensor is on the vehicle."""
+    transforms = []
+    for mount in rig.mounts:
+        x, y, z, w = quaternion_xyzw(mount.T_vehicle_sensor)
+        transforms.append(
+            types["geometry_msgs/msg/TransformStamped"](
+                header=_header(types, BASE_LINK, stamp_ns),
+                child_frame_id=names[mount.name],
+                transform=types["geometry_msgs/msg/Transform"](
+                    translation=types["geometry_msgs/msg/Vector3"](*mount.position_m),
+                    rotation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
+                ),
+            )
+        )
+    return types["tf2_msgs/msg/TFMessage"](transforms=transforms)
+
+
+def _header(types: Any, frame: str, stamp_ns: int) -> Any:
+    seconds, rest_ns = divmod(stamp_ns, SECOND_NS)
+    return types["std_msgs/msg/Header"](
+        stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest_ns), frame_id=frame
+    )
+
+
+def _latched() -> Any:
+    """The QoS of transforms that never change: who comes late is still told."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    always = QosTime(*FOREVER)
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL,
+        deadline=always,
+        lifespan=always,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=always,
+        avoid_ros_namespace_conventions=False,
+    )

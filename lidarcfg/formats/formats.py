@@ -1,0 +1,149 @@
+"""Which formats there are, what becomes what, and the conversion itself."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from lidarcfg.cloud import PointCloud, load_cloud, save_clouds
+from lidarcfg.errors import HandoverError
+from lidarcfg.files import replacing
+from lidarcfg.rig import load_rig
+
+Kind = Literal["rig", "cloud", "capture"]
+Note = Callable[[str], None]
+
+INPUTS: dict[Kind, tuple[str, ...]] = {
+    "rig": (".yaml", ".yml", ".json"),
+    "cloud": (".ply", ".pcd", ".npz", ".las", ".laz", ".bin"),
+    "capture": (".pcap", ".pcapng"),
+}
+
+
+@dataclass(frozen=True)
+class Format:
+    """What one kind of input can become."""
+
+    name: str  # as --to has it
+    kind: Kind  # of the input
+    suffix: str  # of the output; none: a folder
+    lacks: str = ""  # what the input says and this cannot
+
+
+POSES_ALONE = "beams, network, speed or return mode"
+FORMATS = (
+    Format("urdf", "rig", ".urdf", POSES_ALONE),
+    Format("launch", "rig", ".py", POSES_ALONE),
+    Format("carla", "rig", ".json", "order of firing, network or return mode"),
+    Format("nuscenes", "rig", "", POSES_ALONE),
+    Format("ply", "cloud", ".ply"),
+    Format("pcd", "cloud", ".pcd"),
+    Format("npz", "cloud", ".npz"),
+    Format("las", "cloud", ".las"),
+    Format("laz", "cloud", ".laz"),
+    Format("kitti", "cloud", ".bin", "ring, time, sensor or return type"),
+    Format("rosbag2", "capture", "", "return type"),
+    Format("rosbag2-mcap", "capture", "", "return type"),
+    Format("mcap", "capture", ".mcap", "return type"),
+)
+
+
+def chosen(source: Path, output: Path, name: str | None) -> Format:
+    """The format called `name`, else the first that OUTPUT's suffix means. Raises HandoverError."""
+    kind = _kind(source)
+    formats = [form for form in FORMATS if form.kind == kind]
+    if name:
+        for form in formats:
+            if form.name == name:
+                if form.suffix and output.suffix.lower() != form.suffix:
+                    raise HandoverError(f"{output}: does not end in {form.suffix}, as {name} does")
+                return form
+        raise HandoverError(f"a {kind} cannot become {name}; allowed: {', '.join(form.name for form in formats)}")
+    for form in formats:
+        if form.suffix == output.suffix.lower():
+            return form
+    allowed = ", ".join(form.suffix for form in formats if form.suffix)
+    folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
+    hint = "; decode makes a cloud of it" if kind == "capture" else ""
+    what = f"a {kind} cannot become {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
+    raise HandoverError(what)
+
+
+def _kind(source: Path) -> Kind:
+    for kind, suffixes in INPUTS.items():
+        if source.suffix.lower() in suffixes:
+            return kind
+    allowed = "; ".join(f"{kind}: {' '.join(suffixes)}" for kind, suffixes in INPUTS.items())
+    raise HandoverError(f"{source}: is of no known kind; {allowed}")
+
+
+def convert(source: Path, output: Path, form: Format, rig: Path | None, model: str | None, on_note: Note) -> str:
+    """Write what `source` says as `output` in the format, whole or not at all, and return what there is in it.
+
+    `rig` and `model` are for captures: where the sensors are, and what they are whatever their packets say.
+    `on_note` is told what the format cannot hold. Raises LidarcfgError.
+    """
+    if form.lacks:
+        on_note(f"{output}: {form.name} has no {form.lacks}")
+    if form.kind == "rig":
+        return _convert_rig(source, output, form.name, on_note)
+    if form.kind == "cloud":
+        return _convert_cloud(source, output, form.name, on_note)
+    from lidarcfg.formats.bag import save_bag, save_mcap
+
+    mounted = load_rig(rig) if rig else None
+    if form.name == "mcap":
+        count = save_mcap(output, source, mounted, model, on_note)
+    else:
+        storage = "mcap" if form.name == "rosbag2-mcap" else "sqlite3"
+        count = save_bag(output, source, storage, mounted, model, on_note)
+    return f"{count:,} messages"
+
+
+def _convert_rig(source: Path, output: Path, name: str, on_note: Note) -> str:
+    from lidarcfg.formats.carla import carla
+    from lidarcfg.formats.folder import replacing_folder
+    from lidarcfg.formats.launch import launch
+    from lidarcfg.formats.nuscenes import nuscenes
+    from lidarcfg.formats.urdf import urdf
+
+    rig = load_rig(source)
+    if name == "nuscenes":
+        tables = nuscenes(rig)
+        with replacing_folder(output, *tables) as folder:
+            folder.mkdir()
+            for table, text in tables.items():
+                (folder / table).write_text(text, encoding="utf-8")
+    else:
+        text = {"urdf": urdf, "launch": launch, "carla": carla}[name](rig, on_note)
+        with replacing(output) as file:
+            file.write(text)
+    return f"{len(rig.mounts):,} sensors"
+
+
+def _convert_cloud(source: Path, output: Path, name: str, on_note: Note) -> str:
+    cloud = _load(source, on_note)
+    if name in ("las", "laz"):
+        from lidarcfg.formats.las import save_las
+
+        save_las(output, cloud)
+    elif name == "kitti":
+        from lidarcfg.formats.kitti import save_kitti
+
+        save_kitti(output, cloud, on_note)
+    else:
+        save_clouds(output, [cloud])
+    return f"{len(cloud.xyz):,} points"
+
+
+def _load(source: Path, on_note: Note) -> PointCloud:
+    suffix = source.suffix.lower()
+    if suffix in (".las", ".laz"):
+        from lidarcfg.formats.las import load_las
+
+        return load_las(source, on_note)
+    if suffix == ".bin":
+        from lidarcfg.formats.kitti import load_kitti
+
+        return load_kitti(source, on_note)
+    return load_cloud(source, allow_empty=True)

@@ -1,0 +1,55 @@
+"""KITTI's .bin: x, y, z and reflectance of each point as four little-endian float32, nothing else."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidarcfg.cloud import PointCloud, checked
+from lidarcfg.errors import CloudError
+from lidarcfg.files import replacing
+
+FULL = 255  # the intensity that is a reflectance of 1
+TOLD_M = 1e-4  # a coordinate that float32 moves by more is told of
+CHUNK = 1 << 20
+LACKS = ("ring", "time_ns", "sensor", "return_type")
+
+
+def save_kitti(path: Path, cloud: PointCloud, on_note: Callable[[str], None]) -> None:
+    """Write the cloud's positions and intensities, whole or not at all. Raises CloudError unless all are finite."""
+    moved_m = 0.0
+    with replacing(path, "wb") as file:
+        for first in range(0, len(cloud.xyz), CHUNK):
+            part = slice(first, first + CHUNK)
+            xyz = cloud.xyz[part]
+            if not np.isfinite(xyz).all():
+                raise CloudError(f"{path}: a point is not finite")
+            rows = np.column_stack([xyz, cloud.intensity[part] / FULL]).astype("<f4")
+            moved_m = max(moved_m, float(abs(rows[:, :3] - xyz).max()))
+            file.write(rows.tobytes())
+    if moved_m > TOLD_M:
+        on_note(f"{path}: float32 moves a point by up to {moved_m:.2g} m")
+
+
+def load_kitti(path: Path, on_note: Callable[[str], None]) -> PointCloud:
+    """The cloud in a .bin, of one sensor, called as the file; `on_note` is told what it lacks. Raises CloudError."""
+    if path.name.lower().endswith(".pcd.bin"):
+        raise CloudError(f"{path}: is of nuScenes, with five numbers a point; allowed: KITTI's four")
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    if len(raw) % 16:
+        raise CloudError(f"{path}: not a whole KITTI file: {len(raw)} bytes are not points of 16")
+    rows = np.frombuffer(raw, "<f4").reshape(-1, 4)
+    reflectance = rows[:, 3]
+    odd = np.flatnonzero(~((reflectance >= 0) & (reflectance <= 1)))
+    if len(odd):
+        raise CloudError(f"{path}: point {odd[0]}: reflectance is {reflectance[odd[0]]:g}; allowed: 0 to 1")
+    zeros = np.zeros(len(rows), np.int64)
+    columns: dict[str, Any] = dict.fromkeys(LACKS, zeros)
+    on_note(f"{path}: has no {', '.join(LACKS)}; they are 0")
+    intensity = np.rint(reflectance * FULL).astype(np.int64)
+    columns |= {"xyz": rows[:, :3].astype(np.float64), "intensity": intensity, "sensor_names": [path.stem]}
+    return checked(path, columns, allow_empty=True)

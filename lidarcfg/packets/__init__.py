@@ -1,0 +1,1 @@
+"""The makers' packets: a codec per family."""

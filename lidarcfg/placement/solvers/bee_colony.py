@@ -1,0 +1,87 @@
+"""Artificial Bee Colony (Karaboga 2007; paper, section II-D and algorithm 2), as ask and tell.
+
+It minimises over the unit cube and knows nothing of LiDARs. One phase an ask: employed bees, onlookers,
+scouts. All trials of a phase are drawn from the sources as they stand at its start, and told in order.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.solvers.search import Trials, checked
+
+
+class BeeColony:
+    """A swarm of `bees` food sources, as many onlookers, and scouts for the exhausted ones.
+
+    A source whose counter of failures reaches `limit` at the end of a cycle is exhausted; every such source
+    is replaced. The counter goes back to 0 when a source improves or is replaced; the best is kept apart.
+    """
+
+    def __init__(self, dimensions: int, bees: int, limit: int, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._limit = limit
+        self.x = self._rng.random((bees, dimensions))
+        self.cost = np.full(bees, np.inf)
+        self.failures = np.zeros(bees, np.int64)
+        self.best_x = self.x[0]
+        self.best_cost = np.inf
+        self.cycles = 0
+        self._asked = Trials("first", self.x, np.arange(bees), self.cost.copy())
+
+    @property
+    def sources(self) -> Array:
+        """(bees, dimensions) the food sources."""
+        return self.x
+
+    @property
+    def mean_cost(self) -> float:
+        """The sources' mean cost."""
+        return float(self.cost.mean())
+
+    def ask(self) -> Trials:
+        """The trials of the phase that is due."""
+        return self._asked
+
+    def tell(self, cost: Array) -> None:
+        """The costs (n,) of what was asked, in its order."""
+        trials = self._asked
+        for x, source, value in zip(trials.x, trials.source, checked(cost), strict=True):
+            if trials.phase in ("first", "scout") or value < self.cost[source]:
+                self.x[source], self.cost[source], self.failures[source] = x, value, 0
+            else:
+                self.failures[source] += 1
+            if value < self.best_cost:
+                self.best_x, self.best_cost = x.copy(), float(value)
+        self._asked = self._next(trials.phase)
+
+    def _next(self, phase: str) -> Trials:
+        everyone = np.arange(len(self.cost))
+        if phase == "employed":
+            return self._move("onlooker", self.choose(len(everyone)))
+        exhausted = np.flatnonzero(self.failures >= self._limit)
+        if phase == "onlooker" and len(exhausted):
+            fresh = self._rng.random((len(exhausted), self.x.shape[1]))
+            return Trials("scout", fresh, exhausted, np.full(len(exhausted), np.inf))
+        self.cycles += phase != "first"
+        return self._move("employed", everyone)
+
+    def choose(self, count: int) -> NDArray[np.int64]:
+        """Roulette: `count` sources by P_i = fit_i / Σ fit (paper, eq. 11), with fit = 1 / (1 + cost)."""
+        fit = 1.0 / (1.0 + self.cost)
+        wheel = np.cumsum(fit)
+        turn = self._rng.random(count) * wheel[-1]
+        chosen: NDArray[np.int64] = np.minimum(np.searchsorted(wheel, turn, "right"), len(fit) - 1)
+        return chosen
+
+    def _move(self, phase: str, source: NDArray[np.int64]) -> Trials:
+        """v_ij = x_ij + φ (x_ij − x_kj) for one j each, k ≠ i, φ in [−1, 1] (paper, eq. 12), clipped."""
+        bees, dimensions = self.x.shape
+        other = self._rng.integers(bees - 1, size=len(source))
+        other += other >= source
+        along = self._rng.integers(dimensions, size=len(source))
+        phi = self._rng.uniform(-1.0, 1.0, len(source))
+        x = self.x[source].copy()
+        row = np.arange(len(source))
+        x[row, along] += phi * (x[row, along] - self.x[other, along])
+        return Trials(phase, np.clip(x, 0.0, 1.0), source, self.cost[source])

@@ -1,0 +1,66 @@
+"""CMA-ES by the `cma` package, as ask and tell, with restarts: each with twice the population of the one before."""
+
+import cma
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.solvers.search import Trials, checked
+
+STEP = 0.25  # the first standard deviation, in the unit cube
+HUGE = 1e300  # what inf is told as: cma subtracts costs
+
+
+class CmaEs:
+    """A search by covariance matrix adaptation (Hansen; restarts after Auger and Hansen 2005, IPOP).
+
+    It begins at `start` (dimensions,) or anywhere, with the usual population or another. `over` says that a run has
+    just ended; the next one has begun.
+    """
+
+    def __init__(
+        self, dimensions: int, seed: int, start: Array | None = None, step: float = STEP, population: int = 0
+    ) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._dimensions, self._step = dimensions, step
+        self._population = population or 4 + int(3 * np.log(dimensions))
+        self.cycles = 0
+        self.best_x, self.best_cost = self._rng.random(dimensions), np.inf
+        self.mean_cost = np.inf
+        self.over = False
+        self._begin(start if start is not None else self.best_x)
+
+    @property
+    def sources(self) -> Array:
+        """The best so far: nothing is drawn around a source here."""
+        return self.best_x[None]
+
+    def _begin(self, start: Array) -> None:
+        options = {
+            "bounds": [0, 1],
+            "popsize": self._population,
+            "randn": lambda *shape: self._rng.standard_normal(shape),
+            "seed": np.nan,  # the generator is ours: NumPy's global one stays alone
+            "verbose": -9,
+        }
+        self._es = cma.CMAEvolutionStrategy(start, self._step, options)
+        self._asked = self._es.ask()
+
+    def ask(self) -> Trials:
+        """The generation that is due."""
+        n = len(self._asked)
+        return Trials("trial", np.array(self._asked), np.zeros(n, np.int64), np.full(n, np.inf))
+
+    def tell(self, cost: Array) -> None:
+        """The costs (n,) of the generation."""
+        self._es.tell(self._asked, list(np.minimum(checked(cost), HUGE)))
+        best = int(np.argmin(cost))
+        if cost[best] < self.best_cost:
+            self.best_x, self.best_cost = np.array(self._asked[best]), float(cost[best])
+        self.mean_cost = float(np.mean(cost))
+        self.cycles += 1
+        self.over = bool(self._es.stop())
+        if self.over:
+            self._population *= 2
+            self._begin(self._rng.random(self._dimensions))
+        else:
+            self._asked = self._es.ask()

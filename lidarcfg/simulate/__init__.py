@@ -1,0 +1,1 @@
+"""What a rig's sensors report in a scene."""

@@ -1,0 +1,238 @@
+"""What a sensor makes of what its beams meet: echoes of a wide beam, noise, losses, rain and fog; all by a seed.
+
+The power of an echo follows the LiDAR equation for extended Lambertian targets, P ~ ρ cos θ exp(-2 α r) / r²
+(Jelalian, Laser Radar Systems, 1992, ch. 1; Rasshofer, Spies and Spies, Adv. Radio Sci. 9, 2011, 49-60).
+A retro-reflector (byte above 100) sends the light back whatever the angle; its ρ is taken as byte / 100.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.realism import Realism
+from lidarcfg.sensor import Sensor
+from lidarcfg.world.kernels import NOTHING
+from lidarcfg.world.scene import Weather
+
+DIFFUSE_MAX = 100
+SEPARATION_M = 1.0  # nearer echoes run into one (VLP-16 and VLS-128 manuals: dual returns are 1 m apart or more)
+PULSE_M = 0.75  # half the length of a pulse of 5 ns: a guess, as no maker says it
+CELLS = 24  # of PULSE_M, from the sensor's least range on: where rain and fog can send an echo back
+LIDAR_RATIO_SR = (
+    18.8  # extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004)
+)
+KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), taken at 903 nm as in visible light
+RAIN_DB_KM, RAIN_EXPONENT = 1.076, 0.67  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
+DECIBEL = 10 / math.log(10)
+# A Gaussian beam by Gauss-Hermite quadrature of three nodes a direction; the divergence is the full angle at 1/e²
+# of the intensity (a guess, as the makers do not say), which is four sigma.
+NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
+FAINTEST = 1e-30  # what is black, or met edge on, is still there where no budget says otherwise
+DROPOUT, NOISE, CELL = range(3)  # streams of random numbers
+
+
+@dataclass(frozen=True)
+class Met:
+    """What the K sub-rays of N firings met, (N, K)."""
+
+    range_m: Array  # inf: nothing
+    reflectivity: NDArray[np.uint8]
+    object: NDArray[np.int32]
+    cosine: Array  # of the angle between ray and normal
+
+
+@dataclass(frozen=True)
+class Echoes:
+    """Of N firings, (N, R): what is reported, or all three that there may be.
+
+    These are the strongest; it again, or the next strongest if it is the last; the last. Fewer are repeated.
+    """
+
+    range_m: Array  # exact; inf: none
+    noise_m: Array  # to be added
+    reflectivity: NDArray[np.uint8]
+    object: NDArray[np.int32]  # -1: none, or rain and fog
+
+    def reported(self, return_mode: str) -> "Echoes":
+        """(N, 1), or for dual returns (N, 2): what the mode reports."""
+        columns = {"strongest": [0], "last": [2], "dual": [1, 2]}[return_mode]
+        return Echoes(*(values[:, columns] for values in vars(self).values()))
+
+
+def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
+    """Exact echoes of thin beams, (N, 1) or for dual returns (N, 2): there is only one, reported twice."""
+    shape = len(range_m), 2 if return_mode == "dual" else 1
+    return Echoes(
+        range_m=np.broadcast_to(range_m, shape),
+        noise_m=np.broadcast_to(0.0, shape),
+        reflectivity=np.broadcast_to(reflectivity, shape),
+        object=np.broadcast_to(objects, shape),
+    )
+
+
+def wide(directions: Array, sensor: Sensor) -> tuple[Array, Array]:
+    """The sub-rays (N, K, 3) of beams along unit vectors (N, 3) of the sensor frame, and their shares (K,) of light."""
+    assert sensor.optics
+    side = np.stack([directions[:, 1], -directions[:, 0], 0 * directions[:, 0]], axis=1)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    above = np.cross(side, directions)
+    across_rad, up_rad = (np.array(sensor.optics.divergence_mrad) / 1000)[:, None] * NODES
+    rays = (
+        directions[:, None, None]
+        + across_rad[:, None, None] * side[:, None, None]
+        + up_rad[:, None] * above[:, None, None]
+    ).reshape(len(directions), len(NODES) ** 2, 3)
+    return rays / np.linalg.norm(rays, axis=2, keepdims=True), np.outer(WEIGHTS, WEIGHTS).ravel()
+
+
+def sub_rays(sensor: Sensor, realism: Realism) -> int:
+    """How many rays `wide` makes of a beam."""
+    return len(NODES) ** 2 if realism.divergence and sensor.optics else 1
+
+
+def spread_rad(sensor: Sensor, realism: Realism) -> float:
+    """How far the sub-rays leave the axis."""
+    if not realism.divergence or sensor.optics is None:
+        return 0.0
+    return math.hypot(*sensor.optics.divergence_mrad) / 1000 * float(NODES[-1])
+
+
+def extinction_per_m(weather: Weather) -> float:
+    """By fog and rain together."""
+    fog = KOSCHMIEDER / weather.fog_visibility_m if weather.fog_visibility_m else 0.0
+    rain = RAIN_DB_KM * weather.rain_mm_h**RAIN_EXPONENT / DECIBEL / 1000 if weather.rain_mm_h else 0.0
+    return fog + rain
+
+
+def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
+    """Random numbers `first` and on of a stream, in (0, 1): the same in whatever pieces they are asked for.
+
+    `first` and `count` are multiples of four, as Philox makes four at a time.
+    """
+    assert first % 4 == 0
+    assert count % 4 == 0
+    philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
+    return np.random.Generator(philox).random(count) + 2.0**-54
+
+
+def echoes(
+    sensor: Sensor,
+    realism: Realism,
+    weather: Weather,
+    sensor_index: int,
+    first: int,
+    shares: Array,
+    met: Met,
+) -> Echoes:
+    """All three echoes (N, 3) of firings `first` to `first` + N whose sub-rays have the shares (K,) of the light."""
+    assert sensor.range
+    count, alpha, objects = len(met.range_m), extinction_per_m(weather), met.object
+    range_m = np.where(met.range_m <= sensor.range.max_m, met.range_m, np.inf)
+    albedo = met.reflectivity / 100
+    light = shares * np.where(met.reflectivity > DIFFUSE_MAX, albedo, albedo * met.cosine)
+    byte = shares * met.reflectivity.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tangent = np.sqrt(np.maximum(1 - met.cosine**2, 0)) / met.cosine
+        slant_m = np.nan_to_num(range_m * tangent * _step_rad(sensor), nan=0.0, posinf=0.0)
+    if alpha:
+        slant_m = np.column_stack([slant_m, np.zeros(count)])
+        drop_m, drop_albedo = _droplets(sensor, realism, sensor_index, first, count, alpha)
+        drop_m = np.where(drop_m < range_m.min(axis=1), drop_m, np.inf)
+        range_m = np.column_stack([range_m, drop_m])
+        light, byte = np.column_stack([light, drop_albedo]), np.column_stack([byte, 100 * drop_albedo])
+        objects = np.column_stack([objects, np.full(count, NOTHING, np.int32)])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = light * np.exp(-2 * alpha * range_m) / range_m**2
+    power = np.where(np.isfinite(range_m), np.maximum(power, FAINTEST), 0)
+    least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
+    if alpha and not least:
+        least = 0.1 / sensor.range.max_m**2
+    found = _clusters(range_m, power, byte, objects, slant_m, least)
+    if realism.dropout_share:
+        lost = uniforms(realism, sensor_index, DROPOUT, first, count) < realism.dropout_share
+        found.range_m[lost] = np.inf
+    if realism.range_noise_m:
+        from scipy.special import ndtri
+
+        normal = ndtri(uniforms(realism, sensor_index, NOISE, 2 * first, 2 * count)).reshape(count, 2)
+        same = found.range_m == found.range_m[:, :1]
+        found.noise_m[:] = realism.range_noise_m * np.where(same, normal[:, :1], normal[:, 1:])
+    return found
+
+
+def _step_rad(sensor: Sensor) -> float:
+    """From one sub-ray to the next, at most."""
+    return max(sensor.optics.divergence_mrad) / 1000 * float(NODES[-1]) if sensor.optics else 0.0
+
+
+def _clusters(
+    range_m: Array, power: Array, byte: Array, objects: NDArray[np.int32], slant_m: Array, least: float
+) -> Echoes:
+    """Sub-rays whose ranges follow within the separation are one echo, at the mean range that their power weighs.
+
+    So are neighbours on one object that lie no further apart than its slant has it: a surface met at a flat angle is
+    one echo, though its few sub-rays are far apart.
+    """
+    order = np.argsort(range_m, axis=1)
+    range_m, power, byte, slant_m = (
+        np.take_along_axis(column, order, axis=1) for column in (range_m, power, byte, slant_m)
+    )
+    objects = np.take_along_axis(objects, order, axis=1)
+    met = np.isfinite(range_m)
+    near = np.where(met, range_m, 0)
+    starts = met.copy()
+    slack_m = np.where(objects[:, 1:] == objects[:, :-1], np.maximum(slant_m[:, 1:], slant_m[:, :-1]), 0)
+    starts[:, 1:] &= ~(np.diff(near, axis=1) <= SEPARATION_M + slack_m)
+    cluster = np.where(met, np.cumsum(starts, axis=1) - 1, -1)
+    rows, kinds = len(range_m), range_m.shape[1]
+    total, mean, shine, best = (np.zeros((rows, kinds)) for _ in range(4))
+    owner = np.full((rows, kinds), NOTHING, np.int32)
+    row = np.arange(rows)
+    for k in range(kinds):
+        c = cluster[:, k]
+        at = row[c >= 0], c[c >= 0]
+        p = power[at[0], k]
+        total[at] += p
+        mean[at] += p * near[at[0], k]
+        shine[at] += byte[at[0], k]
+        stronger = p > best[at]
+        best[at] = np.maximum(best[at], p)
+        owner[at[0][stronger], at[1][stronger]] = objects[at[0][stronger], k]
+    seen = (total > 0) & (total >= least)
+    mean = np.divide(mean, total, out=np.full_like(mean, np.inf), where=seen)
+    ranked = np.argsort(np.where(seen, -total, 1), axis=1, kind="stable")
+    strongest = ranked[:, 0]
+    last = kinds - 1 - np.argmax(seen[:, ::-1], axis=1)
+    last = np.where(seen.any(axis=1), last, strongest)
+    second = ranked[:, min(1, kinds - 1)]
+    other = np.where((strongest == last) & (seen.sum(axis=1) > 1), second, strongest)
+    return _picked(np.stack([strongest, other, last], axis=1), mean, shine, owner)
+
+
+def _picked(which: NDArray[np.intp], mean: Array, shine: Array, owner: NDArray[np.int32]) -> Echoes:
+    rows = np.arange(len(which))[:, None]
+    return Echoes(
+        range_m=mean[rows, which],
+        noise_m=np.zeros(which.shape),
+        reflectivity=np.clip(np.rint(shine[rows, which]), 0, 255).astype(np.uint8),
+        object=owner[rows, which],
+    )
+
+
+def _droplets(
+    sensor: Sensor, realism: Realism, sensor_index: int, first: int, count: int, alpha: float
+) -> tuple[Array, Array]:
+    """The strongest echo of what hangs in the air: its range (N,) and the albedo (N,) of a target as bright.
+
+    A cell of length PULSE_M sends back as much as a target of albedo π PULSE_M α / LIDAR_RATIO_SR (Rasshofer
+    et al. 2011, soft targets), times an exponential number: the speckle of many droplets (Goodman, 1975).
+    """
+    assert sensor.range
+    middle = sensor.range.min_m + (np.arange(CELLS) + 0.5) * PULSE_M
+    speckle = -np.log(uniforms(realism, sensor_index, CELL, CELLS * first, CELLS * count)).reshape(count, CELLS)
+    albedo = math.pi * PULSE_M * alpha / LIDAR_RATIO_SR * speckle
+    best = np.argmax(albedo * np.exp(-2 * alpha * middle) / middle**2, axis=1)
+    return middle[best], albedo[np.arange(count), best]

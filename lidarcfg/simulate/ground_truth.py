@@ -1,0 +1,94 @@
+"""What is true of a capture's returns, written beside it: object, exact range and noise, one record a return."""
+
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.files import replacing
+from lidarcfg.packets.firing import Times
+from lidarcfg.simulate.echoes import Echoes
+
+RECORD = np.dtype(
+    [
+        ("sensor", "<u2"),  # index into sensor_names
+        ("time_ns", "<i8"),  # of the firing, exact
+        ("laser", "u1"),
+        ("return_type", "u1"),  # 0 strongest, 1 last; an identical pair is one return, 0
+        ("object", "<i4"),  # index into object_names; -1: rain or fog
+        ("range_m", "<f8"),  # exact, along the beam
+        ("noise_m", "<f8"),  # added to it before it was rounded
+    ]
+)
+
+RECORDS = 1 << 16  # at a time
+
+
+def records(
+    sensor_index: int,
+    return_mode: str,
+    time_ns: Times,
+    found: Echoes,
+    distance: NDArray[np.uint16],
+    intensity: NDArray[np.uint8],
+) -> NDArray[np.void]:
+    """The records of firings (P, S, L): echoes, and on the wire distances (0: none) and intensities, are all (N, R)."""
+    sent = distance > 0
+    if sent.shape[1] == 2:
+        sent[:, 1] &= (distance[:, 0] != distance[:, 1]) | (intensity[:, 0] != intensity[:, 1])
+    firing, slot = np.nonzero(sent)
+    out = np.empty(len(firing), RECORD)
+    out["sensor"] = sensor_index
+    out["time_ns"] = time_ns.ravel()[firing]
+    out["laser"] = firing % time_ns.shape[2]
+    out["return_type"] = slot if sent.shape[1] == 2 else int(return_mode == "last")
+    for key in ("object", "range_m", "noise_m"):
+        out[key] = getattr(found, key)[firing, slot]
+    return out
+
+
+class TruthFile:
+    """Records of all sensors as they come, sensor by sensor in the .npz once `save` is called; memory stays flat."""
+
+    def __init__(self, path: Path, sensor_names: Sequence[str], object_names: Sequence[str]) -> None:
+        self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}
+        self._bodies: list[IO[bytes]] = [tempfile.TemporaryFile(dir=path.parent) for _ in sensor_names]  # noqa: SIM115
+
+    def __enter__(self) -> "TruthFile":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        for body in self._bodies:
+            with suppress(OSError):  # of a full disk, which `add` has told
+                body.close()
+
+    def add(self, found: NDArray[np.void]) -> None:
+        """Records of one sensor, later than those before. Raises OSError, which names the file to be."""
+        if len(found):
+            try:
+                self._bodies[found["sensor"][0]].write(found.tobytes())
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(self._path)) from None
+
+    def save(self) -> int:
+        """Write the file, whole or not at all, and return how many records."""
+        counts = [body.tell() // RECORD.itemsize for body in self._bodies]
+        with replacing(self._path, "wb") as file, zipfile.ZipFile(file, "w") as archive:
+            for key, names in self._names.items():
+                with archive.open(f"{key}.npy", "w") as out:
+                    np.lib.format.write_array(out, np.array(names, np.str_))
+            for key in RECORD.names or ():
+                with archive.open(f"{key}.npy", "w", force_zip64=True) as out:
+                    head = {"descr": RECORD[key].str, "fortran_order": False, "shape": (sum(counts),)}
+                    np.lib.format.write_array_header_1_0(out, head)
+                    for body in self._bodies:
+                        body.seek(0)
+                        while piece := body.read(RECORDS * RECORD.itemsize):
+                            out.write(np.frombuffer(piece, RECORD)[key].tobytes())
+        return sum(counts)

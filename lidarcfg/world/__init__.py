@@ -1,0 +1,1 @@
+"""What stands around the vehicle, what travels along, and where rays hit it."""

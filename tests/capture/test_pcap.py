@@ -1,0 +1,200 @@
+"""Capture files: dpkt's own reader, real headers byte for byte, and files that are not whole."""
+
+import struct
+from contextlib import suppress
+
+import dpkt
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidarcfg.capture import pcap
+from lidarcfg.capture.pcap import Datagram, read_datagrams
+from lidarcfg.errors import PacketError
+from tests.capture_fixtures import no_note, recording
+from tests.capture_fixtures import write_datagrams as write_pcap
+from tests.naive import capture as naive_capture
+
+AT_NS = 1_700_000_000_999_999_000
+
+
+def data(time_ns: int = AT_NS, fill: int = 7) -> Datagram:
+    return Datagram(time_ns, "192.168.1.201", 2368, 2368, bytes([fill]) * 1206)
+
+
+def position(time_ns: int = AT_NS) -> Datagram:
+    return Datagram(time_ns, "192.168.1.201", 8308, 8308, bytes(512))
+
+
+def frames(path):
+    with open(path, "rb") as file:
+        return [frame for _, frame in dpkt.pcap.Reader(file)]
+
+
+def content(datagram):
+    return datagram.time_ns, datagram.host, datagram.source_port, datagram.port, datagram.payload
+
+
+def test_file_header(tmp_path):
+    assert write_pcap(tmp_path / "a.pcap", [data()]) == 1
+    raw = (tmp_path / "a.pcap").read_bytes()
+    assert struct.unpack("=IHHiIII", raw[:24]) == (0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    assert struct.unpack("=IIII", raw[24:40]) == (1_700_000_000, 999_999, 1248, 1248)
+    assert len(raw) == 24 + 16 + 1248
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32 * 10**6 - 1))
+def test_times_are_exact(tmp_path_factory, microseconds):
+    path = tmp_path_factory.getbasetemp() / "times.pcap"
+    write_pcap(path, [data(microseconds * 1000)])
+    assert struct.unpack("=II", path.read_bytes()[24:32]) == divmod(microseconds, 10**6)
+    assert next(read_datagrams(path, no_note)).time_ns == microseconds * 1000
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.sampled_from("<>"),
+    st.lists(st.tuples(st.sampled_from([0, 1, 30, 42, 1248, pcap.RECORD_MAX + 1]), st.integers(1, 150)), max_size=6),
+    st.integers(0, 2000),
+)
+def test_records_by_a_plain_loop(order, rows, cut):
+    raw = b"".join(
+        struct.pack(order + "IIII", 1, 2, n, n) + bytes(min(n, 2000)) for n, count in rows for _ in range(count)
+    )
+    raw = raw[: max(len(raw) - cut, 0)]
+    record = pcap.RECORD if order == "<" else pcap.RECORD.newbyteorder()
+    starts, end, size = pcap._records(np.frombuffer(raw, np.uint8), record)
+    assert (starts.tolist(), end, size) == naive_capture.records(raw, order, pcap.RECORD_MAX)
+
+
+@pytest.mark.parametrize("sent", [data(), position()])
+def test_checksums(tmp_path, sent):
+    write_pcap(tmp_path / "a.pcap", [sent])
+    frame = frames(tmp_path / "a.pcap")[0]
+    assert dpkt.in_cksum(frame[14:34]) == 0
+    pseudo = frame[26:34] + struct.pack(">HH", 17, len(frame) - 34)
+    udp_sum = struct.unpack(">H", frame[40:42])[0]
+    assert (udp_sum != 0 and dpkt.in_cksum(pseudo + frame[34:]) == 0) if len(sent.payload) == 512 else udp_sum == 0
+    assert frame[:14] == b"\xff" * 6 + bytes.fromhex("607688a801c90800")
+
+
+@pytest.mark.parametrize(("sent", "size"), [(data(), 1248), (position(), 554)])
+def test_headers_are_the_real_ones(tmp_path, sent, size):
+    """Byte for byte, but for MAC, IP id, IP checksum, address and UDP checksum."""
+    real = next(frame for frame in frames(recording("mrpt_vlp16_gps.pcap")) if len(frame) == size)
+    write_pcap(tmp_path / "a.pcap", [sent])
+    ours = frames(tmp_path / "a.pcap")[0]
+    free = {*range(9, 12), 18, 19, 24, 25, *range(26, 30)} | ({40, 41} if len(sent.payload) == 512 else set())
+    assert [i for i in range(42) if ours[i] != real[i] and i not in free] == []
+    assert len(ours) == len(real)
+
+
+def test_ids_count_up_for_each_sensor(tmp_path):
+    other = Datagram(AT_NS, "192.168.1.202", 8308, 8308, bytes(512))
+    write_pcap(tmp_path / "a.pcap", [position(), other, data(), position(), other])
+    ids = [struct.unpack(">H", frame[18:20])[0] for frame in frames(tmp_path / "a.pcap")]
+    assert ids == [0, 0, 0, 1, 1]
+
+
+def test_round_trip(tmp_path):
+    sent = [data(AT_NS + i * 1_327_000, i) for i in range(5)] + [position(AT_NS + 10**9)]
+    write_pcap(tmp_path / "a.pcap", sent)
+    got = list(read_datagrams(tmp_path / "a.pcap", no_note))
+    assert [content(d) for d in got] == [content(d) for d in sent]
+
+
+@pytest.mark.parametrize("magic", [0xA1B2C3D4, 0xA1B23C4D])
+@pytest.mark.parametrize("order", "<>")
+def test_every_pcap(tmp_path, magic, order):
+    write_pcap(tmp_path / "a.pcap", [data()])
+    frame = frames(tmp_path / "a.pcap")[0]
+    fraction = 999_999_000 if magic == 0xA1B23C4D else 999_999
+    raw = struct.pack(order + "IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
+    raw += struct.pack(order + "IIII", 1_700_000_000, fraction, len(frame), len(frame)) + frame
+    (tmp_path / "b.pcap").write_bytes(raw)
+    assert [content(d) for d in read_datagrams(tmp_path / "b.pcap", no_note)] == [content(data())]
+
+
+def test_pcapng_and_vlan(tmp_path):
+    write_pcap(tmp_path / "a.pcap", [data()])
+    frame = frames(tmp_path / "a.pcap")[0]
+    with open(tmp_path / "b.pcapng", "wb") as file:
+        writer = dpkt.pcapng.Writer(file)
+        writer.writepkt(frame[:12] + bytes.fromhex("81000005") + frame[12:], AT_NS / 1e9)
+    got = list(read_datagrams(tmp_path / "b.pcapng", no_note))
+    assert [content(d) for d in got] == [content(data())]
+
+
+def test_other_traffic_is_passed_over(tmp_path):
+    write_pcap(tmp_path / "a.pcap", [data()])
+    frame = bytearray(frames(tmp_path / "a.pcap")[0])
+    tcp, fragment, arp = bytearray(frame), bytearray(frame), bytearray(frame)
+    tcp[23], fragment[20], arp[12:14] = 6, 0x20, b"\x08\x06"
+    with open(tmp_path / "b.pcap", "wb") as file:
+        writer = dpkt.pcap.Writer(file)
+        for other in (tcp, fragment, arp, frame[:20], b"", frame):
+            writer.writepkt(bytes(other), 5)
+    assert len(list(read_datagrams(tmp_path / "b.pcap", no_note))) == 1
+
+
+@pytest.mark.parametrize("cut", [1, 15, 16, 17, 1000, 1263])
+def test_cut_in_mid_record(tmp_path, cut):
+    path = tmp_path / "a.pcap"
+    write_pcap(path, [data(fill=i) for i in range(3)])
+    path.write_bytes(path.read_bytes()[: 24 + 2 * 1264 + cut])
+    notes: list[str] = []
+    assert [d.payload[0] for d in read_datagrams(path, notes.append)] == [0, 1]
+    assert notes == [f"{path}: cut off or damaged after 2 records; what is whole was read"]
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        (b"", "the file is empty"),
+        (b"hi", "not a capture; allowed: pcap and pcapng"),
+        (b"some text that is longer than a header\n" * 9, "not a capture; allowed: pcap and pcapng"),
+        (struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 9, 195), "link type 195 is not known"),
+        (
+            struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 9, 1) + struct.pack("<IIII", 1, 1, 2**31, 2**31),
+            "a record of 2147483648 bytes; allowed: at most 262144",
+        ),
+    ],
+)
+def test_not_a_capture(tmp_path, raw, message):
+    (tmp_path / "a.pcap").write_bytes(raw)
+    with pytest.raises(PacketError, match=r"a\.pcap: ") as error:
+        list(read_datagrams(tmp_path / "a.pcap", no_note))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.binary(max_size=300),
+    st.sampled_from([b"", b"\xd4\xc3\xb2\xa1", b"\x0a\x0d\x0d\x0a", b"\xa1\xb2\x3c\x4d"]),
+)
+def test_any_bytes_end_well(tmp_path_factory, raw, magic):
+    path = tmp_path_factory.getbasetemp() / "fuzz.pcap"
+    path.write_bytes(magic + raw)
+    with suppress(PacketError):
+        assert all(len(datagram.payload) <= len(raw) for datagram in read_datagrams(path, lambda note: None))
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(PacketError, match="no such file"):
+        list(read_datagrams(tmp_path / "none.pcap", no_note))
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    (tmp_path / "a.pcap").write_bytes(b"old")
+
+    def breaks():
+        yield data()
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write_pcap(tmp_path / "a.pcap", breaks())
+    assert [path.name for path in tmp_path.iterdir()] == ["a.pcap"]
+    assert (tmp_path / "a.pcap").read_bytes() == b"old"

@@ -1,0 +1,182 @@
+"""lidarcfg convert as a user types it: which format is meant, what is said, and each mistake in one line."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lidarcfg.cli import cli
+from lidarcfg.cloud import save_clouds
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.formats.formats import FORMATS, INPUTS, chosen
+from tests.capture_fixtures import write_datagrams
+from tests.formats.test_convert_capture import head_datagrams
+from tests.test_cloud import cloud
+
+ROOT = Path(__file__).parents[2]
+ROOF = ROOT / "data/rigs/roof.yaml"
+
+
+def run(*words):
+    return CliRunner().invoke(cli, ["convert", *map(str, words)])
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with an input of each kind."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOF, "roof.yaml")
+    save_clouds("c.ply", [cloud()])
+    write_datagrams("p.pcap", head_datagrams([0], [1_700_000_000 * 10**9]))
+    return tmp_path
+
+
+def test_help_lists_every_conversion():
+    text = run("--help").output
+    table, example = text.split("Example:")
+    for form in FORMATS:
+        assert form.name in table.replace(".", " ").split()
+        assert not form.suffix or form.suffix in table.split()
+    for suffixes in INPUTS.values():
+        assert all(suffix in table.split() for suffix in suffixes)
+    assert "lidarcfg convert" in example
+
+
+@pytest.mark.parametrize(
+    ("source", "output", "name", "meant"),
+    [
+        ("r.yaml", "a.urdf", None, "urdf"),
+        ("r.YML", "a.launch.py", None, "launch"),
+        ("r.json", "a.json", None, "carla"),
+        ("r.yaml", "folder", None, "nuscenes"),
+        ("r.yaml", "v1.0-mini", "nuscenes", "nuscenes"),
+        ("c.ply", "a.LAZ", None, "laz"),
+        ("c.laz", "a.bin", None, "kitti"),
+        ("c.bin", "a.pcd", "pcd", "pcd"),
+        ("p.pcap", "folder", None, "rosbag2"),
+        ("p.pcapng", "folder", "rosbag2-mcap", "rosbag2-mcap"),
+        ("p.pcap", "a.mcap", None, "mcap"),
+    ],
+)
+def test_which_format_is_meant(source, output, name, meant):
+    assert chosen(Path(source), Path(output), name).name == meant
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("roof.yaml", "-o", "a.las"), "a rig cannot become 'a.las'; allowed: .urdf, .py, .json, or a folder, which has no suffix; or say which with --to"),
+        (("c.ply", "-o", "a.urdf"), "a cloud cannot become 'a.urdf'; allowed: .ply, .pcd, .npz, .las, .laz, .bin; or say which with --to"),
+        (("c.ply", "-o", "bag"), "a cloud cannot become 'bag'; allowed: .ply, .pcd, .npz, .las, .laz, .bin; or say which with --to"),
+        (("p.pcap", "-o", "a.ply"), "a capture cannot become 'a.ply'; allowed: .mcap, or a folder, which has no suffix; or say which with --to; decode makes a cloud of it"),
+        (("roof.yaml", "-o", "a.urdf", "--to", "las"), "a rig cannot become las; allowed: urdf, launch, carla, nuscenes"),
+        (("roof.yaml", "-o", "a.urdf", "--to", "gazebo"), "a rig cannot become gazebo; allowed: urdf, launch, carla, nuscenes"),
+        (("roof.yaml", "-o", "a.json", "--to", "urdf"), "a.json: does not end in .urdf, as urdf does"),
+        (("notes.txt", "-o", "a.urdf"), "notes.txt: is of no known kind; rig: .yaml .yml .json; cloud: .ply .pcd .npz .las .laz .bin; capture: .pcap .pcapng"),
+        (("none.yaml", "-o", "a.urdf"), "none.yaml: no such file or directory"),
+        (("none.las", "-o", "a.ply"), "none.las: no such file or directory"),
+        (("none.pcap", "-o", "a.mcap"), "none.pcap: no such file or directory"),
+        (("p.pcap", "-o", "a.mcap", "--rig", "none.yaml"), "none.yaml: no such file or directory"),
+        (("p.pcap", "-o", "a.mcap", "--rig", "c.ply"), "c.ply:1:1: not "),
+        (("p.pcap", "-o", "a.mcap", "--rig", "roof.yaml", "--model", "vlp16"), "no sensor is called 'vlp16'; allowed: "),
+        (("p.pcap", "-o", "a.mcap"), "p.pcap: 192.168.1.201:2368 sends the unknown product id 0x00"),
+        (("c.ply", "-o", "c.ply/a.las"), "c.ply/a.las"),
+    ],
+)  # fmt: skip
+def test_mistakes_get_one_line(words, what, here):
+    before = sorted(here.rglob("*"))
+    done = run(*words)
+    assert isinstance(done.exception, LidarcfgError | OSError), done.output
+    error = done.exception
+    text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else str(error)
+    assert what in text
+    assert "\n" not in text
+    assert sorted(here.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("roof.yaml", "-o", "a.urdf", "--rig", "roof.yaml"), "--rig and --model are for captures"),
+        (("c.ply", "-o", "a.las", "--model", "vlp-16"), "--rig and --model are for captures"),
+        (("roof.yaml",), "Missing option '-o' / '--output'"),
+        (("-o", "a.las"), "Missing argument 'INPUT'"),
+    ],
+)
+def test_options_that_do_not_belong(words, what, here):
+    done = run(*words)
+    assert done.exit_code == 2
+    assert what in done.output
+
+
+def test_all_that_a_rig_becomes(here):
+    for output, there in (("a.urdf", "<robot"), ("a.launch.py", "static_transform"), ("a.json", "ray_cast")):
+        done = run("roof.yaml", "-o", output)
+        assert done.exit_code == 0
+        assert done.stdout == f"{output}: 2 sensors\n"
+        assert done.stderr.startswith(f"lidarcfg: {output}: ")
+        assert " has no " in done.stderr
+        assert there in Path(output).read_text()
+    assert run("roof.yaml", "-o", "tables").stdout == "tables: 2 sensors\n"
+    assert {item.name for item in Path("tables").iterdir()} == {"sensor.json", "calibrated_sensor.json"}
+    first = Path("tables/sensor.json").read_text()
+    Path("tables/sensor.json").write_text("[]")
+    run("roof.yaml", "-o", "tables", "--quiet")  # such a folder is replaced
+    assert Path("tables/sensor.json").read_text() == first
+    assert json.loads(first)[0]["channel"] == "left"
+    (Path("tables") / "scene.json").write_text("[]")  # a dataset's folder is not
+    done = run("roof.yaml", "-o", "tables")
+    assert str(done.exception) == (
+        "tables: holds 'scene.json'; only a folder of sensor.json, calibrated_sensor.json is replaced"
+    )
+
+
+def test_a_cloud_there_and_back(here):
+    done = run("c.ply", "-o", "c.las")
+    assert (done.stdout, done.stderr) == ("c.las: 50 points\n", "")
+    done = run("c.las", "-o", "c.bin", "--quiet")
+    assert (done.stdout, done.stderr) == ("", "")
+    done = run("c.bin", "-o", "d.npz")
+    assert done.stdout == "d.npz: 50 points\n"
+    assert done.stderr == "lidarcfg: c.bin: has no ring, time_ns, sensor, return_type; they are 0\n"
+    with np.load("d.npz") as arrays:
+        assert abs(arrays["xyz"] - cloud().xyz).max() < 1e-4
+
+
+def test_a_capture_by_the_command(tmp_path):
+    """The whole way in a process of its own, with the real exit codes."""
+
+    def lidarcfg(*words, code=0):
+        command = [sys.executable, "-m", "lidarcfg", *map(str, words)]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == code, done.stderr
+        return done
+
+    lidarcfg("export", ROOF, "--scene", ROOT / "data/scenes/street.yaml", "--duration", 0.11, "-o", "a.pcap", "--quiet")
+    done = lidarcfg("convert", "a.pcap", "--rig", ROOF, "-o", "bag")
+    assert done.stdout == "bag: 5 messages\n"
+    assert done.stderr == "lidarcfg: bag: rosbag2 has no return type\n"
+    assert {item.name for item in (tmp_path / "bag").iterdir()} == {"bag.db3", "metadata.yaml"}
+    done = lidarcfg("convert", "a.pcap", "--rig", "bag", "-o", "a.mcap", code=2)
+    assert len(done.stderr.splitlines()) == 1
+    for output in ("full", "full.mcap"):  # a full disk, as files may grow to 100 kB
+        words = f"ulimit -f 100; {sys.executable} -m lidarcfg convert a.pcap --rig {ROOF} -o {output}"
+        done = subprocess.run(["bash", "-c", words], capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == 2, done.stderr
+        assert done.stderr.startswith(f"lidarcfg: {output}: ")
+        assert len(done.stderr.splitlines()) == 1
+    assert {item.name for item in tmp_path.iterdir()} == {"a.pcap", "bag"}
+
+
+def test_loading_the_command_loads_no_library_of_others():
+    code = (
+        "from lidarcfg.cli import cli; cli(['convert', '--help'], standalone_mode=False); import sys; "
+        "print(sorted({'laspy', 'rosbags', 'numba', 'scipy', 'open3d', 'numpy', 'pydantic'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -1,0 +1,122 @@
+"""The savings change nothing: searches with and without them, and costs against the plain evaluation."""
+
+import numpy as np
+import pytest
+
+from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import load_study
+from lidarcfg.placement.subspace import segment
+
+STUDY = """
+region: {{min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{{min_m: [5, 3, 0], max_m: [7, 5, 3]}}]}}
+sensors:
+  - {{elevation_deg: {beams}, count: {count}, min: {{position_m: [5, 3, 1], rpy_deg: [-40, -40, 0]}}, max: {{position_m: [7, 5, 2.5], rpy_deg: [40, 190, 0]}}}}
+solver: {{method: abc, bees: 12, cycles: 25, limit: {limit}, seed: {seed}}}
+"""
+REGION = Region.from_boxes((0, 0, 0), (6, 4, 2), (0.5, 0.5, 0.25), (((2, 1, 0), (3, 2, 1)),))
+
+
+def history(found):
+    return [(c.cycle, c.evaluations, c.best, c.mean) for c in found.history]
+
+
+@pytest.mark.parametrize(
+    ("count", "beams", "limit", "seed"),
+    [
+        (1, 6, 1000, 1),
+        (2, 8, 1000, 2),
+        (3, 4, 6, 3),
+        (4, 5, 1000, 4),
+        (9, 3, 8, 5),
+        (1, 1, 4, 6),
+        (2, 300, 1000, 7),
+        (16, 16, 9, 8),
+    ],
+)
+def test_skipping_changes_nothing(tmp_path, count, beams, limit, seed):
+    path = tmp_path / "s.yaml"
+    elevation = np.round(np.linspace(-25, 25, beams), 6).tolist() if beams > 1 else [3.0]
+    path.write_text(STUDY.format(beams=elevation, count=count, limit=limit, seed=seed))
+    study = load_study(path)
+    runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]
+    for run in runs[1:]:
+        assert run.rig == runs[0].rig
+        assert history(run) == history(runs[0])
+    assert runs[0].evaluations == 12 * 2 * 25
+    assert runs[1].scout_evaluations == runs[0].scout_evaluations
+    assert (runs[1].scout_evaluations > 0) == (limit < 1000)
+    assert runs[1].full_evaluations == runs[2].full_evaluations
+    assert runs[1].full_evaluations < 0.9 * runs[0].full_evaluations
+    if beams > 1:  # one beam leaves two subspaces, and a flood is half the region
+        assert runs[1].cuboids < runs[0].cuboids
+
+
+def random_poses(rng, count, lidars):
+    return np.concatenate(
+        [rng.uniform((0, 0, 0), (6, 4, 2), (count, lidars, 3)), rng.uniform(-3, 3, (count, lidars, 3))], axis=2
+    )
+
+
+def costs(beams, lidars):
+    """Of 30 trials: the plain evaluations, what each is to beat, and the evaluator's costs, asked for twice."""
+    rng = np.random.default_rng(beams + lidars)
+    sine = np.sort(np.sin(rng.uniform(-0.6, 0.6, beams)))
+    sources = random_poses(rng, 6, lidars)
+    source = np.repeat(np.arange(6), 5)
+    trials = sources[source].copy()
+    trials[np.arange(30), rng.integers(lidars, size=30), rng.integers(5, size=30)] += rng.normal(0, 0.2, 30)
+    plain = np.array([max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in trials])
+    with Evaluator(REGION, [sine] * lidars, threads=2) as evaluator:
+        to_beat = evaluator.max_vsr(sources, np.arange(6), sources, np.full(6, np.inf))[source]
+        found = [evaluator.max_vsr(trials, source, sources, to_beat) for _ in range(2)]
+    own = [max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in sources]
+    assert to_beat.tolist() == np.array(own)[source].tolist()
+    return plain, to_beat, found
+
+
+@pytest.mark.parametrize("beams", [1, 3, 16, 40])
+@pytest.mark.parametrize("lidars", [1, 2, 5])
+def test_costs_are_the_plain_evaluations(beams, lidars):
+    plain, to_beat, found = costs(beams, lidars)
+    expected = np.where(plain < to_beat, plain, np.inf)
+    for cost in found:  # the second time with what the first one remembered
+        assert np.array_equal(cost, expected)
+
+
+def test_nothing_is_kept_where_it_would_not_fit(monkeypatch):
+    monkeypatch.setattr("lidarcfg.placement.evaluator.CACHE_BYTES", 1000)
+    plain, to_beat, found = costs(16, 2)
+    for cost in found:
+        assert np.array_equal(cost, np.where(plain < to_beat, plain, np.inf))
+
+
+def test_lidars_in_odd_places():
+    """Outside the region, on a cuboid's centre, in an excluded box; a region one cuboid thick."""
+    sine = np.sin(np.radians([-20, 0, 20]))
+    for region in (REGION, Region.from_boxes((0, 0, 0), (6, 4, 0.25), (0.5, 0.5, 0.25))):
+        for position in ((-50, 2, 1), (0.25, 0.25, 0.125), (2.5, 1.5, 0.5), (0, 0, 0)):
+            pose = np.array([[[*position, 0.0, 0.0, 0.0]]])
+            with Evaluator(region, [sine], threads=1) as evaluator:
+                cost = evaluator.max_vsr(pose, np.zeros(1, int), pose, np.full(1, np.inf))[0]
+            assert cost == max_vsr(region, [lidar(position, (0, 0, 0), sine)])
+
+
+def test_fine_grids_go_by_runs_and_give_the_same(monkeypatch):
+    rng = np.random.default_rng(4)
+    sine = np.sin(np.radians([-20.0, -3.0, 0.0, 14.0]))
+    poses = random_poses(rng, 8, 3)
+    lidars = [[lidar(row[:3], row[3:], sine) for row in rows] for rows in poses]
+    flat = [segment(REGION, one) for one in lidars]
+    monkeypatch.setattr("lidarcfg.placement.subspace.RUNS_FROM", 1)
+    monkeypatch.setattr("lidarcfg.placement.evaluator.RUNS_FROM", 1)
+    for one, before in zip(lidars, flat, strict=True):
+        now = segment(REGION, one)
+        for key in ("label", "cuboids", "internal", "gap"):
+            assert np.array_equal(getattr(now, key), getattr(before, key))
+    with Evaluator(REGION, [sine] * 3, threads=2) as evaluator:
+        cost = evaluator.max_vsr(poses, np.arange(8), poses, np.full(8, np.inf))
+    assert cost.tolist() == [float(vsr_m(one).max()) for one in flat]

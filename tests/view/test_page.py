@@ -1,0 +1,481 @@
+"""The page in a real browser, its server, and what both are told, against evaluate, numpy and plain loops."""
+
+import base64
+import hashlib
+import http.client
+import json
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from io import BytesIO
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from lidarcfg.cloud import PointCloud
+from lidarcfg.errors import ConfigError
+from lidarcfg.placement.study import evaluate, load_study
+from lidarcfg.rig import load_rig
+from lidarcfg.view.page import ASSETS, MODULES, moved, page_of, save_html
+from lidarcfg.view.server import Server
+from lidarcfg.view.stage import Stage
+from tests.chromium import LACKING, asked_for, browser, complaints
+
+ROOT = Path(__file__).parents[2]
+STUDY, ROOF = ROOT / "data/studies/sedan.yaml", ROOT / "data/rigs/roof.yaml"
+THREE = "245032d88b63da6765b4ace87f56e81c56cbca6c0bc2e56c728dd3e0897e6082"  # of vendor/three.js, by tools/bundle_three
+NIGHT = np.array([16, 20, 28])
+in_browser = pytest.mark.skipif(bool(LACKING), reason=LACKING)
+
+
+@pytest.fixture(scope="module")
+def stage():
+    """A rig, its study, and 30,000 points on a wall and the ground, in three frames, seen by both sensors."""
+    rng = np.random.default_rng(1)
+    count = 30_000
+    xyz = rng.uniform((-12, -8, 0), (12, 8, 0), (count, 3))
+    wall = np.arange(count) % 2 == 0
+    xyz[wall, 1], xyz[wall, 2] = 8.0, rng.uniform(0, 3, wall.sum())
+    cloud = PointCloud(
+        xyz=xyz,
+        intensity=rng.integers(0, 200, count).astype(np.uint8),
+        ring=rng.integers(0, 16, count).astype(np.uint8),
+        time_ns=1_767_225_600 * 10**9 + rng.integers(0, 300_000_000, count),
+        sensor=(np.arange(count) % 3 == 0).astype(np.uint16),
+        sensor_names=("left", "right"),
+        return_type=np.zeros(count, np.uint8),
+    )
+    return Stage(cloud, None, (load_rig(ROOF),), load_study(STUDY), (), np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def served(stage):
+    """The address of the stage's page."""
+    with Server(stage, page_of(stage)) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield server.url
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with browser() as driver:
+        yield driver
+
+
+def settled(driver):
+    """Wait until the page has drawn all of what it shows, and nothing is asked of the server any more."""
+    quiet = (
+        "const v = window.lidarcfg; return Boolean(v && v.stage.stillAt === v.stage.frames && !v.stage.waiting "
+        "&& !(v.judge && v.judge.busy))"
+    )
+    end = time.monotonic() + 60
+    while not driver.execute_script(quiet):
+        failed = driver.execute_script("return document.getElementById('loading')?.textContent ?? ''")
+        assert "cannot be shown" not in failed, failed
+        assert time.monotonic() < end, f"the page does not come to rest: {complaints(driver)}"
+        time.sleep(0.05)
+
+
+def opened(driver, url):
+    asked_for(driver), complaints(driver)  # what was before is not this page's
+    driver.get(url)
+    settled(driver)
+    return driver
+
+
+def picture(driver):
+    """(h, w, 3) what the canvas shows, without the controls."""
+    settled(driver)
+    image = matplotlib.image.imread(BytesIO(driver.get_screenshot_as_png()))[..., :3] * 255
+    return image[:, : driver.execute_script("return document.querySelector('main').clientWidth")]
+
+
+def different(one, other):
+    """How many pixels differ clearly."""
+    return int((abs(one - other).max(axis=-1) > 24).sum())
+
+
+def click(driver, selector):
+    driver.execute_script("document.querySelector(arguments[0]).click()", selector)
+
+
+def put(driver, selector, value, event="input"):
+    code = "const e = document.querySelector(arguments[0]); e.value = arguments[1]; e.dispatchEvent(new Event(arguments[2]))"
+    driver.execute_script(code, selector, value, event)
+
+
+def on_screen(driver, place):
+    """Where a place in the scene is on the canvas, from its middle, as selenium counts."""
+    code = (
+        "const s = lidarcfg.stage; const v = s.orbit.target.clone().set(...arguments[0]).project(s.camera);"
+        "return [v.x * s.size.x / 2, -v.y * s.size.y / 2]"
+    )
+    x, y = driver.execute_script(code, list(place))
+    return round(x), round(y)
+
+
+def shown_vsr(driver):
+    settled(driver)
+    return float(driver.execute_script("return document.getElementById('vsr').dataset.value"))
+
+
+@in_browser
+def test_the_served_page_asks_its_own_server_alone(chromium, served):
+    opened(chromium, served)
+    asked = asked_for(chromium)
+    assert {url.removeprefix(served) for url in asked} >= {"", "about.json", "array/position", "page/vendor/three.js"}
+    assert all(url.startswith(served) for url in asked), asked
+    assert complaints(chromium) == []
+    image = picture(chromium)
+    assert (abs(image - NIGHT).max(axis=-1) > 24).mean() > 0.05
+
+
+@in_browser
+def test_a_standalone_file_asks_nothing_and_shows_the_same(chromium, served, stage, tmp_path):
+    save_html(page_of(stage), tmp_path / "p.html")
+    url = (tmp_path / "p.html").as_uri()
+    opened(chromium, url)
+    assert asked_for(chromium) == [url]
+    assert complaints(chromium) == []
+    alone = picture(chromium)
+    click(chromium, "#sensor-0")
+    assert different(picture(chromium), alone) > 2000
+    assert not chromium.execute_script("return document.getElementById('mount')")  # no server, no handles
+    opened(chromium, served)
+    assert different(picture(chromium), alone) < 100
+
+
+@in_browser
+def test_controls_change_the_picture(chromium, served):
+    opened(chromium, served)
+    before = picture(chromium)
+    for turn in ("#sensor-1", "#region", "#bodies"):
+        click(chromium, turn)
+        assert different(picture(chromium), before) > 300, turn
+        click(chromium, turn)
+        assert different(picture(chromium), before) < 100, turn
+    seen = [before]
+    for mode in ("intensity", "ring", "height", "time"):
+        put(chromium, "#colour", mode, "change")
+        image = picture(chromium)
+        assert all(different(image, other) > 1000 for other in seen), mode
+        seen.append(image)
+    put(chromium, "#colour", "sensor", "change")
+    put(chromium, "#cones", 10)
+    assert different(picture(chromium), before) > 1000
+    put(chromium, "#cones", 0)
+    click(chromium, "#look-top")
+    assert different(picture(chromium), before) > 1000
+    assert complaints(chromium) == []
+
+
+@in_browser
+def test_the_slider_shows_a_frame_and_play_goes_on(chromium, served, stage):
+    opened(chromium, served)
+    whole = picture(chromium)
+    put(chromium, "#time", 1)
+    second = picture(chromium)
+    assert different(second, whole) > 1000
+    first, last = chromium.execute_script("return [lidarcfg.cloud.first, lidarcfg.cloud.last]")
+    since_us = (stage.cloud.time_ns - stage.cloud.time_ns.min()) // 1000
+    assert (first, last) == (100_000, 199_999)
+    code = "const c = lidarcfg.cloud; return c.arrays.time.filter((t) => t >= c.first && t <= c.last).length"
+    assert chromium.execute_script(code) == ((since_us >= first) & (since_us <= last)).sum()
+    click(chromium, "#play")
+    end = time.monotonic() + 30
+    while len(set(seen := chromium.execute_script("return (window.seen ??= []).push(lidarcfg.time.at) && seen"))) < 3:
+        assert time.monotonic() < end, seen
+        time.sleep(0.02)
+    click(chromium, "#play")
+    click(chromium, "#whole")
+    assert different(picture(chromium), whole) < 100
+
+
+@in_browser
+def test_a_handle_moves_the_rig_and_its_worth_follows(chromium, served, stage):
+    from selenium.webdriver import ActionChains
+
+    opened(chromium, served)
+    started = evaluate(stage.study, stage.rigs[0]).max_vsr_m
+    assert shown_vsr(chromium) == started
+    before = picture(chromium)
+    put(chromium, "#mount", 0, "change")
+    settled(chromium)
+    at = np.array(stage.rigs[0].mounts[0].position_m)
+    size = chromium.execute_script(  # of the handles, which are as large on the screen from anywhere
+        "const h = lidarcfg.handles.controls; let x; h.getHelper().traverse((o) => { if (o.name === 'Z' && o.isMesh && !x) x = o });"
+        "const p = x.getWorldPosition(h.worldPosition.clone()); "
+        "const s = x.getWorldScale(h.worldPosition.clone()); return s.x"
+    )
+    canvas = chromium.find_element("id", "canvas")
+    tip = on_screen(chromium, at + np.array((0, 0, 0.45 * size)))
+    away = on_screen(chromium, at + np.array((0, 0, 0.45 * size + 0.6)))
+    drag = ActionChains(chromium, duration=100).move_to_element_with_offset(canvas, *tip).click_and_hold()
+    for share in (0.25, 0.5, 0.75, 1):
+        to = [round(a + share * (b - a)) for a, b in zip(tip, away, strict=True)]
+        drag = drag.move_to_element_with_offset(canvas, *to)
+    drag.release().perform()
+    settled(chromium)
+    poses = np.array(chromium.execute_script("return lidarcfg.handles.poses"))
+    assert poses[0, 2] > at[2] + 0.1
+    rig = moved(stage.rigs[0], poses)
+    assert rig.mounts[0].rpy_rad == stage.rigs[0].mounts[0].rpy_rad
+    found = evaluate(stage.study, rig)
+    assert shown_vsr(chromium) == found.max_vsr_m != started
+    shown = chromium.find_element("id", "vsr").text
+    assert shown == f"max VSR {found.max_vsr_m:.6f} m"
+    assert different(picture(chromium), before) > 300
+    click(chromium, "#reset")
+    assert shown_vsr(chromium) == started
+    assert complaints(chromium) == []
+
+
+@in_browser
+def test_poses_can_be_typed_and_the_rig_saved(chromium, served, stage):
+    opened(chromium, served)
+    put(chromium, "#mount", 1, "change")
+    put(chromium, "#pose-y", -0.8)
+    put(chromium, "#pose-roll", 20)
+    x, _, z = stage.rigs[0].mounts[1].position_m
+    _, pitch, yaw = stage.rigs[0].mounts[1].rpy_rad
+    poses = np.array([(*m.position_m, *m.rpy_rad) for m in stage.rigs[0].mounts])
+    poses[1] = (x, -0.8, z, 20 * np.pi / 180, pitch, yaw)
+    rig = moved(stage.rigs[0], poses)
+    assert shown_vsr(chromium) == evaluate(stage.study, rig).max_vsr_m
+    click(chromium, "#save")
+    path, end = chromium.downloads / "rig.yaml", time.monotonic() + 30
+    while not path.exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert load_rig(path) == rig
+
+
+@in_browser
+def test_turning_a_handle_keeps_the_way_the_angles_are_said(chromium, served, stage):
+    """The page's angles make the same matrix as geometry.py's, also near where they could be said in two ways."""
+    opened(chromium, served)
+    code = (
+        "const m = lidarcfg.handles.mounts[0]; const before = m.pose; m.pose = arguments[0]; "
+        "const e = m.object.matrix.compose(m.object.position, m.object.quaternion, m.object.scale).elements;"
+        "m.takeMove(true); const after = m.pose; m.pose = before; return [e, after]"
+    )
+    for rpy in ((0.3, -0.4, 2.0), (3.0, 2.5, 0.0), (-4.0, 0.2, 7.0)):
+        pose = [1.0, 2.0, 3.0, *rpy]
+        elements, after = chromium.execute_script(code, pose)
+        (mount, *_) = moved(stage.rigs[0], np.array([pose, pose])).mounts
+        assert np.array(elements).reshape(4, 4).T == pytest.approx(mount.T_vehicle_sensor, abs=1e-12)
+        assert after == pytest.approx(pose, abs=1e-9)
+
+
+@in_browser
+def test_measuring_between_two_points(chromium, served, stage):
+    from selenium.webdriver import ActionChains
+
+    opened(chromium, served)
+    click(chromium, "#bodies")
+    click(chromium, "#measure")
+    canvas = chromium.find_element("id", "canvas")
+    for place in ((-6.0, 8.0, 1.0), (4.0, 8.0, 2.0)):
+        ActionChains(chromium, duration=50).move_to_element_with_offset(
+            canvas, *on_screen(chromium, place)
+        ).click().perform()
+    ends = np.array(chromium.execute_script("return lidarcfg.measure.ends.map((end) => end.toArray())"))
+    for end, place in zip(ends, ((-6.0, 8.0, 1.0), (4.0, 8.0, 2.0)), strict=True):
+        assert np.linalg.norm(stage.cloud.xyz - end, axis=1).min() < 1e-5
+        assert np.linalg.norm(end - place) < 0.5
+    told = chromium.find_element("id", "told").text
+    dx, dy, dz = ends[1] - ends[0]
+    assert told.startswith(f"{np.linalg.norm(ends[1] - ends[0]):.3f} m: dx {dx:.3f} m, dy {dy:.3f} m, dz {dz:.3f} m")
+
+
+@in_browser
+def test_a_cloud_far_away_is_not_blurred(chromium, tmp_path):
+    """At coordinates as of UTM a point that is clicked is within a tenth of a millimetre of where it is."""
+    rng = np.random.default_rng(2)
+    xyz = np.array([4.5e5, 5.4e6, 300.0]) + rng.uniform(-5, 5, (200, 3))
+    zeros = np.zeros(200, np.uint8)
+    cloud = PointCloud(xyz, zeros, zeros, np.zeros(200, np.int64), zeros.astype(np.uint16), ("a",), zeros)
+    save_html(page_of(Stage(cloud, None, (), None, (), np.eye(4))), tmp_path / "far.html")
+    opened(chromium, (tmp_path / "far.html").as_uri())
+    assert (abs(picture(chromium) - NIGHT).max(axis=-1) > 24).sum() > 200
+    assert complaints(chromium) == []
+    places = np.array(
+        chromium.execute_script("return [...Array(200).keys()].map((i) => lidarcfg.cloud.place(i).toArray())")
+    )
+    off = np.linalg.norm(places[:, None] - xyz[None], axis=2).min(axis=1)
+    assert off.max() < 1e-4
+    x, y = next((x, y) for x, y in (on_screen(chromium, place) for place in places) if abs(x) < 300 and abs(y) < 200)
+    half = "const { size } = lidarcfg.stage; return lidarcfg.cloud.pick(arguments[0] + size.x / 2, arguments[1] + size.y / 2)"
+    found = chromium.execute_script(half, x, y)
+    assert np.linalg.norm(np.array(on_screen(chromium, places[found])) - (x, y)) < 8
+
+
+def asked(url, method, path, body=None, **headers):
+    host = url.removeprefix("http://").rstrip("/")
+    connection = http.client.HTTPConnection(host, timeout=20)
+    connection.request(method, path, body, headers)
+    answer = connection.getresponse()
+    text = answer.read()
+    connection.close()
+    return answer.status, text
+
+
+def test_the_server_answers_what_evaluate_does(served, stage):
+    poses = np.array([(*m.position_m, *m.rpy_rad) for m in stage.rigs[0].mounts]) + 0.01
+    status, text = asked(served, "POST", "/evaluate", json.dumps({"poses": poses.tolist(), "worst": 2}))
+    found, said = evaluate(stage.study, moved(stage.rigs[0], poses)), json.loads(text)
+    assert (status, said["max_vsr_m"], said["subspaces"]) == (200, found.max_vsr_m, len(found.subspaces))
+    assert [body["vsr_m"] for body in said["worst"]] == [worst.vsr_m for worst in found.worst[:2]]
+    mesh = said["worst"][0]["mesh"]
+    corners = np.frombuffer(base64.b64decode(mesh["vertices"]), "<f4").reshape(-1, 3) + mesh["origin_m"]
+    assert corners.min(axis=0) == pytest.approx(found.worst[0].min_m, abs=1e-5)
+    assert corners.max(axis=0) == pytest.approx(found.worst[0].max_m, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "headers", "status", "what"),
+    [
+        ("GET", "/", None, {"Host": "evil.example"}, 403, "127.0.0.1 and localhost alone"),
+        ("GET", "/about.json", None, {"Host": "evil.example:80"}, 403, "alone"),
+        ("POST", "/evaluate", "{}", {"Origin": "https://evil.example"}, 403, "alone"),
+        ("GET", "/../pyproject.toml", None, {}, 404, "no such thing"),
+        ("GET", "/page/../../pyproject.toml", None, {}, 404, "no such thing"),
+        ("GET", "/array/none", None, {}, 404, "no such thing"),
+        ("POST", "/evaluate", "no", {}, 400, "not JSON"),
+        ("POST", "/evaluate", "[]", {}, 400, "not a map"),
+        ("POST", "/evaluate", "{}", {}, 400, "poses: allowed are 2 of x, y, z, roll, pitch, yaw"),
+        ("POST", "/evaluate", '{"poses": [[0, 0, 0, 0, 0, NaN], [0, 0, 0, 0, 0, 0]]}', {}, 400, "poses: allowed"),
+        ("POST", "/evaluate", '{"poses": [[0, 0, 0, 0, 0, "a"], [0]]}', {}, 400, "poses: allowed"),
+        ("POST", "/evaluate", '{"poses": [[0,0,1,0,0,0],[0,0,2,0,0,0]], "worst": 99}', {}, 400, "worst: allowed is 0 to 10"),
+        ("POST", "/evaluate", "{}", {"Content-Length": "9" * 30}, 400, "Content-Length"),
+        ("POST", "/none", '{"poses": [[0,0,1,0,0,0],[0,0,2,0,0,0]]}', {}, 404, "no such thing"),
+    ],
+)  # fmt: skip
+def test_the_server_refuses(served, method, path, body, headers, status, what):
+    found, text = asked(served, method, path, body, **headers)
+    assert (found, what in text.decode()) == (status, True), text
+    assert text.count(b"\n") == 1
+
+
+def test_a_moved_rig_is_told_what_it_breaks(served, stage):
+    assert json.loads(asked(served, "GET", "/about.json")[1])["judged"]["broken"] == []  # another rig than the study's
+    study = stage.study
+    rig = study.rig(study.poses(np.full((1, int(study.free.sum())), 0.5))[0])
+    from lidarcfg.view.bodies import broken
+
+    assert broken(study, rig) == []
+    poses = np.array([(*m.position_m, *m.rpy_rad) for m in rig.mounts])
+    poses[0, 2], poses[2, 3] = 2.5, np.radians(-30)
+    poses[1, 3:] += (np.pi, np.pi - 2 * poses[1, 4], np.pi)  # the same angles, said the other way
+    assert broken(study, moved(rig, poses)) == [
+        "roof_0: z 2.500 m is outside 1.65 to 1.9 m",
+        "front_bumper: roll -30.00° is outside -10 to 10°",
+    ]
+
+
+@in_browser
+def test_fewer_points_while_moving_are_a_fair_sample(chromium, served, stage):
+    """A tenth of them: of each sensor, each half of the time and each half of the place a tenth, within six sigma."""
+    opened(chromium, served)
+    count = len(stage.cloud.xyz)
+    code = (
+        "return lidarcfg.cloud.ranges(arguments[0]).flatMap(([a, b]) => Array.from({ length: b - a }, (_, i) => a + i))"
+    )
+    drawn = np.array(chromium.execute_script(code, count // 10))
+    assert len(set(drawn.tolist())) == len(drawn)
+    assert count / 10 <= len(drawn) <= count / 10 + 256
+    arrays = page_of(stage).arrays
+    for part in (arrays["fact"][:, 2] == 1, arrays["time"] < 150_000, arrays["position"][:, 0] < 0):
+        expected = len(drawn) * part.mean()
+        assert abs(part[drawn].sum() - expected) < 6 * np.sqrt(expected)
+    assert len(chromium.execute_script(code, 10 * count)) == count
+
+
+@in_browser
+def test_the_keyboard(chromium, served):
+    opened(chromium, served)
+    body = chromium.find_element("tag name", "body")
+    body.send_keys("4")
+    assert (
+        chromium.execute_script("return [lidarcfg.cloud.mode, document.getElementById('colour').value]")
+        == ["height"] * 2
+    )
+    from selenium.webdriver import Keys
+
+    body.send_keys(Keys.ARROW_RIGHT)
+    assert chromium.execute_script("return [lidarcfg.time.at, lidarcfg.time.whole]") == [1, False]
+    body.send_keys(" ")
+    assert chromium.execute_script("return lidarcfg.time.playing")
+    body.send_keys(" m")
+    assert chromium.execute_script("return [lidarcfg.time.playing, lidarcfg.measure.on]") == [False, True]
+    body.send_keys(Keys.ESCAPE)
+    assert not chromium.execute_script("return lidarcfg.measure.on")
+
+
+def test_nothing_is_lost_in_a_standalone_file(stage, tmp_path):
+    """Its arrays, taken out of the HTML again, hold each point with its facts once."""
+    save_html(page_of(stage), tmp_path / "p.html")
+    pieces = re.findall(
+        r'<script data-array="(\w+)" type="text/plain">([^<]*)</script>', (tmp_path / "p.html").read_text()
+    )
+    raw = {name: b"".join(base64.b64decode(text) for key, text in pieces if key == name) for name, _ in pieces}
+    about = page_of(stage).about["points"]
+    seen = stage.cloud
+    found = np.column_stack(
+        [
+            np.frombuffer(raw["position"], "<f4").reshape(-1, 3) + np.array(about["origin_m"]),
+            np.frombuffer(raw["time"], "<u4"),
+            np.frombuffer(raw["fact"], "u1").reshape(-1, 4)[:, :3],
+        ]
+    )
+    since_us = (seen.time_ns - seen.time_ns.min()) // 1000
+    given = np.column_stack([seen.xyz, since_us, seen.intensity, seen.ring, seen.sensor])
+    order, other = (np.lexsort(rows[:, 3:].T) for rows in (found, given))
+    np.testing.assert_allclose(found[order], given[other], atol=1e-6)
+
+
+def test_the_command_serves_until_ctrl_c():
+    words = [sys.executable, "-m", "lidarcfg", "view", str(ROOF), "--port", "0"]
+    heeding = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **heeding) as running:
+        told = running.stdout.readline()
+        url = told.split()[0]
+        assert told == f"{url} shows 0 points; Ctrl-C ends it\n"
+        assert asked(url, "GET", "/about.json")[0] == 200
+        running.send_signal(signal.SIGINT)
+        assert running.wait(30) == 130
+        assert running.stderr.read().strip() == "interrupted"
+
+
+def test_a_port_that_is_taken(served, stage):
+    port = int(served.rstrip("/").rpartition(":")[2])
+    with pytest.raises(ConfigError, match=f"port {port}: address already in use"):
+        Server(stage, page_of(stage), port)
+
+
+def test_what_is_vendored_is_what_was_made():
+    assert hashlib.sha256((ASSETS / "vendor/three.js").read_bytes()).hexdigest() == THREE
+    assert "MIT License" in (ASSETS / "vendor/LICENSE-three").read_text()
+    made = (ROOT / "tools/bundle_three").read_text().split("three=")[1].split()[0]
+    assert f"three.js {made}," in (ASSETS / "vendor/three.js").read_text("utf-8").splitlines()[0]
+    assert sorted(MODULES.values()) == sorted(str(path.relative_to(ASSETS)) for path in ASSETS.rglob("*.js"))
+
+
+def test_no_text_of_the_users_ends_a_script(tmp_path, stage):
+    from dataclasses import replace
+
+    name = "</script><script>document.title = 'hit'</script>"
+    hostile = replace(stage, cloud=replace(stage.cloud, sensor_names=(name, "b")), rigs=(), study=None)
+    save_html(page_of(hostile), tmp_path / "p.html")
+    text = (tmp_path / "p.html").read_text()
+    assert name not in text
+    about = text.split('<script id="about" type="application/json">')[1].split("</script>")[0]
+    assert json.loads(about)["sensors"][0]["name"] == name
