@@ -1,31 +1,49 @@
-"""numba as it is started here: without scipy.linalg, which others' kernels can use all the same."""
+"""Where compiled loops are kept."""
 
 import subprocess
 import sys
+from pathlib import Path
+
+import lidarcfg
 
 CODE = """
-import sys
-import numpy as np
+import os, sys
+if sys.argv[1] == "unwritable":
+    os.access = lambda path, mode: False
 from lidarcfg.jit import njit
-from numba.np.linalg import ensure_blas
+import numba
 
-@njit
+@njit(cache=True)
 def doubled(x):
-    return x * 2
+    return 2 * x
 
-@njit
-def product(a, b):
-    return np.dot(a, b)
-
-assert doubled(np.ones(3)).tolist() == [2, 2, 2]
-assert "scipy.linalg" not in sys.modules
-assert ensure_blas.__module__ == "numba.np.linalg" and ensure_blas.__name__ == "ensure_blas"
-assert product(np.eye(3) * 2, np.arange(9.0).reshape(3, 3)).tolist() == [[0, 2, 4], [6, 8, 10], [12, 14, 16]]
-print("scipy.linalg" in sys.modules)
+assert doubled(4) == 8
+print(numba.config.CACHE_DIR)
+for folder, _, files in os.walk(numba.config.CACHE_DIR or os.path.dirname(__file__)):
+    print(*[name for name in files if name.startswith("loops.doubled")])
 """
 
 
-def test_scipy_is_loaded_when_matrices_are_multiplied():
-    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=False)
+def run(folder, kind, monkeypatch):
+    script = folder / "loops.py"
+    script.write_text(CODE)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(Path(lidarcfg.__file__).parents[1]))
+    done = subprocess.run([sys.executable, script, kind], capture_output=True, text=True, check=True)
     assert done.stderr == ""
-    assert done.stdout == "True\n"
+    return done.stdout.splitlines()
+
+
+def test_loops_are_kept_beside_their_module(tmp_path, monkeypatch):
+    kept, *files = run(tmp_path, "writable", monkeypatch)
+    assert kept == ""
+    assert any("loops.doubled" in line for line in files)
+
+
+def test_where_nothing_can_be_written_they_are_kept_for_the_run(tmp_path, monkeypatch):
+    """In a folder that is gone when the process ends."""
+    kept, *files = run(tmp_path, "unwritable", monkeypatch)
+    assert "lidarcfg-" in kept
+    assert any("loops.doubled" in line for line in files)
+    assert not Path(kept).exists()
+    assert not (tmp_path / "__pycache__").exists()
