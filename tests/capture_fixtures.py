@@ -104,9 +104,9 @@ def write_datagrams(path, datagrams) -> int:
 
 def datagrams_of(path) -> list[Datagram]:
     """Those of a capture."""
-    return list(read_datagrams(path, no_note))
+    return list(read_datagrams(path, no_warning))
 
 
-def no_note(note: str) -> None:
-    """For captures that must read without a note."""
-    raise AssertionError(note)
+def no_warning(warning: str) -> None:
+    """For captures that must read without a warning."""
+    raise AssertionError(warning)

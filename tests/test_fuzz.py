@@ -15,7 +15,7 @@ from lidarcfg.capture.pcap import Datagram
 from lidarcfg.capture.stream import Source
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.velodyne.layout import PACKET
-from tests.capture_fixtures import AT_NS, no_note, write_datagrams
+from tests.capture_fixtures import AT_NS, no_warning, write_datagrams
 
 TOOL = Path(__file__).parents[1] / "tools" / "fuzz.py"
 
@@ -43,7 +43,7 @@ def test_a_refused_capture_leaves_no_packets_behind(tmp_path):
     gc.collect()
     gc.disable()
     try:
-        clouds = decode_pcap(tmp_path / "a.pcap", no_note)
+        clouds = decode_pcap(tmp_path / "a.pcap", no_warning)
         try:
             pytest.fail(f"decoded: {list(clouds)}")
         except PacketError:

@@ -40,7 +40,7 @@ from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
 from tests import oracle
-from tests.capture_fixtures import datagrams_of, mount, no_note, scene
+from tests.capture_fixtures import datagrams_of, mount, no_warning, scene
 from tests.placement.solvers.test_solvers import SOLVERS
 from tests.placement.test_runs import check
 from tests.world.test_scene import PLY
@@ -573,7 +573,7 @@ def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
     assert error[:-32].max() <= 0.005
     assert error.max() <= 0.014
 
-    cloud = concatenate(list(decode_pcap(tmp_path / "far.pcap", no_note, rig=rig)))
+    cloud = concatenate(list(decode_pcap(tmp_path / "far.pcap", no_warning, rig=rig)))
     there = transform(inverse(sensor_mount.T_vehicle_sensor), cloud.xyz)
     slack = 4 * np.spacing(np.abs(position).max())
     np.testing.assert_allclose(there, returns.xyz_m, atol=1e-9 + slack)

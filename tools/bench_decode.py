@@ -114,12 +114,12 @@ def timed(function, *arguments) -> tuple[int, float, float]:
 LONG = """
 import resource, sys, time
 began = time.perf_counter()
-from lidarcfg.capture.selection import Choice
+from lidarcfg.capture.selection import Selection
 from lidarcfg.capture.decode import decode_pcap
 loaded_s = time.perf_counter() - began
 began, count = time.perf_counter(), 0
-choice = Choice(float(sys.argv[2]), float(sys.argv[3]))
-for cloud in decode_pcap(sys.argv[1], print, choice=choice):
+selection = Selection(float(sys.argv[2]), float(sys.argv[3]))
+for cloud in decode_pcap(sys.argv[1], print, selection=selection):
     count += len(cloud.xyz)
 peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
 print(loaded_s, time.perf_counter() - began, count, peak_mb)

@@ -51,7 +51,7 @@ with (
 ):
     from lidarcfg.capture import decode as decoder
     from lidarcfg.capture.pcap import ETHERNET_HEADER, IP, PCAP_MAGIC, RECORD, UDP, read_batches
-    from lidarcfg.capture.selection import Choice
+    from lidarcfg.capture.selection import Selection
     from lidarcfg.packets.firing import firings
     from lidarcfg.packets.velodyne.layout import PACKET, encode
 from lidarcfg.cloud import concatenate  # noqa: E402
@@ -117,7 +117,7 @@ def seed_packets(number: int) -> NDArray[Any]:
     """400 packets of a model and mode, or of a recording."""
     recorded = sorted(Path(os.environ.get("LIDARCFG_CAPTURES", "/none")).glob("*.pcap"))
     for path in recorded[number - SYNTHETIC :][:1] if number >= SYNTHETIC else []:
-        batches = [batch[batch.size == PACKET.itemsize] for batch in read_batches(path, lambda note: None)]
+        batches = [batch[batch.size == PACKET.itemsize] for batch in read_batches(path, lambda warning: None)]
         packets = np.concatenate([batch.payloads(PACKET) for batch in batches])
         if len(packets):
             return packets[:400]
@@ -240,16 +240,16 @@ def run(data: bytes, folder: Path) -> tuple[int, int, str]:
     points, why, clouds = 0, "", []
     try:
         low_s = case.below(1000) / 500
-        choice = Choice(low_s, low_s + (1 + case.below(1000)) / 500) if case.seldom(4) else Choice()
+        selection = Selection(low_s, low_s + (1 + case.below(1000)) / 500) if case.seldom(4) else Selection()
         clouds = list(
             decoder.decode_pcap(
                 path,
-                lambda note: None,
+                lambda warning: None,
                 rig(model) if case.seldom(4) else None,
                 model if case.seldom(3) else None,
                 (1024, 1024, 64, 7)[case.below(4)],
                 lambda stats: None,
-                choice,
+                selection,
             )
         )
     except LidarcfgError as error:

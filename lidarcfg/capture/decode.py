@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.capture.pcap import Datagrams, read_batches
-from lidarcfg.capture.selection import ALL, ALWAYS_NS, Choice, around, window_ns
+from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window_ns
 from lidarcfg.capture.stream import Source, SourceStats
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
@@ -32,21 +32,21 @@ Job = Callable[[], PointCloud]
 
 def decode_pcap(
     path: str | Path,
-    on_note: Callable[[str], None],
+    on_warning: Callable[[str], None],
     rig: "Rig | None" = None,
     model: str | None = None,
     chunk_packets: int = CHUNK_PACKETS,
     on_stats: Callable[[SourceStats], None] | None = None,
-    choice: Choice = ALL,
+    selection: Selection = ALL,
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig they are in the vehicle frame and the sensors are its mounts; without, each source (called
     host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
-    what the product id byte says. `on_note` is told of a file that is cut off, `on_stats` at the end of each
+    what the product id byte says. `on_warning` is told of a file that is cut off, `on_stats` at the end of each
     source. What is chosen comes as it does in the whole capture. Raises PacketError and ConfigError.
     """
-    capture = _Capture(path, on_note, rig, load_sensor(model) if model else None, choice)
+    capture = _Capture(path, on_warning, rig, load_sensor(model) if model else None, selection)
     yield from _ahead(capture.jobs(chunk_packets))
     if on_stats:
         for source in capture.sources:
@@ -74,19 +74,25 @@ class _Capture:
     def __init__(
         self,
         path: str | Path,
-        on_note: Callable[[str], None],
+        on_warning: Callable[[str], None],
         rig: "Rig | None",
         override: Sensor | None,
-        choice: Choice,
+        selection: Selection,
     ) -> None:
-        self._path, self._on_note, self._rig, self._override, self._choice = path, on_note, rig, override, choice
+        self._path, self._on_warning, self._rig, self._override, self._selection = (
+            path,
+            on_warning,
+            rig,
+            override,
+            selection,
+        )
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
         self._known = cache(lambda: [load_sensor(name) for name in catalogue()])
-        self._window_ns = window_ns(path, choice)
+        self._window_ns = window_ns(path, selection)
         self._others: Counter[int] = Counter()  # sizes of other datagrams
         self._endpoints: dict[Endpoint, Source | None] = {}  # none: passed over
         if rig:
-            for name in choice.sensors:
+            for name in selection.sensors:
                 if not any(name in (mount.name, f"{mount.host}:{mount.data_port}") for mount in rig.mounts):
                     has = ", ".join(self._names)
                     raise ConfigError(f"no sensor of the rig {rig.name!r} is called {name!r}; allowed: {has}")
@@ -100,7 +106,7 @@ class _Capture:
         """What is to be done of each so many packets. What goes wrong before one comes in its turn, as the last."""
         try:
             waiting = 0
-            for batch in around(self._path, self._on_note, self._window_ns):
+            for batch in around(self._path, self._on_warning, self._window_ns):
                 left = self._data(batch)
                 while len(left.size):
                     some, left = left[: chunk_packets - waiting], left[chunk_packets - waiting :]
@@ -141,11 +147,11 @@ class _Capture:
         """A source that appears: with a rig the mount with its address and port; none if it is not wanted."""
         name, mounts = _name(endpoint), self._rig.mounts if self._rig else ()
         index = next((i for i, m in enumerate(mounts) if (m.host, m.data_port) == endpoint), None)
-        if self._rig and index is None and not self._choice.sensors:
+        if self._rig and index is None and not self._selection.sensors:
             has = ", ".join(f"{mount.host}:{mount.data_port}" for mount in mounts)
             raise PacketError(f"{self._path}: {name} is not in the rig {self._rig.name!r}; it has {has}")
         mount = None if index is None else mounts[index]
-        if not self._choice.takes(name, mount.name if mount else name):
+        if not self._selection.takes(name, mount.name if mount else name):
             return None
         if index is None:
             index = len(self._names)
@@ -160,13 +166,13 @@ class _Capture:
             self._known,
             self._window_ns,
             partial(_carried, self._path, endpoint),
-            self._on_note,
+            self._on_warning,
         )
 
     def _check_found(self) -> None:
         """Raises PacketError if there is nothing, or nothing of what was chosen."""
         met = {name for key, source in self._endpoints.items() if source for name in (source.name, _name(key))}
-        missing = [name for name in self._choice.sensors if name not in met]
+        missing = [name for name in self._selection.sensors if name not in met]
         if self._endpoints and missing:
             there = ", ".join(map(_name, self._endpoints))
             raise PacketError(f"{self._path}: no data packets of {missing[0]!r}; there are those of {there}")
@@ -199,7 +205,7 @@ def _carried(path: str | Path, endpoint: Endpoint, status: Status) -> tuple[Beam
     """The beams and mode of single returns that status bytes carry, in the packets of one source."""
     host, port = int.from_bytes(socket.inet_aton(endpoint[0])), endpoint[1]
     found, count = [], 0
-    for batch in read_batches(path, lambda note: None):
+    for batch in read_batches(path, lambda warning: None):
         mine = (batch.host == host) & (batch.port == port) & (batch.size == PACKET.itemsize)
         found.append(batch[mine].payloads(PACKET)[: CARRIED_PACKETS - count])
         count += len(found[-1])

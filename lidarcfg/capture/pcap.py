@@ -180,21 +180,23 @@ class _Piece:
     data: NDArray[np.uint8]
 
 
-def read_datagrams(path: str | Path, on_note: Callable[[str], None]) -> Iterator[Datagram]:
+def read_datagrams(path: str | Path, on_warning: Callable[[str], None]) -> Iterator[Datagram]:
     """The same as `read_batches`, one by one."""
-    for batch in read_batches(path, on_note):
+    for batch in read_batches(path, on_warning):
         hosts = [socket.inet_ntoa(host.to_bytes(4)) for host in batch.host.tolist()]
         columns = (batch.time_ns, batch.source_port, batch.port, batch.start, batch.start + batch.size)
         for host, time_ns, source_port, port, start, stop in zip(hosts, *(c.tolist() for c in columns), strict=True):
             yield Datagram(time_ns, host, source_port, port, batch.data[start:stop].tobytes())
 
 
-def read_batches(path: str | Path, on_note: Callable[[str], None], from_ns: int | None = None) -> Iterator[Datagrams]:
+def read_batches(
+    path: str | Path, on_warning: Callable[[str], None], from_ns: int | None = None
+) -> Iterator[Datagrams]:
     """The UDP datagrams of a pcap (µs or ns, either byte order) or pcapng, in pieces of the file.
 
     With `from_ns`, a classic pcap is read from about that host time on: it is searched, which takes records in order
     of time. What is not UDP over IPv4, and fragments, are passed over. Where the file is cut off in mid-record, the
-    records before it are read and `on_note` is told. Raises PacketError.
+    records before it are read and `on_warning` is told. Raises PacketError.
     """
     try:
         with BufferedReader(FileIO(path), BUFFER) as file:
@@ -203,16 +205,16 @@ def read_batches(path: str | Path, on_note: Callable[[str], None], from_ns: int 
                 raise PacketError(f"{path}: the file is empty")
             file.seek(0)
             if magic in PCAP_MAGIC:
-                pieces = _pcap_pieces(file, str(path), on_note, from_ns)
+                pieces = _pcap_pieces(file, str(path), on_warning, from_ns)
             else:
-                pieces = _other_pieces(file, str(path), on_note)
+                pieces = _other_pieces(file, str(path), on_warning)
             yield from map(_datagrams, pieces)
     except OSError as error:
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
 def _pcap_pieces(
-    file: "BufferedReader[FileIO]", name: str, on_note: Callable[[str], None], from_ns: int | None
+    file: "BufferedReader[FileIO]", name: str, on_warning: Callable[[str], None], from_ns: int | None
 ) -> Iterator[_Piece]:
     """The frames of a classic pcap."""
     header = file.read(HEADER)
@@ -237,7 +239,7 @@ def _pcap_pieces(
         _check_size(size, name)
         count, left = count + len(start), data[at:]
     if len(left):
-        on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")
+        on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
 
 
 def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np.int64], int, int]:
@@ -334,7 +336,7 @@ class _File:
         return data
 
 
-def _other_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None]) -> Iterator[_Piece]:
+def _other_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[_Piece]:
     """The frames of what dpkt knows besides, which is pcapng above all."""
     import dpkt
 
@@ -345,7 +347,7 @@ def _other_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None]) ->
     except (*damage, PacketError):
         raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng") from None
     link = _checked_link(reader.datalink(), name)
-    records = _whole_records(reader, damage, watched, name, on_note)
+    records = _whole_records(reader, damage, watched, name, on_warning)
     while some := list(itertools.islice(records, RECORDS)):
         sizes = np.array([len(frame) for _, frame in some], np.int64)
         times_ns = np.array([time_ns for time_ns, _ in some], np.int64)
@@ -354,7 +356,7 @@ def _other_pieces(file: IO[bytes], name: str, on_note: Callable[[str], None]) ->
 
 
 def _whole_records(
-    reader: Any, damage: tuple[type[Exception], ...], watched: _File, name: str, on_note: Callable[[str], None]
+    reader: Any, damage: tuple[type[Exception], ...], watched: _File, name: str, on_warning: Callable[[str], None]
 ) -> Iterator[tuple[int, bytes]]:
     """Time and frame of each record up to the first that is not whole."""
     records = iter(reader)
@@ -367,7 +369,7 @@ def _whole_records(
         except damage:
             whole = False
         if not whole:
-            on_note(f"{name}: cut off or damaged after {count} records; what is whole was read")
+            on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
             return
         yield _nanoseconds(time_s), frame
 

@@ -23,7 +23,7 @@ LONGEST_NS = 10**9  # a head that stands still makes no turns
 
 
 def turns(
-    path: Path, on_note: Callable[[str], None], rig: Rig | None = None, model: str | None = None
+    path: Path, on_warning: Callable[[str], None], rig: Rig | None = None, model: str | None = None
 ) -> Iterator[PointCloud]:
     """The points of each sensor's turns in the sensor's own frame, as they end; memory does not grow with the length.
 
@@ -40,7 +40,7 @@ def turns(
         endpoints = {f"{host}:{port}": (host, port) for host, port in starts}
     begun: dict[str, list[PointCloud]] = {}
     numbers: dict[str, int] = {}
-    for cloud in decode_pcap(path, on_note, rig, model):
+    for cloud in decode_pcap(path, on_warning, rig, model):
         for i in np.unique(cloud.sensor).tolist():
             name = cloud.sensor_names[i]
             mine = _rows(cloud, cloud.sensor == i, name)
@@ -65,7 +65,7 @@ def turn_starts(path: Path) -> dict[Endpoint, Times]:
     """When each source's turns begin: device times, ascending."""
     waiting: dict[Endpoint, list[Datagram]] = defaultdict(list)
     sources: dict[Endpoint, _Head] = defaultdict(_Head)
-    for datagram in read_datagrams(path, lambda note: None):
+    for datagram in read_datagrams(path, lambda warning: None):
         if len(datagram.payload) == PACKET.itemsize:
             endpoint = datagram.host, datagram.port
             waiting[endpoint].append(datagram)

@@ -15,7 +15,7 @@ WINDOW_MAX_S = 10**9  # a pcap's seconds end before
 
 
 @dataclass(frozen=True)
-class Choice:
+class Selection:
     """Seconds of host time after the capture's first datagram, and sensors; without names, all of them.
 
     A sensor is called by its mount's name or by host:port.
@@ -35,27 +35,27 @@ class Choice:
         return not self.sensors or not set(names).isdisjoint(self.sensors)
 
 
-ALL = Choice()
+ALL = Selection()
 
 
-def window_ns(path: str | Path, choice: Choice) -> tuple[int, int]:
+def window_ns(path: str | Path, selection: Selection) -> tuple[int, int]:
     """Host times: where the window begins, and what it ends before. Raises PacketError."""
-    if (choice.from_s, choice.to_s) == (ALL.from_s, ALL.to_s):
+    if (selection.from_s, selection.to_s) == (ALL.from_s, ALL.to_s):
         return ALWAYS_NS
-    batches = read_batches(path, lambda note: None)
+    batches = read_batches(path, lambda warning: None)
     first_ns = next((int(batch.time_ns[0]) for batch in batches if len(batch.time_ns)), 0)
-    begin, end = (first_ns + round(min(s, WINDOW_MAX_S) * SECOND_NS) for s in (choice.from_s, choice.to_s))
+    begin, end = (first_ns + round(min(s, WINDOW_MAX_S) * SECOND_NS) for s in (selection.from_s, selection.to_s))
     return begin, end
 
 
-def around(path: str | Path, on_note: Callable[[str], None], window: tuple[int, int]) -> Iterator[Datagrams]:
+def around(path: str | Path, on_warning: Callable[[str], None], window: tuple[int, int]) -> Iterator[Datagrams]:
     """The datagrams of a window of host times, and of MARGIN_NS before and after it. Raises PacketError."""
     if window == ALWAYS_NS:
-        yield from read_batches(path, on_note)
+        yield from read_batches(path, on_warning)
         return
     low_ns, high_ns = window[0] - MARGIN_NS, window[1] + MARGIN_NS
     latest_ns = 0
-    for batch in read_batches(path, on_note, low_ns):
+    for batch in read_batches(path, on_warning, low_ns):
         if len(batch.time_ns):
             latest_ns = max(latest_ns, int(batch.time_ns.max()))
             if batch.time_ns.min() > high_ns:

@@ -70,11 +70,11 @@ class Source:
         known: Callable[[], Sequence[Sensor]],
         window_ns: tuple[int, int],
         carried: Callable[[Status], tuple[Beams, str] | None],
-        on_note: Callable[[str], None],
+        on_warning: Callable[[str], None],
     ) -> None:
         self._where, self.name, self._index = where, name, index
         self._given, self._T_cloud_sensor = sensor, T_cloud_sensor
-        self._trusted, self._carried, self._on_note = trusted, carried, on_note
+        self._trusted, self._carried, self._on_warning = trusted, carried, on_warning
         self._known, self._window_ns = known, window_ns
         self._sensor: Sensor | None = None  # not known until enough packets have come
         self._last_only = False  # what status bytes say of single returns
@@ -151,7 +151,9 @@ class Source:
         except PacketError as error:
             raise PacketError(f"{self._where}: {error}") from None
         if found is None:
-            self._on_note(f"{self._where}: no whole calibration in its packets; {sensor.name}'s example unit is taken")
+            self._on_warning(
+                f"{self._where}: no whole calibration in its packets; {sensor.name}'s example unit is taken"
+            )
             return sensor
         beams, mode = found
         self._last_only = mode == "last"

@@ -12,11 +12,11 @@ from lidarcfg.commands.options import (
     Seconds,
     from_option,
     nanoseconds,
-    note,
     progress,
     quiet_option,
     sensor_option,
     to_option,
+    warn,
     way,
 )
 from lidarcfg.units import SECOND_NS
@@ -160,7 +160,7 @@ def decode(
     from dataclasses import replace
 
     from lidarcfg.capture.decode import decode_pcap
-    from lidarcfg.capture.selection import Choice
+    from lidarcfg.capture.selection import Selection
     from lidarcfg.cloud import save_clouds
     from lidarcfg.rig import load_rig
     from lidarcfg.simulate.export import START_NS
@@ -170,8 +170,8 @@ def decode(
     if (at or start) and not trajectory:
         raise click.UsageError("--at and --start say where and when a --trajectory starts")
     seen: list[SourceStats] = []
-    on_stats, choice = seen.append if stats else None, Choice(from_s, to_s, sensors)
-    clouds = decode_pcap(pcap, note, load_rig(rig) if rig else None, model, on_stats=on_stats, choice=choice)
+    on_stats, selection = seen.append if stats else None, Selection(from_s, to_s, sensors)
+    clouds = decode_pcap(pcap, warn, load_rig(rig) if rig else None, model, on_stats=on_stats, selection=selection)
     if trajectory:
         moved = way(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
         clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
@@ -204,7 +204,7 @@ def replay(pcap: Path, target: str, speed: float, quiet: bool) -> None:
     host, _, port = target.partition(":")
     if ":" in target and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
         raise click.BadParameter(f"{port!r} is not a port, 1 to 65535", param_hint="--to")
-    sent = send(read_datagrams(pcap, note), host, int(port) if port else None, speed)
+    sent = send(read_datagrams(pcap, warn), host, int(port) if port else None, speed)
     if not quiet:
         late = f"the latest {sent.latest_s * 1000:.1f} ms after its time"
         click.echo(f"{sent.packets:,} datagrams to {target} in {sent.seconds:.2f} s, {late}")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from lidarcfg.commands.options import FILE, MODEL, note, quiet_option
+from lidarcfg.commands.options import FILE, MODEL, quiet_option, warn
 
 
 @click.command()
@@ -46,9 +46,9 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
     form = formats.chosen(source, output, name)
     if form.kind != "capture" and (rig or model):
         raise click.UsageError("--rig and --model are for captures")
-    notes: list[str] = []
-    found = formats.convert(source, output, form, rig, model, notes.append)
+    warnings: list[str] = []
+    found = formats.convert(source, output, form, rig, model, warnings.append)
     if not quiet:
-        for text in notes:
-            note(text)
+        for text in warnings:
+            warn(text)
         click.echo(f"{output}: {found}")

@@ -1,4 +1,4 @@
-"""What commands share: kinds of values, times and places from text, notes and progress."""
+"""What commands share: kinds of values, times and places from text, warnings and progress."""
 
 import math
 import shlex
@@ -97,9 +97,9 @@ def typed() -> str:
     return shlex.join(["lidarcfg", *sys.argv[1:]])
 
 
-def note(message: str) -> None:
-    """One line on stderr about what was read."""
-    click.echo(f"lidarcfg: {one_line(message)}", err=True)
+def warn(message: str) -> None:
+    """Print one line to stderr; the command goes on."""
+    click.echo(f"lidarcfg: warning: {one_line(message)}", err=True)
 
 
 def way(trajectory: Path | None, at: str, start_ns: int) -> "Trajectory":

@@ -10,10 +10,10 @@ from lidarcfg.commands.options import (
     FILE,
     MODEL,
     from_option,
-    note,
     quiet_option,
     sensor_option,
     to_option,
+    warn,
     way,
 )
 
@@ -106,7 +106,7 @@ def view(
     """
     import numpy as np
 
-    from lidarcfg.capture.selection import Choice
+    from lidarcfg.capture.selection import Selection
     from lidarcfg.view.camera import Camera
     from lidarcfg.view.page import page_of, save_html
     from lidarcfg.view.stage import load_stage
@@ -114,7 +114,7 @@ def view(
     from lidarcfg.view.window import show_window
 
     seen_from = Camera(np.array(camera[:3]), np.array(camera[3:6]), *camera[6:]) if camera else None
-    stage = load_stage(files, rig, model, way(None, at, 0).T_world_start, note, Choice(from_s, to_s, sensors))
+    stage = load_stage(files, rig, model, way(None, at, 0).T_world_start, warn, Selection(from_s, to_s, sensors))
     count = len(stage.cloud.xyz)
     if png:
         save_still(stage, png, size, seen_from, colour, worst)

@@ -29,10 +29,10 @@ FOREVER = 9223372036, 854775807  # seconds and ns: rmw's infinite time
 BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap")
 URI_SIGNS = "?#%"  # mean something else in the file: URI that rosbags gives SQLite
 
-Note = Callable[[str], None]
+OnWarning = Callable[[str], None]
 
 
-def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str | None, on_note: Note) -> int:
+def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
     """Write the capture `source` as a bag in the folder `path`, whole or not at all, and return how many messages.
 
     `storage` is sqlite3 or mcap. Raises HandoverError, and what `turns` raises.
@@ -40,21 +40,21 @@ def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str
     if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(path.resolve()))):
         raise HandoverError(f"{path.resolve()}: no bag can be written where a path has {' '.join(sorted(signs))}")
     with replacing_folder(path, *BAG_FILES) as folder:
-        return _write(folder, storage, source, rig, model, on_note)
+        return _write(folder, storage, source, rig, model, on_warning)
 
 
-def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_note: Note) -> int:
+def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
     """Write the capture `source` as one .mcap, whole or not at all, and return how many messages."""
     if path.exists() and not path.is_file():
         raise HandoverError(f"{path}: is not a file; give the name of a new one")
     with beside(path) as aside:
         folder = aside / path.stem
-        count = _write(folder, "mcap", source, rig, model, on_note)
+        count = _write(folder, "mcap", source, rig, model, on_warning)
         (folder / f"{folder.name}.mcap").replace(path)
     return count
 
 
-def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str | None, on_note: Note) -> int:
+def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
     """The bag of the capture, in a new folder."""
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -66,7 +66,7 @@ def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str
     count = 0
     try:
         with Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin[storage.upper()]) as writer:
-            for topic, message, time_ns in _messages(store.types, source, rig, model, on_note):
+            for topic, message, time_ns in _messages(store.types, source, rig, model, on_warning):
                 kind = message.__msgtype__
                 if topic not in connections:
                     qos = [_latched()] if topic == TF_STATIC else []
@@ -81,12 +81,12 @@ def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str
 
 
 def _messages(
-    types: Any, source: Path, rig: Rig | None, model: str | None, on_note: Note
+    types: Any, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning
 ) -> Iterator[tuple[str, Any, int]]:
     """Topic, message and the time at which a driver would have sent it: when the turn was complete."""
-    names = ros_names(rig, on_note) if rig else {}
+    names = ros_names(rig, on_warning) if rig else {}
     heard: set[str] = set()
-    for turn in turns(source, on_note, rig, model):
+    for turn in turns(source, on_warning, rig, model):
         first_ns, last_ns = int(turn.time_ns.min()), int(turn.time_ns.max())
         if last_ns >= TIME_END_NS:
             raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, where the seconds of ROS 2 end")
@@ -95,11 +95,11 @@ def _messages(
         (name,) = turn.sensor_names
         if name not in names:
             names[name] = ros_name(name)
-            on_note(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
+            on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
         heard.add(name)
         yield f"/{names[name]}/points", _points(types, turn, names[name], first_ns), last_ns
     if silent := [name for name in names if name not in heard]:
-        on_note(f"{source}: nothing of {', '.join(silent)} is in it")
+        on_warning(f"{source}: nothing of {', '.join(silent)} is in it")
 
 
 def _points(types: Any, turn: PointCloud, frame: str, stamp_ns: int) -> Any:

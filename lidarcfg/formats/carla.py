@@ -16,7 +16,7 @@ from lidarcfg.rig import Mount, Rig
 EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing are told of
 
 
-def carla(rig: Rig, on_note: Callable[[str], None]) -> str:
+def carla(rig: Rig, on_warning: Callable[[str], None]) -> str:
     """The rig's sensors as JSON; each names its blueprint, its place on the vehicle and its attributes."""
     sensors = []
     for mount in rig.mounts:
@@ -28,14 +28,14 @@ def carla(rig: Rig, on_note: Callable[[str], None]) -> str:
                 "type": "sensor.lidar.ray_cast",
                 "id": mount.name,
                 **{key: value + 0.0 for key, value in place.items()},  # no minus zeros
-                "attributes": _attributes(mount, on_note),
+                "attributes": _attributes(mount, on_warning),
             }
         )
     axes = "x forward, y right, z up, from the vehicle frame's origin; metres, degrees"
     return json.dumps({"name": rig.name, "axes": axes, "sensors": sensors}, indent=2) + "\n"
 
 
-def _attributes(mount: Mount, on_note: Callable[[str], None]) -> dict[str, float]:
+def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, float]:
     """The blueprint's attributes; what is not known of the sensor is left to CARLA's defaults."""
     sensor, realism = mount.sensor, mount.realism
     elevation_deg = np.sort(sensor.beams.elevation_deg)
@@ -53,11 +53,13 @@ def _attributes(mount: Mount, on_note: Callable[[str], None]) -> dict[str, float
     if sensor.firing:
         attributes["points_per_second"] = round(sensor.count * 1e9 / sensor.firing.sequence_ns)
     if not (sensor.range and sensor.firing):
-        on_note(f"{mount.name}: {sensor.name} is beams alone; its range and points_per_second are CARLA's defaults")
+        on_warning(f"{mount.name}: {sensor.name} is beams alone; its range and points_per_second are CARLA's defaults")
     away_deg = abs(elevation_deg - np.linspace(elevation_deg[0], elevation_deg[-1], sensor.count)).max()
     if away_deg > EVEN_DEG:
-        on_note(f"{mount.name}: CARLA spaces channels evenly; {sensor.name}'s are up to {away_deg:.2f} deg from there")
+        on_warning(
+            f"{mount.name}: CARLA spaces channels evenly; {sensor.name}'s are up to {away_deg:.2f} deg from there"
+        )
     if mount.sector_deg:
         low, high = mount.sector_deg
-        on_note(f"{mount.name}: CARLA fires all around, not from {low:g} to {high:g} deg alone")
+        on_warning(f"{mount.name}: CARLA fires all around, not from {low:g} to {high:g} deg alone")
     return attributes

@@ -11,7 +11,7 @@ from lidarcfg.files import replacing
 from lidarcfg.rig import load_rig
 
 Kind = Literal["rig", "cloud", "capture"]
-Note = Callable[[str], None]
+OnWarning = Callable[[str], None]
 
 INPUTS: dict[Kind, tuple[str, ...]] = {
     "rig": (".yaml", ".yml", ".json"),
@@ -77,30 +77,32 @@ def _kind(source: Path) -> Kind:
     raise HandoverError(f"{source}: is of no known kind; {allowed}")
 
 
-def convert(source: Path, output: Path, form: Format, rig: Path | None, model: str | None, on_note: Note) -> str:
+def convert(
+    source: Path, output: Path, form: Format, rig: Path | None, model: str | None, on_warning: OnWarning
+) -> str:
     """Write what `source` says as `output` in the format, whole or not at all, and return what there is in it.
 
     `rig` and `model` are for captures: where the sensors are, and what they are whatever their packets say.
-    `on_note` is told what the format cannot hold. Raises LidarcfgError.
+    `on_warning` is told what the format cannot hold. Raises LidarcfgError.
     """
     if form.lacks:
-        on_note(f"{output}: {form.name} has no {form.lacks}")
+        on_warning(f"{output}: {form.name} has no {form.lacks}")
     if form.kind == "rig":
-        return _convert_rig(source, output, form.name, on_note)
+        return _convert_rig(source, output, form.name, on_warning)
     if form.kind == "cloud":
-        return _convert_cloud(source, output, form.name, on_note)
+        return _convert_cloud(source, output, form.name, on_warning)
     from lidarcfg.formats.bag import save_bag, save_mcap
 
     mounted = load_rig(rig) if rig else None
     if form.name == "mcap":
-        count = save_mcap(output, source, mounted, model, on_note)
+        count = save_mcap(output, source, mounted, model, on_warning)
     else:
         storage = "mcap" if form.name == "rosbag2-mcap" else "sqlite3"
-        count = save_bag(output, source, storage, mounted, model, on_note)
+        count = save_bag(output, source, storage, mounted, model, on_warning)
     return f"{count:,} messages"
 
 
-def _convert_rig(source: Path, output: Path, name: str, on_note: Note) -> str:
+def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
     from lidarcfg.formats.carla import carla
     from lidarcfg.formats.folder import replacing_folder
     from lidarcfg.formats.launch import launch
@@ -115,14 +117,14 @@ def _convert_rig(source: Path, output: Path, name: str, on_note: Note) -> str:
             for table, text in tables.items():
                 (folder / table).write_text(text, encoding="utf-8")
     else:
-        text = {"urdf": urdf, "launch": launch, "carla": carla}[name](rig, on_note)
+        text = {"urdf": urdf, "launch": launch, "carla": carla}[name](rig, on_warning)
         with replacing(output) as file:
             file.write(text)
     return f"{len(rig.mounts):,} sensors"
 
 
-def _convert_cloud(source: Path, output: Path, name: str, on_note: Note) -> str:
-    cloud = _load(source, on_note)
+def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
+    cloud = _load(source, on_warning)
     if name in ("las", "laz"):
         from lidarcfg.formats.las import save_las
 
@@ -130,20 +132,20 @@ def _convert_cloud(source: Path, output: Path, name: str, on_note: Note) -> str:
     elif name == "kitti":
         from lidarcfg.formats.kitti import save_kitti
 
-        save_kitti(output, cloud, on_note)
+        save_kitti(output, cloud, on_warning)
     else:
         save_clouds(output, [cloud])
     return f"{len(cloud.xyz):,} points"
 
 
-def _load(source: Path, on_note: Note) -> PointCloud:
+def _load(source: Path, on_warning: OnWarning) -> PointCloud:
     suffix = source.suffix.lower()
     if suffix in (".las", ".laz"):
         from lidarcfg.formats.las import load_las
 
-        return load_las(source, on_note)
+        return load_las(source, on_warning)
     if suffix == ".bin":
         from lidarcfg.formats.kitti import load_kitti
 
-        return load_kitti(source, on_note)
+        return load_kitti(source, on_warning)
     return load_cloud(source, allow_empty=True)

@@ -16,7 +16,7 @@ def ros_name(name: str) -> str:
     return plain if plain[0].isalpha() else f"lidar_{plain}"
 
 
-def ros_names(rig: Rig, on_note: Callable[[str], None]) -> dict[str, str]:
+def ros_names(rig: Rig, on_warning: Callable[[str], None]) -> dict[str, str]:
     """The ROS names of the rig's sensors. Raises HandoverError where two would be one."""
     taken = {BASE_LINK: "the vehicle"}
     names = {}
@@ -25,7 +25,7 @@ def ros_names(rig: Rig, on_note: Callable[[str], None]) -> dict[str, str]:
         if name in taken:
             raise HandoverError(f"{mount.name!r} would be {name} in ROS, which is {taken[name]}; rename the sensor")
         if name != mount.name:
-            on_note(f"{mount.name!r} is called {name} in ROS")
+            on_warning(f"{mount.name!r} is called {name} in ROS")
         taken[name] = repr(mount.name)
         names[mount.name] = name
     return names

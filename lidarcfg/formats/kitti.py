@@ -16,7 +16,7 @@ CHUNK = 1 << 20
 LACKS = ("ring", "time_ns", "sensor", "return_type")
 
 
-def save_kitti(path: Path, cloud: PointCloud, on_note: Callable[[str], None]) -> None:
+def save_kitti(path: Path, cloud: PointCloud, on_warning: Callable[[str], None]) -> None:
     """Write the cloud's positions and intensities, whole or not at all. Raises CloudError unless all are finite."""
     moved_m = 0.0
     with replacing(path, "wb") as file:
@@ -29,11 +29,11 @@ def save_kitti(path: Path, cloud: PointCloud, on_note: Callable[[str], None]) ->
             moved_m = max(moved_m, float(abs(rows[:, :3] - xyz).max()))
             file.write(rows.tobytes())
     if moved_m > TOLD_M:
-        on_note(f"{path}: float32 moves a point by up to {moved_m:.2g} m")
+        on_warning(f"{path}: float32 moves a point by up to {moved_m:.2g} m")
 
 
-def load_kitti(path: Path, on_note: Callable[[str], None]) -> PointCloud:
-    """The cloud in a .bin, of one sensor, called as the file; `on_note` is told what it lacks. Raises CloudError."""
+def load_kitti(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
+    """The cloud in a .bin, of one sensor, called as the file; `on_warning` is told what it lacks. Raises CloudError."""
     if path.name.lower().endswith(".pcd.bin"):
         raise CloudError(f"{path}: is of nuScenes, with five numbers a point; allowed: KITTI's four")
     try:
@@ -49,7 +49,7 @@ def load_kitti(path: Path, on_note: Callable[[str], None]) -> PointCloud:
         raise CloudError(f"{path}: point {odd[0]}: reflectance is {reflectance[odd[0]]:g}; allowed: 0 to 1")
     zeros = np.zeros(len(rows), np.int64)
     columns: dict[str, Any] = dict.fromkeys(LACKS, zeros)
-    on_note(f"{path}: has no {', '.join(LACKS)}; they are 0")
+    on_warning(f"{path}: has no {', '.join(LACKS)}; they are 0")
     intensity = np.rint(reflectance * FULL).astype(np.int64)
     columns |= {"xyz": rows[:, :3].astype(np.float64), "intensity": intensity, "sensor_names": [path.stem]}
     return checked(path, columns, allow_empty=True)

@@ -85,8 +85,8 @@ def _offsets(path: Path, xyz: Array) -> Array:
     return np.asarray(middle)
 
 
-def load_las(path: Path, on_note: Callable[[str], None]) -> PointCloud:
-    """The cloud in a .las or .laz, ours or another's; `on_note` is told which fields it lacks, which are then 0.
+def load_las(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
+    """The cloud in a .las or .laz, ours or another's; `on_warning` is told which fields it lacks, which are then 0.
 
     Raises CloudError, and HandoverError without laspy.
     """
@@ -120,11 +120,11 @@ def load_las(path: Path, on_note: Callable[[str], None]) -> PointCloud:
         raise CloudError(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}") from None
     lacking = [key for key in ("time_ns", *EXTRA) if key not in columns]
     if lacking:
-        on_note(f"{path}: has no {', '.join(lacking)}; they are 0")
+        on_warning(f"{path}: has no {', '.join(lacking)}; they are 0")
     if week and "time_ns" not in lacking:
-        on_note(f"{path}: its times are of a week that it does not name; 0 is the week's beginning")
+        on_warning(f"{path}: its times are of a week that it does not name; 0 is the week's beginning")
     if (columns["intensity"] % INTENSITY_STEP).any():
-        on_note(f"{path}: intensities of 16 bits are rounded down to 8")
+        on_warning(f"{path}: intensities of 16 bits are rounded down to 8")
     columns["intensity"] = columns["intensity"] // INTENSITY_STEP
     columns |= dict.fromkeys(lacking, np.zeros(count, np.int64))
     if names is None:

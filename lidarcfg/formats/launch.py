@@ -35,9 +35,9 @@ def static_transform(name, x, y, z, qx, qy, qz, qw):
 '''
 
 
-def launch(rig: Rig, on_note: Callable[[str], None]) -> str:
+def launch(rig: Rig, on_warning: Callable[[str], None]) -> str:
     """The launch file: one static_transform_publisher a sensor, from base_link to it."""
-    names = ros_names(rig, on_note)
+    names = ros_names(rig, on_warning)
     transforms = ""
     for mount in rig.mounts:
         numbers = (*mount.position_m, *quaternion_xyzw(mount.T_vehicle_sensor))

@@ -11,11 +11,11 @@ CYLINDER = {"radius": "0.052", "length": "0.072"}  # a VLP-16's, by its manual; 
 NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
 
 
-def urdf(rig: Rig, on_note: Callable[[str], None]) -> str:
+def urdf(rig: Rig, on_warning: Callable[[str], None]) -> str:
     """The rig as URDF. Its rpy turn about the fixed axes x, y, z in this order, which is our Rz Ry Rx."""
     robot = ElementTree.Element("robot", name=NOT_XML.sub("_", rig.name))
     ElementTree.SubElement(robot, "link", name=BASE_LINK)
-    names = ros_names(rig, on_note)
+    names = ros_names(rig, on_warning)
     for mount in rig.mounts:
         name = names[mount.name]
         link = ElementTree.SubElement(robot, "link", name=name)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.selection import ALL, Choice
+from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.cloud import DAMAGE, SUFFIXES, PointCloud, concatenate, load_cloud
 from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
@@ -95,8 +95,8 @@ def load_stage(
     rig: Path | None,
     model: str | None,
     T_world_vehicle: Array,
-    on_note: Callable[[str], None],
-    choice: Choice = ALL,
+    on_warning: Callable[[str], None],
+    selection: Selection = ALL,
 ) -> Stage:
     """All the files as one stage; `rig` is the one that recorded the captures, and comes first.
 
@@ -114,11 +114,11 @@ def load_stage(
     captures, truth = of("capture"), _only(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? --rig says so")
-    if choice != ALL and not captures:
+    if selection != ALL and not captures:
         raise ConfigError("--from, --to and --sensor choose from a capture; there is none among the files")
     clouds = [load_cloud(path) for path in of("cloud")]
     for path in captures:
-        clouds.extend(decode_pcap(path, on_note, rigs[0] if rigs else None, model, choice=choice))
+        clouds.extend(decode_pcap(path, on_warning, rigs[0] if rigs else None, model, selection=selection))
     cloud = clouds[0] if len(clouds) == 1 else concatenate(clouds)
     if clouds and not len(cloud.xyz):
         raise CloudError(f"{(captures or of('cloud'))[0]}: the cloud is empty")

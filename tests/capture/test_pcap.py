@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lidarcfg.capture import pcap
 from lidarcfg.capture.pcap import Datagram, read_datagrams
 from lidarcfg.errors import PacketError
-from tests.capture_fixtures import no_note, recording
+from tests.capture_fixtures import no_warning, recording
 from tests.capture_fixtures import write_datagrams as write_pcap
 from tests.naive import capture as naive_capture
 
@@ -50,7 +50,7 @@ def test_times_are_exact(tmp_path_factory, microseconds):
     path = tmp_path_factory.getbasetemp() / "times.pcap"
     write_pcap(path, [data(microseconds * 1000)])
     assert struct.unpack("=II", path.read_bytes()[24:32]) == divmod(microseconds, 10**6)
-    assert next(read_datagrams(path, no_note)).time_ns == microseconds * 1000
+    assert next(read_datagrams(path, no_warning)).time_ns == microseconds * 1000
 
 
 @settings(max_examples=300, deadline=None)
@@ -101,7 +101,7 @@ def test_ids_count_up_for_each_sensor(tmp_path):
 def test_round_trip(tmp_path):
     sent = [data(AT_NS + i * 1_327_000, i) for i in range(5)] + [position(AT_NS + 10**9)]
     write_pcap(tmp_path / "a.pcap", sent)
-    got = list(read_datagrams(tmp_path / "a.pcap", no_note))
+    got = list(read_datagrams(tmp_path / "a.pcap", no_warning))
     assert [content(d) for d in got] == [content(d) for d in sent]
 
 
@@ -114,7 +114,7 @@ def test_every_pcap(tmp_path, magic, order):
     raw = struct.pack(order + "IHHiIII", magic, 2, 4, 0, 0, 65535, 1)
     raw += struct.pack(order + "IIII", 1_700_000_000, fraction, len(frame), len(frame)) + frame
     (tmp_path / "b.pcap").write_bytes(raw)
-    assert [content(d) for d in read_datagrams(tmp_path / "b.pcap", no_note)] == [content(data())]
+    assert [content(d) for d in read_datagrams(tmp_path / "b.pcap", no_warning)] == [content(data())]
 
 
 def test_pcapng_and_vlan(tmp_path):
@@ -123,7 +123,7 @@ def test_pcapng_and_vlan(tmp_path):
     with open(tmp_path / "b.pcapng", "wb") as file:
         writer = dpkt.pcapng.Writer(file)
         writer.writepkt(frame[:12] + bytes.fromhex("81000005") + frame[12:], AT_NS / 1e9)
-    got = list(read_datagrams(tmp_path / "b.pcapng", no_note))
+    got = list(read_datagrams(tmp_path / "b.pcapng", no_warning))
     assert [content(d) for d in got] == [content(data())]
 
 
@@ -136,7 +136,7 @@ def test_other_traffic_is_passed_over(tmp_path):
         writer = dpkt.pcap.Writer(file)
         for other in (tcp, fragment, arp, frame[:20], b"", frame):
             writer.writepkt(bytes(other), 5)
-    assert len(list(read_datagrams(tmp_path / "b.pcap", no_note))) == 1
+    assert len(list(read_datagrams(tmp_path / "b.pcap", no_warning))) == 1
 
 
 @pytest.mark.parametrize("cut", [1, 15, 16, 17, 1000, 1263])
@@ -144,9 +144,9 @@ def test_cut_in_mid_record(tmp_path, cut):
     path = tmp_path / "a.pcap"
     write_pcap(path, [data(fill=i) for i in range(3)])
     path.write_bytes(path.read_bytes()[: 24 + 2 * 1264 + cut])
-    notes: list[str] = []
-    assert [d.payload[0] for d in read_datagrams(path, notes.append)] == [0, 1]
-    assert notes == [f"{path}: cut off or damaged after 2 records; what is whole was read"]
+    warnings: list[str] = []
+    assert [d.payload[0] for d in read_datagrams(path, warnings.append)] == [0, 1]
+    assert warnings == [f"{path}: cut off or damaged after 2 records; what is whole was read"]
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_cut_in_mid_record(tmp_path, cut):
 def test_not_a_capture(tmp_path, raw, message):
     (tmp_path / "a.pcap").write_bytes(raw)
     with pytest.raises(PacketError, match=r"a\.pcap: ") as error:
-        list(read_datagrams(tmp_path / "a.pcap", no_note))
+        list(read_datagrams(tmp_path / "a.pcap", no_warning))
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -179,12 +179,12 @@ def test_any_bytes_end_well(tmp_path_factory, raw, magic):
     path = tmp_path_factory.getbasetemp() / "fuzz.pcap"
     path.write_bytes(magic + raw)
     with suppress(PacketError):
-        assert all(len(datagram.payload) <= len(raw) for datagram in read_datagrams(path, lambda note: None))
+        assert all(len(datagram.payload) <= len(raw) for datagram in read_datagrams(path, lambda warning: None))
 
 
 def test_no_such_file(tmp_path):
     with pytest.raises(PacketError, match="no such file"):
-        list(read_datagrams(tmp_path / "none.pcap", no_note))
+        list(read_datagrams(tmp_path / "none.pcap", no_warning))
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):

@@ -11,19 +11,19 @@ from click.testing import CliRunner
 from lidarcfg.capture import pcap
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram, read_batches
-from lidarcfg.capture.selection import Choice
+from lidarcfg.capture.selection import Selection
 from lidarcfg.cli import cli
 from lidarcfg.cloud import FIELDS, concatenate, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.velodyne.layout import PACKET
-from tests.capture_fixtures import datagrams_of, no_note, recording, tilted_rig, write_datagrams
+from tests.capture_fixtures import datagrams_of, no_warning, recording, tilted_rig, write_datagrams
 from tests.packets.velodyne.test_models import sent, write
 
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
     """Two sensors for four seconds, the second with dual returns; some packets are lost, doubled or out of order."""
-    folder = tmp_path_factory.mktemp("choice")
+    folder = tmp_path_factory.mktemp("selection")
     one, two = sent("vlp-16", "strongest", 400), sent("vlp-16", "dual", 400, 660.0)
     a, b = write(folder / "x.pcap", *one[:3]), write(folder / "x.pcap", *two[:3], host="192.168.1.202")
     datagrams = sorted(
@@ -54,7 +54,7 @@ def full(capture):
 
 
 def decoded(path, **options):
-    return concatenate(list(decode_pcap(path, no_note, **options)))
+    return concatenate(list(decode_pcap(path, no_warning, **options)))
 
 
 def by_name(cloud):
@@ -90,7 +90,7 @@ def cut(path, name, low_s, high_s):
 @pytest.mark.parametrize(("low_s", "high_s"), [(0, 0.5), (2.2, 2.3), (3.0, 3.0015), (3.9, math.inf), (0, 99)])
 def test_a_window_is_the_whole_cut(capture, full, low_s, high_s):
     """Also at its edges: the last block's azimuth comes from the packet after the window."""
-    part = by_name(decoded(capture, choice=Choice(low_s, high_s)))
+    part = by_name(decoded(capture, selection=Selection(low_s, high_s)))
     for name, columns in full.items():
         keep = cut(capture, name, low_s, high_s)
         assert len(keep) == len(columns["xyz"])
@@ -100,7 +100,9 @@ def test_a_window_is_the_whole_cut(capture, full, low_s, high_s):
 
 
 def test_windows_side_by_side_are_the_whole(capture, full):
-    parts = [by_name(decoded(capture, choice=Choice(a, b))) for a, b in itertools.pairwise([0, 1.234, 3, 3.001, 99])]
+    parts = [
+        by_name(decoded(capture, selection=Selection(a, b))) for a, b in itertools.pairwise([0, 1.234, 3, 3.001, 99])
+    ]
     for name, columns in full.items():
         for key, column in columns.items():
             np.testing.assert_array_equal(np.concatenate([part[name][key] for part in parts]), column)
@@ -109,15 +111,15 @@ def test_windows_side_by_side_are_the_whole(capture, full):
 def test_chosen_sensors(capture):
     """By address or by mount; the others leave no trace, and the rig's numbers stay."""
     full, rig = decoded(capture, rig=tilted_rig()), tilted_rig()
-    for choice in (Choice(sensors=("lidar_1",)), Choice(sensors=("192.168.1.202:2368",))):
+    for selection in (Selection(sensors=("lidar_1",)), Selection(sensors=("192.168.1.202:2368",))):
         stats = []
-        part = decoded(capture, rig=rig, choice=choice, on_stats=stats.append)
+        part = decoded(capture, rig=rig, selection=selection, on_stats=stats.append)
         assert part.sensor_names == full.sensor_names
         assert (part.sensor == 1).all()
         for key in FIELDS:
             np.testing.assert_array_equal(getattr(part, key), getattr(full, key)[full.sensor == 1])
         assert [one.name for one in stats] == ["lidar_1"]
-    bare = decoded(capture, choice=Choice(sensors=("192.168.1.202:2368",)))
+    bare = decoded(capture, selection=Selection(sensors=("192.168.1.202:2368",)))
     assert bare.sensor_names == ("192.168.1.202:2368",)
     assert len(bare.xyz) == len(part.xyz)
 
@@ -125,11 +127,11 @@ def test_chosen_sensors(capture):
 def test_little_is_read(capture, monkeypatch):
     """A window far into the file costs a few searches and its own packets, however the file is halved."""
     monkeypatch.setattr(pcap, "BUFFER", 1 << 16)
-    batches = list(read_batches(capture, no_note))
+    batches = list(read_batches(capture, no_warning))
     time_ns = np.concatenate([batch.time_ns for batch in batches])
     begin_ns = int(time_ns[0])
     for from_ns in (begin_ns - 1, begin_ns, begin_ns + 3 * 10**9 + 123_456_000, int(time_ns.max()), begin_ns + 10**12):
-        some = np.concatenate([batch.time_ns for batch in read_batches(capture, no_note, from_ns)])
+        some = np.concatenate([batch.time_ns for batch in read_batches(capture, no_warning, from_ns)])
         early = np.flatnonzero(time_ns < from_ns - 10**7)
         assert len(time_ns) - len(some) <= np.count_nonzero(time_ns < from_ns)
         assert (some == time_ns[len(time_ns) - len(some) :]).all()
@@ -155,14 +157,14 @@ def test_records_are_found_in_the_middle_of_any_pcap(tmp_path, magic, order):
         times.append((1000 + seconds) * 10**9 + fraction * (10**9 // unit))
     (tmp_path / "a.pcap").write_bytes(raw)
     for from_ns in (times[0], times[700] + 1, times[1500], times[2999]):
-        some = np.concatenate([batch.time_ns for batch in read_batches(tmp_path / "a.pcap", no_note, from_ns)])
+        some = np.concatenate([batch.time_ns for batch in read_batches(tmp_path / "a.pcap", no_warning, from_ns)])
         assert some.tolist() == times[len(times) - len(some) :]
         assert some[0] <= from_ns
 
 
 def test_real_windows():
     path = recording("veloview_hdl32e_monterey.pcap")
-    full, part = decoded(path), decoded(path, choice=Choice(0.3, 0.4))
+    full, part = decoded(path), decoded(path, selection=Selection(0.3, 0.4))
     first = np.flatnonzero((full.xyz == part.xyz[0]).all(axis=1))[0]
     for key in FIELDS:
         np.testing.assert_array_equal(getattr(part, key), getattr(full, key)[first : first + len(part.xyz)])
@@ -174,31 +176,31 @@ def test_real_windows():
 )
 def test_windows_that_hold_nothing(low_s, high_s):
     with pytest.raises(ConfigError, match=r"there is nothing from \S+ s to \S+ s; allowed: 0 <= from < to"):
-        Choice(low_s, high_s)
+        Selection(low_s, high_s)
 
 
 @pytest.mark.parametrize(
-    ("choice", "rig", "message"),
+    ("selection", "rig", "message"),
     [
-        (Choice(50, 60), None, r"a\.pcap: the window begins 45\.\d{3} s after the last datagram"),
-        (Choice(1e300), None, r"a\.pcap: the window begins \d+\.\d{3} s after the last datagram"),
-        (Choice(3.0, 3.000001), None, r"a\.pcap: no LiDAR data packets in the window"),
+        (Selection(50, 60), None, r"a\.pcap: the window begins 45\.\d{3} s after the last datagram"),
+        (Selection(1e300), None, r"a\.pcap: the window begins \d+\.\d{3} s after the last datagram"),
+        (Selection(3.0, 3.000001), None, r"a\.pcap: no LiDAR data packets in the window"),
         (
-            Choice(sensors=("10.0.0.1:2368",)),
+            Selection(sensors=("10.0.0.1:2368",)),
             None,
             r"a\.pcap: no data packets of '10\.0\.0\.1:2368'; there are those of 192\.168\.1\.20",
         ),
-        (Choice(1, 2, ("left",)), None, r"a\.pcap: no data packets of 'left'; there are those of 192\.168\.1\.20"),
+        (Selection(1, 2, ("left",)), None, r"a\.pcap: no data packets of 'left'; there are those of 192\.168\.1\.20"),
         (
-            Choice(sensors=("left",)),
+            Selection(sensors=("left",)),
             tilted_rig(),
             "no sensor of the rig 'tilted' is called 'left'; allowed: lidar_0, lidar_1",
         ),
     ],
 )
-def test_choices_that_are_not_there(capture, choice, rig, message):
+def test_choices_that_are_not_there(capture, selection, rig, message):
     with pytest.raises((PacketError, ConfigError), match=message):
-        decoded(capture, rig=rig, choice=choice)
+        decoded(capture, rig=rig, selection=selection)
 
 
 def test_a_pause_in_the_capture(capture, tmp_path):
@@ -208,7 +210,7 @@ def test_a_pause_in_the_capture(capture, tmp_path):
     ]
     write_datagrams(tmp_path / "a.pcap", datagrams)
     with pytest.raises(PacketError, match="no LiDAR data packets in the window"):
-        decoded(tmp_path / "a.pcap", choice=Choice(20, 30))
+        decoded(tmp_path / "a.pcap", selection=Selection(20, 30))
 
 
 def test_from_the_command_line(capture, tmp_path):
@@ -216,7 +218,7 @@ def test_from_the_command_line(capture, tmp_path):
         return CliRunner().invoke(cli, ["decode", str(capture), "-o", str(tmp_path / "a.npz"), *options])
 
     assert run("--from", "1", "--to", "1.5", "--sensor", "192.168.1.202:2368").exit_code == 0
-    window = decoded(capture, choice=Choice(1, 1.5, ("192.168.1.202:2368",)))
+    window = decoded(capture, selection=Selection(1, 1.5, ("192.168.1.202:2368",)))
     assert (load_cloud(tmp_path / "a.npz").xyz == window.xyz).all()
     failed = run("--from", "2", "--to", "1")
     assert str(failed.exception) == "there is nothing from 2 s to 1 s; allowed: 0 <= from < to"

@@ -119,7 +119,7 @@ def test_all_that_a_rig_becomes(here):
         done = run("roof.yaml", "-o", output)
         assert done.exit_code == 0
         assert done.stdout == f"{output}: 2 sensors\n"
-        assert done.stderr.startswith(f"lidarcfg: {output}: ")
+        assert done.stderr.startswith(f"lidarcfg: warning: {output}: ")
         assert " has no " in done.stderr
         assert there in Path(output).read_text()
     assert run("roof.yaml", "-o", "tables").stdout == "tables: 2 sensors\n"
@@ -143,7 +143,7 @@ def test_a_cloud_there_and_back(here):
     assert (done.stdout, done.stderr) == ("", "")
     done = run("c.bin", "-o", "d.npz")
     assert done.stdout == "d.npz: 50 points\n"
-    assert done.stderr == "lidarcfg: c.bin: has no ring, time_ns, sensor, return_type; they are 0\n"
+    assert done.stderr == "lidarcfg: warning: c.bin: has no ring, time_ns, sensor, return_type; they are 0\n"
     with np.load("d.npz") as arrays:
         assert abs(arrays["xyz"] - cloud().xyz).max() < 1e-4
 
@@ -160,7 +160,7 @@ def test_a_capture_by_the_command(tmp_path):
     lidarcfg("export", ROOF, "--scene", ROOT / "data/scenes/street.yaml", "--duration", 0.11, "-o", "a.pcap", "--quiet")
     done = lidarcfg("convert", "a.pcap", "--rig", ROOF, "-o", "bag")
     assert done.stdout == "bag: 5 messages\n"
-    assert done.stderr == "lidarcfg: bag: rosbag2 has no return type\n"
+    assert done.stderr == "lidarcfg: warning: bag: rosbag2 has no return type\n"
     assert {item.name for item in (tmp_path / "bag").iterdir()} == {"bag.db3", "metadata.yaml"}
     done = lidarcfg("convert", "a.pcap", "--rig", "bag", "-o", "a.mcap", code=2)
     assert len(done.stderr.splitlines()) == 1

@@ -27,7 +27,7 @@ from lidarcfg.rig import Rig
 from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import STREET, datagrams_of, no_note, recording, tilted_rig, write_datagrams
+from tests.capture_fixtures import STREET, datagrams_of, no_warning, recording, tilted_rig, write_datagrams
 
 DURATION_NS = 350_000_000
 
@@ -88,13 +88,13 @@ def stamp_ns(message) -> int:
     return message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec
 
 
-def written(way: str, capture, folder, rig=None, model=None, on_note=lambda note: None):
+def written(way: str, capture, folder, rig=None, model=None, on_warning=lambda warning: None):
     """The capture handed over in one of the three ways, and its messages."""
     if way == "mcap":
-        count = save_mcap(folder / "a.mcap", capture, rig, model, on_note)
+        count = save_mcap(folder / "a.mcap", capture, rig, model, on_warning)
         messages = mcap_messages(folder / "a.mcap")
     else:
-        count = save_bag(folder / "bag", capture, way, rig, model, on_note)
+        count = save_bag(folder / "bag", capture, way, rig, model, on_warning)
         messages = bag_messages(folder / "bag")
     assert len(messages) == count
     return messages
@@ -102,13 +102,13 @@ def written(way: str, capture, folder, rig=None, model=None, on_note=lambda note
 
 @pytest.mark.parametrize("way", ["sqlite3", "mcap-bag", "mcap"])
 def test_points_and_places_are_those_that_decode_merges(capture, tmp_path, way):
-    rig, notes = named_rig(), []
+    rig, warnings = named_rig(), []
     if way == "mcap-bag":
-        save_bag(tmp_path / "bag", capture, "mcap", rig, None, notes.append)
+        save_bag(tmp_path / "bag", capture, "mcap", rig, None, warnings.append)
         messages = bag_messages(tmp_path / "bag")
     else:
-        messages = written(way, capture, tmp_path, rig, None, notes.append)
-    assert notes == ["'right.2' is called right_2 in ROS"]
+        messages = written(way, capture, tmp_path, rig, None, warnings.append)
+    assert warnings == ["'right.2' is called right_2 in ROS"]
     assert messages[0][0] == "/tf_static"
     assert messages[0][4] == "tf2_msgs/msg/TFMessage"
     places = {}
@@ -117,7 +117,7 @@ def test_points_and_places_are_those_that_decode_merges(capture, tmp_path, way):
         r, t = transform.transform.rotation, transform.transform.translation
         places[transform.child_frame_id] = Quaternion(r.w, r.x, r.y, r.z), np.array([t.x, t.y, t.z])
     assert set(places) == {"left", "right_2"}
-    decoded = concatenate(list(decode_pcap(capture, no_note, rig)))
+    decoded = concatenate(list(decode_pcap(capture, no_warning, rig)))
     seen = defaultdict(list)
     for topic, time_ns, message, _, kind in messages[1:]:
         assert kind == "sensor_msgs/msg/PointCloud2"
@@ -178,9 +178,9 @@ def test_the_mcap_file_is_ros_2_and_indexed(capture, tmp_path):
 
 def test_a_message_is_a_turn(capture):
     found = defaultdict(list)
-    for turn in turns.turns(capture, no_note, named_rig()):
+    for turn in turns.turns(capture, no_warning, named_rig()):
         found[turn.sensor_names[0]].append(turn)
-    decoded = concatenate(list(decode_pcap(capture, no_note, named_rig())))
+    decoded = concatenate(list(decode_pcap(capture, no_warning, named_rig())))
     for i, (name, rpm) in enumerate((("left", 600), ("right.2", 660))):
         parts = found[name]
         assert sum(len(part.xyz) for part in parts) == (decoded.sensor == i).sum()
@@ -224,7 +224,7 @@ def test_turns_of_real_recordings_by_a_plain_loop(name):
                 there = block[at] or block[at + 1]
                 twin = dual and b % 2 == 1 and block[at : at + 3] == blocks[b - 1][at : at + 3]
                 counts[-1] += bool(there and not twin)
-    messages = list(turns.turns(path, lambda note: None))
+    messages = list(turns.turns(path, lambda warning: None))
     assert len(counts) > 1
     assert [len(turn.xyz) for turn in messages] == counts
 
@@ -285,29 +285,29 @@ def test_a_clock_that_is_set_back_begins_anew(tmp_path):
 
 
 def test_without_a_rig(capture, tmp_path):
-    notes = []
-    messages = written("mcap", capture, tmp_path, on_note=notes.append)
+    warnings = []
+    messages = written("mcap", capture, tmp_path, on_warning=warnings.append)
     assert {topic for topic, *_ in messages} == {
         "/lidar_192_168_1_201_2368/points",
         "/lidar_192_168_1_202_2368/points",
     }
-    assert sorted(notes)[0] == (
+    assert sorted(warnings)[0] == (
         "192.168.1.201:2368 is called lidar_192_168_1_201_2368 in ROS; without a rig there is no /tf_static"
     )
-    assert len(notes) == 2
+    assert len(warnings) == 2
 
 
 def test_a_rig_that_does_not_fit(capture, tmp_path):
     rig = named_rig()
     with pytest.raises(PacketError, match=r"192\.168\.1\.202:2368 is not in the rig 'one'"):
-        save_bag(tmp_path / "bag", capture, "sqlite3", Rig("one", rig.mounts[:1]), None, no_note)
+        save_bag(tmp_path / "bag", capture, "sqlite3", Rig("one", rig.mounts[:1]), None, no_warning)
     third = replace(rig.mounts[0], name="third", host="192.168.1.99")
-    notes = []
-    save_mcap(tmp_path / "a.mcap", capture, Rig("three", (*rig.mounts, third)), None, notes.append)
-    assert notes[-1] == f"{capture}: nothing of third is in it"
+    warnings = []
+    save_mcap(tmp_path / "a.mcap", capture, Rig("three", (*rig.mounts, third)), None, warnings.append)
+    assert warnings[-1] == f"{capture}: nothing of third is in it"
     clash = Rig("clash", (replace(rig.mounts[0], name="a.b"), replace(rig.mounts[1], name="a-b")))
     with pytest.raises(HandoverError, match="'a-b' would be a_b in ROS"):
-        save_mcap(tmp_path / "b.mcap", capture, clash, None, lambda note: None)
+        save_mcap(tmp_path / "b.mcap", capture, clash, None, lambda warning: None)
     assert [item.name for item in tmp_path.iterdir()] == ["a.mcap"]
 
 
@@ -321,17 +321,17 @@ def spoilt(capture, path):
 
 def test_whole_or_not_at_all(capture, tmp_path):
     spoilt(capture, tmp_path / "bad.pcap")
-    save_bag(tmp_path / "bag", capture, "sqlite3", named_rig(), None, lambda note: None)
-    save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, lambda note: None)
+    save_bag(tmp_path / "bag", capture, "sqlite3", named_rig(), None, lambda warning: None)
+    save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, lambda warning: None)
     before = {item: item.read_bytes() for item in [tmp_path / "a.mcap", *(tmp_path / "bag").iterdir()]}
     for storage in ("sqlite3", "mcap"):
         with pytest.raises(PacketError, match="product id 0x77"):
-            save_bag(tmp_path / "bag", tmp_path / "bad.pcap", storage, named_rig(), None, lambda note: None)
+            save_bag(tmp_path / "bag", tmp_path / "bad.pcap", storage, named_rig(), None, lambda warning: None)
     with pytest.raises(PacketError, match="product id 0x77"):
-        save_mcap(tmp_path / "a.mcap", tmp_path / "bad.pcap", named_rig(), None, lambda note: None)
+        save_mcap(tmp_path / "a.mcap", tmp_path / "bad.pcap", named_rig(), None, lambda warning: None)
     assert before == {item: item.read_bytes() for item in [tmp_path / "a.mcap", *(tmp_path / "bag").iterdir()]}
     assert {item.name for item in tmp_path.iterdir()} == {"bad.pcap", "bag", "a.mcap"}
-    save_bag(tmp_path / "bag", capture, "mcap", named_rig(), None, lambda note: None)  # a bag is replaced, whole
+    save_bag(tmp_path / "bag", capture, "mcap", named_rig(), None, lambda warning: None)  # a bag is replaced, whole
     assert {item.name for item in (tmp_path / "bag").iterdir()} == {"metadata.yaml", "bag.mcap"}
 
 
@@ -343,9 +343,9 @@ def test_ctrl_c_leaves_nothing(capture, tmp_path, monkeypatch):
     monkeypatch.setattr(bag, "turns", stopped)
     for storage in ("sqlite3", "mcap"):
         with pytest.raises(KeyboardInterrupt):
-            save_bag(tmp_path / "bag", capture, storage, named_rig(), None, lambda note: None)
+            save_bag(tmp_path / "bag", capture, storage, named_rig(), None, lambda warning: None)
     with pytest.raises(KeyboardInterrupt):
-        save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, lambda note: None)
+        save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, lambda warning: None)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -355,16 +355,16 @@ def test_what_is_no_bag_is_left_alone(capture, tmp_path):
     with pytest.raises(
         HandoverError, match=r"photos: holds 'cat.jpg'; only a folder of metadata.yaml, \*\.db3, \*\.mcap"
     ):
-        save_bag(tmp_path / "photos", capture, "sqlite3", named_rig(), None, no_note)
+        save_bag(tmp_path / "photos", capture, "sqlite3", named_rig(), None, no_warning)
     with pytest.raises(HandoverError, match="photos: is not a file"):
-        save_mcap(tmp_path / "photos", capture, named_rig(), None, no_note)
+        save_mcap(tmp_path / "photos", capture, named_rig(), None, no_warning)
     with pytest.raises(HandoverError, match=r"cat\.jpg: is not a folder"):
-        save_bag(tmp_path / "photos/cat.jpg", capture, "sqlite3", named_rig(), None, no_note)
+        save_bag(tmp_path / "photos/cat.jpg", capture, "sqlite3", named_rig(), None, no_warning)
     with pytest.raises(OSError, match="No such file") as error:
-        save_bag(tmp_path / "no/bag", capture, "sqlite3", named_rig(), None, no_note)
+        save_bag(tmp_path / "no/bag", capture, "sqlite3", named_rig(), None, no_warning)
     assert error.value.filename == str(tmp_path / "no/bag")
     with pytest.raises(HandoverError, match="no bag can be written where a path has #"):
-        save_bag(tmp_path / "a#b", capture, "sqlite3", named_rig(), None, no_note)
+        save_bag(tmp_path / "a#b", capture, "sqlite3", named_rig(), None, no_warning)
     assert [item.name for item in tmp_path.iterdir()] == ["photos"]
     assert (tmp_path / "photos/cat.jpg").read_text() == "meow"
 
@@ -378,7 +378,7 @@ def test_nothing_to_hand_over(tmp_path):
         datagrams[i] = replace(one, payload=packet.tobytes())
     write_datagrams(tmp_path / "a.pcap", datagrams)
     with pytest.raises(PacketError, match=r"a\.pcap: holds no returns; there is nothing to put into a bag"):
-        save_mcap(tmp_path / "a.mcap", tmp_path / "a.pcap", None, None, no_note)
+        save_mcap(tmp_path / "a.mcap", tmp_path / "a.pcap", None, None, no_warning)
     assert [item.name for item in tmp_path.iterdir()] == ["a.pcap"]
 
 
@@ -386,11 +386,11 @@ def test_the_seconds_of_ros_2_end(capture, tmp_path):
     later = [replace(one, time_ns=one.time_ns + 13 * 365 * 86_400 * SECOND_NS) for one in datagrams_of(capture)[:300]]
     write_datagrams(tmp_path / "later.pcap", later)
     with pytest.raises(PacketError, match="goes on after 2038-01-19 03:14:07 UTC, where the seconds of ROS 2 end"):
-        save_mcap(tmp_path / "a.mcap", tmp_path / "later.pcap", named_rig(), None, lambda note: None)
+        save_mcap(tmp_path / "a.mcap", tmp_path / "later.pcap", named_rig(), None, lambda warning: None)
 
 
 def test_without_rosbags(capture, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     with pytest.raises(HandoverError, match=r"rosbags is not installed; pip install 'lidarcfg\[convert\]'"):
-        save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, no_note)
+        save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, no_warning)
     assert list(tmp_path.iterdir()) == []

@@ -19,7 +19,7 @@ from lidarcfg.formats.formats import INPUTS, chosen, convert
 from lidarcfg.formats.gps import gps_seconds, unix_ns
 from lidarcfg.formats.kitti import load_kitti, save_kitti
 from lidarcfg.formats.las import load_las, save_las
-from tests.capture_fixtures import no_note
+from tests.capture_fixtures import no_warning
 from tests.test_cloud import assert_same, cloud
 
 UTM = (432_100.25, 5_412_345.75, 118.5)
@@ -37,8 +37,10 @@ def empty() -> PointCloud:
     return PointCloud.none(("left", "right"))
 
 
-def converted(source, output, notes=None, name=None) -> str:
-    return convert(source, output, chosen(source, output, name), None, None, no_note if notes is None else notes.append)
+def converted(source, output, warnings=None, name=None) -> str:
+    return convert(
+        source, output, chosen(source, output, name), None, None, no_warning if warnings is None else warnings.append
+    )
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz", "LAZ"])
@@ -77,14 +79,14 @@ def test_las_and_back(tmp_path, suffix):
     ours = timed()
     ours = replace(ours, xyz=ours.xyz + UTM, sensor_names=("left", 'odd "näme"\n'))
     save_las(tmp_path / f"a.{suffix}", ours)
-    back = load_las(tmp_path / f"a.{suffix}", no_note)
+    back = load_las(tmp_path / f"a.{suffix}", no_warning)
     assert back.sensor_names == ours.sensor_names
     for key in EXACT:
         np.testing.assert_array_equal(getattr(back, key), getattr(ours, key))
     assert abs(back.xyz - ours.xyz).max() <= 0.5e-4 + 1e-9
     assert abs(back.time_ns - ours.time_ns).max() <= 30
     save_las(tmp_path / f"b.{suffix}", back)  # what LAS holds, it holds for good
-    again = load_las(tmp_path / f"b.{suffix}", no_note)
+    again = load_las(tmp_path / f"b.{suffix}", no_warning)
     assert_same(replace(back, xyz=again.xyz), again)
     assert abs(again.xyz - back.xyz).max() < 2e-9
 
@@ -101,7 +103,7 @@ def test_las_anywhere(tmp_path_factory, points, origin, time_ns):
     xyz = np.array(points) + origin
     ours = replace(ours, xyz=xyz, time_ns=np.full(len(points), time_ns))
     save_las(path, ours)
-    back = load_las(path, no_note)
+    back = load_las(path, no_warning)
     assert abs(back.xyz - xyz).max() <= 0.5e-4 + 1e-7  # float64 has 1.5e-8 there
     assert abs(back.time_ns - time_ns).max() <= 1000
 
@@ -139,8 +141,8 @@ def test_a_cloud_without_points(tmp_path):
         save_clouds(tmp_path / "none.npz", [empty()])
         path = tmp_path / f"a.{suffix}"
         assert converted(tmp_path / "none.npz", path, []) == "0 points"
-        notes = []
-        assert converted(path, tmp_path / "back.npz", notes) == "0 points"
+        warnings = []
+        assert converted(path, tmp_path / "back.npz", warnings) == "0 points"
         with np.load(tmp_path / "back.npz") as arrays:
             assert arrays["xyz"].shape == (0, 3)
             assert arrays["sensor_names"].tolist() == (["a"] if suffix == "bin" else ["left", "right"])
@@ -196,12 +198,12 @@ def test_open3d_reads_what_came_from_laz(tmp_path):
 def test_kitti_is_four_floats_a_point(tmp_path, chunk, monkeypatch):
     monkeypatch.setattr(kitti, "CHUNK", chunk)
     ours = timed()
-    save_kitti(tmp_path / "a.bin", ours, no_note)
+    save_kitti(tmp_path / "a.bin", ours, no_warning)
     rows = np.fromfile(tmp_path / "a.bin", np.float32).reshape(-1, 4)  # as KITTI's readme and pykitti do
     np.testing.assert_array_equal(rows[:, :3], ours.xyz.astype(np.float32))
     np.testing.assert_allclose(rows[:, 3], ours.intensity / 255, rtol=1e-7)
     assert rows[:, 3].max() <= 1
-    back = load_kitti(tmp_path / "a.bin", lambda note: None)
+    back = load_kitti(tmp_path / "a.bin", lambda warning: None)
     np.testing.assert_array_equal(back.xyz, rows[:, :3].astype(np.float64))
     np.testing.assert_array_equal(back.intensity, ours.intensity)
     assert back.sensor_names == ("a",)
@@ -210,11 +212,11 @@ def test_kitti_is_four_floats_a_point(tmp_path, chunk, monkeypatch):
 
 
 def test_what_kitti_cannot_hold_is_said(tmp_path):
-    notes = []
+    warnings = []
     save_clouds(tmp_path / "c.npz", [timed(xyz=np.full((50, 3), UTM))])
-    converted(tmp_path / "c.npz", tmp_path / "c.bin", notes)
+    converted(tmp_path / "c.npz", tmp_path / "c.bin", warnings)
     off_m = abs(float(np.float32(UTM[1])) - UTM[1])
-    assert notes == [
+    assert warnings == [
         f"{tmp_path}/c.bin: kitti has no ring, time, sensor or return type",
         f"{tmp_path}/c.bin: float32 moves a point by up to {off_m:.2g} m",
     ]
@@ -233,27 +235,27 @@ def foreign_las(path, point_format=1, version="1.2", count=20, **columns):
 
 
 def test_a_las_of_others(tmp_path):
-    path, notes = tmp_path / "survey.las", []
+    path, warnings = tmp_path / "survey.las", []
     foreign_las(path, gps_time=np.arange(20) + 0.5)
-    back = load_las(path, notes.append)
+    back = load_las(path, warnings.append)
     assert back.xyz[7].tolist() == [1.75, 1.75, 1.75]
     assert back.intensity.tolist() == list(range(20))
     assert back.time_ns[3] == 3_500_000_000
     assert back.sensor_names == ("0",)
-    assert notes == [
+    assert warnings == [
         f"{path}: has no ring, sensor, return_type; they are 0",
         f"{path}: its times are of a week that it does not name; 0 is the week's beginning",
     ]
-    notes.clear()
+    warnings.clear()
     foreign_las(path, point_format=2, offset=3)  # with colours, without times
-    assert load_las(path, notes.append).intensity.tolist() == list(range(20))
-    assert notes == [
+    assert load_las(path, warnings.append).intensity.tolist() == list(range(20))
+    assert warnings == [
         f"{path}: has no time_ns, ring, sensor, return_type; they are 0",
         f"{path}: intensities of 16 bits are rounded down to 8",
     ]
     foreign_las(path, gps_time=np.full(20, np.nan))
     with pytest.raises(CloudError, match="not a whole las file: allowed for gps_time are seconds below 9e"):
-        load_las(path, no_note)
+        load_las(path, no_warning)
 
 
 def test_far_too_wide_for_las(tmp_path):
@@ -270,7 +272,7 @@ def test_far_too_wide_for_las(tmp_path):
 def test_what_is_not_finite_is_refused(tmp_path, value):
     bad = timed()
     bad.xyz[3, 1] = value
-    for save, name in ((save_las, "a.las"), (lambda *both: save_kitti(*both, no_note), "a.bin")):
+    for save, name in ((save_las, "a.las"), (lambda *both: save_kitti(*both, no_warning), "a.bin")):
         with pytest.raises(CloudError, match=f"{name}: a point is not finite"):
             save(tmp_path / name, bad)
     assert list(tmp_path.iterdir()) == []
@@ -278,29 +280,29 @@ def test_what_is_not_finite_is_refused(tmp_path, value):
     rows[2, 0] = value
     rows.tofile(tmp_path / "b.bin")
     with pytest.raises(CloudError, match=r"b\.bin: point 2 is not finite"):
-        load_kitti(tmp_path / "b.bin", lambda note: None)
+        load_kitti(tmp_path / "b.bin", lambda warning: None)
     rows[2] = 0, 0, 0, value
     rows.tofile(tmp_path / "b.bin")
     with pytest.raises(CloudError, match=r"b\.bin: point 2: reflectance is .*; allowed: 0 to 1"):
-        load_kitti(tmp_path / "b.bin", lambda note: None)
+        load_kitti(tmp_path / "b.bin", lambda warning: None)
 
 
 def test_odd_kitti_files(tmp_path):
     (tmp_path / "a.bin").write_bytes(bytes(50))
     with pytest.raises(CloudError, match=r"a\.bin: not a whole KITTI file: 50 bytes are not points of 16"):
-        load_kitti(tmp_path / "a.bin", lambda note: None)
+        load_kitti(tmp_path / "a.bin", lambda warning: None)
     (tmp_path / "x.pcd.bin").write_bytes(bytes(80))
     with pytest.raises(CloudError, match="is of nuScenes, with five numbers a point"):
-        load_kitti(tmp_path / "x.pcd.bin", lambda note: None)
+        load_kitti(tmp_path / "x.pcd.bin", lambda warning: None)
     with pytest.raises(CloudError, match=r"none\.bin: no such file"):
-        load_kitti(tmp_path / "none.bin", lambda note: None)
+        load_kitti(tmp_path / "none.bin", lambda warning: None)
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 def test_odd_las_files(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     with pytest.raises(CloudError, match=f"a.{suffix}: no such file"):
-        load_las(path, no_note)
+        load_las(path, no_warning)
     save_las(path, timed())
     raw = path.read_bytes()
     rng = np.random.default_rng(0)
@@ -314,7 +316,7 @@ def test_odd_las_files(tmp_path, suffix):
     for case in cases:
         path.write_bytes(case)
         try:
-            found = load_las(path, lambda note: None)
+            found = load_las(path, lambda warning: None)
         except CloudError as error:
             refused.append(str(error))
         else:
@@ -325,6 +327,6 @@ def test_odd_las_files(tmp_path, suffix):
 
 def test_without_the_libraries(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    for call in (lambda: save_las(tmp_path / "a.las", timed()), lambda: load_las(tmp_path / "a.las", no_note)):
+    for call in (lambda: save_las(tmp_path / "a.las", timed()), lambda: load_las(tmp_path / "a.las", no_warning)):
         with pytest.raises(HandoverError, match=r"laspy\[lazrs\] is not installed; pip install 'lidarcfg\[convert\]'"):
             call()

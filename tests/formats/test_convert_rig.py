@@ -24,7 +24,7 @@ from lidarcfg.formats.urdf import urdf
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount, Rig, load_rig
 from lidarcfg.sensor import custom_sensor, load_sensor
-from tests.capture_fixtures import mount, no_note, tilted_rig
+from tests.capture_fixtures import mount, no_warning, tilted_rig
 
 ROOF = Path(__file__).parents[2] / "data/rigs/roof.yaml"
 MIRROR = np.diag([1.0, -1.0, 1.0])
@@ -57,7 +57,7 @@ def close(T, mounted: Mount) -> None:
 
 def test_urdf_puts_each_sensor_where_the_rig_does():
     rig = odd_rig()
-    robot = URDF.from_xml_string(urdf(rig, no_note))
+    robot = URDF.from_xml_string(urdf(rig, no_warning))
     assert robot.name == "odd"
     assert robot.get_root() == "base_link"
     assert [link.name for link in robot.links] == ["base_link", *(f"s{i}" for i in range(9))]
@@ -74,12 +74,12 @@ def test_urdf_puts_each_sensor_where_the_rig_does():
 
 
 def test_names_become_names_that_xml_and_ros_allow():
-    notes = []
+    warnings = []
     rig = Rig('<a> & "b"\x01\n', (turned("2nd.left-top"), turned("_x"), turned("plain")))
-    robot = URDF.from_xml_string(urdf(rig, notes.append).encode())
+    robot = URDF.from_xml_string(urdf(rig, warnings.append).encode())
     assert robot.name == '<a> & "b"_\n'
     assert [joint.child for joint in robot.joints] == ["lidar_2nd_left_top", "lidar__x", "plain"]
-    assert notes == ["'2nd.left-top' is called lidar_2nd_left_top in ROS", "'_x' is called lidar__x in ROS"]
+    assert warnings == ["'2nd.left-top' is called lidar_2nd_left_top in ROS", "'_x' is called lidar__x in ROS"]
     assert ros_name("192.168.1.201:2368") == "lidar_192_168_1_201_2368"
 
 
@@ -93,7 +93,7 @@ def test_names_become_names_that_xml_and_ros_allow():
 @pytest.mark.parametrize("writer", [urdf, launch])
 def test_two_names_that_ros_would_not_tell_apart(names, what, writer):
     with pytest.raises(HandoverError) as error:
-        writer(Rig("r", tuple(turned(name) for name in names)), lambda note: None)
+        writer(Rig("r", tuple(turned(name) for name in names)), lambda warning: None)
     assert str(error.value) == what
 
 
@@ -114,7 +114,7 @@ def launched(text: str, monkeypatch) -> list[dict]:
 
 def test_the_launch_file_publishes_where_each_sensor_is(monkeypatch):
     rig = Rig('odd """ \n{name}', odd_rig().mounts)
-    nodes = launched(launch(rig, no_note), monkeypatch)
+    nodes = launched(launch(rig, no_warning), monkeypatch)
     parser = argparse.ArgumentParser()  # as tf2_ros' static_transform_publisher has them
     for key in ("x", "y", "z", "qx", "qy", "qz", "qw"):
         parser.add_argument(f"--{key}", type=float, required=True)
@@ -147,7 +147,7 @@ def unreal(roll_deg: float, pitch_deg: float, yaw_deg: float) -> np.ndarray:
 
 def test_carla_sees_each_sensor_where_the_rig_has_it_in_a_mirror():
     rig = odd_rig()
-    sensors = json.loads(carla(rig, no_note))["sensors"]
+    sensors = json.loads(carla(rig, no_warning))["sensors"]
     for mounted, sensor in zip(rig.mounts, sensors, strict=True):
         R = unreal(sensor["roll"], sensor["pitch"], sensor["yaw"])
         np.testing.assert_allclose(R, MIRROR @ mounted.T_vehicle_sensor[:3, :3] @ MIRROR, atol=1e-14)
@@ -166,7 +166,7 @@ def test_carla_sees_each_sensor_where_the_rig_has_it_in_a_mirror():
 )
 def test_carla_by_hand(rpy_deg, axis, told, points):
     rig = Rig("one", (turned(position_m=(1.0, 0.5, 2.0), rpy_rad=tuple(np.radians(rpy_deg).tolist())),))
-    (sensor,) = json.loads(carla(rig, no_note))["sensors"]
+    (sensor,) = json.loads(carla(rig, no_warning))["sensors"]
     place = {key: sensor[key] for key in ("x", "y", "z", "roll", "pitch", "yaw")}
     assert place == pytest.approx({"x": 1, "y": -0.5, "z": 2, "roll": 0, "pitch": 0, "yaw": 0} | told)
     assert not any(str(value).startswith("-0.0") for value in place.values())
@@ -175,8 +175,8 @@ def test_carla_by_hand(rpy_deg, axis, told, points):
 
 def test_carla_is_told_what_the_sensor_is():
     vlp = turned(rpm=1200.0, realism=Realism(range_noise_m=0.02, dropout_share=0.1))
-    notes = []
-    (sensor,) = json.loads(carla(Rig("one", (vlp,)), no_note))["sensors"]
+    warnings = []
+    (sensor,) = json.loads(carla(Rig("one", (vlp,)), no_warning))["sensors"]
     assert (sensor["type"], sensor["id"]) == ("sensor.lidar.ray_cast", "lidar")
     assert sensor["attributes"] == {
         "channels": 16,
@@ -190,10 +190,10 @@ def test_carla_is_told_what_the_sensor_is():
         "dropoff_zero_intensity": 0,
     }
     uneven = turned("front", sensor=load_sensor("vlp-32c"), sector_deg=(10.0, 200.0))
-    carla(Rig("one", (uneven, turned("beams", sensor=custom_sensor((-3.0, 5.0))))), notes.append)
+    carla(Rig("one", (uneven, turned("beams", sensor=custom_sensor((-3.0, 5.0))))), warnings.append)
     elevations = sorted(load_sensor("vlp-32c").beams.elevation_deg)
     away = max(abs(elevation - (-25 + i * 40 / 31)) for i, elevation in enumerate(elevations))
-    assert notes == [
+    assert warnings == [
         f"front: CARLA spaces channels evenly; vlp-32c's are up to {away:.2f} deg from there",
         "front: CARLA fires all around, not from 10 to 200 deg alone",
         "beams: custom is beams alone; its range and points_per_second are CARLA's defaults",
@@ -229,10 +229,10 @@ def test_nuscenes_tables_are_linked_and_turned_right():
 def test_every_format_means_the_same_pose(position_m, rpy_rad):
     mounted = turned(position_m=position_m, rpy_rad=rpy_rad)
     rig = Rig("one", (mounted,))
-    (joint,) = URDF.from_xml_string(urdf(rig, no_note)).joints
+    (joint,) = URDF.from_xml_string(urdf(rig, no_warning)).joints
     R = Rotation.from_euler("xyz", joint.origin.rpy).as_matrix()
     (row,) = json.loads(nuscenes(rig)["calibrated_sensor.json"])
-    (sensor,) = json.loads(carla(rig, no_note))["sensors"]
+    (sensor,) = json.loads(carla(rig, no_warning))["sensors"]
     np.testing.assert_allclose(Quaternion(row["rotation"]).rotation_matrix, R, atol=1e-12)
     np.testing.assert_allclose(MIRROR @ unreal(sensor["roll"], sensor["pitch"], sensor["yaw"]) @ MIRROR, R, atol=1e-11)
     assert (
@@ -242,8 +242,8 @@ def test_every_format_means_the_same_pose(position_m, rpy_rad):
 
 def test_the_rigs_that_come_along():
     rig = tilted_rig()
-    assert len(URDF.from_xml_string(urdf(rig, no_note)).joints) == len(rig.mounts) == 2
+    assert len(URDF.from_xml_string(urdf(rig, no_warning)).joints) == len(rig.mounts) == 2
     roof = load_rig(ROOF)
-    left, right = json.loads(carla(roof, no_note))["sensors"]
+    left, right = json.loads(carla(roof, no_warning))["sensors"]
     assert (left["y"], left["roll"]) == pytest.approx((-0.5, -5))  # the left one leans outwards: its left side down
     assert (right["y"], right["roll"]) == pytest.approx((0.5, 5))

@@ -28,7 +28,7 @@ from tests.capture_fixtures import (
     alone,
     datagrams_of,
     mount,
-    no_note,
+    no_warning,
     recording,
     scene,
     tilted_rig,
@@ -55,7 +55,7 @@ def second(street, tmp_path_factory):
 
 
 def whole(path, **options):
-    return concatenate(list(decode_pcap(path, no_note, **options)))
+    return concatenate(list(decode_pcap(path, no_warning, **options)))
 
 
 def truth(street, rig, index):
@@ -161,10 +161,10 @@ def test_other_recordings_are_refused():
 def test_cut_recording(tmp_path):
     raw = recording("mrpt_vlp16_gps.pcap").read_bytes()
     (tmp_path / "cut.pcap").write_bytes(raw[:-700])
-    notes: list[str] = []
-    clouds = list(decode_pcap(tmp_path / "cut.pcap", notes.append))
+    warnings: list[str] = []
+    clouds = list(decode_pcap(tmp_path / "cut.pcap", warnings.append))
     assert sum(len(cloud.xyz) for cloud in clouds) > 70_000
-    assert len(notes) == 1
+    assert len(warnings) == 1
 
 
 @pytest.mark.parametrize("chunk_packets", [1, 2, 100])

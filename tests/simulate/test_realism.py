@@ -19,7 +19,7 @@ from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.simulate.ground_truth import TruthFile
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import STREET, mount, no_note, scene, tilted_rig
+from tests.capture_fixtures import STREET, mount, no_warning, scene, tilted_rig
 
 ALL = Realism(seed=7, range_noise_m=0.02, dropout_share=0.1, range_10_percent_m=40.0, divergence=True)
 
@@ -38,7 +38,7 @@ def with_truth(tmp_path, rig, stage, duration_ns=SECOND_NS // 10, **options):
     with np.load(tmp_path / "truth.npz") as arrays:
         columns = dict(arrays)
     assert len(columns["range_m"]) == count
-    return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_note, rig))), columns
+    return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning, rig))), columns
 
 
 @pytest.mark.parametrize("return_mode", ["strongest", "last", "dual"])

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.capture.selection import Choice
+from lidarcfg.capture.selection import Selection
 from lidarcfg.cloud import PointCloud, save_clouds
 from lidarcfg.commands.view import view
 from lidarcfg.errors import CloudError, ConfigError, PacketError
@@ -35,7 +35,7 @@ from lidarcfg.view.still import save_still
 from lidarcfg.view.window import parts
 from lidarcfg.world.motion import standing
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import AT_NS, STREET, no_note, recording, scene, tilted_rig
+from tests.capture_fixtures import AT_NS, STREET, no_warning, recording, scene, tilted_rig
 
 STILLS = Path(__file__).parent / "stills"
 STUDY, ROOF = STREET.parent.parent / "studies/sedan.yaml", STREET.parent.parent / "rigs/roof.yaml"
@@ -196,7 +196,7 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
         truth.save()
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]
     (tmp_path / "rig.yaml").write_text(rig_text(rig))
-    staged = load_stage(paths, tmp_path / "rig.yaml", None, np.eye(4), no_note)
+    staged = load_stage(paths, tmp_path / "rig.yaml", None, np.eye(4), no_warning)
     xyz, names = staged.cloud.xyz, np.array(staged.objects.names)[staged.objects.index]
     away = {
         "ground": abs(xyz[:, 2]),
@@ -249,33 +249,33 @@ def test_files_that_are_nothing_to_look_at(tmp_path, files, error, message):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     with pytest.raises(error, match=re.escape(message)):
-        load_stage([tmp_path / name for name in files], None, None, np.eye(4), no_note)
+        load_stage([tmp_path / name for name in files], None, None, np.eye(4), no_warning)
 
 
 def test_a_window_and_a_sensor_of_a_recording():
     """As decode cuts them out of the whole: by the time of what is shown, and by the sensor's address."""
     path = recording("nebula_vlp16.pcap")
-    whole = load_stage([path], None, None, np.eye(4), no_note)
+    whole = load_stage([path], None, None, np.eye(4), no_warning)
     (name,) = whole.cloud.sensor_names
-    part = load_stage([path], None, None, np.eye(4), no_note, Choice(0.1, 0.2, (name,)))
+    part = load_stage([path], None, None, np.eye(4), no_warning, Selection(0.1, 0.2, (name,)))
     first, last = part.cloud.time_ns.min(), part.cloud.time_ns.max()
     inside = (whole.cloud.time_ns >= first) & (whole.cloud.time_ns <= last)
     assert (part.cloud.xyz == whole.cloud.xyz[inside]).all()
     assert (last - first) / 1e9 == pytest.approx(0.1, abs=0.003)
     assert first - whole.cloud.time_ns.min() == pytest.approx(1e8, abs=3e6)
     with pytest.raises(ConfigError, match="choose from a capture; there is none"):
-        load_stage([ROOF], None, None, np.eye(4), no_note, Choice(sensors=("left",)))
+        load_stage([ROOF], None, None, np.eye(4), no_warning, Selection(sensors=("left",)))
 
 
 def test_a_cloud_of_nan_is_refused(tmp_path):
     save_clouds(tmp_path / "n.ply", [cloud([[1, 2, 3], [np.nan, 0, 0]])])
     with pytest.raises(CloudError, match=r"n.ply: point 1 is not finite"):
-        load_stage([tmp_path / "n.ply"], None, None, np.eye(4), no_note)
+        load_stage([tmp_path / "n.ply"], None, None, np.eye(4), no_warning)
 
 
 def test_a_scene_stands_where_at_says():
     """The vehicle at x = 20 with its nose to the north sees the world's origin 20 m to its left."""
-    staged = load_stage([STREET], None, None, pose((20, 0, 0), (0, 0, np.pi / 2)), no_note)
+    staged = load_stage([STREET], None, None, pose((20, 0, 0), (0, 0, np.pi / 2)), no_warning)
     assert transform(staged.T_vehicle_world, [[0, 0, 1]]) == pytest.approx(np.array([[0, 20, 1]]))
 
 

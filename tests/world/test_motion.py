@@ -14,7 +14,7 @@ from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, prepared
 from lidarcfg.world.raycast import Raycaster
-from tests.capture_fixtures import datagrams_of, mount, no_note, scene, tilted_rig
+from tests.capture_fixtures import datagrams_of, mount, no_warning, scene, tilted_rig
 
 STAND = np.eye(4)
 
@@ -90,7 +90,7 @@ def test_what_is_refused(tmp_path, name, text, match):
 
 def captured(tmp_path, rig, stage, way, duration_ns=SECOND_NS // 4, **options):
     write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, way, duration_ns, **options)))
-    return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_note, rig)))
+    return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning, rig)))
 
 
 def test_driving_at_a_wall(tmp_path):

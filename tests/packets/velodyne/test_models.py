@@ -38,7 +38,7 @@ from lidarcfg.simulate.export import START_NS, export
 from lidarcfg.simulate.ground_truth import records
 from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import AT_NS, STREET, hdl_64e, mount, no_note, recording, scene
+from tests.capture_fixtures import AT_NS, STREET, hdl_64e, mount, no_warning, recording, scene
 from tests.capture_fixtures import write_datagrams as write_pcap
 
 OTHERS = {
@@ -102,7 +102,7 @@ def elsewhere(path, model, calibration=None):
 
 
 def whole(path, **options):
-    return concatenate(list(decode_pcap(path, no_note, **options)))
+    return concatenate(list(decode_pcap(path, no_warning, **options)))
 
 
 def test_the_catalogue_has_them_all():
@@ -187,7 +187,7 @@ def test_packets_say_what_they_are(name, mode, tmp_path):
     stats: list[SourceStats] = []
 
     def points(file, model=None):
-        clouds = decode_pcap(tmp_path / file, lambda note: None, model=model, on_stats=stats.append)
+        clouds = decode_pcap(tmp_path / file, lambda warning: None, model=model, on_stats=stats.append)
         return sum(len(cloud.xyz) for cloud in clouds)
 
     assert points("a.pcap") == points("a.pcap", name) > points("b.pcap") > 9_000
@@ -204,9 +204,9 @@ def test_another_decoder_agrees(name, mode, tmp_path, calibrations):
     write(tmp_path / "a.pcap", sensor, packets, fired)
     calibration = calibrations.get(name)
     xyz, time_s, intensity, ring, kind = elsewhere(tmp_path / "a.pcap", OTHERS[name], calibration)
-    notes: list[str] = []
-    ours = concatenate(list(decode_pcap(tmp_path / "a.pcap", notes.append, model=name)))
-    assert len(notes) == (0 if sensor.packet.return_modes else 1)
+    warnings: list[str] = []
+    ours = concatenate(list(decode_pcap(tmp_path / "a.pcap", warnings.append, model=name)))
+    assert len(warnings) == (0 if sensor.packet.return_modes else 1)
     slow_s = 20e-6 if name == "vls-128" else 2e-6
     unturned = packet_stamps_ns(sensor, fired)[1][0] if name == "vls-128" else 0  # theirs, in the first packet
     agree(ours, xyz, time_s, intensity, ring, slow_s, unturned_ns=unturned)
@@ -265,7 +265,7 @@ def test_real_recordings(name, tmp_path):
     path, model = recording(f"{name}.pcap"), RECORDINGS[name]
     ours = whole(path)
     if name == "jerry_vlp16":  # its id byte is that of an HDL-32E
-        datagrams = [d for d in read_datagrams(path, no_note) if len(d.payload) == 1206]
+        datagrams = [d for d in read_datagrams(path, no_warning) if len(d.payload) == 1206]
         write_pcap(tmp_path / "a.pcap", [replace(d, payload=d.payload[:-1] + b"\x22") for d in datagrams])
         path = tmp_path / "a.pcap"
     theirs = list(elsewhere(path, OTHERS[model]))
@@ -288,7 +288,7 @@ def ours_where(cloud, keep):
 
 def cut_packets(path):
     """Of each packet: how many returns it has, and whether its azimuths jump."""
-    for datagram in read_datagrams(path, no_note):
+    for datagram in read_datagrams(path, no_warning):
         packet = np.frombuffer(datagram.payload, PACKET)[0]
         azimuth = packet["blocks"]["azimuth"].astype(int)
         yield np.count_nonzero(packet["blocks"]["returns"]["distance"]), (np.diff(azimuth) % 36000 > 300).any()
@@ -300,7 +300,7 @@ def test_a_real_sector():
     All that it sends is one turn in 100 ms: azimuth over time is a straight line, within jitter and rounding.
     """
     stats = []
-    ours = concatenate(list(decode_pcap(recording("nebula_vlp32.pcap"), no_note, on_stats=stats.append)))
+    ours = concatenate(list(decode_pcap(recording("nebula_vlp32.pcap"), no_warning, on_stats=stats.append)))
     sensor = load_sensor("vlp-32c")
     laser = np.argsort(sensor.ring)[ours.ring]
     azimuth = -np.arctan2(ours.xyz[:, 1], ours.xyz[:, 0]) - sensor.azimuth_offset_rad[laser]
@@ -319,7 +319,7 @@ def test_veloview_figures():
     """Its golden data for this recording: native axes, no vertical offset, azimuths rounded to 0.01°."""
     path = recording("veloview_hdl32e_monterey.pcap")
     packets = np.frombuffer(
-        b"".join(d.payload for d in read_datagrams(path, no_note) if len(d.payload) == 1206), PACKET
+        b"".join(d.payload for d in read_datagrams(path, no_warning) if len(d.payload) == 1206), PACKET
     )
     sensor = load_sensor("hdl-32e")
     host_ns = packets["stamp_us"].astype(np.int64) * 1000
@@ -354,7 +354,7 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
     one block of 53,376 in these recordings says 360° where ours say 0°. Both come out as 0.
     """
     sensor = load_sensor(RECORDINGS[name])
-    datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_note) if len(d.payload) == 1206]
+    datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_warning) if len(d.payload) == 1206]
     packets = np.frombuffer(b"".join(d.payload for d in datagrams), PACKET)
     host_ns = np.array([d.time_ns for d in datagrams])
     dual = bool(is_dual(sensor.packet, packets)[0])
@@ -435,7 +435,7 @@ def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
     for key, (theirs, unit_of_theirs) in READ_ELSEWHERE.items():
         read = np.array([laser.get(theirs, 0) for laser in lasers]) / unit_of_theirs
         np.testing.assert_allclose(read, getattr(unit.beams, key), atol=1e-5)
-    ours = whole(tmp_path / "a.pcap")  # no note: recognised, and its calibration found
+    ours = whole(tmp_path / "a.pcap")  # no warning: recognised, and its calibration found
     xyz, time_s, intensity, ring, _ = elsewhere(tmp_path / "a.pcap", OTHERS[name], read_elsewhere)
     agree(ours, xyz, time_s, intensity, ring, 2e-6)
     assert dual or (ours.return_type == (mode == "last")).all()
@@ -577,9 +577,9 @@ def test_status_bytes_have_64_beams():
 def test_without_a_calibration_the_example_unit_is_taken(tmp_path):
     sensor, packets, fired, *_ = sent("hdl-64e-s2", "strongest", 30)
     write(tmp_path / "a.pcap", sensor, packets, fired)
-    notes: list[str] = []
-    list(decode_pcap(tmp_path / "a.pcap", notes.append))
-    assert notes == [
+    warnings: list[str] = []
+    list(decode_pcap(tmp_path / "a.pcap", warnings.append))
+    assert warnings == [
         f"{tmp_path}/a.pcap: 192.168.1.201:2368: no whole calibration in its packets; "
         "hdl-64e-s2's example unit is taken"
     ]
@@ -597,7 +597,9 @@ def test_disorder_is_put_right(tmp_path):
     write_pcap(tmp_path / "b.pcap", mixed)
     for chunk in (1, 7, 1024):
         stats = []
-        got = concatenate(list(decode_pcap(tmp_path / "b.pcap", no_note, chunk_packets=chunk, on_stats=stats.append)))
+        got = concatenate(
+            list(decode_pcap(tmp_path / "b.pcap", no_warning, chunk_packets=chunk, on_stats=stats.append))
+        )
         kept = [i for i in range(100) if i not in (40, 41, 70)]
         expected = decode(sensor, packets[kept], packet_stamps_ns(sensor, fired)[1][kept])
         assert (got.xyz == expected.xyz_m).all()
@@ -616,7 +618,7 @@ def test_models_mixed_on_one_port(tmp_path):
     b = write(tmp_path / "b.pcap", *two[:3], host="192.168.1.202")
     write_pcap(tmp_path / "c.pcap", sorted(a + b, key=lambda d: d.time_ns))
     stats = []
-    both = concatenate(list(decode_pcap(tmp_path / "c.pcap", no_note, on_stats=stats.append)))
+    both = concatenate(list(decode_pcap(tmp_path / "c.pcap", no_warning, on_stats=stats.append)))
     assert {s.models[0]: s.return_modes for s in stats} == {"vlp-16": ("strongest",), "vlp-32c": ("dual",)}
     assert len(both.xyz) == len(whole(tmp_path / "a.pcap").xyz) + len(whole(tmp_path / "b.pcap").xyz)
     write_pcap(tmp_path / "d.pcap", a + [replace(d, host=a[0].host) for d in b])
@@ -631,7 +633,7 @@ def test_old_ids_do_not_hide_a_second_model(tmp_path):
     rig = Rig("one", (replace(mount(), sensor=load_sensor("vlp-16")),))
     for options in ({}, {"model": "vlp-16"}, {"rig": rig}):
         with pytest.raises(PacketError, match="sends product ids 0x22 and 0x21: two models on one port"):
-            list(decode_pcap(tmp_path / "a.pcap", no_note, chunk_packets=20, **options))
+            list(decode_pcap(tmp_path / "a.pcap", no_warning, chunk_packets=20, **options))
 
 
 def test_the_wrong_model_is_refused(tmp_path):
@@ -673,7 +675,7 @@ def test_a_sector_and_back(name, mode, tmp_path):
     error_deg = abs(np.degrees(got.azimuth_rad - expected + np.pi) % 360 - 180)
     assert error_deg[inner].max() <= 0.0151  # the block before the gap turns as the one before it
     assert np.percentile(error_deg[inner], 99) <= 0.0051
-    list(decode_pcap(tmp_path / "a.pcap", lambda note: None, model=name, on_stats=stats.append))
+    list(decode_pcap(tmp_path / "a.pcap", lambda warning: None, model=name, on_stats=stats.append))
     assert stats[0].lost == 0
 
 
@@ -722,7 +724,7 @@ def test_damaged_packets_end_well(name, data, tmp_path_factory):
     write(path, sensor, raw.view(PACKET).reshape(20), fired)
     message = ""
     try:
-        cloud = concatenate(list(decode_pcap(path, lambda note: None, model=name)))
+        cloud = concatenate(list(decode_pcap(path, lambda warning: None, model=name)))
     except (PacketError, ConfigError) as error:
         message = str(error)
     else:
