@@ -28,6 +28,7 @@ from lidarcfg.simulate.ground_truth import RECORD, records
 from lidarcfg.simulate.reach import Still
 from lidarcfg.simulate.simulator import Counts, Observer, Plan, Stage
 from lidarcfg.units import SECOND_NS
+from lidarcfg.world.geodesy import geographic
 from lidarcfg.world.motion import Trajectory, standing
 from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import COORDINATE_MAX_M, Scene
@@ -273,7 +274,7 @@ def nmea(mount: Mount, scene: Scene, trajectory: Trajectory, start_ns: int, time
             if facts is None or facts.sentence_without_gps == "none":
                 return [b""] * len(times_ns)
             seconds = (times_ns - start_ns + YEAR_2000_NS) // SECOND_NS
-        by_second = {s: gprmc(s * SECOND_NS, origin, (0.0, 0.0), 0.0, fix=False) for s in np.unique(seconds).tolist()}
+        by_second = {s: gprmc(s * SECOND_NS, None) for s in np.unique(seconds).tolist()}
         return [by_second[second] for second in seconds.tolist()]
     place_m = trajectory.world(np.zeros((len(times_ns), 3)), times_ns)
     ahead_m = trajectory.world(np.tile([1.0, 0.0, 0.0], (len(times_ns), 1)), times_ns) - place_m
@@ -282,11 +283,11 @@ def nmea(mount: Mount, scene: Scene, trajectory: Trajectory, start_ns: int, time
     way = np.where(speed_m_s[:, None] >= SLOWEST_M_S, velocity_m_s, ahead_m)
     course_rad = np.arctan2(way[:, 1], way[:, 0])
     found: dict[tuple[int, tuple[float, ...]], bytes] = {}  # a vehicle that stands has one sentence a second
-    keys = [tuple(row) for row in np.column_stack([place_m[:, :2], course_rad, speed_m_s]).tolist()]
+    keys = [tuple(row) for row in np.column_stack([geographic(origin, place_m), course_rad, speed_m_s]).tolist()]
     for key in zip(seconds.tolist(), keys, strict=True):
         if key not in found:
-            second, (east, north, course, speed) = key
-            found[key] = gprmc(second * SECOND_NS, origin, (east, north), course, speed)
+            second, (latitude, longitude, course, speed) = key
+            found[key] = gprmc(second * SECOND_NS, (latitude, longitude), course, speed)
     return [found[key] for key in zip(seconds.tolist(), keys, strict=True)]
 
 

@@ -33,7 +33,6 @@ from lidarcfg.units import HOUR_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import PpsState
-    from lidarcfg.world.scene import GeoOrigin
 
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
@@ -54,7 +53,6 @@ RETURNS = ("strongest", "last")  # the last axis of dual returns
 HOUR_US = 3600 * 10**6
 PPS_STATES: tuple["PpsState", ...] = ("absent", "synchronising", "locked", "error")
 KNOT_M_S = 1852 / 3600
-WGS84_A_M, WGS84_E2 = 6378137.0, 6.69437999014e-3  # semi-major axis, eccentricity squared
 
 Packets = NDArray[np.void]
 
@@ -344,23 +342,17 @@ def position_packets(time_ns: Times, pps: "PpsState", sentences: Sequence[bytes]
 
 
 def gprmc(
-    time_ns: int,
-    geo_origin: "GeoOrigin",
-    east_north_m: tuple[float, float],
-    course_rad: float,
-    speed_m_s: float = 0.0,
-    fix: bool = True,
+    time_ns: int, place_deg: tuple[float, float] | None, course_rad: float = 0.0, speed_m_s: float = 0.0
 ) -> bytes:
-    """The NMEA sentence, with checksum and CR LF, of a vehicle at (x east, y north) of the world.
+    """The NMEA sentence, with checksum and CR LF, of a vehicle at this latitude and longitude.
 
-    Speed is in knots, the course (its yaw if it stands) from north. Without a fix, as where the plane of `geographic`
-    leaves the Earth's latitudes, the status is V and there is no position.
+    Speed is in knots; the course is clockwise from north, of a `course_rad` counter-clockwise from east. Without a
+    place the receiver has no fix: the status is V, and there is no position, speed or course.
     """
-    latitude_deg, longitude_deg = geographic(geo_origin, east_north_m)
     now = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=time_ns // 10**9)
-    if fix and abs(latitude_deg) <= 90:
+    if place_deg:
         course_deg = round(90 - math.degrees(course_rad), 1) % 360
-        place = f"{_degrees(latitude_deg, 2, 'NS')},{_degrees(longitude_deg, 3, 'EW')}"
+        place = f"{_degrees(place_deg[0], 2, 'NS')},{_degrees(place_deg[1], 3, 'EW')}"
         text = f"GPRMC,{now:%H%M%S}.00,A,{place},{speed_m_s / KNOT_M_S:.3f},{course_deg:.1f},{now:%d%m%y},0.0,E,A"
     else:
         text = f"GPRMC,{now:%H%M%S}.00,V,,,,,,,{now:%d%m%y},,,N"
@@ -368,19 +360,6 @@ def gprmc(
     for byte in body:
         checksum ^= byte
     return b"$%s*%02X\r\n" % (body, checksum)
-
-
-def geographic(origin: "GeoOrigin", east_north_m: tuple[float, float]) -> tuple[float, float]:
-    """Latitude and longitude in degrees of a point on the plane that touches WGS 84 at the origin.
-
-    Longitude is within ±180; latitude is beyond ±90 where the plane reaches further than a pole.
-    """
-    east, north = east_north_m
-    latitude = math.radians(origin.latitude_deg)
-    w2 = 1 - WGS84_E2 * math.sin(latitude) ** 2
-    meridian_m, normal_m = WGS84_A_M * (1 - WGS84_E2) / w2**1.5, WGS84_A_M / math.sqrt(w2)
-    longitude_deg = origin.longitude_deg + math.degrees(east / (normal_m * math.cos(latitude)))
-    return origin.latitude_deg + math.degrees(north / meridian_m), (longitude_deg + 180) % 360 - 180
 
 
 def _degrees(angle_deg: float, digits: int, signs: str) -> str:
