@@ -1,4 +1,4 @@
-"""Writing files: aside first, then renamed, so that a killed run leaves the old one whole."""
+"""Files: those that come with the package, and writing: aside first, then renamed."""
 
 import errno
 import os
@@ -6,6 +6,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
+
+
+def shipped(folder: str) -> Path:
+    """Where `sensors` or `data` are: beside the package in the repository, inside it once it is installed."""
+    package = Path(__file__).parent
+    installed = package / f"_{folder}"
+    return installed if installed.is_dir() else package.parent / folder
+
+
+def example(path: str | Path) -> Path:
+    """The path; or, where no file has it and it begins with `data/`, the example that comes with the package."""
+    path = Path(path)
+    if path.parts[:1] == ("data",) and not path.exists():
+        found = shipped("data").joinpath(*path.parts[1:])
+        if found.is_file():
+            return found
+    return path
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import Angles, Model, Position, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import replacing
+from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor
@@ -150,7 +150,7 @@ def default_host(index: int) -> str | None:
 
 def load_rig(path: str | Path) -> Rig:
     """The rig in a YAML file. Raises ConfigError with file, line and key."""
-    path = Path(path)
+    path = example(path)
     file = load(path, RigFile)
     mounts: list[Mount] = []
     for i, mount in enumerate(file.sensors):

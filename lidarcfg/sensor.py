@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Positive, fault, load
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import shipped
 from lidarcfg.geometry import Array
 
 BLOCKS = 12  # in a data packet
@@ -303,11 +304,7 @@ class Sensor(Model):
 
 def catalogue() -> dict[str, Path]:
     """The sensor files that come with the project, by name."""
-    here = Path(__file__).parent
-    folder = here / "_sensors"  # in the wheel
-    if not folder.is_dir():
-        folder = here.parent / "sensors"  # in the repository
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    return {path.stem: path for path in sorted(shipped("sensors").glob("*.yaml"))}
 
 
 def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:

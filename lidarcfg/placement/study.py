@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, error_at, fault, load
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.cones import Lidar, lidar, rig_lidars
@@ -275,7 +276,7 @@ class Evaluation:
 
 def load_study(path: str | Path) -> Study:
     """The study in a YAML file. Raises ConfigError with file, line and key."""
-    path = Path(path)
+    path = example(path)
     file = load(path, StudyFile)
     slots: list[Slot] = []
     lower, upper, mirror = [], [], []

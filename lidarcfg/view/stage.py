@@ -13,6 +13,7 @@ from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.cloud import DAMAGE, SUFFIXES, PointCloud, concatenate, load_cloud
 from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
+from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.rig import Rig, load_rig
@@ -103,7 +104,7 @@ def load_stage(
     Of the captures only what is chosen is read. A study without a rig has one in the middle of its bounds.
     Raises ConfigError, PacketError, CloudError, SceneError.
     """
-    kinds = [(kind_of(path), path) for path in paths]
+    kinds = [(kind_of(path), path) for path in map(example, paths)]
 
     def of(kind: Kind) -> list[Path]:
         return [path for found, path in kinds if found == kind]

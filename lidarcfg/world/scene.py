@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import Model, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import SceneError
+from lidarcfg.files import example
 from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.sensor import Byte
 from lidarcfg.world.motion import Motion
@@ -142,7 +143,7 @@ class Scene:
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
-    path = Path(path)
+    path = example(path)
     file = load(path, SceneFile)
     things: list[tuple[Ground | Thing, Mesh]] = []
     if file.ground:

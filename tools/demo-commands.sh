@@ -1,0 +1,50 @@
+# Sourced by tools/demo, and by whoever tries an installed package: the demo's commands.
+# Usage: source tools/demo-commands.sh BIN OUT   (the folder of lidarcfg and python; where the results go)
+bin=$1
+out=$2
+study=data/studies/liu2018-2x16.yaml
+scene=data/scenes/street.yaml
+
+rm -rf "$out"
+mkdir -p "$out"
+say "1/4 placing two VLP-16 as the paper does, for a short budget"
+"$bin/lidarcfg" optimize "$study" -o "$out" --evaluations 16000 >"$out/optimize.txt"
+say "2/4 one second of what they send, parked in $scene"
+"$bin/lidarcfg" export "$out/rig.yaml" --scene "$scene" --at=-30,-10,0 --duration 1 -o "$out/capture.pcap"
+say "3/4 decoding it and merging the clouds by the rig's poses"
+"$bin/lidarcfg" decode "$out/capture.pcap" --rig "$out/rig.yaml" -o "$out/cloud.ply"
+say "4/4 a picture, and a page to walk through"
+"$bin/lidarcfg" view "$out/cloud.ply" "$out/rig.yaml" --png "$out/picture.png"
+"$bin/lidarcfg" view "$out/cloud.ply" "$out/rig.yaml" "$study" --html "$out/page.html"
+"$bin/python" - "$out" <<'PYTHON'
+import json
+import sys
+from pathlib import Path
+
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from lidarcfg.capture.pcap import read_datagrams
+from lidarcfg.cloud import load_cloud
+
+out = Path(sys.argv[1])
+result = json.loads((out / "result.json").read_text())
+table = Table(box=SIMPLE, show_header=False)
+table.add_row("max VSR, rig in the middle of the bounds", f"{result['middle_max_vsr_m']:.4f} m")
+table.add_row("max VSR, optimised rig", f"{result['max_vsr_m']:.4f} m")
+table.add_row("evaluations", f"{result['evaluations']:,}")
+table.add_row("seconds", f"{result['seconds']:.1f}")
+table.add_row("packets", f"{sum(1 for _ in read_datagrams(out / 'capture.pcap', print)):,}")
+table.add_row("points", f"{len(load_cloud(out / 'cloud.ply').xyz):,}")
+for what, name in (
+    ("report", "report.html"),
+    ("rig", "rig.yaml"),
+    ("result, convergence", "result.json convergence.png rig.png"),
+    ("capture", "capture.pcap"),
+    ("merged cloud", "cloud.ply"),
+    ("picture, page", "picture.png page.html"),
+):
+    table.add_row(what, " ".join(str(out / part) for part in name.split()))
+Console(highlight=False, width=100).print(table)
+PYTHON
