@@ -18,7 +18,7 @@ def shipped(folder: str) -> Path:
 def example(path: str | Path) -> Path:
     """The path; or, where no file has it and it begins with `data/`, the example that comes with the package."""
     path = Path(path)
-    if path.parts[:1] == ("data",) and not path.exists():
+    if path.parts[:1] == ("data",) and ".." not in path.parts and not path.exists():
         found = shipped("data").joinpath(*path.parts[1:])
         if found.is_file():
             return found
