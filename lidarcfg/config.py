@@ -1,7 +1,7 @@
 """Strict YAML: a file becomes a checked model, or one line `file:line:column: key: what, what is allowed`.
 
-YAML 1.2 core schema (so `1e-05` is a number and `on` is a text), read with PyYAML's composer for the
-line numbers. Refused: unknown or repeated keys, other types, NaN and infinities, tags of anything else.
+YAML 1.2 core schema (so `1e-05` is a number and `on` is a text), read with PyYAML's composer, which keeps line
+numbers. Errors: unknown or repeated keys, wrong types, NaN, infinities, and tags outside the core schema.
 """
 
 import difflib
@@ -22,7 +22,7 @@ from yaml.scanner import Scanner
 
 from lidarcfg.errors import ConfigError
 
-Key = tuple[str | int, ...]  # where in the file: ("sensors", 0, "model")
+Key = tuple[str | int, ...]  # a path in the file: ("sensors", 0, "model")
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 COORDINATE_MAX_M = 1e8  # metres; UTM reaches 1e7
@@ -31,21 +31,40 @@ Metres = Annotated[float, Field(ge=-COORDINATE_MAX_M, le=COORDINATE_MAX_M)]
 Position = tuple[Metres, Metres, Metres]
 Angle = Annotated[float, Field(ge=-ANGLE_MAX, le=ANGLE_MAX)]
 Angles = tuple[Angle, Angle, Angle]
-NODES_MAX = 1_000_000  # more than that is an alias bomb, not a configuration
+NODES_MAX = 1_000_000  # beyond this it is an alias bomb, not a configuration
 
 
 class Model(BaseModel):
-    """A part of a file: frozen, every key known, every type exact, every number finite."""
+    """A part of a file: frozen, only known keys, exact types, finite numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-    renamed: ClassVar[dict[str, str]] = {}  # keys of earlier versions, and where each now stands
+    renamed: ClassVar[dict[str, str]] = {}  # keys of earlier versions → their new names
 
 
 M = TypeVar("M", bound=Model)
 
+SENTENCES = {  # by pydantic's error type, with the limits of its context
+    "missing": "missing",
+    "string_type": "{got} is not a text",
+    "string_unicode": "{got} is not a text",
+    "int_type": "{got} is not a whole number",
+    "float_type": "{got} is not a number",
+    "bool_type": "{got} is not true or false",
+    "tuple_type": "{got} is not a list",
+    "dict_type": "{got} is not a map of keys",
+    "model_type": "{got} is not a map of keys",
+    "literal_error": "{got} is not allowed; allowed: {expected}",
+    "greater_than": "{got} is too small; allowed: above {gt}",
+    "greater_than_equal": "{got} is too small; allowed: at least {ge}",
+    "less_than": "{got} is too large; allowed: below {lt}",
+    "less_than_equal": "{got} is too large; allowed: at most {le}",
+    "string_too_short": "{got} is too short; allowed: at least {min_length} characters",
+    "string_pattern_mismatch": "{got} is not allowed; allowed: a text that matches {pattern}",
+}
+
 
 def fault(what: str, *at: str | int) -> PydanticCustomError:
-    """For a model's validators: the error `what`, at the key `at` below the model."""
+    """The error that a model's validator raises: `what`, at the key `at` below the model."""
     return PydanticCustomError("fault", "{what}", {"what": what, "at": at})
 
 
@@ -81,7 +100,7 @@ if yaml.__with_libyaml__:
     from yaml._yaml import CParser
 
     class _QuickLoader(CParser, _Resolver):
-        """The same by libyaml, some ten times as fast; how deeply a text is nested is not checked."""
+        """The same with libyaml: about ten times as fast, but without a limit on nesting, so for our own files only."""
 
         def __init__(self, text: str) -> None:
             CParser.__init__(self, text)
@@ -91,7 +110,7 @@ if yaml.__with_libyaml__:
 
 
 class _Document:
-    """One YAML text as plain values, with the place of each key."""
+    """A YAML text as plain values, with the line and column of each key."""
 
     def __init__(self, text: str, name: str, own: bool = False) -> None:
         self.name = name
@@ -113,13 +132,16 @@ class _Document:
         self.value = self._value(root, (), ())
 
     def error(self, key: Key, what: str) -> ConfigError:
-        """An error at the nearest place that the file has for `key`."""
-        known = key
-        while known and known not in self.places:
-            known = known[:-1]
-        line, column = self.places.get(known, (1, 1))
+        """The error `what` at `key`."""
+        line, column = self.place(key)
         path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
         return ConfigError(f"{self.name}:{line}:{column}: {path + ': ' if path else ''}{what}")
+
+    def place(self, key: Key) -> tuple[int, int]:
+        """Line and column of `key`, or of the nearest key above it that the file has."""
+        while key and key not in self.places:
+            key = key[:-1]
+        return self.places.get(key, (1, 1))
 
     def _value(self, node: yaml.Node, key: Key, parents: tuple[int, ...]) -> Any:
         self._nodes += 1
@@ -176,7 +198,7 @@ class _Document:
 
 
 def load(path: str | Path, model: type[M], own: bool = False) -> M:
-    """The file at `path`, which may be one of the project's own, as a `model`.
+    """Read the file at `path` as a `model`; `own` if it is part of the package.
 
     Raises ConfigError with file, line, column and key.
     """
@@ -184,10 +206,10 @@ def load(path: str | Path, model: type[M], own: bool = False) -> M:
 
 
 def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
-    """The error `what` at a key of a file that was loaded, for what only shows when its parts meet."""
+    """The error `what` at a key of a loaded file, for checks that need more than one part of it."""
     try:
         return _Document(_read(path), str(path)).error(key, str(what))
-    except ConfigError:  # what came through a pipe is not there a second time
+    except ConfigError:  # a pipe cannot be read twice
         return ConfigError(f"{path}: {what}")
 
 
@@ -203,7 +225,7 @@ def _read(path: str | Path) -> str:
 
 
 def loads(text: str, model: type[M], name: str, own: bool = False) -> M:
-    """The text of a file called `name` as a `model`. Raises ConfigError."""
+    """Read the text of a file called `name` as a `model`. Raises ConfigError."""
     document = _Document(text, name, own)
     try:
         return model.model_validate(document.value)
@@ -214,23 +236,16 @@ def loads(text: str, model: type[M], name: str, own: bool = False) -> M:
 
 
 def _first_error(document: _Document, error: ValidationError, model: type[Model]) -> ConfigError:
-    """The error that stands first in the file, with a count of the others."""
-
-    def place(item: Any) -> tuple[int, int]:
-        key = _key(item)
-        while key and key not in document.places:
-            key = key[:-1]
-        return document.places.get(key, (0, 0))
-
+    """The first error in the file, with a count of the others."""
     errors = error.errors(include_url=False)
     keys = [_key(item) for item in errors]
-    # a list whose item is wrong is told "too short" as well: only the item is the user's mistake
+    # pydantic also calls a list too short if one of its items is wrong: report the item only
     items = [
         item
         for item, key in zip(errors, keys, strict=True)
         if item["type"] != "too_short" or not any(len(k) > len(key) and k[: len(key)] == key for k in keys)
     ]
-    items.sort(key=lambda item: (item["type"] == "missing", place(item)))
+    items.sort(key=lambda item: (item["type"] == "missing", document.place(_key(item))))
     more = f" (and {len(items) - 1} more)" if len(items) > 1 else ""
     return document.error(_key(items[0]), _message(items[0], model) + more)
 
@@ -240,26 +255,26 @@ def _key(item: Any) -> Key:
 
 
 def _message(item: Any, model: type[Model]) -> str:
-    kind, got = item["type"], item.get("input")
+    kind, context = item["type"], item.get("ctx", {})
     if kind == "fault":
-        return str(item["msg"])
+        return str(context["what"])
     if kind == "extra_forbidden":
         return _unknown_key(str(item["loc"][-1]), _model_at(model, item["loc"][:-1]))
-    if kind == "missing":
-        return "missing"
     if kind in ("too_short", "too_long"):
-        least, most = item["ctx"].get("min_length"), item["ctx"].get("max_length")
+        least, most = context.get("min_length"), context.get("max_length")
         allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
-        return f"has {item['ctx']['actual_length']} values; allowed: {allowed}"
-    msg = item["msg"]
-    if kind in ("model_type", "dict_type"):
-        msg = "should be a map of keys"
-    msg = msg.replace("Input should", "should").replace("tuple", "list").replace("Tuple", "list")
-    if isinstance(got, dict | tuple):
-        got = "a map" if isinstance(got, dict) else f"a list of {len(got)}"
-    else:
-        got = repr(got)[:60]
-    return f"{got} {msg[0].lower()}{msg[1:]}"
+        return f"has {context['actual_length']} values; allowed: {allowed}"
+    limits = {key: _shown(value) for key, value in context.items() if key != "expected"}
+    return SENTENCES[kind].format_map(limits | {"expected": context.get("expected"), "got": _shown(item["input"])})
+
+
+def _shown(value: Any) -> str:
+    """A value as YAML writes it; of a map or a list only what it is."""
+    if isinstance(value, dict | tuple):
+        return "a map" if isinstance(value, dict) else f"a list of {len(value)}"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return format(value, ".15g") if isinstance(value, float) else repr(value)[:60]
 
 
 def _unknown_key(name: str, model: type[Model]) -> str:
@@ -275,17 +290,18 @@ def _unknown_key(name: str, model: type[Model]) -> str:
 
 
 def _model_at(model: type[Model], loc: Key) -> type[Model]:
-    """The model that stands at `loc` inside `model`, found by walking the annotations."""
+    """The model at `loc` inside `model`, found by walking the annotations."""
     found: Any = model
     for part in loc:
         if isinstance(part, str) and isinstance(found, type) and issubclass(found, Model):
             found = found.model_fields[part].annotation
-        found = next(_models(found), found)
+        found = next(nested_models(found), found)
     return found if isinstance(found, type) and issubclass(found, Model) else model
 
 
-def _models(annotation: Any) -> Iterator[type[Model]]:
+def nested_models(annotation: Any) -> Iterator[type[Model]]:
+    """The models in the type of a field."""
     if isinstance(annotation, type) and issubclass(annotation, Model):
         yield annotation
     for argument in getattr(annotation, "__args__", ()):
-        yield from _models(argument)
+        yield from nested_models(argument)

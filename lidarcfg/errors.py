@@ -1,28 +1,28 @@
-"""What can go wrong by the user's hand: each error is one line that says where, what, and what is allowed."""
+"""The user's mistakes: each error is one line that says where, what, and what is allowed."""
 
 
 def one_line(text: str) -> str:
-    """With control characters written out, as a name may hold them."""
+    """The text with control characters, which names may contain, written as escapes."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class LidarcfgError(Exception):
-    """The user's mistake, told in one line. The command line prints it and ends with 2."""
+    """A mistake of the user's, in one line. The command line prints it and exits with 2."""
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
 
 
 class ConfigError(LidarcfgError):
-    """A file of ours (sensor, rig, study, scene) does not say something that is allowed."""
+    """A sensor, rig, study or scene file contains something that is not allowed."""
 
 
 class SceneError(LidarcfgError):
-    """A scene cannot be built, for example one without anything in it."""
+    """A scene cannot be built, for example because it is empty."""
 
 
 class PacketError(LidarcfgError):
-    """A capture is not what it should be: no pcap, no LiDAR packets, another model."""
+    """A capture cannot be used: not a pcap, no LiDAR packets, another model."""
 
 
 class CloudError(LidarcfgError):
@@ -30,4 +30,4 @@ class CloudError(LidarcfgError):
 
 
 class HandoverError(LidarcfgError):
-    """What is to be handed over cannot be said in the format that is asked for."""
+    """The target format cannot express what is to be converted."""

@@ -42,12 +42,12 @@ def test_defaults(tmp_path):
             MINIMAL.replace("]}", "], rpm: 100}"),
             "rig.yaml:3:53: sensors[0].rpm: 100 is outside vlp-16's 300 to 1200",
         ),
-        (MINIMAL.replace("]}", "], rpm: -1}"), "sensors[0].rpm: -1 should be greater than 0"),
+        (MINIMAL.replace("]}", "], rpm: -1}"), "sensors[0].rpm: -1 is too small; allowed: above 0"),
         (
             MINIMAL.replace("]}", "], data_port: 70000}"),
-            "data_port: 70000 should be less than or equal to 65535",
+            "data_port: 70000 is too large; allowed: at most 65535",
         ),
-        (MINIMAL.replace("]}", "], return_mode: both}"), "return_mode: 'both' should be 'strongest'"),
+        (MINIMAL.replace("]}", "], return_mode: both}"), "return_mode: 'both' is not allowed; allowed: 'strongest'"),
         (
             MINIMAL.replace("]}", "], rpy_rad: [0, 0, 0], rpy_deg: [0, 0, 0]}"),
             "rpy_deg: stands beside rpy_rad",

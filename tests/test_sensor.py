@@ -104,10 +104,10 @@ def test_rings_of_a_placement_sensor_do_not_wrap():
             "packet.sequences_per_block: 16 beams × 1 do not fill",
         ),
         ("rpm_min: 300", "rpm_min: 1201", "rotation.rpm_min: 1201 is above rpm_max, 1200"),
-        ("rate_hz: 147", "rate_hz: 10001", "position_packet.rate_hz: 10001 should be less than or equal to 10000"),
-        ("rate_hz: 147", "rate_hz: 0", "position_packet.rate_hz: 0 should be greater than 0"),
+        ("rate_hz: 147", "rate_hz: 10001", "position_packet.rate_hz: 10001 is too large; allowed: at most 10000"),
+        ("rate_hz: 147", "rate_hz: 0", "position_packet.rate_hz: 0 is too small; allowed: above 0"),
         ("min_m: 0.5", "min_m: 100", "range.min_m: 100.0 is not below max_m"),
-        ("product_id: 0x22", "product_id: 256", "packet.product_id: 256 should be less than or equal to 255"),
+        ("product_id: 0x22", "product_id: 256", "packet.product_id: 256 is too large; allowed: at most 255"),
     ],
 )
 def test_facts_that_contradict_each_other(tmp_path, old, new, message):

@@ -298,7 +298,7 @@ def test_one_cuboid(edge):
         ("{min_m: [0, 0, 0], max_m: [1e-9, 1, 1], cuboid_m: [1e-10, 1, 1]}", "1e-10 is too little"),
         ("{min_m: [1e8, 0, 0], max_m: [1e8, 1, 1], cuboid_m: [1, 1, 1]}", "is not above min_m's"),
         ("{min_m: [99999999.9999, 0, 0], max_m: [1e8, 1, 1], cuboid_m: [0.00001, 1, 1]}", "1e-05 is too little for coordinates up to 1e+08; allowed: at least 0.0001"),
-        ("{min_m: [0, 0, 0], max_m: [1e9, 1, 1], cuboid_m: [1e9, 1, 1]}", "less than or equal to 100000000"),
+        ("{min_m: [0, 0, 0], max_m: [1e9, 1, 1], cuboid_m: [1e9, 1, 1]}", "at most 100000000"),
     ],
 )  # fmt: skip
 def test_cuboids_that_coordinates_cannot_tell_apart(tmp_path, region, what):

@@ -35,7 +35,7 @@ def test_an_exclusion_takes_its_lower_bound_and_not_its_upper():
         ("[1, 0.5, 0.2]", "[1, 0.5, 9]", "cuboid_m[2]: 9 does not divide the region's 4 along z; nearest sizes that do: 2 and 4"),
         ("[1, 0.5, 0.2]", "[1e-3, 1e-3, 1e-3]", "cuboid_m: makes more than the 2,147,483,647 cuboids allowed"),
         ("[1, 0.5, 0.2]", "[1e-300, 1, 1]", "cuboid_m: makes more than"),
-        ("[1, 0.5, 0.2]", "[0, 0.5, 0.2]", "cuboid_m[0]: 0 should be greater than 0"),
+        ("[1, 0.5, 0.2]", "[0, 0.5, 0.2]", "cuboid_m[0]: 0 is too small; allowed: above 0"),
         ("[60, 20, 4]", "[60, 0, 4]", "max_m[1]: 0 is not above min_m's 0"),
     ],
 )  # fmt: skip

@@ -237,7 +237,7 @@ def test_files_are_told_apart(tmp_path):
     [
         ({"a.txt": "hello"}, ConfigError, "a.txt: is no capture, cloud, rig, study or scene; allowed: .pcap"),
         ({"a.yaml": "name: x"}, ConfigError, "a.yaml:1:1: is no rig"),
-        ({"a.yaml": "[1, 2]"}, ConfigError, "a.yaml:1:1: a list of 2 should be a map of keys"),
+        ({"a.yaml": "[1, 2]"}, ConfigError, "a.yaml:1:1: a list of 2 is not a map of keys"),
         ({"a.yaml": "a: ["}, ConfigError, "a.yaml:1:5: not YAML"),
         ({"a.ply": "ply"}, CloudError, "a.ply: not a whole ply file"),
         ({"a.pcap": "no"}, PacketError, "a.pcap: not a capture"),

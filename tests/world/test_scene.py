@@ -93,14 +93,14 @@ def test_street():
     [
         ("", "empty; give a ground or an object"),
         ("ground: {z_m: 0}", "ground.reflectivity: missing"),
-        ("ground: {reflectivity: 300}", "300 should be less than or equal to 255"),
+        ("ground: {reflectivity: 300}", "300 is too large; allowed: at most 255"),
         ("spheres: [{name: s, center_m: [0, 0, 0], radius: 1, reflectivity: 1}]", "allowed: radius_m"),
-        ("spheres: [{name: s, center_m: [0, 0, 0], radius_m: 0, reflectivity: 1}]", "greater than 0"),
+        ("spheres: [{name: s, center_m: [0, 0, 0], radius_m: 0, reflectivity: 1}]", "above 0"),
         (
             "spheres: [{name: ground, center_m: [0, 0, 0], radius_m: 1, reflectivity: 1}]",
             "is an object already",
         ),
-        ("geo_origin: {latitude_deg: 90}\nground: {reflectivity: 1}", "less than or equal to 89"),
+        ("geo_origin: {latitude_deg: 90}\nground: {reflectivity: 1}", "at most 89"),
         (
             "meshes: [{name: m, file: none.ply, position_m: [0, 0, 0], reflectivity: 1}]",
             "none.ply: no such file",
@@ -115,25 +115,25 @@ def test_street():
         ),
         (
             "spheres: [{name: s, center_m: [0, 0, 0], radius_m: 1e14, reflectivity: 1}]",
-            "less than or equal to 100000000",
+            "at most 100000000",
         ),
         (
             "spheres: [{name: s, center_m: [0, 0, 2e8], radius_m: 1, reflectivity: 1}]",
-            "less than or equal to 100000000",
+            "at most 100000000",
         ),
         (
             "cylinders: [{name: s, base_m: [0, -2e8, 0], radius_m: 1, height_m: 1, reflectivity: 1}]",
-            "greater than or equal to -100000000",
+            "at least -100000000",
         ),
         (
             "boxes: [{name: b, center_m: [0, 0, 0], size_m: [1, 1, 1e9], reflectivity: 1}]",
-            "less than or equal to 100000000",
+            "at most 100000000",
         ),
         (
             "planes: [{name: p, center_m: [0, 0, 0], size_m: [1, 1e9], reflectivity: 1}]",
-            "less than or equal to 100000000",
+            "at most 100000000",
         ),
-        ("ground: {z_m: 1e300, reflectivity: 1}", "ground.z_m: 1e+300 should be less than or equal to 100000000"),
+        ("ground: {z_m: 1e300, reflectivity: 1}", "ground.z_m: 1e+300 is too large; allowed: at most 100000000"),
     ],
 )
 def test_refused(tmp_path, text, message):
