@@ -56,7 +56,7 @@ def module(name: str) -> str:
 
 def definition(node: ast.FunctionDef | ast.ClassDef, lines: list[str]) -> str:
     """A class with its fields, comments included, and its public methods; or a function's signature; docstrings."""
-    parts = [f"#### `{node.name}`", "", "```python", *header(node, lines)]
+    parts = [f"#### `{node.name}`", "", "```py", *header(node, lines)]
     if isinstance(node, ast.ClassDef):
         for field in node.body:
             if isinstance(field, ast.AnnAssign):
