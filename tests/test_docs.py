@@ -64,7 +64,7 @@ def commands(text):
 
 def help_examples():
     """The command lines of the first page of --help, and then of each command's."""
-    texts = [cli.epilog, *(command.help.partition("Example")[2] for command in COMMANDS.values())]
+    texts = [cli.epilog, *(command.epilog or "" for command in COMMANDS.values())]
     return [words for text in texts for words in commands(text)]
 
 

@@ -4,21 +4,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import cloup
 
 from lidarcfg.commands.options import (
     FILE,
-    MODEL,
     START_HELP,
-    Seconds,
+    PositiveNumber,
     from_option,
+    load_trajectory,
+    model_option,
     nanoseconds,
-    progress,
     quiet_option,
     sensor_option,
     to_option,
     warn,
-    way,
 )
+from lidarcfg.commands.progress import progress
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -26,19 +27,34 @@ if TYPE_CHECKING:
     from lidarcfg.simulate.simulator import Counts
 
 
-@click.command()
-@click.argument("rig", type=FILE)
-@click.option("--scene", type=FILE, required=True, help="The scene's YAML.")
-@click.option("--duration", type=Seconds(86_400), required=True, help="Seconds.")
-@click.option("-o", "--output", type=FILE, required=True, help="The .pcap to write.")
-@click.option("--split", is_flag=True, help="One file a sensor instead, FILE-NAME.pcap.")
-@click.option("--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Where the vehicle stands in the scene.")
-@click.option("--start", metavar="TIME", help=START_HELP)
-@click.option("--trajectory", type=FILE, help="How the vehicle moves from there: .yaml, or timed poses as .tum.")
-@click.option("--truth", type=FILE, help="Write object, exact range and noise of each return to this .npz.")
-@click.option("--no-skip", is_flag=True, help="Cast every beam, also those that cannot meet anything.")
-@click.option("--stats", is_flag=True, help="Say how many beams were fired and how many were cast.")
-@quiet_option
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml \\
+          --at=-30,-10,0 --duration 1 -o out/two.pcap
+    """
+)
+@cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
+@cloup.option_group(
+    "Scene and motion",
+    cloup.option("--scene", type=FILE, required=True, help="The scene's YAML."),
+    cloup.option(
+        "--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scene.  [default: 0,0,0]"
+    ),
+    cloup.option("--trajectory", type=FILE, help="Motion from there: YAML, or timed poses as .tum."),
+    cloup.option("--start", metavar="TIME", help=START_HELP),
+    cloup.option("--duration", type=PositiveNumber(86_400), metavar="SECONDS", required=True, help="Simulated time."),
+)
+@cloup.option_group(
+    "Output",
+    cloup.option("-o", "--output", type=FILE, required=True, help="The .pcap to write."),
+    cloup.option("--split", is_flag=True, help="Write one file per sensor: NAME-SENSOR.pcap."),
+    cloup.option("--truth", type=FILE, help="Write the ground truth of each return, as .npz: object, range, noise."),
+    cloup.option("--stats", is_flag=True, help="Print how many beams were fired and cast."),
+    quiet_option,
+)
+@cloup.option("--no-skip", is_flag=True, help="Cast every beam, even those that cannot hit anything.")
 def export(
     rig: Path,
     scene: Path,
@@ -53,14 +69,9 @@ def export(
     stats: bool,
     quiet: bool,
 ) -> None:
-    """Write what the sensors of RIG send while the vehicle stands or moves in a scene, as UDP in a pcap.
+    """Simulate what a rig's sensors send in a scene, as a pcap.
 
-    The same input gives the same bytes.
-
-    \b
-    Example:
-      lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml \\
-          --at=-30,-10,0 --duration 1 -o out/two.pcap
+    The vehicle stands, or moves along a trajectory. The same input gives the same bytes.
     """
     import time
     from contextlib import ExitStack
@@ -74,26 +85,26 @@ def export(
     for path, suffix, option in ((output, ".pcap", "-o"), (truth, ".npz", "--truth")):
         if path and path.suffix != suffix:
             raise click.BadParameter(f"{str(path)!r} does not end in {suffix}", param_hint=option)
-    mounted, stage = load_rig(rig), load_scene(scene)
+    mounted, world = load_rig(rig), load_scene(scene)
     duration_ns, began = round(duration * SECOND_NS), time.monotonic()
-    counted = [0, 0, 0]
+    total = [0, 0, 0]
 
     def on_rays(counts: "Counts") -> None:
-        counted[:] = map(sum, zip(counted, counts, strict=True))
+        total[:] = map(sum, zip(total, counts, strict=True))
 
-    with progress(quiet) as on_share, ExitStack() as stack:
+    with progress(quiet) as on_fraction, ExitStack() as stack:
 
         def on_progress(done_ns: int) -> None:
             rate = done_ns / SECOND_NS / max(time.monotonic() - began, 1e-9)
-            on_share(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
+            on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
 
         names = [mount.name for mount in mounted.mounts]
-        beside = stack.enter_context(TruthFile(truth, names, stage.names)) if truth else None
+        beside = stack.enter_context(TruthFile(truth, names, world.names)) if truth else None
         start_ns = nanoseconds(start) if start else capture.START_NS
         streams = capture.export(
             mounted,
-            stage,
-            way(trajectory, at, start_ns),
+            world,
+            load_trajectory(trajectory, at, start_ns),
             duration_ns,
             start_ns,
             on_progress,
@@ -113,26 +124,39 @@ def export(
         if truth:
             click.echo(f"{truth}: {records:,} returns")
     if stats:
-        rays, nothing, few = counted
-        some = max(rays, 1)  # a narrow sector may fire none
-        click.echo(
-            f"{rays:,} rays: {nothing:,} ({nothing / some:.1%}) could meet nothing in range, "
-            f"{few:,} ({few / some:.1%}) were settled by a few triangles, {rays - nothing - few:,} were cast"
-        )
+        _print_rays(*total)
 
 
-@click.command()
-@click.argument("pcap", type=FILE)
-@click.option("--rig", type=FILE, help="Merge by this rig's poses; without it each source keeps its own frame.")
-@click.option("--model", type=MODEL, help="What the sensor is, whatever its packets say.")
-@click.option("--trajectory", type=FILE, help="How the vehicle moved: takes the motion out; points are in the world.")
-@click.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]")
-@click.option("--start", metavar="TIME", help="When the trajectory starts; " + START_HELP)
-@from_option
-@to_option
-@sensor_option
-@click.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
-@click.option("--stats", is_flag=True, help="Say of each source: model, return mode, rpm, lost packets.")
+def _print_rays(rays: int, nothing: int, few: int) -> None:
+    some = max(rays, 1)  # a narrow field of view may fire none
+    click.echo(
+        f"{rays:,} rays: {nothing:,} ({nothing / some:.1%}) could hit nothing in range, "
+        f"{few:,} ({few / some:.1%}) were settled by a few triangles, {rays - nothing - few:,} were cast"
+    )
+
+
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
+    """
+)
+@cloup.argument("pcap", type=FILE, help="A capture, simulated or recorded.")
+@cloup.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
+@cloup.option_group(
+    "Sensors",
+    cloup.option("--rig", type=FILE, help="Merge by this rig's poses; without it each sensor keeps its own frame."),
+    model_option,
+)
+@cloup.option_group("Selection", from_option, to_option, sensor_option, help="Read only a part of the capture.")
+@cloup.option_group(
+    "Motion",
+    cloup.option("--trajectory", type=FILE, help="Deskew by this motion of the vehicle; needs --rig."),
+    cloup.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"),
+    cloup.option("--start", metavar="TIME", help="When it starts; " + START_HELP),
+)
+@cloup.option("--stats", is_flag=True, help="Print each sensor's model, return mode, speed and lost packets.")
 @quiet_option
 def decode(
     pcap: Path,
@@ -148,14 +172,10 @@ def decode(
     stats: bool,
     quiet: bool,
 ) -> None:
-    """Read the LiDAR packets in PCAP, ours or a real recording, into a point cloud.
+    """Decode a capture into a point cloud.
 
-    Each sensor's points are where it saw them from as it was then; with --trajectory they are in one frame, the world.
-    With --from, --to and --sensor only that part of the file is read.
-
-    \b
-    Example:
-      lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
+    Without --trajectory each point is in the vehicle frame of the moment it was measured; with it, all points are in
+    the world frame.
     """
     from dataclasses import replace
 
@@ -169,35 +189,43 @@ def decode(
         raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")
     if (at or start) and not trajectory:
         raise click.UsageError("--at and --start say where and when a --trajectory starts")
-    seen: list[SourceStats] = []
-    on_stats, selection = seen.append if stats else None, Selection(from_s, to_s, sensors)
+    sources: list[SourceStats] = []
+    selection = Selection(from_s, to_s, sensors)
+    on_stats = sources.append if stats else None
     clouds = decode_pcap(pcap, warn, load_rig(rig) if rig else None, model, on_stats=on_stats, selection=selection)
     if trajectory:
-        moved = way(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
+        moved = load_trajectory(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
         clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
     count = save_clouds(output, clouds)
     if not quiet:
         click.echo(f"{output}: {count:,} points")
-    for source in seen:
+    for source in sources:
         click.echo(
             f"{source.name}: {' or '.join(source.models)}, {' and '.join(source.return_modes)}, {source.rpm:.1f} rpm, "
-            f"{source.packets:,} packets, {source.lost:,} lost, {source.duplicates:,} doubled, "
+            f"{source.packets:,} packets, {source.lost:,} lost, {source.duplicates:,} duplicates, "
             f"{source.reordered:,} out of order"
         )
 
 
-@click.command()
-@click.argument("pcap", type=FILE)
-@click.option("--to", "target", metavar="HOST[:PORT]", required=True, help="Without a port each keeps its own.")
-@click.option("--speed", type=Seconds(1e6), default=1.0, show_default=True, help="Times real time.")
-@quiet_option
-def replay(pcap: Path, target: str, speed: float, quiet: bool) -> None:
-    """Send the UDP datagrams in PCAP to a host at their own pace, so that a driver can be tested live.
-
+@cloup.command(
+    epilog="""
     \b
     Example:
       lidarcfg replay out/two.pcap --to 127.0.0.1:2368
     """
+)
+@cloup.argument("pcap", type=FILE, help="A capture.")
+@cloup.option(
+    "--to", "target", metavar="HOST[:PORT]", required=True, help="Without a port each datagram keeps its own."
+)
+@cloup.option(
+    "--speed", type=PositiveNumber(10**6), metavar="FACTOR", default=1.0, help="Times real time.  [default: 1]"
+)
+@quiet_option
+def replay(pcap: Path, target: str, speed: float, quiet: bool) -> None:
+    """Send a capture's datagrams to a host, to test a driver live.
+
+    They keep the pace of the recording, times --speed."""
     from lidarcfg.capture.pcap import read_datagrams
     from lidarcfg.capture.replay import replay as send
 
@@ -206,5 +234,5 @@ def replay(pcap: Path, target: str, speed: float, quiet: bool) -> None:
         raise click.BadParameter(f"{port!r} is not a port, 1 to 65535", param_hint="--to")
     sent = send(read_datagrams(pcap, warn), host, int(port) if port else None, speed)
     if not quiet:
-        late = f"the latest {sent.latest_s * 1000:.1f} ms after its time"
+        late = f"at most {sent.latest_s * 1000:.1f} ms late"
         click.echo(f"{sent.packets:,} datagrams to {target} in {sent.seconds:.2f} s, {late}")

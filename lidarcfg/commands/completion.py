@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import click
+import cloup
 from click.shell_completion import get_completion_class
 
 
@@ -11,18 +12,22 @@ def _own_shell() -> str:
     return Path(os.environ.get("SHELL", "")).name
 
 
-@click.command()
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), default=_own_shell)
-def completion(shell: str) -> None:
-    """Print the script that makes TAB complete commands, options, sensor names and files.
-
-    Without a shell's name it is for the shell that $SHELL names. The first line of the example, with zsh in it for zsh,
-    belongs into ~/.bashrc or ~/.zshrc.
-
+@cloup.command(
+    epilog="""
     \b
-    Example:
+    Examples:
       source <(lidarcfg completion bash)
       lidarcfg completion fish > ~/.config/fish/completions/lidarcfg.fish
+    """
+)
+@cloup.argument(
+    "shell", type=click.Choice(["bash", "zsh", "fish"]), default=_own_shell, help="The default is the shell in $SHELL."
+)
+def completion(shell: str) -> None:
+    """Print the script for TAB completion in a shell.
+
+    It completes commands, options, sensor names and files. For bash or zsh put the first line of the examples, with
+    the shell's name, into ~/.bashrc or ~/.zshrc.
     """
     command = click.get_current_context().find_root().command
     kind = get_completion_class(shell)

@@ -1,4 +1,4 @@
-"""lidarcfg optimize and evaluate: where the sensors should sit, and how well they see from there."""
+"""lidarcfg optimize, evaluate and compare: where the sensors should sit, and how well they see from there."""
 
 import shlex
 import sys
@@ -6,8 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import cloup
 
-from lidarcfg.commands.options import FILE, Seconds, Share, progress, quiet_option, typed
+from lidarcfg.commands.options import (
+    FILE,
+    PositiveNumber,
+    command_line,
+    json_option,
+    quiet_option,
+    tolerance_option,
+)
+from lidarcfg.commands.progress import progress
 
 if TYPE_CHECKING:
     from lidarcfg.placement.optimize import Cycle, Log, Placement
@@ -15,21 +24,34 @@ if TYPE_CHECKING:
     from lidarcfg.rig import Rig
 
 SAVE_EVERY_S = 5.0
-THREADS = click.IntRange(1, 1024)
 
 
-@click.command()
-@click.argument("study", type=FILE)
-@click.option("-o", "--output", type=FILE, help="Folder for the results.  [default: out/STUDY]")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of the search.  [default: the study's]")
-@click.option("--threads", type=THREADS, help="Threads; the result is the same on any number.  [default: all]")
-@click.option(
-    "--solver", type=click.Choice(["auto", "abc", "cmaes", "de"]), help="How to search.  [default: the study's]"
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg optimize data/studies/liu2018-4x16.yaml -o out/four \\
+          --seed 3 --seconds 60
+    """
 )
-@click.option("--cycles", type=click.IntRange(1), help="Budget: cycles of the swarm.")
-@click.option("--evaluations", type=click.IntRange(1), help="Budget: trials.")
-@click.option("--seconds", type=Seconds(1e9), help="Budget: seconds.")
-@click.option("--resume", type=FILE, metavar="DIR", help="Go on with the search whose results are in DIR.")
+@cloup.argument("study", type=FILE, help="YAML: the region, the sensors and their bounds.")
+@cloup.option_group(
+    "Search",
+    cloup.option("--solver", type=click.Choice(["auto", "abc", "cmaes", "de"]), help="Method.  [default: the study's]"),
+    cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Seed.  [default: the study's]"),
+    cloup.option(
+        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Any number gives the same result.  [default: all]"
+    ),
+    cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
+)
+@cloup.option_group(
+    "Budget",
+    cloup.option("--cycles", type=click.IntRange(1), metavar="N", help="Stop after N cycles of the swarm."),
+    cloup.option("--evaluations", type=click.IntRange(1), metavar="N", help="Stop after N evaluated rigs."),
+    cloup.option("--seconds", type=PositiveNumber(10**9), metavar="SECONDS", help="Stop after this time."),
+    help="What is given here replaces the study's budget.",
+)
+@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/STUDY]")
 @quiet_option
 def optimize(
     study: Path,
@@ -43,14 +65,10 @@ def optimize(
     resume: Path | None,
     quiet: bool,
 ) -> None:
-    """Place the sensors of STUDY so that the largest subspace they cannot see is smallest.
+    """Find the poses that minimise the largest unseen subspace.
 
-    A budget given here replaces the study's. Ctrl-C ends the search and keeps the best so far; every few seconds
-    rig.yaml and search.npz are brought up to date, so that even a killed search can go on with --resume.
-
-    \b
-    Example:
-      lidarcfg optimize data/studies/liu2018-4x16.yaml -o out/four --seed 3 --seconds 60
+    Ctrl-C ends the search and keeps the best rig found. While it runs, rig.yaml and search.npz are updated every few
+    seconds, so that --resume can continue even a search that was killed.
     """
     import time
 
@@ -58,42 +76,35 @@ def optimize(
     from lidarcfg.placement.optimize import optimize as search
     from lidarcfg.placement.study import load_study, with_solver
 
-    loaded = with_solver(
-        load_study(study),
-        seed=seed,
-        method=solver,
-        cycles=cycles,
-        evaluations=evaluations,
-        seconds=seconds,
-    )
+    budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
+    loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
     folder = output or resume or Path("out") / loaded.name
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder)
     saved = time.monotonic()
-    with progress(quiet) as on_share:
+    with progress(quiet) as on_progress:
 
         def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
             nonlocal saved
-            on_share(*_search_line(loaded.solver, cycle))
+            on_progress(*_search_line(loaded.solver, cycle))
             if time.monotonic() - saved > SAVE_EVERY_S:
                 report.save_progress(loaded, rig, log, folder)
                 saved = time.monotonic()
 
         found = search(loaded, threads, on_cycle, log)
-    found = report.save_placement(
-        loaded, found, folder, report.Commands(typed(), _again(study, folder, loaded.solver, found))
-    )
+    again = _repeat_command(study, folder, loaded.solver, found)
+    found = report.save_placement(loaded, found, folder, report.Commands(command_line(), again))
     if not quiet:
         report.print_placement(found)
         files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
         click.echo(f"written to {folder}/: {files}")
     if found.interrupted:
-        click.echo("interrupted; the best so far is kept", err=True)
+        click.echo("interrupted; the best rig found is kept", err=True)
         sys.exit(130)
 
 
-def _again(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
-    """The command that gives the same rig wherever it runs, however the search ended."""
+def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
+    """The command that gives the same rig on any machine, however the search ended."""
     budget = ("--evaluations", max(found.evaluations, 1))
     if solver.cycles is not None and found.history[-1].cycle >= solver.cycles:
         budget = ("--cycles", solver.cycles)
@@ -102,45 +113,94 @@ def _again(study: Path, folder: Path, solver: "Solver", found: "Placement") -> s
 
 
 def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
-    """How much of the budget is spent, and how the search stands."""
+    """The fraction of the budget that is spent, and the state of the search."""
     budgets = (
         (cycle.cycle, solver.cycles),
         (cycle.evaluations, solver.evaluations),
         (cycle.seconds, solver.seconds),
     )
     rate = cycle.evaluations / cycle.seconds
-    stand = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
-    return max(spent / budget for spent, budget in budgets if budget), f"{stand}  {rate:,.0f} evaluations/s"
+    state = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
+    return max(spent / budget for spent, budget in budgets if budget), f"{state}  {rate:,.0f} evaluations/s"
 
 
-@click.command()
-@click.argument("study", type=FILE)
-@click.argument("rig", type=FILE)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
-@click.option("-o", "--output", type=FILE, help="Folder for report.html, result.json and rig.png.")
-@click.option("--tolerance", type=Share(1), help="Also the analytic max VSR, to this relative error.")
-@quiet_option
-def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool) -> None:
-    """How well RIG sees in the region of STUDY: max VSR, the worst subspaces, detection rates.
-
-    The beams are the rig's; region and objects are the study's, whose bounds are not enforced. With --tolerance
-    the cuboids are halved until the max VSR of the subspaces themselves, which the cuboids' faces overrate the
-    surface of, is known to it.
-
+@cloup.command(
+    epilog="""
     \b
     Example:
       lidarcfg evaluate data/studies/sedan.yaml data/rigs/roof.yaml --json
     """
+)
+@cloup.argument("study", type=FILE, help="YAML: the region and the objects.")
+@cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
+@tolerance_option
+@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for report.html, result.json and rig.png.")
+@json_option
+@quiet_option
+def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool) -> None:
+    """Evaluate a rig: max VSR, worst subspaces, detection rates.
+
+    The study's bounds on the poses are not enforced. --tolerance refines the cuboids until the max VSR of the smooth
+    subspaces, whose surface the cuboids' faces overestimate, is known that well.
+    """
     from lidarcfg import report
-    from lidarcfg.placement.study import evaluate as judge
+    from lidarcfg.placement.study import evaluate as evaluation
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
 
     loaded, mounted = load_study(study), load_rig(rig)
-    found = judge(loaded, mounted, tolerance)
+    found = evaluation(loaded, mounted, tolerance)
     if output:
-        found = report.save_evaluation(loaded, mounted, found, output, report.Commands(typed(), typed()))
+        typed = command_line()
+        found = report.save_evaluation(loaded, mounted, found, output, report.Commands(typed, typed))
     if as_json:
         click.echo(report.to_json(report.evaluation_dict(loaded, mounted, found)))
     elif not quiet:
         report.print_evaluation(mounted, found)
+
+
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg compare out/two/rig.yaml data/rigs/roof.yaml \\
+          --study data/studies/sedan.yaml -o out/compared
+    """
+)
+@cloup.argument("rigs", type=FILE, nargs=-1, metavar="RIG RIG...", help="From 2 to 10 rigs; one may stand twice.")
+@cloup.option("--study", type=FILE, required=True, metavar="STUDY", help="The region and the objects.")
+@tolerance_option
+@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for compare.html and compare.json.")
+@json_option
+@quiet_option
+def compare(
+    rigs: tuple[Path, ...], study: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool
+) -> None:
+    """Evaluate rigs side by side in one study.
+
+    Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
+    on the poses are not enforced.
+    """
+    from lidarcfg import report
+    from lidarcfg.placement.study import evaluate as evaluation
+    from lidarcfg.placement.study import load_study
+    from lidarcfg.rig import load_rig
+
+    report.check_count(len(rigs))
+    loaded, mounted = load_study(study), [load_rig(rig) for rig in rigs]
+    if output:
+        report.check_writable(output)
+    named = []
+    with progress(quiet or as_json) as on_progress:
+        for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
+            on_progress(n / len(rigs), str(path))
+            named.append((str(path), rig, evaluation(loaded, rig, tolerance)))
+    found = report.contenders(named)
+    if output:
+        report.save_comparison(loaded, found, output, report.Commands(command_line(), command_line()))
+    if as_json:
+        click.echo(report.to_json(report.comparison_dict(loaded, found)))
+    elif not quiet:
+        report.print_comparison(loaded, found)
+        if output:
+            click.echo(f"written to {output}/: compare.html compare.json")

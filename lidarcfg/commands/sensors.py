@@ -1,19 +1,22 @@
 """lidarcfg sensors: the catalogue of models."""
 
 import click
+import cloup
 
-from lidarcfg.commands.options import MODEL, quiet_option
+from lidarcfg.commands.options import complete_model, quiet_option
 
 
-@click.group(invoke_without_command=True)
-@click.pass_context
-def sensors(context: click.Context) -> None:
-    """The catalogue of sensor models.
-
+@cloup.group(
+    invoke_without_command=True,
+    epilog="""
     \b
     Example:
       lidarcfg sensors show vlp-16
-    """
+    """,
+)
+@click.pass_context
+def sensors(context: click.Context) -> None:
+    """List or show the sensor models of the catalogue."""
     if context.invoked_subcommand is None:
         context.invoke(list_sensors)
 
@@ -21,7 +24,7 @@ def sensors(context: click.Context) -> None:
 @sensors.command("list")
 @quiet_option
 def list_sensors(quiet: bool = False) -> None:
-    """List the models: name, beams, elevations, and what is known of them."""
+    """List the models: name, beams, elevations, range."""
     from lidarcfg import report
     from lidarcfg.sensor import catalogue, load_sensor
 
@@ -29,16 +32,18 @@ def list_sensors(quiet: bool = False) -> None:
         report.print_sensors([load_sensor(name) for name in catalogue()])
 
 
-@sensors.command("show")
-@click.argument("name", type=MODEL)
-@quiet_option
-def show_sensor(name: str, quiet: bool) -> None:
-    """Show the model NAME: its beam table, timing and packet facts with their sources.
-
+@sensors.command(
+    "show",
+    epilog="""
     \b
     Example:
       lidarcfg sensors show vlp-16
-    """
+    """,
+)
+@cloup.argument("name", metavar="MODEL", shell_complete=complete_model, help="A name from the list, or a YAML file.")
+@quiet_option
+def show_sensor(name: str, quiet: bool) -> None:
+    """Show a model: beam table, timing and packet facts with their sources."""
     from lidarcfg import report
     from lidarcfg.sensor import load_sensor
 

@@ -5,16 +5,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import cloup
 
 from lidarcfg.commands.options import (
     FILE,
-    MODEL,
     from_option,
+    load_trajectory,
+    model_option,
     quiet_option,
     sensor_option,
     to_option,
     warn,
-    way,
 )
 
 if TYPE_CHECKING:
@@ -27,54 +28,88 @@ SIDE_MIN, SIDE_MAX = 16, 16_384
 WORST_MAX = 10
 
 
-class Size(click.ParamType[tuple[int, int]]):
-    """WxH in pixels."""
-
-    name = "size"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """The width and height, or click's error."""
-        sides = str(value).lower().replace("×", "x").split("x")
-        if len(sides) == 2 and all(side.isascii() and side.isdigit() for side in sides):
-            width, height = map(int, sides)
-            if min(width, height) >= SIDE_MIN and max(width, height) <= SIDE_MAX:
-                return width, height
-        return self.fail(f"{value!r} is not WxH in pixels, each {SIDE_MIN} to {SIDE_MAX}", param, ctx)
+def size(text: str) -> tuple[int, int]:
+    """The width and height of WxH, or click's error."""
+    sides = text.lower().replace("×", "x").split("x")
+    if len(sides) == 2 and all(side.isascii() and side.isdigit() for side in sides):
+        width, height = map(int, sides)
+        if min(width, height) >= SIDE_MIN and max(width, height) <= SIDE_MAX:
+            return width, height
+    raise click.BadParameter(f"{text!r} is not WxH in pixels, each {SIDE_MIN} to {SIDE_MAX}")
 
 
-class Place(click.ParamType[tuple[float, ...]]):
-    """Where a camera stands, what it looks at, and how wide it sees."""
-
-    name = "camera"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        """Six or seven finite numbers, or click's error."""
-        try:
-            numbers = tuple(map(float, str(value).split(",")))
-        except ValueError:
-            numbers = ()
-        if len(numbers) not in (6, 7) or not all(map(math.isfinite, numbers)):
-            self.fail(f"{value!r} is not EYEX,EYEY,EYEZ,X,Y,Z[,FIELD_DEG]", param, ctx)
-        return numbers
+def camera_numbers(text: str) -> tuple[float, ...]:
+    """Six or seven finite numbers: eye, target and perhaps the field of view; or click's error."""
+    try:
+        numbers = tuple(map(float, text.split(",")))
+    except ValueError:
+        numbers = ()
+    if len(numbers) not in (6, 7) or not all(map(math.isfinite, numbers)):
+        raise click.BadParameter(f"{text!r} is not EYEX,EYEY,EYEZ,X,Y,Z[,FIELD_DEG]")
+    return numbers
 
 
-@click.command()
-@click.argument("files", type=FILE, nargs=-1, required=True)
-@click.option("--rig", type=FILE, help="The rig that recorded the captures: merges them by its poses.")
-@click.option("--model", type=MODEL, help="What a pcap's sensors are, whatever their packets say.")
-@from_option
-@to_option
-@sensor_option
-@click.option("--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Where the vehicle stands in the scenes.")
-@click.option("--colour", type=click.Choice(COLOURS), default="sensor", show_default=True, help="What points show.")
-@click.option("--worst", type=click.IntRange(0, WORST_MAX), default=3, show_default=True, help="Worst subspaces shown.")
-@click.option("--camera", type=Place(), metavar="X,Y,Z,X,Y,Z[,DEG]", help="Its eye, its target, its field of view.")
-@click.option("--html", type=FILE, help="Write the page as one file that needs no server.")
-@click.option("--png", type=FILE, help="Draw a still; needs no screen.")
-@click.option("--size", type=Size(), default="1920x1080", show_default=True, metavar="WxH", help="The still's pixels.")
-@click.option("--window", is_flag=True, help="Open Open3D's window.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Where the page is served.  [default: any]")
-@quiet_option
+@cloup.command(
+    epilog="""
+    \b
+    Examples:
+      lidarcfg view out/two.pcap out/two/rig.yaml data/studies/liu2018-2x16.yaml
+      lidarcfg view out/two.pcap --rig out/two/rig.yaml --png out/two.png
+    """
+)
+@cloup.argument(
+    "files",
+    type=FILE,
+    nargs=-1,
+    required=True,
+    help="Any mix of captures (.pcap), clouds (.ply .pcd .npz), ground truth (.npz), rigs, a study, scenes (.yaml).",
+)
+@cloup.option_group(
+    "Captures",
+    cloup.option("--rig", type=FILE, help="The rig that recorded the captures: merges them by its poses."),
+    model_option,
+    from_option,
+    to_option,
+    sensor_option,
+)
+@cloup.option_group(
+    "Display",
+    cloup.option(
+        "--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: 0,0,0]"
+    ),
+    cloup.option(
+        "--colour",
+        type=click.Choice(COLOURS),
+        metavar="BY",
+        default="sensor",
+        help=f"Colour of the points: {', '.join(COLOURS)}.  [default: sensor]",
+    ),
+    cloup.option(
+        "--worst",
+        type=click.IntRange(0, WORST_MAX),
+        metavar="N",
+        default=3,
+        help="Show the N worst subspaces, at most 10.  [default: 3]",
+    ),
+    cloup.option("--camera", type=camera_numbers, metavar="X,Y,Z,X,Y,Z[,DEG]", help="Eye, target, field of view."),
+)
+@cloup.option_group(
+    "Output",
+    cloup.option("--html", type=FILE, help="Write the page as one file that needs no server."),
+    cloup.option("--png", type=FILE, help="Draw a still; needs no screen."),
+    cloup.option(
+        "--size",
+        type=size,
+        default="1920x1080",
+        metavar="WxH",
+        help="Size of the still in pixels.  [default: 1920x1080]",
+    ),
+    cloup.option("--window", is_flag=True, help="Open Open3D's window."),
+    cloup.option(
+        "--port", type=click.IntRange(0, 65535), metavar="PORT", default=0, help="Port of the page.  [default: any]"
+    ),
+    quiet_option,
+)
 def view(
     files: tuple[Path, ...],
     rig: Path | None,
@@ -93,16 +128,11 @@ def view(
     port: int,
     quiet: bool,
 ) -> None:
-    """Look at any mix of captures (.pcap), clouds (.ply, .pcd, .npz), rigs, a study and scenes (.yaml).
+    """View captures, clouds, rigs, studies and scenes.
 
-    Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study
-    the rig can be moved in it by handles, and max VSR and the worst subspaces follow. The truth of a capture
-    (.npz of export --truth) given beside it tells the objects. --from, --to and --sensor choose from captures.
-
-    \b
-    Example:
-      lidarcfg view out/two.pcap out/two/rig.yaml data/studies/liu2018-2x16.yaml
-      lidarcfg view out/two.pcap --rig out/two/rig.yaml --png out/two.png
+    Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study the
+    rig's sensors can be dragged, and max VSR and the worst subspaces follow. Ground truth (export --truth) given
+    beside its capture names the object that each point lies on.
     """
     import numpy as np
 
@@ -114,7 +144,8 @@ def view(
     from lidarcfg.view.window import show_window
 
     seen_from = Camera(np.array(camera[:3]), np.array(camera[3:6]), *camera[6:]) if camera else None
-    stage = load_stage(files, rig, model, way(None, at, 0).T_world_start, warn, Selection(from_s, to_s, sensors))
+    T_world_vehicle = load_trajectory(None, at, 0).T_world_start
+    stage = load_stage(files, rig, model, T_world_vehicle, warn, Selection(from_s, to_s, sensors))
     count = len(stage.cloud.xyz)
     if png:
         save_still(stage, png, size, seen_from, colour, worst)
