@@ -1,18 +1,17 @@
-"""Points: merge, save, load. Files are .npz, .ply and .pcd, each with every field and exact times."""
+"""Points: merge, save, load. Our files are .npz, .ply and .pcd, each with every field and exact times."""
 
 import json
 import lzma
-import os
 import struct
 import tempfile
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import copyfileobj
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,21 +32,17 @@ FIELDS: dict[str, Any] = {
 }
 _BYTES = [("intensity", "u1"), ("ring", "u1"), ("return_type", "u1")]
 _XYZ = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
-# PLY knows no 64-bit integers, and Open3D's reader neither short nor uint: the time is whole seconds + rest.
+# PLY has no 64-bit integers, and Open3D reads neither short nor uint: the time is whole seconds and a remainder.
 PLY_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<i4"), ("time_s", "<f8"), ("time_rest_ns", "<i4")])
 PCD_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<u2"), ("time_ns", "<i8")])
-PLY_TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "ushort": "<u2"}
-PLY_TYPES |= {"char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2"}
-PLY_TYPES |= {"int32": "<i4", "uint32": "<u4", "float32": "<f4", "float64": "<f8"}
-PCD_TYPES = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
-HEADER_LINES_MAX = 10_000
+PLY_TYPES = {np.dtype("<f8"): "double", np.dtype("<i4"): "int", np.dtype("u1"): "uchar"}
 XYZ_MAX_M = np.float64(1e9)
-SECONDS_MAX = 2**63 // SECOND_NS  # so many, and the rest of one, are an int64 of nanoseconds
-# What numpy, zipfile and json raise on bytes that make no sense; an encrypted zip is a RuntimeError, as is one of an
-# odd version (NotImplementedError), and absurd sizes are OverflowError and MemoryError.
-DAMAGE = (
-    *(ValueError, KeyError, IndexError, TypeError, EOFError, OverflowError, MemoryError, RuntimeError),
-    *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
+# What np.load and the archive's members raise for bytes that are no archive of arrays. zipfile raises RuntimeError for
+# encryption and unknown versions, KeyError for a member that is not there; numpy's header parser raises SyntaxError and
+# TokenError; absurd sizes are OverflowError and MemoryError.
+NPZ_ERRORS = (
+    *(ValueError, KeyError, EOFError, OverflowError, MemoryError, RuntimeError, SyntaxError, tokenize.TokenError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
 )
 
 
@@ -84,7 +79,7 @@ def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
 
 
 def _sensor(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.uint16]:
-    """The cloud's sensors as numbers in `index`, which learns the names that it does not know."""
+    """The cloud's sensors as numbers of `index`, to which new names are added."""
     table = [index.setdefault(name, len(index)) for name in cloud.sensor_names]
     return cloud.sensor if table == list(range(len(table))) else np.array(table, np.uint16)[cloud.sensor]
 
@@ -117,17 +112,42 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
-def load_cloud(path: str | Path, allow_empty: bool = False) -> PointCloud:
-    """The cloud in a file such as `save_clouds` writes. Raises CloudError for anything that no cloud holds."""
+def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty: bool = False) -> PointCloud:
+    """The cloud in a file, ours or, of PLY and PCD, another program's.
+
+    `on_warning` is told in one line which fields a file lacks, and what they are instead. Raises CloudError for
+    anything that no cloud holds.
+    """
     path = Path(path)
-    kind = _suffix(path)
+    if _suffix(path) == ".npz":
+        return checked(path, read_arrays(path, (*FIELDS, "sensor_names")), allow_empty)
+    from lidarcfg.cloud_rows import read_columns
+
+    return checked(path, read_columns(path, on_warning), allow_empty)
+
+
+def read_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """Those of the named arrays that a .npz holds. Raises CloudError."""
     try:
-        return checked(path, _read_npz(path) if kind == ".npz" else _read_rows(path, kind), allow_empty)
+        with open(path, "rb") as file:
+            arrays = np.load(file, allow_pickle=False)
+            if not isinstance(arrays, np.lib.npyio.NpzFile):
+                raise CloudError(f"{path}: not a whole npz file: allowed is an archive of arrays")
+            with arrays:
+                found = {name: arrays[name] for name in names if name in arrays}
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except DAMAGE as error:
-        what = " ".join(str(error).split())[:200] or type(error).__name__
-        raise CloudError(f"{path}: not a whole {kind[1:]} file: {what}") from None
+    except NPZ_ERRORS as error:
+        raise damaged(path, error) from None
+    if odd := [name for name, array in found.items() if not isinstance(array, np.ndarray)]:
+        raise CloudError(f"{path}: not a whole npz file: {odd[0]} is no array")
+    return found
+
+
+def damaged(path: Path, error: Exception) -> CloudError:
+    """What a library says of a file that it cannot read, in one line."""
+    what = " ".join(str(error).split())[:200] or type(error).__name__
+    return CloudError(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}")
 
 
 def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> PointCloud:
@@ -194,7 +214,6 @@ def _rows(cloud: PointCloud, sensor: NDArray[np.uint16], dtype: np.dtype[np.void
 
 
 def _ply_header(count: int, names: list[str]) -> str:
-    kinds = {np.dtype(kind): name for name, kind in reversed(PLY_TYPES.items())}
     return "\n".join(
         [
             "ply",
@@ -202,7 +221,7 @@ def _ply_header(count: int, names: list[str]) -> str:
             "comment time is time_s + time_rest_ns",
             *(f"comment sensor {json.dumps(name)}" for name in names),
             f"element vertex {count}",
-            *(f"property {kinds[PLY_ROW[key]]} {key}" for key in PLY_ROW.names or ()),
+            *(f"property {PLY_TYPES[PLY_ROW[key]]} {key}" for key in PLY_ROW.names or ()),
             "end_header\n",
         ]
     )
@@ -226,74 +245,3 @@ def _pcd_header(count: int, names: list[str]) -> str:
             "DATA binary\n",
         ]
     )
-
-
-def _read_npz(path: Path) -> dict[str, Any]:
-    with open(path, "rb") as file:
-        arrays = np.load(file, allow_pickle=False)
-        if not isinstance(arrays, np.lib.npyio.NpzFile):
-            raise ValueError("allowed is an archive of arrays")
-        with arrays:
-            return {key: np.asarray(arrays[key]) for key in (*FIELDS, "sensor_names") if key in arrays}
-
-
-def _read_rows(path: Path, kind: str) -> dict[str, Any]:
-    with open(path, "rb") as file:
-        lines = _header(file, "end_header" if kind == ".ply" else "DATA")
-        dtype, count = _ply_layout(lines) if kind == ".ply" else _pcd_layout(lines)
-        there = (os.fstat(file.fileno()).st_size - file.tell()) // max(dtype.itemsize, 1)
-        if not 0 <= count <= there:
-            raise ValueError(f"{count} points are announced, {there} are there")
-        rows = np.fromfile(file, dtype, count)
-    fields = dtype.names or ()
-    columns: dict[str, Any] = {key: rows[key] for key in FIELDS if key in fields}
-    if {"time_s", "time_rest_ns"} <= set(fields):
-        columns["time_ns"] = _time_ns(rows["time_s"], rows["time_rest_ns"])
-    if {"x", "y", "z"} <= set(fields):
-        columns["xyz"] = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
-    names = [line.split(maxsplit=2)[2] for line in lines if line.startswith(("comment sensor ", "# sensor "))]
-    return columns | ({"sensor_names": [json.loads(name) for name in names]} if names else {})
-
-
-def _time_ns(time_s: NDArray[Any], rest_ns: NDArray[Any]) -> NDArray[np.int64]:
-    """Whole seconds, which may be floats, and the rest of one, exactly. Raises ValueError."""
-    if not (np.isfinite(time_s).all() and ((abs(time_s) < SECONDS_MAX) & (np.floor(time_s) == time_s)).all()):
-        raise ValueError(f"allowed for time_s are whole numbers below {SECONDS_MAX}")
-    if rest_ns.dtype.kind not in "iu" or not ((rest_ns >= 0) & (rest_ns < SECOND_NS)).all():
-        raise ValueError(f"allowed for time_rest_ns are the integers 0 to {SECOND_NS - 1}")
-    return time_s.astype(np.int64) * SECOND_NS + rest_ns.astype(np.int64)
-
-
-def _header(file: IO[bytes], last: str) -> list[str]:
-    lines = []
-    for _ in range(HEADER_LINES_MAX):
-        lines.append(file.readline(4096).decode("ascii").strip())
-        if lines[-1].split(" ")[0] == last:
-            return lines
-    raise ValueError("no header")
-
-
-def _ply_layout(lines: list[str]) -> tuple[np.dtype[np.void], int]:
-    if lines[0] != "ply" or "format binary_little_endian 1.0" not in lines:
-        raise ValueError("allowed is the format binary_little_endian 1.0")
-    words = [line.split() for line in lines]
-    elements = [word for word in words if word[0] == "element"]
-    if [element[1] for element in elements] != ["vertex"]:
-        raise ValueError("allowed is the element vertex, alone")
-    return np.dtype([(word[2], PLY_TYPES[word[1]]) for word in words if word[0] == "property"]), int(elements[0][2])
-
-
-def _pcd_layout(lines: list[str]) -> tuple[np.dtype[np.void], int]:
-    words = {line.split()[0]: line.split()[1:] for line in lines if line}
-    lacking = [key for key in ("FIELDS", "TYPE", "SIZE", "POINTS") if not words.get(key)]
-    if lacking:
-        raise ValueError(f"no {', '.join(lacking)}")
-    if words["DATA"] != ["binary"]:
-        raise ValueError("allowed is DATA binary")
-    if words.get("COUNT", []) != ["1"] * len(words.get("COUNT", [])):
-        raise ValueError("allowed is COUNT 1 for each field")
-    types = [kind + size for kind, size in zip(words["TYPE"], words["SIZE"], strict=True)]
-    if not PCD_TYPES.issuperset(types):
-        raise ValueError(f"allowed for TYPE and SIZE are {', '.join(sorted(PCD_TYPES))}")
-    columns = zip(words["FIELDS"], types, strict=True)
-    return np.dtype([(name, f"<{kind.lower()}") for name, kind in columns]), int(words["POINTS"][0])

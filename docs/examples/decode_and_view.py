@@ -45,7 +45,7 @@ assert 0.1 < ground.mean() < 0.5
 # %% Saved and loaded again
 # .npz and .pcd keep all of it as it is, .ply too: position, intensity, ring, exact time, sensor.
 save_clouds(out / "turn.ply", [cloud])
-again = load_cloud(out / "turn.ply")
+again = load_cloud(out / "turn.ply", print)
 assert np.array_equal(again.xyz, cloud.xyz)
 assert np.array_equal(again.time_ns, cloud.time_ns)
 

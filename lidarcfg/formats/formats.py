@@ -148,4 +148,4 @@ def _load(source: Path, on_warning: OnWarning) -> PointCloud:
         from lidarcfg.formats.kitti import load_kitti
 
         return load_kitti(source, on_warning)
-    return load_cloud(source, allow_empty=True)
+    return load_cloud(source, on_warning, allow_empty=True)

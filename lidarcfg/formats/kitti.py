@@ -11,31 +11,37 @@ from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 
 FULL = 255  # the intensity that is a reflectance of 1
-TOLD_M = 1e-4  # a coordinate that float32 moves by more is told of
-CHUNK = 1 << 20
+WARNING_M = 1e-4  # float32 rounding beyond that is worth a warning
+CHUNK = 1 << 20  # points
 LACKS = ("ring", "time_ns", "sensor", "return_type")
 
 
-def save_kitti(path: Path, cloud: PointCloud, on_warning: Callable[[str], None]) -> None:
-    """Write the cloud's positions and intensities, whole or not at all. Raises CloudError unless all are finite."""
+def save_kitti(path: Path, cloud: PointCloud, on_warning: Callable[[str], None], chunk: int = CHUNK) -> None:
+    """Write the cloud's positions and intensities, whole or not at all, `chunk` points at a time.
+
+    Raises CloudError unless all are finite.
+    """
     moved_m = 0.0
     with replacing(path, "wb") as file:
-        for first in range(0, len(cloud.xyz), CHUNK):
-            part = slice(first, first + CHUNK)
+        for first in range(0, len(cloud.xyz), chunk):
+            part = slice(first, first + chunk)
             xyz = cloud.xyz[part]
             if not np.isfinite(xyz).all():
                 raise CloudError(f"{path}: a point is not finite")
             rows = np.column_stack([xyz, cloud.intensity[part] / FULL]).astype("<f4")
             moved_m = max(moved_m, float(abs(rows[:, :3] - xyz).max()))
             file.write(rows.tobytes())
-    if moved_m > TOLD_M:
+    if moved_m > WARNING_M:
         on_warning(f"{path}: float32 moves a point by up to {moved_m:.2g} m")
 
 
 def load_kitti(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
-    """The cloud in a .bin, of one sensor, called as the file; `on_warning` is told what it lacks. Raises CloudError."""
+    """The cloud in a .bin, of one sensor named after the file; `on_warning` is told what it lacks.
+
+    Raises CloudError.
+    """
     if path.name.lower().endswith(".pcd.bin"):
-        raise CloudError(f"{path}: is of nuScenes, with five numbers a point; allowed: KITTI's four")
+        raise CloudError(f"{path}: is a nuScenes file, with five numbers a point; allowed: KITTI's four")
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -49,7 +55,7 @@ def load_kitti(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
         raise CloudError(f"{path}: point {odd[0]}: reflectance is {reflectance[odd[0]]:g}; allowed: 0 to 1")
     zeros = np.zeros(len(rows), np.int64)
     columns: dict[str, Any] = dict.fromkeys(LACKS, zeros)
-    on_warning(f"{path}: has no {', '.join(LACKS)}; they are 0")
+    on_warning(f"{path}: has no {', '.join(LACKS)}; 0 is assumed")
     intensity = np.rint(reflectance * FULL).astype(np.int64)
     columns |= {"xyz": rows[:, :3].astype(np.float64), "intensity": intensity, "sensor_names": [path.stem]}
     return checked(path, columns, allow_empty=True)

@@ -6,21 +6,21 @@ import struct
 from collections.abc import Callable
 from datetime import date, timedelta
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import lidarcfg
-from lidarcfg.cloud import DAMAGE, PointCloud, checked
+from lidarcfg.cloud import PointCloud, checked, damaged
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.formats.extra import missing
 from lidarcfg.formats.gps import gps_seconds, unix_ns
 from lidarcfg.geometry import Array
 
-STEP_M = 1e-4  # of a coordinate, which is an int32 of them from the file's offset on
-REACH_M = STEP_M * (2**31 - 2)
+STEP_M = 1e-4  # a coordinate is an int32 of these steps from the file's offset
+RANGE_M = STEP_M * (2**31 - 2)
 INTENSITY_STEP = 256  # LAS 1.4: intensity is normalised to 16 bits, by 65,536 over the sensor's range of 256
 VLR_USER, VLR_RECORD, VLR_MAX = "lidarcfg", 1, 65_535
 EXTRA = {
@@ -31,17 +31,19 @@ EXTRA = {
 TIME_MAX_S = 9e9  # beyond it, nanoseconds since 1970 do not fit into int64
 DAY_NS = 86_400 * 10**9
 CHUNK = 1 << 20  # points
-CHUNK_BYTES = 1 << 26  # of them when read, whatever the size of a point
-VLRS_AT, VLR_HEAD = 100, 54  # bytes: where the header counts its VLRs, and the least that one takes (LAS 1.4)
+CHUNK_BYTES = 1 << 26  # read at a time, whatever the size of a point
+# Places in the header, by LAS 1.4: where the points begin, how many VLRs there are, and the point format, whose highest
+# bit says LAZ. A VLR and a chunk take at least so many bytes.
+POINTS_AT, VLRS_AT, FORMAT_AT, COMPRESSED, VLR_HEAD, CHUNK_LEAST = 96, 100, 104, 0x80, 54, 20
 
 
-def save_las(path: Path, cloud: PointCloud) -> None:
-    """Write the cloud as .las or .laz, whole or not at all.
+def save_las(path: Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
+    """Write the cloud as .las or .laz, whole or not at all, `chunk` points at a time.
 
-    Coordinates are kept to 0.05 mm, times to 30 ns. Raises CloudError for a cloud that is not finite or reaches
-    too far, HandoverError without laspy.
+    Coordinates are kept to 0.05 mm, times to 30 ns. Raises CloudError for a cloud that is not finite or too
+    wide, HandoverError without laspy.
     """
-    laspy = _laspy()
+    laspy, _ = _libraries()
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, STEP_M), _offsets(path, cloud.xyz)
     header.add_extra_dims(
@@ -56,12 +58,14 @@ def save_las(path: Path, cloud: PointCloud) -> None:
     if len(names) > VLR_MAX:
         raise CloudError(f"{path}: the sensors' names take {len(names)} bytes; a LAS file has {VLR_MAX} for them")
     header.vlrs.append(laspy.VLR(VLR_USER, VLR_RECORD, "names of the sensors", names))
+    # One thread: lazrs's parallel backend is no faster here, and leaves its thread pool open.
+    compression = {"do_compress": path.suffix.lower() == ".laz", "laz_backend": laspy.LazBackend.Lazrs}
     with (
         replacing(path, "wb") as file,
-        laspy.open(file, "w", header=header, do_compress=path.suffix.lower() == ".laz", closefd=False) as writer,
+        laspy.open(file, "w", header=header, closefd=False, **compression) as writer,
     ):
-        for first in range(0, len(cloud.xyz), CHUNK):
-            part = slice(first, first + CHUNK)
+        for first in range(0, len(cloud.xyz), chunk):
+            part = slice(first, first + chunk)
             rows = laspy.ScaleAwarePointRecord.zeros(len(cloud.xyz[part]), header=header)
             rows.x, rows.y, rows.z = cloud.xyz[part].T
             rows.intensity = cloud.intensity[part].astype(np.uint16) * INTENSITY_STEP
@@ -73,84 +77,114 @@ def save_las(path: Path, cloud: PointCloud) -> None:
 
 
 def _offsets(path: Path, xyz: Array) -> Array:
-    """(3,) whole metres in the middle of the cloud."""
+    """(3,) whole metres at the midpoint of the bounds."""
     if not len(xyz):
         return np.zeros(3)
     low, high = xyz.min(axis=0), xyz.max(axis=0)
     if not np.isfinite(high - low).all():
         raise CloudError(f"{path}: a point is not finite")
-    middle = np.rint((low + high) / 2)
-    if max((high - middle).max(), (middle - low).max()) > REACH_M:
+    midpoint = np.rint((low + high) / 2)
+    if max((high - midpoint).max(), (midpoint - low).max()) > RANGE_M:
         raise CloudError(f"{path}: the cloud is {(high - low).max():.0f} m wide; LAS in steps of 0.1 mm has 429496")
-    return np.asarray(middle)
+    return np.asarray(midpoint)
 
 
-def load_las(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
-    """The cloud in a .las or .laz, ours or another's; `on_warning` is told which fields it lacks, which are then 0.
+def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) -> PointCloud:
+    """The cloud in a .las or .laz, ours or another's, read `chunk` points at a time.
 
-    Raises CloudError, and HandoverError without laspy.
+    `on_warning` is told which fields the file lacks, which are then 0. Raises CloudError, and HandoverError without
+    laspy.
     """
-    laspy = _laspy()
+    laspy, lazrs = _libraries()
     try:
-        _check_vlrs(path)
-        with laspy.open(path, read_evlrs=False) as reader:
-            header = reader.header
-            chunks = [_columns(laspy.ScaleAwarePointRecord.zeros(0, header=header))]
-            left = header.point_count
-            while left:
-                wanted = min(left, CHUNK, max(1, CHUNK_BYTES // header.point_format.size))
-                chunks.append(_columns(reader.read_points(wanted)))
-                if len(chunks[-1]["xyz"]) != wanted:
-                    raise ValueError(f"{header.point_count} points are announced, and not there")
-                left -= wanted
-        columns = {key: np.concatenate([chunk[key] for chunk in chunks]) for key in chunks[0]}
-        count = len(columns["xyz"])
+        _check_counts(path)
+        with laspy.open(path, read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
+            columns, header = _read(laspy, reader, chunk), reader.header
         given = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == (VLR_USER, VLR_RECORD)]
         names = json.loads(given[0].record_data) if given else None
         week = header.global_encoding.gps_time_type == laspy.header.GpsTimeType.WEEK_TIME
-        if "gps_time" in columns:
-            gps_s = columns.pop("gps_time")
-            if not (abs(gps_s) < TIME_MAX_S).all():
-                raise ValueError(f"allowed for gps_time are seconds below {TIME_MAX_S:g}")
-            columns["time_ns"] = np.rint(gps_s * 1e9).astype(np.int64) if week else unix_ns(gps_s)
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except (laspy.LaspyException, *DAMAGE) as error:
-        what = " ".join(str(error).split())[:200] or type(error).__name__
-        raise CloudError(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}") from None
+    except (laspy.LaspyException, lazrs.LazrsError, ValueError) as error:  # the last is Unicode's, JSON's and numpy's
+        raise damaged(path, error) from None
+    if "gps_time" in columns:
+        columns["time_ns"] = _time_ns(path, columns.pop("gps_time"), week)
     lacking = [key for key in ("time_ns", *EXTRA) if key not in columns]
     if lacking:
-        on_warning(f"{path}: has no {', '.join(lacking)}; they are 0")
+        on_warning(f"{path}: has no {', '.join(lacking)}; 0 is assumed")
     if week and "time_ns" not in lacking:
         on_warning(f"{path}: its times are of a week that it does not name; 0 is the week's beginning")
     if (columns["intensity"] % INTENSITY_STEP).any():
         on_warning(f"{path}: intensities of 16 bits are rounded down to 8")
     columns["intensity"] = columns["intensity"] // INTENSITY_STEP
-    columns |= dict.fromkeys(lacking, np.zeros(count, np.int64))
+    columns |= dict.fromkeys(lacking, np.zeros(len(columns["xyz"]), np.int64))
     if names is None:
         names = [str(number) for number in range(int(columns["sensor"].max(initial=0)) + 1)]
     return checked(path, columns | {"sensor_names": names}, allow_empty=True)
 
 
-def _check_vlrs(path: Path) -> None:
-    """Raises ValueError where the header announces more VLRs than the file can hold; laspy would look for them all."""
+def _read(laspy: Any, reader: Any, chunk: int) -> dict[str, NDArray[Any]]:
+    """All the points' columns that we keep. Raises ValueError where there are fewer than the header announces."""
+    header = reader.header
+    chunks = [_columns(laspy.ScaleAwarePointRecord.zeros(0, header=header))]
+    left = header.point_count
+    while left:
+        wanted = min(left, chunk, max(1, CHUNK_BYTES // header.point_format.size))
+        chunks.append(_columns(reader.read_points(wanted)))
+        if len(chunks[-1]["xyz"]) != wanted:
+            raise ValueError(f"{header.point_count} points are announced, and not there")
+        left -= wanted
+    return {key: np.concatenate([part[key] for part in chunks]) for key in chunks[0]}
+
+
+def _time_ns(path: Path, gps_s: Array, week: bool) -> NDArray[np.int64]:
+    """Nanoseconds since 1970, or since a week's beginning. Raises CloudError."""
+    if not (abs(gps_s) < TIME_MAX_S).all():
+        raise CloudError(f"{path}: allowed for gps_time are seconds below {TIME_MAX_S:g}")
+    return np.rint(gps_s * 1e9).astype(np.int64) if week else unix_ns(gps_s)
+
+
+def _check_counts(path: Path) -> None:
+    """Raises ValueError where the file announces more VLRs or chunks than it can hold.
+
+    laspy would look for all the VLRs; lazrs would allocate memory for all the chunks, and end the process.
+    """
     with open(path, "rb") as file:
-        (count,) = struct.unpack_from("<I", file.read(VLRS_AT + 4), VLRS_AT)
-        if count * VLR_HEAD > file.seek(0, os.SEEK_END):
-            raise ValueError(f"{count} VLRs are announced, and not there")
+        size = file.seek(0, os.SEEK_END)
+        vlrs, points_at = _unpacked(file, VLRS_AT, "<I")[0], _unpacked(file, POINTS_AT, "<I")[0]
+        if vlrs * VLR_HEAD > size:
+            raise ValueError(f"{vlrs} VLRs are announced, and not there")
+        if _unpacked(file, FORMAT_AT, "<B")[0] & COMPRESSED:
+            (table_at,) = _unpacked(file, points_at, "<q")
+            if table_at == -1:  # written as a stream: the last bytes say it
+                (table_at,) = _unpacked(file, size - 8, "<q")
+            chunks = _unpacked(file, table_at, "<II")[1]  # after its version
+            if chunks * CHUNK_LEAST > size:
+                raise ValueError(f"{chunks} chunks are announced, and not there")
+
+
+def _unpacked(file: IO[bytes], at: int, form: str) -> tuple[int, ...]:
+    """Numbers at a place of the file. Raises ValueError where there is none."""
+    end = at + struct.calcsize(form)
+    if not 0 <= at < end <= os.fstat(file.fileno()).st_size:
+        raise ValueError(f"it has no byte {end - 1}")
+    file.seek(at)
+    return struct.unpack(form, file.read(end - at))
 
 
 def _columns(rows: Any) -> dict[str, NDArray[Any]]:
     """What we keep of a chunk of points, as it stands there."""
     there = set(rows.point_format.dimension_names)
     columns = {key: np.array(rows[key]) for key in ("intensity", "gps_time", *EXTRA) if key in there}
-    return {"xyz": np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)} | columns
+    with np.errstate(over="ignore"):  # of absurd scales; what they make is not finite
+        return {"xyz": np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)} | columns
 
 
-def _laspy() -> Any:
+def _libraries() -> tuple[Any, Any]:
+    """laspy and lazrs."""
     try:
         import laspy
-        import lazrs  # noqa: F401
+        import lazrs
     except ImportError:
         raise missing("laspy[lazrs]") from None
-    return laspy
+    return laspy, lazrs

@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.cloud import DAMAGE, PointCloud
+from lidarcfg.cloud import PointCloud, read_arrays
 from lidarcfg.errors import CloudError
 from lidarcfg.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
 LATEST_NS = 2**42  # of a truth file's span: 73 minutes; with sensor, ring and return it makes one int64
 RETURN_LAST = 1
+NAMES = ("sensor_names", "object_names")
+COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
 OTHER = "rain, fog or unknown"
 
 
@@ -29,14 +31,12 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
 
     Raises CloudError if the file is no truth, or of another capture.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            sensors, names = file["sensor_names"].tolist(), file["object_names"].tolist()
-            record = {key: np.asarray(file[key]) for key in ("sensor", "time_ns", "laser", "return_type", "object")}
-    except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except DAMAGE as error:
-        raise CloudError(f"{path}: is not a truth file: {' '.join(str(error).split())[:200]}") from None
+    record = read_arrays(path, (*NAMES, *COLUMNS))
+    if lacking := [key for key in (*NAMES, *COLUMNS) if key not in record]:
+        raise CloudError(f"{path}: is not a ground-truth file: it has no {', '.join(lacking)}")
+    if any(record[key].dtype.kind not in "iu" for key in COLUMNS):
+        raise CloudError(f"{path}: is not a ground-truth file: its columns are not integers")
+    sensors, names = (record.pop(key).tolist() for key in NAMES)
     if len({column.shape for column in record.values()}) != 1 or record["time_ns"].ndim != 1:
         raise CloudError(f"{path}: the fields are not of one length")
     mounts = {mount.name: mount for mount in rig.mounts}
@@ -48,8 +48,9 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
         ring[i, : mounts[name].sensor.count] = mounts[name].sensor.ring
     if len(record["time_ns"]) == 0 or len(cloud.xyz) == 0:
         raise CloudError(f"{path}: there is nothing to tell the objects of")
-    if record["sensor"].max() >= len(sensors) or record["object"].max() >= len(names):
-        raise CloudError(f"{path}: a return is of a sensor or object that has no name")
+    for key, first, end in (("sensor", 0, len(sensors)), ("object", -1, len(names)), ("laser", 0, ring.shape[1])):
+        if not ((record[key] >= first) & (record[key] < end)).all():
+            raise CloudError(f"{path}: {key} holds a number outside {first} to {end - 1}")
 
     start_ns = int(record["time_ns"].min()) - 2 * AWAY_NS
     if int(record["time_ns"].max()) - start_ns >= LATEST_NS:

@@ -10,7 +10,7 @@ from pydantic import ConfigDict
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.selection import ALL, Selection
-from lidarcfg.cloud import DAMAGE, SUFFIXES, PointCloud, concatenate, load_cloud
+from lidarcfg.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
 from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
@@ -74,9 +74,8 @@ def kind_of(path: Path) -> Kind:
 
 def _is_truth(path: Path) -> bool:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return "object_names" in arrays
-    except (OSError, *DAMAGE):  # whoever loads it says what is wrong
+        return bool(read_arrays(path, ("object_names",)))
+    except CloudError:  # whoever loads it says what is wrong
         return False
 
 
@@ -117,7 +116,7 @@ def load_stage(
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? --rig says so")
     if selection != ALL and not captures:
         raise ConfigError("--from, --to and --sensor choose from a capture; there is none among the files")
-    clouds = [load_cloud(path) for path in of("cloud")]
+    clouds = [load_cloud(path, on_warning) for path in of("cloud")]
     for path in captures:
         clouds.extend(decode_pcap(path, on_warning, rigs[0] if rigs else None, model, selection=selection))
     cloud = clouds[0] if len(clouds) == 1 else concatenate(clouds)

@@ -219,6 +219,6 @@ def test_from_the_command_line(capture, tmp_path):
 
     assert run("--from", "1", "--to", "1.5", "--sensor", "192.168.1.202:2368").exit_code == 0
     window = decoded(capture, selection=Selection(1, 1.5, ("192.168.1.202:2368",)))
-    assert (load_cloud(tmp_path / "a.npz").xyz == window.xyz).all()
+    assert (load_cloud(tmp_path / "a.npz", print).xyz == window.xyz).all()
     failed = run("--from", "2", "--to", "1")
     assert str(failed.exception) == "there is nothing from 2 s to 1 s; allowed: 0 <= from < to"

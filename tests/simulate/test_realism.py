@@ -145,7 +145,7 @@ def test_commands(here):
     assert "57,600 rays" in done.stdout
     done = run("decode", "a.pcap", "--rig", "rig.yaml", *words, "-o", "a.npz", cwd=here)
     assert done.returncode == 0, done.stderr
-    cloud = load_cloud(here / "a.npz")
+    cloud = load_cloud(here / "a.npz", print)
     with np.load(here / "t.npz") as truth:
         assert len(truth["range_m"]) == len(cloud.xyz) > 1000
     near = abs(cloud.xyz[:, 1]) < 10

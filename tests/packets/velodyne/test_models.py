@@ -509,7 +509,7 @@ def test_a_unit_through_the_commands(tmp_path):
         ["decode", f"{out}.pcap", "-o", f"{out}-bare.npz"],
     ):
         assert not cli.main([*words, "--quiet"], prog_name="lidarcfg", standalone_mode=False)
-    mine, bare = (load_cloud(f"{out}-{name}.npz") for name in ("rig", "bare"))
+    mine, bare = (load_cloud(f"{out}-{name}.npz", print) for name in ("rig", "bare"))
 
     T = load_rig(rig).mounts[0].T_vehicle_sensor
     np.testing.assert_allclose(mine.xyz, transform(T, bare.xyz), rtol=0, atol=1e-12)
