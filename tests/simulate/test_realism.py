@@ -161,7 +161,7 @@ def test_counts_of_no_rays(here):
     (here / "rig.yaml").write_text(yaml.safe_dump({"name": "one", "sensors": sensors}))
     done = run("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 0.01, "--stats", "-o", "a.pcap", cwd=here)
     assert done.returncode == 0, done.stderr
-    assert "0 rays: 0 (0.0%) could meet nothing in range, 0 (0.0%) were settled" in done.stdout
+    assert "0 rays: 0 (0.0%) could hit nothing in range, 0 (0.0%) were settled" in done.stdout
 
 
 @pytest.mark.parametrize(
