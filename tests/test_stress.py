@@ -31,7 +31,7 @@ from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.solvers.auto import Auto
-from lidarcfg.placement.solvers.lshade import SuccessHistory
+from lidarcfg.placement.solvers.lshade import Lshade
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig, load_rig, save_rig
@@ -42,7 +42,7 @@ from lidarcfg.world.scene import load_scene
 from tests import oracle
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene
 from tests.placement.solvers.test_solvers import SOLVERS
-from tests.placement.test_runs import check
+from tests.placement.test_rows import check
 from tests.world.test_scene import PLY
 
 ROOT = Path(__file__).parents[1]
@@ -50,9 +50,9 @@ FAN = tuple(np.arange(-15.0, 16.0, 2.0))
 
 
 def labels_of(region, lidars):
-    """The labels, which rows and runs along every axis, and the plain evaluation, have alike."""
+    """The labels, which rows and the direct evaluation agree on."""
     label = check(region, lidars)
-    assert np.array_equal(rows.label(region, lidars)[0], label)
+    assert np.array_equal(segment(region, lidars).label, label)
     return label
 
 
@@ -70,17 +70,17 @@ def test_labels_of_random_rigs():
         region = Region(low, low + (12, 10, 8) * edge, np.ones((12, 10, 8), bool))
         position = low + rng.uniform(-0.5, 1.5, 3) * (12, 10, 8) * edge
         known, exact = oracle.sensor(position, oracle.angles(rng), oracle.FANS[rng.integers(3)])
-        tally.add(exact, points_of(region), rows.digits(region, known).ravel())
+        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
     assert tally.wrong_outside == 0
 
 
 def test_labels_within_1e_15_of_a_cone():
-    """Rows, runs and single points agree there; what is on the wrong side is nearer than a quarter of the band."""
+    """Rows and single points agree there; what is on the wrong side is nearer than a quarter of the band."""
     rng, tally = np.random.default_rng(2), oracle.Tally()
     for _ in range(60):
         known, exact, points, along = oracle.along_a_cone(rng)
         line = oracle.Line(points, along)
-        digit = rows.digits(line, known).ravel()
+        digit = rows.beam_gaps(line, known).ravel()
         assert np.array_equal(digit, gaps_at(points, known))
         labels_of(line, [known])
         tally.add(exact, points, digit)
@@ -109,7 +109,7 @@ def test_ties_belong_above(far):
     region = Region(np.full(3, far), np.full(3, far + 5.0), np.ones((5, 5, 5), bool))
     for sign in (1.0, -1.0):
         known = Lidar(np.full(3, far + 2.5), np.array([0, 0, sign]), np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
-        digit = rows.digits(region, known)
+        digit = rows.beam_gaps(region, known)
         labels_of(region, [known])
         assert digit[2, 2, 2] == 5  # the apex
         assert digit[0, 1, 2] == digit[4, 4, 2] == 3  # level
@@ -139,7 +139,7 @@ def test_odd_poses(place):
         rpy = np.roll([angle, rng.choice(oracle.ANGLES), 0.3], rng.integers(3))
         known, exact = oracle.sensor(PLACES[place], rpy, oracle.FANS[1])
         assert np.linalg.norm(known.axis) == pytest.approx(1, abs=4e-16)
-        tally.add(exact, points, rows.digits(region, known).ravel())
+        tally.add(exact, points, rows.beam_gaps(region, known).ravel())
         other, _ = oracle.sensor((1.3, 2.7, 1.1), rpy[::-1], FAN)
         label = labels_of(region, [known, other])
         vsr = vsr_m(segment(region, [known, other]))
@@ -152,7 +152,7 @@ def test_odd_poses(place):
 def test_so_near_that_squares_vanish_is_the_apex(beside):
     region = Region(np.full(3, -2.5), np.full(3, 2.5), np.ones((5, 5, 5), bool))
     known, _ = oracle.sensor((beside, -beside, beside), (0.1, 0.2, 0.3), FAN)
-    assert rows.digits(region, known)[2, 2, 2] == 16
+    assert rows.beam_gaps(region, known)[2, 2, 2] == 16
     labels_of(region, [known])
 
 
@@ -162,7 +162,7 @@ def test_a_turn_is_no_turn(angle):
     region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25))
     still, turned = (oracle.sensor((1.3, 2.7, 1.1), rpy, FAN)[0] for rpy in ((0.2, 0.1, 0), (0.2 + angle, 0.1, angle)))
     assert np.abs(still.axis - turned.axis).max() < 3e-15
-    assert np.array_equal(rows.digits(region, still), rows.digits(region, turned))
+    assert np.array_equal(rows.beam_gaps(region, still), rows.beam_gaps(region, turned))
 
 
 # Scale and place
@@ -209,7 +209,7 @@ def test_moved_and_scaled_with_rounding(scale, by):
         known, exact = oracle.sensor(rng.uniform((1, 1, 0.5), (7, 5, 2.5)), oracle.angles(rng), FAN)
         region = boxes()
         far, (other,) = moved(region, [known], scale, by)
-        before, after = rows.digits(region, known).ravel(), rows.digits(far, other).ravel()
+        before, after = rows.beam_gaps(region, known).ravel(), rows.beam_gaps(far, other).ravel()
         labels_of(far, [other])
         points = points_of(region)
         ulp = max(np.spacing(np.abs(far.min_m).max()), np.spacing(np.abs(far.max_m).max())) / scale
@@ -259,7 +259,7 @@ def test_a_thousand_beams():
     for fan in (np.arange(-500, 500) * 1e-9 + 3.0, np.linspace(-90, 90, 1000)):
         known, exact = oracle.sensor((4, 3, 1), (0.1, -0.2, 0), fan)
         tally = oracle.Tally()
-        tally.add(exact, points_of(region), rows.digits(region, known).ravel())
+        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
         assert tally.wrong_outside == 0
         labels_of(region, [known, some_rig(np.random.default_rng(1), 1)[0]])
 
@@ -279,7 +279,7 @@ def test_cuboids_a_thousand_times_longer_than_wide(edges):
         known, exact = oracle.sensor(rng.uniform(0, 8, 3) * edges, oracle.angles(rng), FAN)
         labels_of(region, [known])
         tally = oracle.Tally()
-        tally.add(exact, points_of(region), rows.digits(region, known).ravel())
+        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
         assert tally.wrong_outside == 0
 
 
@@ -331,12 +331,12 @@ solver: {{method: {method}, evaluations: 500, bees: 10, limit: 5, seed: 3}}
     ]
 
 
-def test_skipping_changes_nothing_in_success_history(tmp_path, monkeypatch):
+def test_skipping_changes_nothing_in_lshade(tmp_path, monkeypatch):
     study = study_at(tmp_path, 0, 0)
 
     def start(solver, dimensions):
         search = Auto(dimensions, 1)
-        search._walk = SuccessHistory(dimensions, np.random.default_rng(1), 900)
+        search._run = Lshade(dimensions, np.random.default_rng(1), 900)
         return search
 
     monkeypatch.setattr(optimize_module, "start_search", start)
@@ -349,10 +349,10 @@ def test_skipping_changes_nothing_in_success_history(tmp_path, monkeypatch):
 # Solvers
 
 
-@pytest.mark.parametrize("name", [*SOLVERS, "success history"])
+@pytest.mark.parametrize("name", [*SOLVERS, "lshade"])
 @pytest.mark.parametrize("wrong", [math.nan, -math.inf])
 def test_what_is_no_cost_is_an_error(name, wrong):
-    make = {**SOLVERS, "success history": lambda d, seed: SuccessHistory(d, np.random.default_rng(seed), 500)}[name]
+    make = {**SOLVERS, "lshade": lambda d, seed: Lshade(d, np.random.default_rng(seed), 500)}[name]
     for phases in (0, 3):
         solver = make(2, 1)
         for _ in range(phases):
@@ -372,10 +372,10 @@ def test_nan_from_an_objective_is_no_result(tmp_path, monkeypatch, objective):
         optimize(load_study(path), threads=1)
 
 
-@pytest.mark.parametrize("name", [*SOLVERS, "success history"])
+@pytest.mark.parametrize("name", [*SOLVERS, "lshade"])
 @pytest.mark.parametrize("objective", ["flat", "infinite", "half infinite", "huge"])
 def test_objectives_without_a_slope(name, objective):
-    make = {**SOLVERS, "success history": lambda d, seed: SuccessHistory(d, np.random.default_rng(seed), 3000)}[name]
+    make = {**SOLVERS, "lshade": lambda d, seed: Lshade(d, np.random.default_rng(seed), 3000)}[name]
     solver, asked = make(2, 1), 0
     while asked < 1500:
         x = solver.ask().x

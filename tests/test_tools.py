@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.detection import detection
+from lidarcfg.placement.rows import beam_gaps
 from lidarcfg.placement.study import load_study
-from lidarcfg.placement.subspace import beam_gaps, segment
+from lidarcfg.placement.subspace import segment
 from tests.capture_fixtures import scene
 
 ROOT = Path(__file__).parents[1]

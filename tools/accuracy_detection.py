@@ -10,7 +10,7 @@ from accuracy_page import ROOT, table
 from scipy.stats import qmc
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement import kernels
+from lidarcfg.placement import detection_kernels as kernels
 from lidarcfg.placement.detection import DetectionObject, detection
 from lidarcfg.placement.region import cuboids_needed
 from lidarcfg.placement.study import Study, load_study

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array, directions
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.rows import beam_gaps
 from lidarcfg.placement.study import load_study
-from lidarcfg.placement.subspace import beam_gaps
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.sensor import load_sensor
 from lidarcfg.world.raycast import Raycaster

@@ -23,13 +23,12 @@ import cc3d
 import numpy as np
 
 import lidarcfg
-from lidarcfg.placement import rows, runs
+from lidarcfg.placement import flood, rows
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study, load_study, with_solver
-from lidarcfg.placement.subspace import RUNS_FROM
 
 ROOT = Path(__file__).parent.parent
 SEED, RIGS = 1, 5
@@ -73,12 +72,6 @@ def row(name: str, seconds: list[float], note: str = "") -> None:
     print(f"| {name} | {middle:.2f} | {least:.2f} to {most:.2f} | {note} |", flush=True)
 
 
-def by_runs(region: Region, grid: runs.Grid, lidars: list[Lidar]) -> float:
-    """Max VSR by runs of cuboids."""
-    cuboids, internal, _ = runs.count(grid, lidars)
-    return float(vsr_of_counts(cuboids, internal, region.cuboid_m).max())
-
-
 def pipeline(region: Region, lidars: list[Lidar]) -> float:
     """Max VSR as one would write it: numpy, connected-components-3d, bincount."""
     x, y, z = np.meshgrid(*region.centres(), indexing="ij", sparse=True)
@@ -110,16 +103,22 @@ def rigs(study: Study) -> list[tuple[str, list[Lidar]]]:
     return [(name, list(study.lidars(p))) for name, p in named]
 
 
+def scratch_for(grid: rows.Grid, study: Study) -> tuple[rows.Work, flood.Floods]:
+    """Room for the study's LiDARs."""
+    work = rows.room(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
+    return work, flood.flood_room(grid, 0)
+
+
 def evaluations(study: Study) -> None:
     """One evaluation, in full, on one thread."""
     print("\n| one evaluation, 48,000 cuboids, 4 × 16 beams, one thread | median (ms) | spread | |\n|---|---|---|---|")
     seconds: dict[tuple[str, str], list[float]] = {}
     grid = rows.Grid.of(study.region)
-    room = rows.room(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
+    scratch = scratch_for(grid, study)
     for name, lidars in rigs(study):
-        assert abs(rows.max_vsr(grid, lidars) - pipeline(study.region, lidars)) < 1e-12
+        assert abs(flood.max_vsr(grid, lidars) - pipeline(study.region, lidars)) < 1e-12
         for label, function in (
-            ("lidarcfg", partial(rows.max_vsr, grid, lidars, room)),
+            ("lidarcfg", partial(flood.max_vsr, grid, lidars, scratch)),
             ("numpy + cc3d + bincount", partial(pipeline, study.region, lidars)),
         ):
             seconds.setdefault((label, name), []).extend(timed(function, 25))
@@ -129,25 +128,41 @@ def evaluations(study: Study) -> None:
         row(f"{label}, rigs {name}", values, "" if label == "lidarcfg" else f"{ratio:.1f} × ours")
 
 
+FINE_GRID = """
+import json, resource, statistics, sys, time
+import numpy as np
+from lidarcfg.placement import flood, rows
+from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.region import Region
+part, poses, sines = json.loads(sys.argv[1])
+region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
+grid, sines = rows.Grid.of(region), np.array(sines)
+scratch = rows.room(grid, len(poses[0]), sines.size), flood.flood_room(grid, 0)
+seconds = []
+for number, rig in enumerate([poses[0], *poses]):
+    lidars = [lidar(row[:3], row[3:], sines) for row in rig]
+    for _ in range(3):
+        started = time.perf_counter()
+        flood.max_vsr(grid, lidars, scratch)
+        seconds += [time.perf_counter() - started] * (number > 0)
+memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+print(json.dumps([region.included.size, statistics.median(seconds), max(seconds), memory]))
+"""
+
+
 def fine_grids(study: Study) -> None:
-    """The same on finer and finer grids, by runs of cuboids and by rows of bits."""
-    print(f"\n| edges | cuboids | by rows, median (ms) | by runs (ms) | the one used from {RUNS_FROM:,} on, growth |")
-    print("|---|---|---|---|---|")
+    """The same on finer and finer grids, each in a process of its own."""
+    print("\n| edges | cuboids | median (ms) | most (ms) | peak (MB) | growth |\n|---|---|---|---|---|---|")
     before = None
-    all_rigs = rigs(study)
+    rng = np.random.default_rng(SEED)
+    poses = study.poses(rng.random((2 * RIGS, int(study.free.sum())))).tolist()
     for part in (1, 2, 4, 8):
-        edge = np.array([1, 0.5, 0.2]) / part
-        region = Region.from_boxes((0, 0, 0), (60, 20, 4), edge, (((27, 8, 0), (33, 12, 4)),))
-        bits, grid = rows.Grid.of(region), runs.Grid.of(region)
-        room = rows.room(bits, len(study.slots), study.slots[0].sensor.sin_elevation.size)
-        by_rows = statistics.median(s for _, one in all_rigs for s in timed(partial(rows.max_vsr, bits, one, room), 3))
-        by_run = statistics.median(s for _, one in all_rigs for s in timed(partial(by_runs, region, grid, one), 3))
-        used = by_run if region.included.size >= RUNS_FROM else by_rows
-        growth = f"{used / before:.1f} ×" if before else ""
-        print(
-            f"| 1/{part} | {region.included.size:,} | {1e3 * by_rows:.1f} | {1e3 * by_run:.1f} | {growth} |", flush=True
-        )
-        before = used
+        given = json.dumps([part, poses, study.slots[0].sensor.sin_elevation.tolist()])
+        words = [sys.executable, "-c", FINE_GRID, given]
+        size, median, most, mb = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+        growth = f"{median / before:.1f} ×" if before else ""
+        print(f"| 1/{part} | {size:,} | {1e3 * median:.1f} | {1e3 * most:.1f} | {mb:.0f} | {growth} |", flush=True)
+        before = median
 
 
 PAPERS_RUN = """
@@ -188,8 +203,8 @@ def main() -> None:
     )
     papers_run()  # first: a child's peak is no less than what its parent had
     best_known()
-    evaluations(study)
     fine_grids(study)
+    evaluations(study)
     print(f"\npeak memory of this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 

@@ -28,7 +28,7 @@ STUDIES = {"2 × 8 beams": "liu2018-2x8", "4 × 16 beams": "liu2018-4x16", "seda
 METHODS = {
     "auto": "`auto`",
     "cmaes": "`cma` alone, restarts of doubled populations",
-    "de": "SciPy's differential evolution alone",
+    "de": "L-SHADE alone, restarts of doubled lengths",
     "abc": "bees, 40 sources",
     "mealpy": "mealpy's bees, 100 sources",
 }

@@ -25,10 +25,11 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
 from lidarcfg.placement import region as region_module  # noqa: E402
-from lidarcfg.placement import rows, runs  # noqa: E402
+from lidarcfg.placement import rows  # noqa: E402
 from lidarcfg.placement.cones import gaps_at  # noqa: E402
 from lidarcfg.placement.evaluator import max_vsr  # noqa: E402
 from lidarcfg.placement.region import Region  # noqa: E402
+from lidarcfg.placement.subspace import segment  # noqa: E402
 from lidarcfg.world.raycast import Raycaster  # noqa: E402
 from tests import edges  # noqa: E402
 from tests import test_stress as loaders  # noqa: E402
@@ -61,7 +62,7 @@ def labels_random(size: float) -> Row:
         position = low + rng.uniform(-0.5, 1.5, 3) * shape * edge
         known, exact = sensor(position, angles(rng), FANS[rng.integers(len(FANS))])
         points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
-        tally.add(exact, points, rows.digits(region, known).ravel())
+        tally.add(exact, points, rows.beam_gaps(region, known).ravel())
     return said("cuboid–beam pairs of random rigs", tally)
 
 
@@ -73,28 +74,25 @@ def labels_posed(size: float) -> Row:
     for number in range(max(int(3000 * size), 6)):
         place = [*loaders.PLACES.values()][number % len(loaders.PLACES)]
         known, exact = sensor(place, rng.choice(ANGLES, 3), FANS[rng.integers(len(FANS))])
-        tally.add(exact, points, rows.digits(region, known).ravel())
+        tally.add(exact, points, rows.beam_gaps(region, known).ravel())
     return said("pairs of sensors in odd places, turned by odd angles", tally)
 
 
 def labels_near(size: float) -> Row:
-    """Points on lines that cut a cone, most of them within 1e-15 of it; rows, runs and single points alike."""
+    """Points on lines that cut a cone, most of them within 1e-15 of it; rows and single points alike."""
     rng, tally, differ, near = np.random.default_rng(SEED), Tally(), 0, 0
     while near < 1_000_000 * size:
         known, exact, points, along = along_a_cone(rng)
         line = Line(points, along)
-        digit = rows.digits(line, known).ravel()
+        digit = rows.beam_gaps(line, known).ravel()
         label = np.cumsum(np.diff(digit, prepend=digit[0]) != 0)
         differ += not np.array_equal(digit, gaps_at(points, known))
-        differ += not np.array_equal(label, rows.label(line, [known])[0].ravel())
-        differ += not np.array_equal(label, runs.label(runs.Grid.of(line), [known])[0].ravel())
+        differ += not np.array_equal(label, segment(line, [known]).label.ravel())
         before = tally.near
         tally.add(exact, points, digit)
         near += tally.near - before
-    what, cases, failures, text = said(
-        "pairs on lines that cut a cone, by rows, by runs and point by point", tally, differ
-    )
-    return what, cases, failures, f"{text}; the three differ in {differ} lines"
+    what, cases, failures, text = said("pairs on lines that cut a cone, by rows and point by point", tally, differ)
+    return what, cases, failures, f"{text}; the two differ in {differ} lines"
 
 
 def labels_moved(size: float) -> Row:
@@ -111,7 +109,7 @@ def labels_moved(size: float) -> Row:
         there = Region(by, by + shape * edge, here.included)
         position, rpy, fan = rng.uniform(0, 1, 3) * shape * edge, angles(rng), FANS[rng.integers(len(FANS))]
         (known, exact), (moved, _) = (sensor(at, rpy, fan) for at in (position, position + by))
-        digit, other = rows.digits(here, known).ravel(), rows.digits(there, moved).ravel()
+        digit, other = rows.beam_gaps(here, known).ravel(), rows.beam_gaps(there, moved).ravel()
         points = np.stack(np.meshgrid(*here.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
         ulp = np.spacing(max(np.abs(there.min_m).max(), np.abs(there.max_m).max()))
         for n in np.flatnonzero(digit != other).tolist():
@@ -132,16 +130,22 @@ def labels_moved(size: float) -> Row:
 
 
 def fifty_million(size: float) -> Row:
-    """Fifty million cuboids and four LiDARs: rows and runs, two programs with other counters, agree in all."""
+    """Fifty million cuboids and four LiDARs: neighbours share a subspace where all their beam gaps are equal, only."""
     edge = 0.02 / size ** (1 / 3)
     shape = np.rint(np.array((10.0, 8.0, 5.0)) / edge).astype(int)
     region, rng = Region(np.zeros(3), shape * edge, np.ones(shape, bool)), np.random.default_rng(SEED)
     lidars = [sensor(rng.uniform(0, 1, 3) * (10, 8, 5), angles(rng), FANS[0])[0] for _ in range(4)]
-    one, other = rows.label(region, lidars), runs.label(runs.Grid.of(region), lidars)
-    differ = sum(not np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-    differ += int(one[1].sum()) != region.included.size
-    seen = f"{len(one[1]):,} subspaces, the largest of {one[1].max():,} cuboids"
-    return "cuboids of one region, four LiDARs, rows against runs", region.included.size, differ, seen
+    found, (xs, ys, zs) = segment(region, lidars), region.centres()
+    differ, before = int(found.cuboids.sum() != region.included.size), None
+    for x, label in zip(xs, found.label, strict=True):
+        points = np.stack(np.meshgrid([x], ys, zs, indexing="ij"), axis=-1).reshape(-1, 3)
+        here = np.stack([*(gaps_at(points, one).reshape(label.shape) for one in lidars), label])
+        pairs = [(here[:, 1:], here[:, :-1]), (here[:, :, 1:], here[:, :, :-1])]
+        for one, other in [*pairs, (here, before)] if before is not None else pairs:
+            differ += int(((one[:-1] == other[:-1]).all(axis=0) != (one[-1] == other[-1])).sum())
+        before = here
+    seen = f"{len(found):,} subspaces, the largest of {found.cuboids.max():,} cuboids"
+    return "cuboids of one region, four LiDARs, each against its neighbours", region.included.size, differ, seen
 
 
 def rays(size: float) -> Row:

@@ -13,7 +13,7 @@ from scipy.stats import qmc, t
 from lidarcfg.config import Model, Positive
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement import kernels
+from lidarcfg.placement import detection_kernels as kernels
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
 

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement import kernels, rows, runs
-from lidarcfg.placement.cones import Lidar
-from lidarcfg.placement.metric import vsr_m, vsr_of_counts
+from lidarcfg.placement import evaluator_kernels as kernels
+from lidarcfg.placement import rows
+from lidarcfg.placement.cones import FIRST, Lidar, cone_rows
+from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import RUNS_FROM, segment
+from lidarcfg.placement.subspace import segment
 
 CACHE_BYTES = 256 * 2**20  # for the links of the food sources; where they would need more, none are kept
 Index = NDArray[np.int64]
@@ -40,8 +41,7 @@ class Evaluator:
         self._threads = threads or os.cpu_count() or 1
         self._pool = ThreadPoolExecutor(self._threads)
         origin = np.zeros(3)
-        self._square = rows.cones([Lidar(origin, origin, sine) for sine in sines])[:, 6:]
-        self._runs = runs.Grid.of(region) if region.included.size >= RUNS_FROM else None
+        self._square = cone_rows([Lidar(origin, origin, sine) for sine in sines])[:, FIRST:]
         self._grid = rows.Grid.of(region)
         self._poses = np.empty((0, len(sines), 6))  # of the food sources, as _witness has them
         self._linked = self._poses  # and as _links has them
@@ -67,11 +67,6 @@ class Evaluator:
         poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn
         around, and matters for speed alone.
         """
-        if self._runs:
-            self.full_evaluations += len(poses)
-            self.cuboids += len(poses) * self._region.included.size
-            cost = self.map(self._by_runs, poses)
-            return np.where(cost < to_beat, cost, np.inf)
         cones = self._cones(poses)
         moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
         if not self._skip:
@@ -82,29 +77,22 @@ class Evaluator:
             if len(self._links):
                 moved = (poses != source_poses[source]).any(axis=2)
                 self._renew(np.unique(source[~moved.all(axis=1)]))
-        cost = np.full(len(poses), np.inf)
-        refuter = np.full(len(poses), -1, np.int64)
-        fresh = np.full_like(witness, -1)
+        batch = kernels.Batch(cones, to_beat, moved, source, witness, self._links)
+        verdicts = kernels.Verdicts(
+            np.full(len(poses), np.inf), np.full(len(poses), -1, np.int64), np.full_like(witness, -1)
+        )
 
         def run(trials: Index) -> tuple[int, int]:
-            return kernels.try_out(
-                trials, to_beat, moved, cones, source, self._links, witness, self._grid, cost, refuter, fresh
-            )
+            return kernels.try_out(trials, batch, self._grid, verdicts)
 
         nx, ny, nz = self._region.shape
         for full, cut in self._pool.map(run, self._parts(len(poses))):
             self.full_evaluations += full
             self.cuboids += full * nx * ny * nz + cut * min(nx, 64)
         if len(self._witness):
-            kernels.remember(self._witness, source, refuter)
-        self._told = source, poses, fresh
-        return cost
-
-    def _by_runs(self, poses: Array) -> float:
-        assert self._runs
-        lidars = [Lidar(row[:3], up(row[3:]), sine) for row, sine in zip(poses, self._sines, strict=True)]
-        cuboids, internal, _ = runs.count(self._runs, lidars)
-        return float(vsr_of_counts(cuboids, internal, self._region.cuboid_m).max())
+            kernels.remember(self._witness, source, verdicts.refuter)
+        self._told = source, poses, verdicts.fresh
+        return verdicts.cost
 
     def _cones(self, poses: Array) -> Array:
         """(n, lidars, 6 + beams): position, axis, and what centres are compared with."""

@@ -10,8 +10,9 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials, checked
-from lidarcfg.placement.study import Evaluation, Solver, Study, evaluate
+from lidarcfg.placement.study import Evaluation, Study, evaluate
 from lidarcfg.rig import Rig
 
 SLICE = 100  # trials between two looks at the clock, where it matters
@@ -59,25 +60,6 @@ class Placement:
     log: Log
     seconds: float
     interrupted: bool
-
-
-def start_search(solver: Solver, dimensions: int) -> Search:
-    """The search that a solver's settings mean."""
-    if solver.method == "abc":
-        from lidarcfg.placement.solvers.bee_colony import BeeColony
-
-        return BeeColony(dimensions, solver.bees, solver.limit or solver.bees * dimensions, solver.seed)
-    if solver.method == "cmaes":
-        from lidarcfg.placement.solvers.cma_es import CmaEs
-
-        return CmaEs(dimensions, solver.seed)
-    if solver.method == "de":
-        from lidarcfg.placement.solvers.differential_evolution import DifferentialEvolution
-
-        return DifferentialEvolution(dimensions, solver.seed)
-    from lidarcfg.placement.solvers.auto import Auto
-
-    return Auto(dimensions, solver.seed)
 
 
 def optimize(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement import rows, runs
+from lidarcfg.placement import flood, rows
 from lidarcfg.placement.cones import Lidar, gaps_at
 from lidarcfg.placement.region import Region
 
@@ -17,15 +17,12 @@ if TYPE_CHECKING:
     import open3d
 
 
-RUNS_FROM = 3_000_000  # cuboids; from here on runs are faster than rows: see docs/benchmarks.md
-
-
 @dataclass(frozen=True)
 class Subspaces:
     """The connected subspaces of a region; number j in `label` is row j of the others."""
 
     region: Region
-    label: NDArray[np.int32]  # (nx, ny, nz), −1 where the region leaves a cuboid out
+    label: NDArray[np.int32]  # (nx, ny, nz), −1 for excluded cuboids
     cuboids: NDArray[np.int64]  # (n,) in each
     internal: NDArray[np.int64]  # (n, 3) faces inside each, across x, y and z
     gap: NDArray[np.int64]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it
@@ -36,7 +33,7 @@ class Subspaces:
     def voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
         """All cuboids as an Open3D voxel grid, coloured by a value (n,) of their subspace, blue to red.
 
-        See Region.voxel_grid for cuboids that are no cubes.
+        See Region.voxel_grid for cuboids that are not cubes.
         """
         index = np.argwhere(self.label >= 0)
         span = np.ptp(value) or 1.0
@@ -44,19 +41,12 @@ class Subspaces:
         return self.region.voxel_grid(index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1))
 
 
-def beam_gaps(region: Region, lidar: Lidar) -> NDArray[np.int64]:
-    """The digit of one LiDAR: how many of its cones lie at or below each cuboid's centre, (nx, ny, nz)."""
-    return rows.digits(region, lidar)
-
-
 def segment(region: Region, lidars: Sequence[Lidar]) -> Subspaces:
-    """Cut a region into its connected subspaces. Raises ConfigError where no cuboid is left in it."""
+    """Cut a region into its connected subspaces. Raises ConfigError where every cuboid is excluded."""
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
-    if region.included.size >= RUNS_FROM:
-        label, cuboids, internal, first = runs.label(runs.Grid.of(region), lidars)
-    else:
-        label, cuboids, internal, first = rows.label(region, lidars)
+    _, work = rows.linked(region, lidars)
+    label, cuboids, internal, first = flood.components(region, work.links)
     points = np.stack(
         [axis[n] for axis, n in zip(region.centres(), np.unravel_index(first, region.shape), strict=True)],
         axis=1,

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import kernels
+from lidarcfg.placement import detection_kernels as kernels
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.detection import DetectionObject, detection
 from lidarcfg.placement.region import Region

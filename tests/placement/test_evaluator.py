@@ -5,11 +5,9 @@ import pytest
 
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
-from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
-from lidarcfg.placement.subspace import segment
 
 STUDY = """
 region: {{min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{{min_m: [5, 3, 0], max_m: [7, 5, 3]}}]}}
@@ -103,20 +101,3 @@ def test_lidars_in_odd_places():
             with Evaluator(region, [sine], threads=1) as evaluator:
                 cost = evaluator.max_vsr(pose, np.zeros(1, int), pose, np.full(1, np.inf))[0]
             assert cost == max_vsr(region, [lidar(position, (0, 0, 0), sine)])
-
-
-def test_fine_grids_go_by_runs_and_give_the_same(monkeypatch):
-    rng = np.random.default_rng(4)
-    sine = np.sin(np.radians([-20.0, -3.0, 0.0, 14.0]))
-    poses = random_poses(rng, 8, 3)
-    lidars = [[lidar(row[:3], row[3:], sine) for row in rows] for rows in poses]
-    flat = [segment(REGION, one) for one in lidars]
-    monkeypatch.setattr("lidarcfg.placement.subspace.RUNS_FROM", 1)
-    monkeypatch.setattr("lidarcfg.placement.evaluator.RUNS_FROM", 1)
-    for one, before in zip(lidars, flat, strict=True):
-        now = segment(REGION, one)
-        for key in ("label", "cuboids", "internal", "gap"):
-            assert np.array_equal(getattr(now, key), getattr(before, key))
-    with Evaluator(REGION, [sine] * 3, threads=2) as evaluator:
-        cost = evaluator.max_vsr(poses, np.arange(8), poses, np.full(8, np.inf))
-    assert cost.tolist() == [float(vsr_m(one).max()) for one in flat]

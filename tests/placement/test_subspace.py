@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import rows, runs
+from lidarcfg.placement import flood
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import Subspaces, beam_gaps, segment
+from lidarcfg.placement.rows import beam_gaps
+from lidarcfg.placement.subspace import Subspaces, segment
 from tests.naive import placement as naive
 
 EDGES = (0.8, 0.5, 0.25)
@@ -27,7 +28,7 @@ def bodies(array, edges=EDGES):
     bits = np.zeros((3, *padded.shape[:2], 64 * -(-array.shape[0] // 64)), bool)
     bits[..., : array.shape[0]] = np.stack(alike)[..., 1:-1]
     links = np.packbits(bits, axis=-1, bitorder="little").view(np.uint64).reshape(3, -1)
-    label, cuboids, internal, first = rows.bodies(region, links)
+    label, cuboids, internal, first = flood.components(region, links)
     assert label.ravel()[first].tolist() == list(range(len(first)))
     return Subspaces(region, label, cuboids, internal, np.zeros((len(cuboids), 0), np.int64))
 
@@ -183,18 +184,6 @@ def test_labels_tell_apart_what_base_n_numbers_do():
     label, count = naive.breadth_first(number, region.included.tolist())
     assert segment(region, lidars).label.tolist() == label
     assert count > 90
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.lists(poses, max_size=3), st.integers(1, 200), st.integers(1, 3), st.integers(1, 3), st.integers(0, 99))
-def test_rows_longer_than_a_word(sensors, nx, ny, nz, seed):
-    """Rows of up to four words give what runs give, with cuboids left out anywhere."""
-    region = Region(np.zeros(3), np.array([4.0, 2.0, 1.0]), np.random.default_rng(seed).random((nx, ny, nz)) < 0.95)
-    lidars = [lidar(*sensor, np.sin(np.radians(FAN))) for sensor in sensors]
-    for mine, theirs in zip(rows.label(region, lidars), runs.label(runs.Grid.of(region), lidars), strict=True):
-        assert np.array_equal(mine, theirs)
-    if region.included.any():
-        assert rows.max_vsr(rows.Grid.of(region), lidars) == vsr_m(segment(region, lidars)).max()
 
 
 def test_subspaces_come_back_as_a_voxel_grid():

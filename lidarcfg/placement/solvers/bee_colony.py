@@ -1,7 +1,7 @@
 """Artificial Bee Colony (Karaboga 2007; paper, section II-D and algorithm 2), as ask and tell.
 
-It minimises over the unit cube and knows nothing of LiDARs. One phase an ask: employed bees, onlookers,
-scouts. All trials of a phase are drawn from the sources as they stand at its start, and told in order.
+It minimises over the unit cube. Each ask is one phase: employed bees, onlookers, scouts. All trials of a phase are
+drawn from the sources as they were at its start; their costs are applied in order.
 """
 
 import numpy as np
@@ -12,10 +12,10 @@ from lidarcfg.placement.solvers.search import Trials, checked
 
 
 class BeeColony:
-    """A swarm of `bees` food sources, as many onlookers, and scouts for the exhausted ones.
+    """A swarm of `bees` food sources, as many onlookers, and scouts for exhausted sources.
 
-    A source whose counter of failures reaches `limit` at the end of a cycle is exhausted; every such source
-    is replaced. The counter goes back to 0 when a source improves or is replaced; the best is kept apart.
+    A source that has failed `limit` times by the end of a cycle is exhausted; every exhausted source is replaced.
+    Its counter is reset when it improves or is replaced; the best point ever is stored separately.
     """
 
     def __init__(self, dimensions: int, bees: int, limit: int, seed: int) -> None:
@@ -36,15 +36,15 @@ class BeeColony:
 
     @property
     def mean_cost(self) -> float:
-        """The sources' mean cost."""
+        """The mean cost of the sources."""
         return float(self.cost.mean())
 
     def ask(self) -> Trials:
-        """The trials of the phase that is due."""
+        """The trials of the current phase."""
         return self._asked
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of what was asked, in its order."""
+        """The costs (n,) of the trials, in order."""
         trials = self._asked
         for x, source, value in zip(trials.x, trials.source, checked(cost), strict=True):
             if trials.phase in ("first", "scout") or value < self.cost[source]:
@@ -70,8 +70,8 @@ class BeeColony:
         """Roulette: `count` sources by P_i = fit_i / Σ fit (paper, eq. 11), with fit = 1 / (1 + cost)."""
         fit = 1.0 / (1.0 + self.cost)
         wheel = np.cumsum(fit)
-        turn = self._rng.random(count) * wheel[-1]
-        chosen: NDArray[np.int64] = np.minimum(np.searchsorted(wheel, turn, "right"), len(fit) - 1)
+        spin = self._rng.random(count) * wheel[-1]
+        chosen: NDArray[np.int64] = np.minimum(np.searchsorted(wheel, spin, "right"), len(fit) - 1)
         return chosen
 
     def _move(self, phase: str, source: NDArray[np.int64]) -> Trials:

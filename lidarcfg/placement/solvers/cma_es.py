@@ -1,4 +1,4 @@
-"""CMA-ES by the `cma` package, as ask and tell, with restarts: each with twice the population of the one before."""
+"""CMA-ES by the `cma` package, as ask and tell, with restarts that double the population."""
 
 import cma
 import numpy as np
@@ -6,15 +6,15 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Trials, checked
 
-STEP = 0.25  # the first standard deviation, in the unit cube
-HUGE = 1e300  # what inf is told as: cma subtracts costs
+STEP = 0.25  # the initial standard deviation, in the unit cube
+HUGE = 1e300  # stands for inf, as cma subtracts costs
 
 
 class CmaEs:
-    """A search by covariance matrix adaptation (Hansen; restarts after Auger and Hansen 2005, IPOP).
+    """A search by covariance matrix adaptation (Hansen; IPOP restarts, Auger and Hansen 2005).
 
-    It begins at `start` (dimensions,) or anywhere, with the usual population or another. `over` says that a run has
-    just ended; the next one has begun.
+    It starts at `start` (dimensions,), by default at a random point, with cma's default population unless given.
+    `over` right after a run has ended and the next one has begun.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class CmaEs:
 
     @property
     def sources(self) -> Array:
-        """The best so far: nothing is drawn around a source here."""
+        """The best so far; no trial is drawn around a source."""
         return self.best_x[None]
 
     def _begin(self, start: Array) -> None:
@@ -39,14 +39,14 @@ class CmaEs:
             "bounds": [0, 1],
             "popsize": self._population,
             "randn": lambda *shape: self._rng.standard_normal(shape),
-            "seed": np.nan,  # the generator is ours: NumPy's global one stays alone
+            "seed": np.nan,  # leave NumPy's global generator alone: `randn` is ours
             "verbose": -9,
         }
         self._es = cma.CMAEvolutionStrategy(start, self._step, options)
         self._asked = self._es.ask()
 
     def ask(self) -> Trials:
-        """The generation that is due."""
+        """The next generation."""
         n = len(self._asked)
         return Trials("trial", np.array(self._asked), np.zeros(n, np.int64), np.full(n, np.inf))
 

@@ -1,8 +1,7 @@
-"""Differential evolution that learns its own settings, L-SHADE (Tanabe and Fukunaga 2014), as ask and tell.
+"""Differential evolution that adapts its own parameters, L-SHADE (Tanabe and Fukunaga 2014), as ask and tell.
 
-A population that shrinks as its evaluations are used up: many points look around first, few go deep at the end.
-Names and constants are the paper's; a coordinate that leaves the unit cube stops halfway between its point and the
-wall.
+The population shrinks as evaluations are used up: many points explore first, few refine at the end. Names and
+constants are the paper's; a coordinate that leaves the unit cube is set halfway between its point and the wall.
 """
 
 import numpy as np
@@ -14,28 +13,29 @@ from lidarcfg.placement.solvers.search import Trials, checked
 POINTS = 18  # of the first population, a dimension
 FEWEST = 4
 MEMORIES = 6
-BEST = 0.11  # a trial is drawn towards one of this share of the population
-ARCHIVE = 1.4  # beaten points are kept, up to so many populations
+BEST = 0.11  # a trial moves towards one of this fraction of the population
+ARCHIVE = 1.4  # size of the archive of replaced points, in populations
+EVALUATIONS = 4000  # of the first run of a search with restarts, per dimension
 
 
-class SuccessHistory:
-    """A search of about so many evaluations. `over` says that they are spent."""
+class Lshade:
+    """One run of about `evaluations` evaluations; `over` once they are used up."""
 
     def __init__(self, dimensions: int, rng: np.random.Generator, evaluations: int) -> None:
         self._rng, self._evaluations, self._used = rng, evaluations, 0
         self._x = rng.random((POINTS * dimensions, dimensions))
         self._cost = np.full(len(self._x), np.inf)
-        self._alive = np.arange(len(self._x))  # rows of the two, the best first
+        self._alive = np.arange(len(self._x))  # the population: rows of _x and _cost, best first
         self._archive = np.empty((0, dimensions))
         self._f, self._cr = np.full(MEMORIES, 0.5), np.full(MEMORIES, 0.5)  # the paper's M_F and M_CR, −1 for ⊥
-        self._next = 0  # of them to be written
-        self._drawn = self._f, self._cr  # F and CR of the trials asked
+        self._next = 0  # the memory to write next
+        self._drawn = self._f, self._cr  # F and CR of the current trials
         self.over = False
         self._asked = Trials("trial", self._x.copy(), self._alive, self._cost.copy())
 
     @property
     def sources(self) -> Array:
-        """(n, dimensions) the points, those that were given up included."""
+        """(n, dimensions) the points, including those dropped from the population."""
         return self._x
 
     @property
@@ -48,7 +48,7 @@ class SuccessHistory:
         return self._asked
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of what was asked, in its order; inf will do for one no better than its point's."""
+        """The costs (n,) of the trials, in order; inf stands for any cost no better than the point's."""
         trials, cost = self._asked, checked(cost)
         if self._used:
             self._learn(trials, cost)
@@ -71,7 +71,7 @@ class SuccessHistory:
             return
         f, cr = (drawn[better] for drawn in self._drawn)
         gain = self._cost[point[better]] - cost[better]
-        if np.isinf(gain).any():  # they outweigh all others
+        if np.isinf(gain).any():  # these outweigh all others
             gain = np.isinf(gain).astype(np.float64)
         weight = gain / gain.sum()
         self._f[self._next] = (weight * f**2).sum() / (weight * f).sum()
@@ -102,9 +102,45 @@ class SuccessHistory:
         return Trials("trial", np.where(crossed, v, x), point, self._cost[point])
 
 
-def _cauchy(rng: np.random.Generator, middle: Array) -> Array:
-    """Cauchy numbers of scale 0.1 around `middle` (n,), drawn again where not above 0, at most 1."""
-    out: NDArray[np.float64] = middle + 0.1 * rng.standard_cauchy(len(middle))
+class LshadeRestarts:
+    """Runs of L-SHADE, one after the other, each with twice the evaluations of the one before."""
+
+    def __init__(self, dimensions: int, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._dimensions, self._evaluations = dimensions, EVALUATIONS * dimensions
+        self._run = Lshade(dimensions, self._rng, self._evaluations)
+        self.cycles = 0
+        self.best_x, self.best_cost = np.full(dimensions, 0.5), np.inf
+
+    @property
+    def sources(self) -> Array:
+        """(n, dimensions) the points of the current run."""
+        return self._run.sources
+
+    @property
+    def mean_cost(self) -> float:
+        """The mean cost of the current population."""
+        return self._run.mean_cost
+
+    def ask(self) -> Trials:
+        """The next generation."""
+        return self._run.ask()
+
+    def tell(self, cost: Array) -> None:
+        """The costs (n,) of the generation."""
+        x, best = self._run.ask().x, int(np.argmin(checked(cost)))
+        if cost[best] < self.best_cost:
+            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
+        self.cycles += 1
+        self._run.tell(cost)
+        if self._run.over:
+            self._evaluations *= 2
+            self._run = Lshade(self._dimensions, self._rng, self._evaluations)
+
+
+def _cauchy(rng: np.random.Generator, centre: Array) -> Array:
+    """Cauchy numbers of scale 0.1 around `centre` (n,), redrawn until above 0, at most 1."""
+    out: NDArray[np.float64] = centre + 0.1 * rng.standard_cauchy(len(centre))
     while (low := out <= 0.0).any():
-        out[low] = middle[low] + 0.1 * rng.standard_cauchy(int(low.sum()))
+        out[low] = centre[low] + 0.1 * rng.standard_cauchy(int(low.sum()))
     return np.minimum(out, 1.0)

@@ -1,4 +1,4 @@
-"""What every solver is: ask for trials, be told their costs. None of them knows anything about LiDARs."""
+"""The protocol of every solver: it asks for trials and is told their costs. None of them knows about LiDARs."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -17,33 +17,33 @@ class Trials:
     phase: str  # "first" and "scout" do not count as evaluations; all others do
     x: Array  # (n, dimensions)
     source: NDArray[np.int64]  # (n,) the row of the search's `sources` that each was drawn around
-    to_beat: Array  # (n,) a cost at or above this may be told as inf; inf where every cost matters
+    to_beat: Array  # (n,) a cost at or above this may be reported as inf; inf where every cost matters
 
 
 class Search(Protocol):
-    """A solver at work: minimises over the unit cube, one batch an ask."""
+    """A running search: minimises over the unit cube, one batch of trials at a time."""
 
-    cycles: int  # that are over
-    best_x: Array  # (dimensions,) the best ever
+    cycles: int  # completed
+    best_x: Array  # (dimensions,) the best point so far
     best_cost: float
 
     @property
     def sources(self) -> Array:
-        """(s, dimensions) what trials are drawn around, as it stands."""
+        """(s, dimensions) the points that trials are drawn around."""
 
     @property
     def mean_cost(self) -> float:
-        """The mean cost of the population, as it stands."""
+        """The mean cost of the population."""
 
     def ask(self) -> Trials:
-        """The trials that are due."""
+        """The next trials; the same ones until their costs are told."""
 
     def tell(self, cost: Array) -> None:
-        """The costs (n,) of what was asked, in its order. Raises LidarcfgError where one is not a number."""
+        """The costs (n,) of the trials asked for, in order. Raises LidarcfgError where one is not a number."""
 
 
 def checked(cost: Array) -> Array:
-    """Costs (n,), each a number or inf. Raises LidarcfgError: NaN is no result, and would pass for the least."""
+    """The costs (n,), each a number or inf. Raises LidarcfgError on NaN, which would compare as the least."""
     wrong = np.flatnonzero(~(cost > -np.inf))
     if len(wrong):
         raise LidarcfgError(

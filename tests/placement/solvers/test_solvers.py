@@ -1,18 +1,19 @@
 """The solvers behind ask and tell: they minimise, repeat by their seed, and leave the world alone."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from lidarcfg.placement.solvers.auto import Auto
 from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.cma_es import CmaEs
-from lidarcfg.placement.solvers.differential_evolution import DifferentialEvolution
-from lidarcfg.placement.solvers.lshade import SuccessHistory
+from lidarcfg.placement.solvers.lshade import Lshade, LshadeRestarts
 
 SOLVERS = {
     "abc": lambda dimensions, seed: BeeColony(dimensions, 20, 20 * dimensions, seed),
     "cmaes": CmaEs,
-    "de": DifferentialEvolution,
+    "de": LshadeRestarts,
     "auto": Auto,
 }
 
@@ -111,9 +112,23 @@ def test_autos_rounds_are_half_cma_es_and_half_differential_evolution():
         assert len(solver.ask().x) == 200
 
 
-def test_success_history_shrinks_to_four_points_that_lie_deep():
+def test_lshade_restarts_with_twice_the_evaluations():
+    """4000 a dimension at first; every run starts with 18 random points a dimension."""
+    solver, told = LshadeRestarts(2, 1), []
+    while sum(told) < 8000 + 16000 + 36:
+        told.append(len(solver.ask().x))
+        solver.tell(bowl(solver.ask().x))
+    starts = [n for n, size in enumerate(told) if size == 36 and (n == 0 or told[n - 1] == 4)]
+    assert len(starts) == 3
+    first, second = (sum(told[a:b]) for a, b in itertools.pairwise(starts))
+    assert 8000 <= first < 8004
+    assert 16000 <= second < 16004
+    assert solver.cycles == len(told)
+
+
+def test_lshade_shrinks_to_four_points_that_lie_deep():
     """18 points a dimension at first, 4 at the end, in a straight line between (Tanabe and Fukunaga 2014, eq. 10)."""
-    solver = SuccessHistory(4, np.random.default_rng(1), 6000)
+    solver = Lshade(4, np.random.default_rng(1), 6000)
     used, best = 0, np.inf
     while not solver.over:
         asked = solver.ask()
@@ -128,9 +143,9 @@ def test_success_history_shrinks_to_four_points_that_lie_deep():
     assert best < 1e-6
 
 
-def test_success_history_learns_what_paid():
+def test_lshade_learns_what_paid():
     """Weighted Lehmer means over the trials that beat their points (eq. 7 to 9), by hand."""
-    solver = SuccessHistory(2, np.random.default_rng(2), 10000)
+    solver = Lshade(2, np.random.default_rng(2), 10000)
     solver.tell(np.ones(36))
     f, cr = solver._drawn
     cost = np.full(len(f), 2.0)
@@ -141,14 +156,14 @@ def test_success_history_learns_what_paid():
     assert solver._f[1:].tolist() == [0.5] * 5
 
 
-def test_success_history_finds_what_hides_among_hills():
+def test_lshade_finds_what_hides_among_hills():
     """Rastrigin's function: 11^4 valleys, one of them the deepest."""
 
     def hills(x):
         y = 10.24 * (x - 0.4)
         return (y**2 - 10 * np.cos(2 * np.pi * y) + 10).sum(axis=1)
 
-    solver = SuccessHistory(4, np.random.default_rng(3), 20000)
+    solver = Lshade(4, np.random.default_rng(3), 20000)
     found = np.inf
     while not solver.over:
         cost = hills(solver.ask().x)

@@ -1,0 +1,115 @@
+"""The compiled loops of a search: many trials, each drawn around a food source and kept only if it beats it.
+
+Of each food source the links of every LiDAR are kept, so that a trial computes only those of the LiDARs that moved.
+"""
+
+# mypy: disallow-untyped-decorators=False
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
+from lidarcfg.placement.cones import FIRST
+from lidarcfg.placement.flood import Walls, flood, flood_room, inner_cuboid, keep, vsr, worst
+from lidarcfg.placement.rows import Counts, Grid, Words, link, room
+
+WITNESSES = 12
+
+
+class Batch(NamedTuple):
+    """Trials to evaluate, and what is known of the food sources that they were drawn around."""
+
+    cones: Array  # (n, lidars, 6 + beams), see cone_rows
+    to_beat: Array  # (n,) max VSR that a trial has to be below
+    moved: NDArray[np.bool_]  # (n, lidars) the LiDARs whose pose differs from the source's
+    source: Counts  # (n,) a row of `links`
+    witness: Counts  # (n, WITNESSES) cuboids whose subspaces may refute a trial, −1 for none
+    links: Words  # (sources, lidars, 3, rows), see renew; no rows where all LiDARs count as moved
+
+
+class Verdicts(NamedTuple):
+    """What becomes of the trials."""
+
+    cost: Array  # (n,) max VSR, or inf where it is not below what had to be beaten
+    refuter: Counts  # (n,) the cuboid whose subspace refuted a trial, or −1
+    fresh: Counts  # (n, WITNESSES) cuboids of the worst subspaces of a trial that was not refuted
+
+
+@njit(inline="always")
+def _fixed_links(grid: Grid, batch: Batch, t: int, out: Words) -> None:
+    """Write the links of the LiDARs that a trial leaves where they are."""
+    out[:] = grid.links
+    for lidar in range(batch.moved.shape[1]):
+        if not batch.moved[t, lidar]:
+            for axis in range(3):
+                for row in range(out.shape[1]):
+                    out[axis, row] &= batch.links[batch.source[t], lidar, axis, row]
+
+
+@njit(cache=True, nogil=True)
+def try_out(trials: Counts, batch: Batch, grid: Grid, verdicts: Verdicts) -> tuple[int, int]:
+    """Write the verdicts on some trials (t,) of a batch.
+
+    First the subspaces of a trial's witnesses are flooded, and rows are compared with cones as the flood gets to them;
+    one whose VSR is no less than what has to be beaten refutes the trial. Only without one are all links computed.
+    Returns how many trials were evaluated in full, and how many rows were compared for the others.
+    """
+    lidars, beams = batch.cones.shape[1], batch.cones.shape[2] - FIRST
+    work, floods, fixed = room(grid, lidars, beams), flood_room(grid, lidars), np.empty_like(grid.links)
+    values, cuboids = np.empty(WITNESSES), np.empty(WITNESSES, np.int64)
+    full = compared = stamp = 0
+    for t in trials:
+        to_beat = batch.to_beat[t]
+        walls = Walls(fixed, batch.cones[t], np.flatnonzero(batch.moved[t]))
+        _fixed_links(grid, batch, t, fixed)
+        floods.left[:] = grid.included
+        values[:], cuboids[:] = -1.0, -1
+        verdicts.cost[t], verdicts.refuter[t] = np.inf, -1
+        rows = 0
+        for w in batch.witness[t] if to_beat < np.inf else batch.witness[t, :0]:
+            if w >= 0 and floods.left[w >> 6] >> np.uint64(w & 63) & np.uint64(1):
+                stamp += 1
+                rows += flood(grid, walls, stamp, w, floods)
+                value = vsr(floods.counts, grid.edge)
+                if value >= to_beat:
+                    verdicts.refuter[t] = w
+                    break
+                keep(value, inner_cuboid(floods), values, cuboids)
+        if verdicts.refuter[t] >= 0:
+            compared += rows
+            continue
+        full += 1
+        link(grid, fixed, walls.cones, walls.moved, work)
+        worst(grid, work.links, to_beat, floods, values, cuboids)
+        if values[0] < to_beat:
+            verdicts.cost[t], verdicts.fresh[t] = values[0], cuboids
+        else:
+            verdicts.refuter[t] = cuboids[0]
+    return full, compared
+
+
+@njit(cache=True, nogil=True)
+def renew(rows: Counts, links: Words, changed: NDArray[np.bool_], cones: Array, grid: Grid) -> None:
+    """Compute the links of the LiDARs `changed` (sources, lidars) for some rows of `links`; see Batch."""
+    work = room(grid, 1, cones.shape[2] - FIRST)
+    for row in rows:
+        for lidar in np.flatnonzero(changed[row]):
+            link(grid, grid.links, cones[row, lidar : lidar + 1], np.zeros(1, np.int64), work)
+            links[row, lidar] = work.links
+
+
+@njit(cache=True, nogil=True)
+def remember(witness: Counts, source: Counts, refuter: Counts) -> None:
+    """Move what refuted a trial, in the order of trials, to the front of its source's witnesses (sources, …)."""
+    for t in range(source.size):
+        if refuter[t] >= 0:
+            row = witness[source[t]]
+            place = 0
+            while place < row.size - 1 and row[place] != refuter[t]:
+                place += 1
+            while place > 0:
+                row[place] = row[place - 1]
+                place -= 1
+            row[0] = refuter[t]

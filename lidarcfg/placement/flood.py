@@ -1,0 +1,357 @@
+"""Subspaces by flooding the links of rows.py, a row of bits at a time; their faces are counted by counting bits."""
+
+# mypy: disallow-untyped-decorators=False
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
+from lidarcfg.placement.cones import FIRST, Lidar, beam_gap, cone_rows
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.rows import (
+    ALL,
+    BIT,
+    NONE,
+    ONE,
+    Counts,
+    Grid,
+    Words,
+    Work,
+    at_or_above,
+    link,
+    room,
+    row_of,
+    square_up,
+    steps,
+)
+
+Labels = NDArray[np.int32]
+
+
+class Walls(NamedTuple):
+    """What separates cuboids: missing links, and the cones of LiDARs whose links are not computed."""
+
+    links: Words  # (3, rows) of all LiDARs but `moved`
+    cones: Array  # (lidars, 6 + beams), see cone_rows
+    moved: Counts  # the LiDARs whose beam gap is computed row by row, as a flood gets there
+
+
+class Floods(NamedTuple):
+    """Scratch memory of `flood`, and what the last flood found; each thread has its own."""
+
+    left: Words  # (rows,) cuboids that no flood has reached
+    bounds: Array  # (lidars, 2) u_k of the beams below and above the subspace
+    known: Counts  # (rows,) the stamp of the flood that `inside` is of
+    inside: Words  # (rows,) the centres between the bounds
+    squares: Array  # (2, 64)
+    stack: Words  # (192 rows, 2) a row and bits of it from which to go on
+    reached: Words  # (32 rows, 2) the last flood, step by step: a row and bits of it
+    counts: Counts  # (6,) cuboids, internal faces across x, y and z, steps, and the fullest step
+
+
+@njit(cache=True, nogil=True)
+def flood_room(grid: Grid, lidars: int) -> Floods:
+    """Scratch memory for floods of a grid with up to so many LiDARs."""
+    rows = grid.included.size
+    return Floods(
+        grid.included.copy(),
+        np.empty((lidars, 2)),
+        np.full(rows, -1, np.int64),
+        np.empty(rows, np.uint64),
+        np.empty((2, 64)),
+        np.empty((192 * rows, 2), np.uint64),
+        np.empty((32 * rows, 2), np.uint64),
+        np.empty(6, np.int64),
+    )
+
+
+def _ones(_: Any, word: Any) -> Any:
+    return types.int64(types.uint64), lambda _c, builder, _s, args: builder.ctpop(args[0])
+
+
+def _lowest(_: Any, word: Any) -> Any:
+    def generate(context: Any, builder: Any, _: Any, args: Any) -> Any:
+        return builder.cttz(args[0], context.get_constant(types.boolean, False))
+
+    return types.int64(types.uint64), generate
+
+
+ones: Any = intrinsic(_ones)  # how many bits of a word are 1
+lowest: Any = intrinsic(_lowest)  # the number of the lowest of them; 64 where none is
+
+
+@njit(inline="always")
+def _along(bits: np.uint64, links: np.uint64) -> np.uint64:
+    """The cuboids of a row that links along x join to some of them."""
+    start = bits << ONE & links
+    bits |= start | (links ^ links + start) & links  # upwards: a carry runs to the end of the links
+    bits |= (bits & links) >> ONE
+    links &= links << ONE
+    bits |= (bits & links) >> np.uint64(2)
+    links &= links << np.uint64(2)
+    bits |= (bits & links) >> np.uint64(4)
+    links &= links << np.uint64(4)
+    bits |= (bits & links) >> np.uint64(8)
+    links &= links << np.uint64(8)
+    bits |= (bits & links) >> np.uint64(16)
+    links &= links << np.uint64(16)
+    return bits | (bits & links) >> np.uint64(32)
+
+
+@njit(inline="always")
+def _bound(grid: Grid, walls: Walls, cuboid: int, bounds: Array) -> None:
+    """Write which beams of each moved LiDAR bound the gap of a cuboid: u_k below and above, ∓inf without one."""
+    first, y, z = row_of(grid, cuboid >> 6)
+    for lidar in walls.moved:
+        cone = walls.cones[lidar]
+        gap = beam_gap(grid.x[first | cuboid & 63], y, z, cone)
+        bounds[lidar, 0] = cone[FIRST + gap - 1] if gap > 0 else -np.inf
+        bounds[lidar, 1] = cone[FIRST + gap] if FIRST + gap < cone.size else np.inf
+
+
+@njit(inline="always")
+def _inside(grid: Grid, walls: Walls, row: int, floods: Floods) -> np.uint64:
+    """The centres of a row between the bounds of each moved LiDAR."""
+    word = ALL
+    first, y, z = row_of(grid, row)
+    for lidar in walls.moved:
+        square_up(grid.x, first, y, z, walls.cones, lidar, floods.squares)
+        above = at_or_above(floods.bounds[lidar, 1], floods.squares)
+        word &= at_or_above(floods.bounds[lidar, 0], floods.squares) & ~above
+    return word
+
+
+@njit(inline="always")
+def _beside(side: int, row: int, bits: np.uint64, links: Words, step_y: int, step_z: int) -> tuple[int, np.uint64]:
+    """The row on one of six sides of a row, and the cuboids there that links join to some of its own."""
+    if side == 0:
+        return row - step_y, bits & links[1, row]
+    if side == 1:
+        return row + step_y, bits & links[1, row + step_y]
+    if side == 2:
+        return row - step_z, bits & links[2, row]
+    if side == 3:
+        return row + step_z, bits & links[2, row + step_z]
+    if side == 4:  # along x, where the region is longer than a row
+        return row - 1, (bits & links[0, row]) << np.uint64(63)
+    return row + 1, bits >> np.uint64(63) & links[0, row + 1]
+
+
+@njit(inline="always")
+def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> int:
+    """Flood the subspace of a cuboid: remove it from floods.left and count it in floods.counts.
+
+    stamp: another number for every flood. Returns for how many rows the gaps of moved LiDARs were computed.
+    """
+    links, left, stack, reached, counts = walls.links, floods.left, floods.stack, floods.reached, floods.counts
+    known, inside = floods.known, floods.inside
+    step_y, step_z = steps(grid)
+    sides = 4 if step_y == 1 else 6
+    lazily = walls.moved.size > 0
+    cuboids = faces_x = faces_y = faces_z = computed = step = most = fullest = 0
+    row = cuboid >> 6
+    if lazily:
+        _bound(grid, walls, cuboid, floods.bounds)
+        known[row], inside[row], computed = stamp, _inside(grid, walls, row, floods), 1
+    stack[0, 0], stack[0, 1] = row, BIT[cuboid & 63]
+    top = 1
+    while top > 0:
+        top -= 1
+        row = int(stack[top, 0])
+        bits = stack[top, 1] & left[row]
+        if bits == NONE:
+            continue
+        within = links[0, row] & ~ONE  # the link to the row before is side 4's
+        if lazily:
+            within &= inside[row] & inside[row] << ONE
+        bits = _along(bits, within)
+        left[row] &= ~bits
+        reached[step, 0], reached[step, 1] = row, bits
+        count = ones(bits)
+        if count > most:
+            most, fullest = count, step
+        step += 1
+        cuboids += count
+        faces_x += ones(bits & within)
+        for side in range(sides):
+            other, word = _beside(side, row, bits, links, step_y, step_z)
+            if word == NONE:
+                continue
+            if lazily:
+                if known[other] != stamp:
+                    known[other], inside[other] = stamp, _inside(grid, walls, other, floods)
+                    computed += 1
+                word &= inside[other]
+            if side == 0:
+                faces_y += ones(word)
+            elif side == 2:
+                faces_z += ones(word)
+            elif side == 4:
+                faces_x += ones(word)
+            word &= left[other]
+            if word != NONE:
+                stack[top, 0], stack[top, 1] = other, word
+                top += 1
+    counts[0], counts[1], counts[2], counts[3], counts[4], counts[5] = cuboids, faces_x, faces_y, faces_z, step, fullest
+    return computed
+
+
+@njit(inline="always")
+def inner_cuboid(floods: Floods) -> int:
+    """A cuboid of the last flood, halfway along its fullest row."""
+    fullest = floods.counts[5]
+    row, bits = int(floods.reached[fullest, 0]), floods.reached[fullest, 1]
+    for _ in range(ones(bits) // 2):
+        bits &= bits - ONE
+    return row << 6 | int(lowest(bits))
+
+
+@njit(cache=True, nogil=True)
+def vsr(counts: Counts, edge: tuple[float, float, float]) -> float:
+    """Volume to surface of the last flood; metric.vsr_m, term by term."""
+    ex, ey, ez = edge
+    n, x, y, z = counts[0], counts[1], counts[2], counts[3]
+    volume = float(n * (ex * ey * ez))
+    surface: float = 2.0 * ((n - x) * (ey * ez) + (n - y) * (ex * ez) + (n - z) * (ex * ey))
+    return volume / surface
+
+
+@njit(inline="always")
+def _at_least(one: np.uint64, other: np.uint64, all_of_them: np.uint64, number: int) -> np.uint64:
+    """The bits set in at least `number` of two words, 0 … 2."""
+    return all_of_them if number == 0 else (one | other if number == 1 else one & other)
+
+
+@njit(cache=True, nogil=True)
+def links_needed(least: float, edge: tuple[float, float, float], need: Counts) -> None:
+    """need[3 z + y]: how many links along x a cuboid with z and y along those axes needs, 0 … 2; 3 if none suffice.
+
+    In a subspace of V / S > least, the mean cuboid has less outer surface than its volume / least, so some cuboid has.
+    """
+    ex, ey, ez = edge
+    inner = 2.0 * (ey * ez + ex * ez + ex * ey) * (1.0 - 1e-9) - ex * ey * ez / least if least > 0.0 else -1.0
+    for z in range(3):
+        for y in range(3):
+            x = 0
+            while x < 3 and x * (ey * ez) + y * (ex * ez) + z * (ex * ey) < inner:
+                x += 1
+            need[3 * z + y] = x
+
+
+@njit(inline="always")
+def promising(grid: Grid, row: int, need: Counts, links: Words) -> np.uint64:
+    """The cuboids of a row with enough links; see links_needed."""
+    step_y, step_z = steps(grid)
+    all_of_them = grid.included[row]
+    before, after = links[0, row], links[0, row] >> ONE | links[0, row + 1] << np.uint64(63)
+    word = NONE
+    for z in range(3):
+        deep = _at_least(links[2, row], links[2, row + step_z], all_of_them, z)
+        for y in range(3):
+            if need[3 * z + y] < 3:
+                wide = _at_least(links[1, row], links[1, row + step_y], all_of_them, y)
+                word |= deep & wide & _at_least(before, after, all_of_them, need[3 * z + y])
+    return word
+
+
+@njit(inline="always")
+def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
+    """Insert a subspace into the worst ones, values (n,) descending, if it belongs there."""
+    place = values.size
+    while place > 0 and value > values[place - 1]:
+        place -= 1
+    if place == values.size:
+        return False
+    for after in range(values.size - 1, place, -1):
+        values[after], cuboids[after] = values[after - 1], cuboids[after - 1]
+    values[place], cuboids[place] = value, cuboid
+    return True
+
+
+@njit(cache=True, nogil=True)
+def worst(grid: Grid, links: Words, enough: float, floods: Floods, values: Array, cuboids: Counts) -> None:
+    """The worst subspaces: values (n,) their V / S, descending, and a cuboid in each; both may hold some already.
+
+    links (3, rows): of all LiDARs. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
+    cannot be in one of the worst: see links_needed.
+    """
+    _, step_z = steps(grid)
+    left, included, edge = floods.left, grid.included, grid.edge
+    walls = Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64))
+    need = np.empty(9, np.int64)
+    links_needed(values[-1], edge, need)
+    for row in range(step_z, included.size - step_z):
+        if left[row] == NONE:
+            continue
+        word = promising(grid, row, need, links) & left[row]
+        while word != NONE:
+            flood(grid, walls, 0, row << 6 | lowest(word), floods)
+            word &= left[row]
+            if keep(vsr(floods.counts, edge), inner_cuboid(floods), values, cuboids):
+                if values[0] >= enough:
+                    return
+                links_needed(values[-1], edge, need)
+                word &= promising(grid, row, need, links)
+
+
+@njit(cache=True, nogil=True)
+def _label(grid: Grid, links: Words, label: Labels) -> tuple[Counts, Counts, Counts]:
+    """Write the number of each cuboid's component to label (nx, ny, nz): see `components`."""
+    nx, ny, nz = label.shape
+    step_y, step_z = steps(grid)
+    floods = flood_room(grid, 0)
+    walls = Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64))
+    most = nx * ny * nz
+    first, cuboids, internal = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.int64)
+    total = 0
+    label[:] = -1
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                row = (k + 1) * step_z + (j + 1) * step_y + (i >> 6)
+                if floods.left[row] & BIT[i & 63] == NONE:
+                    continue
+                flood(grid, walls, 0, row << 6 | i & 63, floods)
+                for step in range(floods.counts[4]):
+                    row, bits = int(floods.reached[step, 0]), floods.reached[step, 1]
+                    at, b, c = row % step_y << 6, row % step_z // step_y - 1, row // step_z - 1
+                    while bits != NONE:
+                        label[at + lowest(bits), b, c] = total
+                        bits &= bits - ONE
+                first[total] = (i * ny + j) * nz + k
+                cuboids[total] = floods.counts[0]
+                internal[total] = floods.counts[1:4]
+                total += 1
+    return first[:total].copy(), cuboids[:total].copy(), internal[:total].copy()
+
+
+def components(region: Region, links: Words) -> tuple[Labels, Counts, Counts, Counts]:
+    """The connected components of the cuboids under some links (3, rows), in raster order.
+
+    Returns label (nx, ny, nz), the number of each cuboid's component, −1 where excluded; cuboids (n,) in each;
+    internal (n, 3), the faces inside each across x, y and z; and first (n,), its first cuboid as a flat index.
+    """
+    out = np.empty(region.shape, np.int32)
+    first, cuboids, internal = _label(Grid.of(region), links, out)
+    return out, cuboids, internal, first
+
+
+@njit(cache=True, nogil=True)
+def _max_vsr(grid: Grid, cones: Array, work: Work, floods: Floods) -> float:
+    values, cuboids = np.full(1, -1.0), np.empty(1, np.int64)
+    floods.left[:] = grid.included
+    link(grid, grid.links, cones, np.arange(cones.shape[0]), work)
+    worst(grid, work.links, np.inf, floods, values, cuboids)
+    return float(values[0])
+
+
+def max_vsr(grid: Grid, lidars: Sequence[Lidar], scratch: tuple[Work, Floods] | None = None) -> float:
+    """The largest V / S, in metres. `scratch`: room for as many LiDARs and beams, to be used again."""
+    cones = cone_rows(lidars)
+    work, floods = scratch or (room(grid, len(cones), cones.shape[1] - FIRST), flood_room(grid, 0))
+    return float(_max_vsr(grid, cones, work, floods))
