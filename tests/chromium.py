@@ -1,4 +1,4 @@
-"""Debian's Chromium without a screen, for what a page does in a real browser; drawn by SwiftShader, without a GPU."""
+"""Debian's Chromium without a screen; SwiftShader draws, on the processor."""
 
 import json
 import shutil
@@ -21,14 +21,14 @@ LACKING = "; ".join(
 
 
 @contextmanager
-def browser(width: int = 1280, height: int = 800) -> Iterator[Any]:
-    """A selenium driver with a profile of its own, which keeps the console's and the network's log."""
+def browser(width: int = 1280, height: int = 800, *more: str) -> Iterator[Any]:
+    """A selenium driver with a profile of its own and `more` flags, which keeps the console's and the network's log."""
     from selenium import webdriver
 
     with TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         options = webdriver.ChromeOptions()
         options.binary_location = shutil.which("chromium")
-        for flag in (*FLAGS, f"--window-size={width},{height}", f"--user-data-dir={profile}"):
+        for flag in (*FLAGS, *more, f"--window-size={width},{height}", f"--user-data-dir={profile}"):
             options.add_argument(flag)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
         options.add_experimental_option("prefs", {"download.default_directory": profile})
@@ -50,6 +50,6 @@ def asked_for(driver: Any) -> list[str]:
 
 
 def complaints(driver: Any) -> list[str]:
-    """Warnings and errors of the console, but for what SwiftShader says of its own speed."""
+    """Warnings and errors of the console, without SwiftShader's remarks on its own speed."""
     told = [entry["message"] for entry in driver.get_log("browser") if entry["level"] in ("WARNING", "SEVERE")]
     return [text for text in told if "GL Driver Message (OpenGL, Performance" not in text]

@@ -61,9 +61,9 @@ ASK = """
 const [poses, done] = arguments;
 const { handles } = window.lidarcfg;
 const began = performance.now();
-const before = window.lidarcfg.judge.answered;
+const before = window.lidarcfg.evaluator.answered;
 handles.setPose(handles.mounts[0], poses);
-const look = () => window.lidarcfg.judge.answered > before && !window.lidarcfg.judge.busy
+const look = () => window.lidarcfg.evaluator.answered > before && !window.lidarcfg.evaluator.busy
   ? done(performance.now() - began) : setTimeout(look, 0);
 look();
 """

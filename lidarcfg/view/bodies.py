@@ -1,4 +1,4 @@
-"""Bodies of cuboids: the worst subspaces of a rig and what the region leaves out, as merged faces."""
+"""Bodies of cuboids as merged faces: the worst subspaces of a rig, and what the region excludes."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,7 +14,7 @@ from lidarcfg.placement.study import COORDINATES, Study
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig
 
-SLACK = 1e-9  # metres and radians
+TOLERANCE = 1e-9  # metres and radians
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,15 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What a rig is worth, by the same measure as `evaluate`, and where it is worst."""
+class RigScore:
+    """A rig's max VSR, the same as `evaluate` gives, and where it is worst."""
 
     max_vsr_m: float
     subspaces: int
-    worst: tuple[Body, ...]  # the worst first
+    worst: tuple[Body, ...]  # worst first
 
 
-def judge(study: Study, rig: Rig, worst: int) -> Judged:
+def score(study: Study, rig: Rig, worst: int) -> RigScore:
     """The rig's max VSR and its worst subspaces."""
     spaces = segment(study.region, rig_lidars(rig))
     vsr, volume = vsr_m(spaces), volume_m3(spaces)
@@ -49,11 +49,11 @@ def judge(study: Study, rig: Rig, worst: int) -> Judged:
         )
         for number in np.argsort(-vsr, kind="stable")[:worst].tolist()
     ]
-    return Judged(float(vsr.max()), len(spaces), tuple(bodies))
+    return RigScore(float(vsr.max()), len(spaces), tuple(bodies))
 
 
 def faces(region: Region, inside: NDArray[np.bool_]) -> Array:
-    """(F, 4, 3) the outer faces of the cuboids (nx, ny, nz) that are inside, those in a row as one."""
+    """(F, 4, 3) the outer faces of the cuboids (nx, ny, nz) that are inside; those in a row are one face."""
     found = []
     for axis in range(3):
         along = 1 if axis == 0 else 0  # faces are merged along x, or along y if they look along x
@@ -81,49 +81,51 @@ def _back(index: NDArray[np.intp], along: int) -> NDArray[np.intp]:
     return out
 
 
-def broken(study: Study, rig: Rig) -> list[str]:
-    """What of the study's bounds and constraints a rig breaks, in words; nothing is said of another study's rig."""
+def violations(study: Study, rig: Rig) -> list[str]:
+    """Which of the study's bounds and constraints a rig violates, in words; none for a rig with other sensors."""
     if [mount.sensor.beams for mount in rig.mounts] != [slot.sensor.beams for slot in study.slots]:
         return []
-    told = []
+    found = []
     poses = np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
     tilt_deg = np.degrees(np.arccos(np.clip(up(poses[:, 3:])[:, 2], -1.0, 1.0)))
     for i, mount in enumerate(rig.mounts):
         if np.isnan(study.mirror[i]):
-            told += [f"{mount.name}: {text}" for text in _outside(poses[i], study.lower[i], study.upper[i])]
+            found += [f"{mount.name}: {text}" for text in _outside(poses[i], study.lower[i], study.upper[i])]
         else:
             image = poses[i - 1] * (1, -1, 1, -1, 1, -1) + (0, 2 * study.mirror[i], 0, 0, 0, 0)
             if not (_near(poses[i, :3], image[:3]) and _near(up(poses[i, 3:]), up(image[3:]))):
-                told.append(f"{mount.name}: is not the image of {rig.mounts[i - 1].name} in y = {study.mirror[i]:g} m")
-        if tilt_deg[i] > study.constraints.max_tilt_deg + SLACK:
-            told.append(f"{mount.name}: tilt {tilt_deg[i]:.2f}° is above {study.constraints.max_tilt_deg:g}°")
+                found.append(
+                    f"{mount.name}: is not the mirror image of {rig.mounts[i - 1].name} in y = {study.mirror[i]:g} m"
+                )
+        if tilt_deg[i] > study.constraints.max_tilt_deg + TOLERANCE:
+            found.append(f"{mount.name}: tilt {tilt_deg[i]:.2f}° is above {study.constraints.max_tilt_deg:g}°")
     for i, j in combinations(range(len(poses)), 2):
         apart_m = float(np.linalg.norm(poses[i, :3] - poses[j, :3]))
-        if apart_m < study.constraints.min_distance_m - SLACK:
+        if apart_m < study.constraints.min_distance_m - TOLERANCE:
             names = f"{rig.mounts[i].name} and {rig.mounts[j].name}"
-            told.append(f"{names}: {apart_m:.3f} m apart; allowed: {study.constraints.min_distance_m:g} m and more")
-    return told
+            found.append(f"{names}: {apart_m:.3f} m apart; allowed: {study.constraints.min_distance_m:g} m and more")
+    return found
 
 
 def _near(a: Array, b: Array) -> bool:
-    return bool((abs(a - b) <= SLACK).all())
+    return bool((abs(a - b) <= TOLERANCE).all())
 
 
 def _outside(pose: Array, low: Array, high: Array) -> list[str]:
-    """Which coordinates (6,) are out of bounds; of the two ways to say the same angles, the one that fits better."""
+    """Which coordinates (6,) are out of bounds, for the better of the two sets of angles of the same orientation."""
     roll, pitch, yaw = pose[3:]
-    ways = [pose, np.array([*pose[:3], roll + np.pi, np.pi - pitch, yaw + np.pi])]
-    return min((_beyond(way, low, high) for way in ways), key=len)
+    equivalents = [pose, np.array([*pose[:3], roll + np.pi, np.pi - pitch, yaw + np.pi])]
+    return min((_beyond(angles, low, high) for angles in equivalents), key=len)
 
 
 def _beyond(pose: Array, low: Array, high: Array) -> list[str]:
-    told = []
+    found = []
     for i, name in enumerate(COORDINATES):
         value, least, most = pose[i], low[i], high[i]
         if i < 3:
-            if not least - SLACK <= value <= most + SLACK:
-                told.append(f"{name} {value:.3f} m is outside {least:g} to {most:g} m")
-        elif (value - least + SLACK) % (2 * np.pi) > most - least + 2 * SLACK:
+            if not least - TOLERANCE <= value <= most + TOLERANCE:
+                found.append(f"{name} {value:.3f} m is outside {least:g} to {most:g} m")
+        elif (value - least + TOLERANCE) % (2 * np.pi) > most - least + 2 * TOLERANCE:
             least, most, value = np.degrees((least, most, value))
-            told.append(f"{name} {value:.2f}° is outside {least:g} to {most:g}°")
-    return told
+            found.append(f"{name} {value:.2f}° is outside {least:g} to {most:g}°")
+    return found

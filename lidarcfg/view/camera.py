@@ -11,7 +11,7 @@ from lidarcfg.geometry import Array
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole: where it stands, what it looks at, and how wide it sees. Raises ConfigError where it sees nothing."""
+    """A pinhole: position, target and field of view. Raises ConfigError for a camera that sees nothing."""
 
     eye_m: Array  # (3,)
     target_m: Array  # (3,)
@@ -39,7 +39,7 @@ class Camera:
         return float(width / 2 / np.tan(np.radians(self.field_deg) / 2))
 
     def project(self, xyz: Array, width: int, height: int) -> tuple[Array, Array, Array]:
-        """Columns, rows (fractional pixels) and depth in metres of points (N, 3); behind it: depth <= 0."""
+        """Columns and rows (fractional pixels) and depth in metres of points (N, 3); behind the camera depth <= 0."""
         view = self.view(xyz)
         depth = view[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):

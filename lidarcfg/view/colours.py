@@ -1,4 +1,4 @@
-"""The colours of pages and stills: bright on a dark ground, and told apart by colour-blind people."""
+"""The colours of pages and stills: bright on dark, and distinct for colour-blind people."""
 
 from collections.abc import Sequence
 from typing import Literal, get_args
@@ -23,11 +23,11 @@ BRIGHT = (
 SCALE = (
     *("#433e85", "#38588c", "#2d708e", "#25858e", "#1e9b8a"),
     *("#2ab07f", "#52c569", "#86d549", "#c2df23", "#fde725"),
-)  # viridis from a sixth of the way on: what is darker is lost on NIGHT
+)  # viridis without its darkest sixth, which is lost on NIGHT
 RETRO = "#FFFFFF"  # intensities above 100: retro-reflectors
-UNKNOWN = "#808890"  # no object known, or none: rain and fog
+UNKNOWN = "#808890"  # object unknown, or none: rain and fog
 WORST = "#FF7F50"
-LEFT_OUT = "#9AA4B2"
+EXCLUDED = "#9AA4B2"
 DIFFUSE = 100  # intensities up to here are diffuse, in per cent
 
 
@@ -42,7 +42,7 @@ def rgb(colours: Sequence[str]) -> NDArray[np.uint8]:
 
 
 def scaled(values: ArrayLike, low: float, high: float) -> Array:
-    """(N, 3) colours 0 to 255 of values (N,) from low to high along the scale; what lies beyond has its ends."""
-    share = np.clip((np.asarray(values, np.float64) - low) / ((high - low) or 1.0), 0.0, 1.0)
+    """(N, 3) colours 0 to 255 of values (N,) from low to high along the scale; its ends for values beyond."""
+    fraction = np.clip((np.asarray(values, np.float64) - low) / ((high - low) or 1.0), 0.0, 1.0)
     at = np.linspace(0.0, 1.0, len(SCALE))
-    return np.stack([np.interp(share, at, channel) for channel in rgb(SCALE).T], axis=-1)
+    return np.stack([np.interp(fraction, at, channel) for channel in rgb(SCALE).T], axis=-1)

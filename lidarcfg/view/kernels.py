@@ -1,4 +1,4 @@
-"""The one inner loop of stills: translucent triangles behind and before points."""
+"""The inner loop of stills: translucent triangles behind and in front of points."""
 
 import numpy as np
 
@@ -7,17 +7,17 @@ from lidarcfg.jit import njit
 
 @njit(cache=True, nogil=True)
 def fill(image, depth_m, triangles, colours, alpha, focal_px, near_m):
-    """Blend triangles (T, 3, 3), far ones first, into image (H, W, 3) where they are nearer than depth_m (H, W).
+    """Blend triangles (T, 3, 3), far to near, into image (H, W, 3) where they are nearer than depth_m (H, W).
 
     Corners are right, up and ahead of the camera in metres; colours (T, 3) as the image's, alpha (T,) 0 to 1. What is
-    nearer than `near_m` is cut off. Returns how many pixels were blended.
+    nearer than `near_m` is clipped. Returns how many pixels were blended.
     """
     height, width = depth_m.shape
     corner, cut = np.empty((4, 3)), np.empty((4, 3))
     blended = 0
     for t in range(len(triangles)):
         n = 0
-        for i in range(3):  # cut at the near plane: three or four corners stay
+        for i in range(3):  # clip at the near plane: three or four corners remain
             a, b = triangles[t, i], triangles[t, (i + 1) % 3]
             if a[2] >= near_m:
                 cut[n] = a

@@ -1,4 +1,4 @@
-"""What each point of a cloud is of, from the truth that `export --truth` wrote beside the capture."""
+"""Which object each point of a cloud is on, by the ground truth that `export --truth` wrote beside the capture."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,16 +20,16 @@ OTHER = "rain, fog or unknown"
 
 @dataclass(frozen=True)
 class Objects:
-    """The object that each point is of."""
+    """The object that each point is on."""
 
-    names: tuple[str, ...]  # the last stands for all that is no object
+    names: tuple[str, ...]  # the last is for points on no object
     index: NDArray[np.uint16]  # (N,) of names
 
 
 def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
-    """The objects of a cloud's points from a truth file: each point has its laser's firing, by sensor and time.
+    """The objects of a cloud's points from a ground-truth file, matched by sensor, ring, return and time.
 
-    Raises CloudError if the file is no truth, or of another capture.
+    Raises CloudError if the file is not ground truth, or belongs to another capture.
     """
     record = read_arrays(path, (*NAMES, *COLUMNS))
     if lacking := [key for key in (*NAMES, *COLUMNS) if key not in record]:
@@ -47,7 +47,7 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
     for i, name in enumerate(sensors):
         ring[i, : mounts[name].sensor.count] = mounts[name].sensor.ring
     if len(record["time_ns"]) == 0 or len(cloud.xyz) == 0:
-        raise CloudError(f"{path}: there is nothing to tell the objects of")
+        raise CloudError(f"{path}: no return has an object")
     for key, first, end in (("sensor", 0, len(sensors)), ("object", -1, len(names)), ("laser", 0, ring.shape[1])):
         if not ((record[key] >= first) & (record[key] < end)).all():
             raise CloudError(f"{path}: {key} holds a number outside {first} to {end - 1}")
@@ -55,21 +55,21 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
     start_ns = int(record["time_ns"].min()) - 2 * AWAY_NS
     if int(record["time_ns"].max()) - start_ns >= LATEST_NS:
         raise CloudError(f"{path}: is longer than {LATEST_NS / 6e10:.0f} minutes")
-    told = _key(
+    known = _key(
         record["sensor"], ring[record["sensor"], record["laser"]], record["return_type"], record["time_ns"] - start_ns
     )
-    order = np.argsort(told)
-    told = told[order]
-    there = np.array(
+    order = np.argsort(known)
+    known = known[order]
+    sensor = np.array(
         [sensors.index(name) if name in sensors else len(sensors) for name in cloud.sensor_names], np.int64
     )
     since_ns = np.clip(cloud.time_ns - start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
-    asked = _key(there[cloud.sensor], cloud.ring, cloud.return_type, since_ns)
-    after = np.searchsorted(told, asked).clip(1, len(told) - 1) if len(told) > 1 else np.zeros(len(asked), np.int64)
-    near = np.where(asked - told[after - 1] < told[after] - asked, after - 1, after)
-    index = np.where(abs(told[near] - asked) <= AWAY_NS, record["object"][order[near]], -1)
+    asked = _key(sensor[cloud.sensor], cloud.ring, cloud.return_type, since_ns)
+    after = np.searchsorted(known, asked).clip(1, len(known) - 1) if len(known) > 1 else np.zeros(len(asked), np.int64)
+    near = np.where(asked - known[after - 1] < known[after] - asked, after - 1, after)
+    index = np.where(abs(known[near] - asked) <= AWAY_NS, record["object"][order[near]], -1)
     if (index < 0).all():
-        raise CloudError(f"{path}: none of the points has a return in it; it is of another capture")
+        raise CloudError(f"{path}: none of the points has a return in it; it belongs to another capture")
     return Objects((*names, OTHER), np.where(index < 0, len(names), index).astype(np.uint16))
 
 
@@ -79,7 +79,7 @@ def _key(
     return_type: NDArray[np.generic],
     since_ns: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """One number that is near another's only if all but the time is the same."""
+    """One number, near another's only if all but the time is the same."""
     last = np.asarray(return_type) == RETURN_LAST
     high = (np.asarray(sensor, np.int64) * 256 + np.asarray(ring, np.int64)) * 2 + last
     key: NDArray[np.int64] = high * (2 * LATEST_NS) + since_ns

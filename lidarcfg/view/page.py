@@ -1,4 +1,4 @@
-"""The page: what it is told of a stage, and the whole of it as one file that needs neither server nor network."""
+"""The page: its data for a stage, and the whole page as one file that needs neither server nor network."""
 
 import base64
 import json
@@ -18,7 +18,7 @@ from lidarcfg.geometry import Array, transform
 from lidarcfg.placement.study import WORST, Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
-from lidarcfg.view.bodies import Judged, broken, faces, judge
+from lidarcfg.view.bodies import faces, score, violations
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import COLOUR_BY, By, colour
 from lidarcfg.view.shades import span
@@ -28,10 +28,13 @@ from lidarcfg.view.still import GROUND_M
 ASSETS = Path(__file__).parent / "web"
 MODULES = {"three": "vendor/three.js"} | {
     f"lidarcfg/{name}": f"{name}.js"
-    for name in ("main", "data", "labels", "points", "bodies", "sensors", "handles", "measure", "panel", "stage")
+    for name in (
+        *("main", "data", "stage", "colours", "cloud", "points", "raster"),
+        *("labels", "bodies", "sensors", "handles", "measure", "panel"),
+    )
 }
-BINS = 256  # of time: in each the points stand in an order of chance, so that a part of it is a fair sample
-FRAME_NS = 100_000_000  # a turn of the head at 600 rpm
+BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
+FRAME_NS = 100_000_000  # one revolution at 600 rpm
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
 
 
@@ -44,20 +47,20 @@ class Page:
 
 
 def page_of(stage: Stage, by: By = "sensor", camera: Camera | None = None, worst: int = 3) -> Page:
-    """All that the page shows. Raises CloudError where that is nothing, or the colour is not known."""
+    """All that the page shows. Raises CloudError if there is nothing to show, or the colour is unknown."""
     if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
         raise CloudError("the cloud is empty; there is nothing to show")
     if by == "object" and stage.objects is None:
-        raise CloudError("objects are known from the truth alone; give the .npz of export --truth, too")
+        raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
     points, arrays = _points(stage) if len(stage.cloud.xyz) else (None, {})
-    middle, radius_m = _extent(stage)
+    center, radius_m = _extent(stage)
     about = {
         "version": __version__,
         "by": by,
         "worst": worst,
         "camera": camera
         and {"eye_m": camera.eye_m.tolist(), "target_m": camera.target_m.tolist(), "field_deg": camera.field_deg},
-        "middle_m": middle.tolist(),
+        "center_m": center.tolist(),
         "radius_m": radius_m,
         "colours": {
             "background": colours.NIGHT,
@@ -66,25 +69,25 @@ def page_of(stage: Stage, by: By = "sensor", camera: Camera | None = None, worst
             "retro": colours.RETRO,
             "unknown": colours.UNKNOWN,
             "worst": colours.WORST,
-            "left_out": colours.LEFT_OUT,
+            "excluded": colours.EXCLUDED,
         },
         "sensors": [{"name": name, "colour": code} for name, code in stage.colours.items()],
         "points": points,
         "rigs": [{"name": rig.name, "mounts": [_mount(m) for m in rig.mounts]} for rig in stage.rigs],
         "study": stage.study and _study(stage.study, stage.rigs[0]),
-        "judged": stage.study and judged_dict(stage.study, stage.rigs[0], WORST),
+        "evaluation": stage.study and evaluation(stage.study, stage.rigs[0], WORST),
         "scenes": [_scene(stage, i) for i in range(len(stage.scenes))],
     }
     return Page(about, arrays)
 
 
-def judged_dict(study: Study, rig: Rig, worst: int) -> dict[str, Any]:
-    """What the page shows of a rig's worth in a study."""
-    found: Judged = judge(study, rig, worst)
+def evaluation(study: Study, rig: Rig, worst: int) -> dict[str, Any]:
+    """What the page shows of a rig in a study."""
+    found = score(study, rig, worst)
     return {
         "max_vsr_m": found.max_vsr_m,
         "subspaces": found.subspaces,
-        "broken": broken(study, rig),
+        "violations": violations(study, rig),
         "worst": [
             {
                 "vsr_m": body.vsr_m,
@@ -117,7 +120,7 @@ def html(page: Page | None) -> str:
         for name, array in page.arrays.items():
             raw = array.tobytes()
             for first in range(0, len(raw), PIECE):
-                piece = base64.b64encode(raw[first : first + PIECE]).decode()  # packing it would gain a fifth
+                piece = base64.b64encode(raw[first : first + PIECE]).decode()  # compressing it would gain a fifth
                 data.append(f'<script data-array="{name}" type="text/plain">{piece}</script>')
     text = (ASSETS / "index.html").read_text("utf-8")
     for key, value in (
@@ -194,12 +197,12 @@ def _utc(time_ns: int) -> str:
     seconds, rest_ns = divmod(time_ns, 10**9)
     try:
         return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest_ns // 1000:06d} UTC"
-    except (ValueError, OverflowError, OSError):  # years that calendars do not have
+    except (ValueError, OverflowError, OSError):  # years beyond the calendar
         return f"{seconds} s since 1970"
 
 
 def _extent(stage: Stage) -> tuple[Array, float]:
-    """(3,) what to look at first, and how far around it there is something to see, in metres."""
+    """(3,) what to look at first, and the radius of what is around it, in metres."""
     centres, radii = [], []
     if stage.study:
         low, high = stage.study.region.min_m, stage.study.region.max_m
@@ -239,7 +242,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         "max_m": study.region.max_m.tolist(),
         "cuboid_m": study.region.cuboid_m.tolist(),
         "cuboids": int(study.region.included.sum()),
-        "left_out": _quads(faces(study.region, ~study.region.included)),
+        "excluded": _quads(faces(study.region, ~study.region.included)),
         "bounds": [
             {"min_m": low[:3].tolist(), "max_m": high[:3].tolist()}
             for low, high, mirror in zip(study.lower, study.upper, study.mirror, strict=True)
@@ -274,7 +277,7 @@ def _quads(quads: Array) -> dict[str, Any] | None:
 
 
 def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> dict[str, Any]:
-    """Vertices (V, 3) from an origin of their own, so that float32 is enough wherever they are."""
+    """Vertices (V, 3) relative to an origin of their own, so that float32 suffices anywhere."""
     origin = vertices[0]
     return {
         "origin_m": origin.tolist(),

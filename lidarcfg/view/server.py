@@ -1,4 +1,4 @@
-"""The page's server: on this machine alone, its own routes alone; it also judges the rig as it is moved."""
+"""The page's server, for this machine alone: the page's own routes, and evaluations of the rig as it is moved."""
 
 import json
 import sys
@@ -15,21 +15,21 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.study import WORST
 from lidarcfg.rig import Rig, rig_text
-from lidarcfg.view.page import ASSETS, MODULES, Page, html, judged_dict, moved
+from lidarcfg.view.page import ASSETS, MODULES, Page, evaluation, html, moved
 from lidarcfg.view.stage import Stage
 
 HERE = "127.0.0.1"
-HOSTS = (HERE, "localhost")  # by another name a page of elsewhere might be reading
-ASKED_MAX = 1 << 20  # bytes of a question
+HOSTS = (HERE, "localhost")  # any other name could be a page from elsewhere
+REQUEST_MAX = 1 << 20  # bytes
 
 
 class Server(ThreadingHTTPServer):
-    """Serves one page until it is shut down. Port 0 is any that is free. Raises ConfigError if it is taken."""
+    """Serves one page until it is shut down. Port 0 is any free one. Raises ConfigError if the port is taken."""
 
     daemon_threads = True
 
     def __init__(self, stage: Stage, page: Page, port: int = 0) -> None:
-        self.stage, self.page, self.judging = stage, page, threading.Lock()
+        self.stage, self.page, self.evaluating = stage, page, threading.Lock()
         about = page.about | {"live": True}
         self.texts = {
             "/": ("text/html; charset=utf-8", html(None).encode()),
@@ -42,11 +42,11 @@ class Server(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """The page's address."""
         return f"http://{HERE}:{self.server_address[1]}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that leaves in the middle is no mistake of anybody's."""
+        """A browser that closes the connection early is no error."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
@@ -67,23 +67,23 @@ class _Handler(BaseHTTPRequestHandler):
         elif path == f"/array/{name}" and name in self.server.page.arrays:
             self._send("application/octet-stream", self.server.page.arrays[name].data.cast("B"))
         else:
-            self._refuse(HTTPStatus.NOT_FOUND, f"{path}: there is no such thing here")
+            self._refuse(HTTPStatus.NOT_FOUND, f"{path}: no such page")
 
     def do_POST(self) -> None:
         if not self._is_local():
             return
         stage = self.server.stage
         try:
-            asked = self._asked()
-            rig = moved(stage.rigs[0], _poses(asked, stage.rigs))
+            request = self._request()
+            rig = moved(stage.rigs[0], _poses(request, stage.rigs))
             if self.path == "/rig.yaml":
                 self._send("application/yaml", rig_text(rig).encode())
             elif self.path == "/evaluate" and stage.study:
-                with self.server.judging:
-                    found = judged_dict(stage.study, rig, _count(asked))
+                with self.server.evaluating:
+                    found = evaluation(stage.study, rig, _count(request))
                 self._send("application/json", json.dumps(found, allow_nan=False).encode())
             else:
-                self._refuse(HTTPStatus.NOT_FOUND, f"{self.path}: there is no such thing here")
+                self._refuse(HTTPStatus.NOT_FOUND, f"{self.path}: no such page")
         except LidarcfgError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
 
@@ -91,27 +91,27 @@ class _Handler(BaseHTTPRequestHandler):
         """Nothing is logged."""
 
     def _is_local(self) -> bool:
-        """Whether it was asked for by this machine's own name; if not, that is the answer."""
+        """Whether the request names this machine; if not, it is refused."""
         names = [self.headers.get("Host", ""), self.headers.get("Origin", f"http://{HERE}").partition("://")[2]]
         if all(name.partition(":")[0] in HOSTS for name in names):
             return True
         self.close_connection = True
-        self._refuse(HTTPStatus.FORBIDDEN, f"this page is for {' and '.join(HOSTS)} alone")
+        self._refuse(HTTPStatus.FORBIDDEN, f"this page answers to {' and '.join(HOSTS)} alone")
         return False
 
-    def _asked(self) -> dict[str, Any]:
-        """The question's JSON. Raises ConfigError."""
+    def _request(self) -> dict[str, Any]:
+        """The request's JSON. Raises ConfigError."""
         length = self.headers.get("Content-Length", "")
-        if not (length.isascii() and length.isdigit() and int(length) <= ASKED_MAX):
+        if not (length.isascii() and length.isdigit() and int(length) <= REQUEST_MAX):
             self.close_connection = True
-            raise ConfigError(f"Content-Length {length!r}; allowed: 0 to {ASKED_MAX}")
+            raise ConfigError(f"Content-Length {length!r}; allowed: 0 to {REQUEST_MAX}")
         try:
-            asked = json.loads(self.rfile.read(int(length)))
+            request = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
-            raise ConfigError("the question is not JSON") from None
-        if not isinstance(asked, dict):
-            raise ConfigError("the question is not a map of keys")
-        return asked
+            raise ConfigError("the request is not JSON") from None
+        if not isinstance(request, dict):
+            raise ConfigError("the request is not a map of keys")
+        return request
 
     def _send(self, kind: str, body: bytes | memoryview, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
@@ -126,13 +126,13 @@ class _Handler(BaseHTTPRequestHandler):
         self._send("text/plain; charset=utf-8", f"{what}\n".encode(), status)
 
 
-def _poses(asked: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:
+def _poses(request: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:
     """(mounts, 6) of the first rig. Raises ConfigError."""
     if not rigs:
         raise ConfigError("there is no rig to move")
     count = len(rigs[0].mounts)
     try:
-        poses = np.array(asked.get("poses"), np.float64)
+        poses = np.array(request.get("poses"), np.float64)
     except (TypeError, ValueError, OverflowError):
         poses = np.empty(0)
     if poses.shape != (count, 6) or not (abs(poses) <= COORDINATE_MAX_M).all():
@@ -140,9 +140,9 @@ def _poses(asked: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:
     return poses
 
 
-def _count(asked: dict[str, Any]) -> int:
-    """How many of the worst subspaces are to be told. Raises ConfigError."""
-    worst = asked.get("worst", WORST)
+def _count(request: dict[str, Any]) -> int:
+    """How many of the worst subspaces are wanted. Raises ConfigError."""
+    worst = request.get("worst", WORST)
     if not isinstance(worst, int) or not 0 <= worst <= WORST:
         raise ConfigError(f"worst: allowed is 0 to {WORST}")
     return worst

@@ -1,4 +1,4 @@
-"""What the points of a stage are coloured by."""
+"""The colours of a stage's points."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +10,11 @@ from lidarcfg.view.stage import Stage
 
 
 def point_colours(stage: Stage, by: By) -> NDArray[np.uint8]:
-    """(N, 3) of the cloud's points. Raises CloudError if that is not known of them."""
+    """(N, 3) of the cloud's points. Raises CloudError if objects are unknown."""
     cloud = stage.cloud
     if by == "object":
         if stage.objects is None:
-            raise CloudError("objects are known from the truth alone; give the .npz of export --truth, too")
+            raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
         table = rgb([*(colour(i) for i in range(len(stage.objects.names) - 1)), UNKNOWN])
         return _lit(table[stage.objects.index], cloud)
     if by == "sensor":
@@ -33,7 +33,7 @@ def point_colours(stage: Stage, by: By) -> NDArray[np.uint8]:
 
 
 def span(stage: Stage, by: By) -> tuple[float, float]:
-    """Where the scale of colours begins and ends: per cent, rings, metres or seconds since the first point."""
+    """The ends of the colour scale: per cent, rings, metres, or seconds since the first point."""
     cloud = stage.cloud
     if not len(cloud.xyz) or by == "intensity":
         return 0.0, float(DIFFUSE)

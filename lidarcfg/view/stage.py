@@ -1,4 +1,4 @@
-"""What is looked at: any mix of captures, clouds, rigs, a study and scenes, brought into the vehicle frame."""
+"""What is shown: any mix of captures, clouds, rigs, a study and scenes, in the vehicle frame."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -35,14 +35,14 @@ class _Keys(Model):
 
 @dataclass(frozen=True)
 class Stage:
-    """All there is to see, in the vehicle frame; each part may be missing."""
+    """What is shown, in the vehicle frame; each part may be missing."""
 
-    cloud: PointCloud  # without points, if no capture and no cloud was given
-    objects: Objects | None  # what each point is of, if the truth was given
-    rigs: tuple[Rig, ...]  # the first of them can be moved
+    cloud: PointCloud  # empty if neither a capture nor a cloud was given
+    objects: Objects | None  # by ground truth, if given
+    rigs: tuple[Rig, ...]  # the first can be moved
     study: Study | None
     scenes: tuple[Scene, ...]
-    T_world_vehicle: Array  # (4, 4) where the vehicle stands in the scenes
+    T_world_vehicle: Array  # (4, 4)
 
     @property
     def T_vehicle_world(self) -> Array:  # noqa: N802
@@ -51,13 +51,13 @@ class Stage:
 
     @property
     def colours(self) -> dict[str, str]:
-        """A colour for each sensor's name: those of the cloud, then those of the rigs."""
+        """A colour for each sensor's name: the cloud's, then the rigs'."""
         names = [*self.cloud.sensor_names, *(mount.name for rig in self.rigs for mount in rig.mounts)]
         return {name: colour(i) for i, name in enumerate(dict.fromkeys(names))}
 
 
 def kind_of(path: Path) -> Kind:
-    """What a file is, by its suffix, or else by what it begins with. Raises ConfigError if it is none of these."""
+    """What a file is, by its suffix or else its first bytes. Raises ConfigError for any other file."""
     suffix = path.suffix.lower()
     if suffix in CAPTURES:
         return "capture"
@@ -69,13 +69,13 @@ def kind_of(path: Path) -> Kind:
         if file.read(4) in MAGIC:
             return "capture"
     allowed = ", ".join((*CAPTURES, *SUFFIXES, *YAMLS))
-    raise ConfigError(f"{path}: is no capture, cloud, rig, study or scene; allowed: {allowed}")
+    raise ConfigError(f"{path}: is not a capture, cloud, rig, study or scene; allowed: {allowed}")
 
 
 def _is_truth(path: Path) -> bool:
     try:
         return bool(read_arrays(path, ("object_names",)))
-    except CloudError:  # whoever loads it says what is wrong
+    except CloudError:  # loading it will say what is wrong
         return False
 
 
@@ -87,7 +87,9 @@ def _yaml_kind(path: Path) -> Kind:
         return "rig"
     if keys & (SceneFile.model_fields.keys() - {"name"}):
         return "scene"
-    raise ConfigError(f"{path}:1:1: is no rig (sensors), study (region) or scene ({', '.join(SceneFile.model_fields)})")
+    raise ConfigError(
+        f"{path}:1:1: is not a rig (sensors), a study (region) or a scene ({', '.join(SceneFile.model_fields)})"
+    )
 
 
 def load_stage(
@@ -100,7 +102,7 @@ def load_stage(
 ) -> Stage:
     """All the files as one stage; `rig` is the one that recorded the captures, and comes first.
 
-    Of the captures only what is chosen is read. A study without a rig has one in the middle of its bounds.
+    Of captures, only the selection is read. A study without a rig gets one at the midpoint of its bounds.
     Raises ConfigError, PacketError, CloudError, SceneError.
     """
     kinds = [(kind_of(path), path) for path in map(example, paths)]
@@ -113,7 +115,7 @@ def load_stage(
     loaded = load_study(study) if study else None
     captures, truth = of("capture"), _only(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
-        raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? --rig says so")
+        raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? say so with --rig")
     if selection != ALL and not captures:
         raise ConfigError("--from, --to and --sensor choose from a capture; there is none among the files")
     clouds = [load_cloud(path, on_warning) for path in of("cloud")]
@@ -126,9 +128,9 @@ def load_stage(
     if len(bad):
         raise CloudError(f"point {bad[0]} of the merged cloud is not finite")
     if truth and not clouds:
-        raise ConfigError(f"{truth}: tells what a capture's points are of; give that, too")
+        raise ConfigError(f"{truth}: is ground truth of a capture; give that, too")
     if truth and not rigs:
-        raise ConfigError(f"{truth}: lasers become rings by the rig that recorded them; give it, too")
+        raise ConfigError(f"{truth}: needs the rig that recorded the capture; give it, too")
     if loaded and not rigs:
         rigs = [loaded.rig(loaded.poses(np.full((1, int(loaded.free.sum())), 0.5))[0])]
     return Stage(

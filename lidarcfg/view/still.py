@@ -1,4 +1,4 @@
-"""Stills: what there is to see, drawn without a screen, a GPU or a display server."""
+"""Stills: a stage drawn without a screen, a GPU or a display server."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,11 +10,11 @@ from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.rig import Mount
-from lidarcfg.view.bodies import faces, judge
+from lidarcfg.view.bodies import faces, score
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import (
     BACKGROUND,
-    LEFT_OUT,
+    EXCLUDED,
     NIGHT,
     RETRO,
     UNKNOWN,
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 SIZE = (1920, 1080)
 NEAR_M = 0.05
-GROUND_M = 200.0  # so much of the ground is drawn to each side of the vehicle
+GROUND_M = 200.0  # of the ground, to each side of the vehicle
 AXIS_M = 0.6
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
-TOP_SHARE = 0.58  # of the picture's height, without a camera: the perspective; below it the view from above
+PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
 
 
 def save_still(
@@ -47,9 +47,9 @@ def save_still(
     by: By = "sensor",
     worst: int = 1,
 ) -> None:
-    """Draw the stage as a PNG of `size` pixels, from the camera; without one in perspective and from above.
+    """Draw the stage as a PNG of `size` pixels, from the camera; or without one in perspective and from above.
 
-    Raises CloudError where there is nothing to draw, or nothing of it in view.
+    Raises CloudError if there is nothing to draw, or nothing in view.
     """
     from matplotlib.figure import Figure
 
@@ -62,28 +62,28 @@ def save_still(
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         _draw_perspective(axes, stage, colours, camera, width, height, worst)
     else:
-        middle, reach_m = _middle(stage)
-        axes = figure.add_axes((0.0, 1 - TOP_SHARE, 1.0, TOP_SHARE))
-        camera = Camera(middle + np.array([-21.0, -7.0, 7.5]), middle + np.array([8.0, 0.5, 0.5]), 74.0)
-        _draw_perspective(axes, stage, colours, camera, width, round(height * TOP_SHARE), worst)
-        _draw_above(figure.add_axes((0.04, 0.055, 0.95, 0.35)), stage, colours, middle, reach_m, size, worst)
+        center, reach_m = _center(stage)
+        axes = figure.add_axes((0.0, 1 - PERSPECTIVE_FRACTION, 1.0, PERSPECTIVE_FRACTION))
+        camera = Camera(center + np.array([-21.0, -7.0, 7.5]), center + np.array([8.0, 0.5, 0.5]), 74.0)
+        _draw_perspective(axes, stage, colours, camera, width, round(height * PERSPECTIVE_FRACTION), worst)
+        _draw_above(figure.add_axes((0.04, 0.055, 0.95, 0.35)), stage, colours, center, reach_m, size, worst)
     _legend(axes, stage, by, height, worst)
     with replacing(path, "wb") as file:
         figure.savefig(file, format="png", facecolor=NIGHT)
 
 
 def _faded(colours: NDArray[np.uint8], depth: Array) -> NDArray[np.uint8]:
-    """The colours (N, 3) going into the background with the distance (N,)."""
-    share = np.clip(1.1 - depth / 110, 0.35, 1.0)[:, None]
-    return np.asarray(share * colours + (1 - share) * np.array(BACKGROUND), np.uint8)
+    """The colours (N, 3), fading into the background with distance (N,)."""
+    near = np.clip(1.1 - depth / 110, 0.35, 1.0)[:, None]
+    return np.asarray(near * colours + (1 - near) * np.array(BACKGROUND), np.uint8)
 
 
 def _mounts(stage: Stage) -> list[Mount]:
     return [mount for rig in stage.rigs for mount in rig.mounts]
 
 
-def _middle(stage: Stage) -> tuple[Array, float]:
-    """(3,) what the picture is about, on the ground: the sensors, or else the points; and how far to either side."""
+def _center(stage: Stage) -> tuple[Array, float]:
+    """(3,) the picture's center on the ground, by the sensors or else the points; and how much to show to each side."""
     low = [float(np.percentile(stage.cloud.xyz[:, 2], 5))] if len(stage.cloud.xyz) else []
     if stage.study:
         low.append(float(stage.study.region.min_m[2]))
@@ -127,15 +127,15 @@ def _draw_perspective(
 
 
 def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, worst: int) -> int:
-    """Blend the translucent bodies into the image where they are before its points; how many pixels."""
+    """Blend the translucent bodies into the image where they are in front of its points; how many pixels."""
     parts: list[tuple[Array, str, float]] = []  # triangles (T, 3, 3), colour, opacity
     for scene in stage.scenes:
         vertices = transform(stage.T_vehicle_world, scene.vertices_m)
-        parts.append((vertices[scene.triangles], LEFT_OUT, 0.13))
+        parts.append((vertices[scene.triangles], EXCLUDED, 0.13))
         if scene.file.ground:
             corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
             corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
-            parts.append((_halved(corners[None]), LEFT_OUT, 0.05))
+            parts.append((_halved(corners[None]), EXCLUDED, 0.05))
     parts += [(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
     if not parts:
         return 0
@@ -154,11 +154,11 @@ def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, w
 
 
 def _bodies(stage: Stage, worst: int) -> list[tuple[Array, str]]:
-    """Faces (F, 4, 3) and colour of what the region leaves out and of the worst subspaces."""
+    """Faces (F, 4, 3) and colour of what the region excludes and of the worst subspaces."""
     if not stage.study:
         return []
-    left_out = faces(stage.study.region, ~stage.study.region.included)
-    return [(left_out, LEFT_OUT), *((body.faces_m, WORST) for body in judge(stage.study, stage.rigs[0], worst).worst)]
+    excluded = faces(stage.study.region, ~stage.study.region.included)
+    return [(excluded, EXCLUDED), *((body.faces_m, WORST) for body in score(stage.study, stage.rigs[0], worst).worst)]
 
 
 def _halved(quads: Array) -> Array:
@@ -167,13 +167,13 @@ def _halved(quads: Array) -> Array:
 
 
 def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height: int, **look: object) -> int:
-    """Lines (L, 2, 3) of which some may lie behind the camera; how many are in the picture."""
+    """Draw lines (L, 2, 3), some of them maybe behind the camera; how many are in the picture."""
     from matplotlib.collections import LineCollection
 
     view = camera.view(ends_m)
     ahead = view[..., 2] >= NEAR_M
     view, ahead = view[ahead.any(axis=1)], ahead[ahead.any(axis=1)]
-    for here, there in ((0, 1), (1, 0)):  # cut at the near plane
+    for here, there in ((0, 1), (1, 0)):  # clip at the near plane
         a, b = view[~ahead[:, here], here], view[~ahead[:, here], there]
         view[~ahead[:, here], here] = a + ((NEAR_M - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
     flat = view[..., :2] / view[..., 2:] * camera.focal_px(width)
@@ -191,15 +191,15 @@ def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
     unit = np.array(list(np.ndindex(2, 2, 2)))
     pairs = [(i, j) for i in range(8) for j in range(i) if abs(unit[i] - unit[j]).sum() == 1]
     corners = region.min_m + unit * (region.max_m - region.min_m)
-    return _draw_lines(axes, corners[np.array(pairs)], camera, width, height, colors=LEFT_OUT, linewidths=0.8)
+    return _draw_lines(axes, corners[np.array(pairs)], camera, width, height, colors=EXCLUDED, linewidths=0.8)
 
 
 def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
-    """Each sensor: its place, a line down to the ground, its axes and its name."""
+    """Each sensor: its position, a line down to the ground, its axes and its name."""
     mounts, seen = _mounts(stage), 0
     if not mounts:
         return 0
-    ground_m, size = _middle(stage)[0][2], height / 626
+    ground_m, size = _center(stage)[0][2], height / 626
     for i, mount in enumerate(mounts):
         at, T = np.array(mount.position_m), mount.T_vehicle_sensor
         lines = np.stack(
@@ -229,7 +229,7 @@ def _draw_above(
     axes: "Axes",
     stage: Stage,
     colours: NDArray[np.uint8],
-    middle: Array,
+    center: Array,
     reach_m: float,
     size: tuple[int, int],
     worst: int,
@@ -239,21 +239,21 @@ def _draw_above(
 
     xyz, width, height = stage.cloud.xyz, round(0.95 * size[0]), round(0.35 * size[1])
     scale = width / (2 * reach_m)
-    column = np.floor((xyz[:, 0] - middle[0]) * scale + width / 2).astype(int)
-    row = np.floor(height / 2 - (xyz[:, 1] - middle[1]) * scale).astype(int)
+    column = np.floor((xyz[:, 0] - center[0]) * scale + width / 2).astype(int)
+    row = np.floor(height / 2 - (xyz[:, 1] - center[1]) * scale).astype(int)
     image = np.full((height, width, 3), BACKGROUND, np.uint8)
     fits = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
     fits = fits[np.argsort(xyz[fits, 2], kind="stable")]  # low first
     image[row[fits], column[fits]] = colours[fits]
     side = height / 2 / scale
-    extent = (middle[0] - reach_m, middle[0] + reach_m, middle[1] - side, middle[1] + side)
+    extent = (center[0] - reach_m, center[0] + reach_m, center[1] - side, center[1] + side)
     axes.imshow(image, extent=extent, aspect="auto", interpolation="nearest")
     for quads, code in _bodies(stage, worst):
         flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
         axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
     if stage.study:
         low, edges = stage.study.region.min_m, stage.study.region.max_m - stage.study.region.min_m
-        axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=LEFT_OUT, lw=0.8))
+        axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=EXCLUDED, lw=0.8))
     for mount in _mounts(stage):
         at = mount.position_m
         axes.plot(at[0], at[1], "o", color=stage.colours[mount.name], ms=1 + 6 * size[1] / 1080, mec="w", mew=1.2)
@@ -265,7 +265,7 @@ def _draw_above(
 
 
 def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None:
-    """What the colours mean: sensors or objects with their counts, or where the scale begins and ends."""
+    """What the colours mean: sensors or objects with their counts, or the colour scale."""
     from matplotlib.lines import Line2D
 
     entries: list[tuple[str, str]] = []
@@ -284,13 +284,13 @@ def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None
     elif len(stage.cloud.xyz):
         low, high = span(stage, by)
         unit = {"intensity": " %", "height": " m", "time": " s"}.get(by, "")
-        for share in (1.0, 0.5, 0.0):
-            code = scaled([share], 0.0, 1.0)[0].astype(int)
-            entries.append((f"{by} {low + share * (high - low):.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
+        for fraction in (1.0, 0.5, 0.0):
+            code = scaled([fraction], 0.0, 1.0)[0].astype(int)
+            entries.append((f"{by} {low + fraction * (high - low):.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
         if by == "intensity":
             entries.append(("retro-reflector", RETRO))
     if stage.study and worst:
-        found = judge(stage.study, stage.rigs[0], 1)
+        found = score(stage.study, stage.rigs[0], 1)
         entries.append((f"worst subspace: max VSR {found.max_vsr_m:.4f} m", WORST))
     if not entries:
         return

@@ -1,4 +1,4 @@
-"""Open3D's own window, where there is a screen."""
+"""Open3D's own window, for machines with a screen."""
 
 import os
 import sys
@@ -8,8 +8,8 @@ import numpy as np
 
 from lidarcfg.errors import CloudError
 from lidarcfg.geometry import transform
-from lidarcfg.view.bodies import faces, judge
-from lidarcfg.view.colours import BACKGROUND, LEFT_OUT, WORST, By, rgb
+from lidarcfg.view.bodies import faces, score
+from lidarcfg.view.colours import BACKGROUND, EXCLUDED, WORST, By, rgb
 from lidarcfg.view.shades import point_colours
 from lidarcfg.view.stage import Stage
 
@@ -38,7 +38,7 @@ def show_window(stage: Stage, by: By = "sensor") -> None:
 
 
 def parts(stage: Stage, by: By) -> list[Any]:
-    """The stage as Open3D's geometries, bodies as the edges of their faces: its window draws nothing translucent."""
+    """The stage as Open3D's geometries, bodies as the edges of their faces, as the window draws nothing translucent."""
     import open3d as o3d
 
     found: list[Any] = [o3d.geometry.TriangleMesh.create_coordinate_frame(1.0)]
@@ -56,10 +56,10 @@ def parts(stage: Stage, by: By) -> list[Any]:
             o3d.utility.Vector3dVector(transform(stage.T_vehicle_world, scene.vertices_m)),
             o3d.utility.Vector3iVector(scene.triangles),
         )
-        found.append(mesh.compute_vertex_normals().paint_uniform_color(rgb([LEFT_OUT])[0] / 255.0))
+        found.append(mesh.compute_vertex_normals().paint_uniform_color(rgb([EXCLUDED])[0] / 255.0))
     if stage.study:
-        bodies = [(body.faces_m, WORST) for body in judge(stage.study, stage.rigs[0], 1).worst]
-        for quads, code in (*bodies, (faces(stage.study.region, ~stage.study.region.included), LEFT_OUT)):
+        bodies = [(body.faces_m, WORST) for body in score(stage.study, stage.rigs[0], 1).worst]
+        for quads, code in (*bodies, (faces(stage.study.region, ~stage.study.region.included), EXCLUDED)):
             corners, first = quads.reshape(-1, 3), 4 * np.arange(len(quads))[:, None]
             ends = (first[:, :, None] + np.array([[0, 1], [1, 2], [2, 3], [3, 0]])).reshape(-1, 2)
             lines = o3d.geometry.LineSet(o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(ends))

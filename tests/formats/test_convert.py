@@ -38,7 +38,7 @@ def here(tmp_path, monkeypatch):
 
 def test_help_lists_every_conversion():
     text = run("--help").output
-    table, example = text.split("Example:")
+    table, example = text.split("Examples:")
     for form in FORMATS:
         assert form.name in table.replace(".", " ").split()
         assert not form.suffix or form.suffix in table.split()
@@ -143,7 +143,7 @@ def test_a_cloud_there_and_back(here):
     assert (done.stdout, done.stderr) == ("", "")
     done = run("c.bin", "-o", "d.npz")
     assert done.stdout == "d.npz: 50 points\n"
-    assert done.stderr == "lidarcfg: warning: c.bin: has no ring, time_ns, sensor, return_type; they are 0\n"
+    assert done.stderr == "lidarcfg: warning: c.bin: has no ring, time_ns, sensor, return_type; 0 is assumed\n"
     with np.load("d.npz") as arrays:
         assert abs(arrays["xyz"] - cloud().xyz).max() < 1e-4
 

@@ -1,4 +1,4 @@
-"""The page in a real browser, its server, and what both are told, against evaluate, numpy and plain loops."""
+"""The page in a real browser, its server and the data of both, against evaluate, numpy and plain loops."""
 
 import base64
 import hashlib
@@ -21,6 +21,8 @@ from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.study import evaluate, load_study
 from lidarcfg.rig import load_rig
+from lidarcfg.view.camera import Camera
+from lidarcfg.view.objects import Objects
 from lidarcfg.view.page import ASSETS, MODULES, moved, page_of, save_html
 from lidarcfg.view.server import Server
 from lidarcfg.view.stage import Stage
@@ -28,7 +30,7 @@ from tests.chromium import LACKING, asked_for, browser, complaints
 
 ROOT = Path(__file__).parents[2]
 STUDY, ROOF = ROOT / "data/studies/sedan.yaml", ROOT / "data/rigs/roof.yaml"
-THREE = "245032d88b63da6765b4ace87f56e81c56cbca6c0bc2e56c728dd3e0897e6082"  # of vendor/three.js, by tools/bundle_three
+THREE = "5435a9cdb8214b51fd9d402f7f227ba5f712559b8a4347275e4fa18503f0f10c"  # of vendor/three.js, by tools/bundle_three
 NIGHT = np.array([16, 20, 28])
 in_browser = pytest.mark.skipif(bool(LACKING), reason=LACKING)
 
@@ -73,13 +75,13 @@ def chromium():
 def settled(driver):
     """Wait until the page has drawn all of what it shows, and nothing is asked of the server any more."""
     quiet = (
-        "const v = window.lidarcfg; return Boolean(v && v.stage.stillAt === v.stage.frames && !v.stage.waiting "
-        "&& !(v.judge && v.judge.busy))"
+        "const v = window.lidarcfg; return Boolean(v && v.stage.settledAt === v.stage.frames && !v.stage.waiting "
+        "&& !(v.evaluator && v.evaluator.busy))"
     )
     end = time.monotonic() + 60
     while not driver.execute_script(quiet):
         failed = driver.execute_script("return document.getElementById('loading')?.textContent ?? ''")
-        assert "cannot be shown" not in failed, failed
+        assert failed in ("", "Loading …"), failed
         assert time.monotonic() < end, f"the page does not come to rest: {complaints(driver)}"
         time.sleep(0.05)
 
@@ -151,6 +153,111 @@ def test_a_standalone_file_asks_nothing_and_shows_the_same(chromium, served, sta
     assert not chromium.execute_script("return document.getElementById('mount')")  # no server, no handles
     opened(chromium, served)
     assert different(picture(chromium), alone) < 100
+
+
+MODES = ("sensor", "intensity", "ring", "height", "time", "object")
+
+
+@pytest.fixture(scope="module")
+def scattered():
+    """4,000 points at every distance, far from the origin, of three sensors and four objects."""
+    rng = np.random.default_rng(7)
+    count = 4000
+    xyz = np.array([4.5e5, 5.4e6, 300.0]) + rng.normal(0, 1, (count, 3)) * rng.choice([2, 10, 40], (count, 1))
+    cloud = PointCloud(
+        xyz=xyz,
+        intensity=rng.integers(0, 256, count).astype(np.uint8),
+        ring=rng.integers(0, 128, count).astype(np.uint8),
+        time_ns=rng.integers(0, 500_000_000, count),
+        sensor=rng.integers(0, 3, count).astype(np.uint16),
+        sensor_names=("a", "b", "c"),
+        return_type=np.zeros(count, np.uint8),
+    )
+    objects = Objects(("car", "wall", "sign", "other"), rng.integers(0, 4, count).astype(np.uint16))
+    camera = Camera(np.array([4.5e5 - 60, 5.4e6 + 10, 320.0]), np.array([4.5e5, 5.4e6, 300.0]))
+    return page_of(Stage(cloud, objects, (), None, (), np.eye(4)), camera=camera)
+
+
+@in_browser
+def test_the_gpu_draws_what_the_rasteriser_draws(chromium, scattered, tmp_path):
+    """Pixel by pixel, but where rounding puts a point into the next pixel: by colour, slice in time, sensor and size."""
+    save_html(scattered, tmp_path / "p.html")
+    pictures = {}
+    for points in ("cpu", "gpu"):
+        opened(chromium, f"{(tmp_path / 'p.html').as_uri()}?points={points}")
+        assert chromium.execute_script("return Boolean(lidarcfg.cloud.object.isPoints)") == (points == "gpu")
+        seen = pictures[points] = {}
+        for mode in MODES:
+            put(chromium, "#colour", mode, "change")
+            seen[mode] = picture(chromium)
+        put(chromium, "#size", 5)
+        seen["large"] = picture(chromium)
+        put(chromium, "#time", 2)
+        seen["frame"] = picture(chromium)
+        click(chromium, "#whole")
+        click(chromium, "#sensor-1")
+        seen["without b"] = picture(chromium)
+        x, y = chromium.execute_script("return [lidarcfg.stage.size.x / 2, lidarcfg.stage.size.y / 2]")
+        seen["picked"] = chromium.execute_script("return lidarcfg.cloud.pick(arguments[0], arguments[1])", x, y)
+        assert complaints(chromium) == []
+    for name, image in pictures["cpu"].items():
+        other = pictures["gpu"][name]
+        if name == "picked":
+            assert image is not None
+            assert image == other
+            continue
+        drawn = int((abs(image - NIGHT).max(axis=-1) > 24).sum())
+        assert drawn > 2000, name
+        assert different(image, other) < 0.02 * drawn, name
+    images = list(pictures["gpu"].items())[:-1]
+    for i, (name, image) in enumerate(images):  # and each control changes what the GPU draws
+        for _, other in images[:i]:
+            assert different(image, other) > 500, name
+
+
+@in_browser
+@pytest.mark.parametrize(
+    ("renderer", "gpu"),
+    [
+        ("ANGLE (NVIDIA, NVIDIA GeForce RTX 3060 (0x00002504) Direct3D11 vs_5_0 ps_5_0, D3D11)", True),
+        ("Apple M2", True),
+        ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", True),
+        ("llvmpipe (LLVM 15.0.6, 256 bits)", False),
+        ("ANGLE (Microsoft, Microsoft Basic Render Driver (0x0000008C) Direct3D11 vs_5_0 ps_5_0, D3D11)", False),
+        (None, False),  # this browser's own: SwiftShader
+    ],
+)
+def test_who_draws_follows_from_the_renderer(chromium, scattered, tmp_path, renderer, gpu):
+    save_html(scattered, tmp_path / "p.html")
+    code = (
+        "const own = WebGL2RenderingContext.prototype.getParameter;"
+        "WebGL2RenderingContext.prototype.getParameter = function (name) {"
+        f"return name === 0x9246 ? {json.dumps(renderer)} : own.call(this, name) }};"
+    )
+    script = chromium.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": code if renderer else ""})
+    try:
+        opened(chromium, (tmp_path / "p.html").as_uri())
+    finally:
+        chromium.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
+    assert chromium.execute_script("return lidarcfg.stage.hasGpu") == gpu
+    assert chromium.execute_script("return Boolean(lidarcfg.cloud.object.isPoints)") == gpu
+    assert (abs(picture(chromium) - NIGHT).max(axis=-1) > 24).sum() > 2000
+
+
+@in_browser
+def test_without_webgl_the_page_says_so(scattered, tmp_path):
+    save_html(scattered, tmp_path / "p.html")
+    with browser(800, 600, "--disable-3d-apis") as driver:
+        driver.get((tmp_path / "p.html").as_uri())
+        end = time.monotonic() + 30
+        while (text := driver.find_element("id", "loading").text) == "Loading …":
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert text.startswith(
+            "This browser has no WebGL 2, which the scene is drawn with. Turn on hardware acceleration"
+        )
+        image = matplotlib.image.imread(BytesIO(driver.get_screenshot_as_png()))[..., :3] * 255
+        assert (abs(image - NIGHT).max(axis=-1) > 100).sum() > 1000  # letters
 
 
 @in_browser
@@ -291,7 +398,7 @@ def test_measuring_between_two_points(chromium, served, stage):
     for end, place in zip(ends, ((-6.0, 8.0, 1.0), (4.0, 8.0, 2.0)), strict=True):
         assert np.linalg.norm(stage.cloud.xyz - end, axis=1).min() < 1e-5
         assert np.linalg.norm(end - place) < 0.5
-    told = chromium.find_element("id", "told").text
+    told = chromium.find_element("id", "status").text
     dx, dy, dz = ends[1] - ends[0]
     assert told.startswith(f"{np.linalg.norm(ends[1] - ends[0]):.3f} m: dx {dx:.3f} m, dy {dy:.3f} m, dz {dz:.3f} m")
 
@@ -343,12 +450,12 @@ def test_the_server_answers_what_evaluate_does(served, stage):
 @pytest.mark.parametrize(
     ("method", "path", "body", "headers", "status", "what"),
     [
-        ("GET", "/", None, {"Host": "evil.example"}, 403, "127.0.0.1 and localhost alone"),
+        ("GET", "/", None, {"Host": "evil.example"}, 403, "this page answers to 127.0.0.1 and localhost alone"),
         ("GET", "/about.json", None, {"Host": "evil.example:80"}, 403, "alone"),
         ("POST", "/evaluate", "{}", {"Origin": "https://evil.example"}, 403, "alone"),
-        ("GET", "/../pyproject.toml", None, {}, 404, "no such thing"),
-        ("GET", "/page/../../pyproject.toml", None, {}, 404, "no such thing"),
-        ("GET", "/array/none", None, {}, 404, "no such thing"),
+        ("GET", "/../pyproject.toml", None, {}, 404, "no such page"),
+        ("GET", "/page/../../pyproject.toml", None, {}, 404, "no such page"),
+        ("GET", "/array/none", None, {}, 404, "no such page"),
         ("POST", "/evaluate", "no", {}, 400, "not JSON"),
         ("POST", "/evaluate", "[]", {}, 400, "not a map"),
         ("POST", "/evaluate", "{}", {}, 400, "poses: allowed are 2 of x, y, z, roll, pitch, yaw"),
@@ -356,7 +463,7 @@ def test_the_server_answers_what_evaluate_does(served, stage):
         ("POST", "/evaluate", '{"poses": [[0, 0, 0, 0, 0, "a"], [0]]}', {}, 400, "poses: allowed"),
         ("POST", "/evaluate", '{"poses": [[0,0,1,0,0,0],[0,0,2,0,0,0]], "worst": 99}', {}, 400, "worst: allowed is 0 to 10"),
         ("POST", "/evaluate", "{}", {"Content-Length": "9" * 30}, 400, "Content-Length"),
-        ("POST", "/none", '{"poses": [[0,0,1,0,0,0],[0,0,2,0,0,0]]}', {}, 404, "no such thing"),
+        ("POST", "/none", '{"poses": [[0,0,1,0,0,0],[0,0,2,0,0,0]]}', {}, 404, "no such page"),
     ],
 )  # fmt: skip
 def test_the_server_refuses(served, method, path, body, headers, status, what):
@@ -365,17 +472,19 @@ def test_the_server_refuses(served, method, path, body, headers, status, what):
     assert text.count(b"\n") == 1
 
 
-def test_a_moved_rig_is_told_what_it_breaks(served, stage):
-    assert json.loads(asked(served, "GET", "/about.json")[1])["judged"]["broken"] == []  # another rig than the study's
+def test_violations_of_a_moved_rig(served, stage):
+    assert (
+        json.loads(asked(served, "GET", "/about.json")[1])["evaluation"]["violations"] == []
+    )  # another rig than the study's
     study = stage.study
     rig = study.rig(study.poses(np.full((1, int(study.free.sum())), 0.5))[0])
-    from lidarcfg.view.bodies import broken
+    from lidarcfg.view.bodies import violations
 
-    assert broken(study, rig) == []
+    assert violations(study, rig) == []
     poses = np.array([(*m.position_m, *m.rpy_rad) for m in rig.mounts])
     poses[0, 2], poses[2, 3] = 2.5, np.radians(-30)
     poses[1, 3:] += (np.pi, np.pi - 2 * poses[1, 4], np.pi)  # the same angles, said the other way
-    assert broken(study, moved(rig, poses)) == [
+    assert violations(study, moved(rig, poses)) == [
         "roof_0: z 2.500 m is outside 1.65 to 1.9 m",
         "front_bumper: roll -30.00° is outside -10 to 10°",
     ]

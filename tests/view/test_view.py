@@ -24,7 +24,7 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig, load_rig, rig_text
 from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.ground_truth import TruthFile
-from lidarcfg.view.bodies import faces, judge
+from lidarcfg.view.bodies import faces, score
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, rgb, scaled
 from lidarcfg.view.kernels import fill
@@ -173,10 +173,10 @@ def test_faces_have_the_surface_that_the_measure_counts(seed):
         )
 
 
-def test_judged_as_evaluate_does():
+def test_scores_are_those_of_evaluate():
     study = load_study(STUDY)
     rig = study.rig(study.poses(np.full((1, int(study.free.sum())), 0.3))[0])
-    ours, theirs = judge(study, rig, 10), evaluate(study, rig)
+    ours, theirs = score(study, rig, 10), evaluate(study, rig)
     assert (ours.max_vsr_m, ours.subspaces) == (theirs.max_vsr_m, len(theirs.subspaces))
     for body, worst in zip(ours.worst, theirs.worst, strict=True):
         assert (body.vsr_m, body.volume_m3) == (worst.vsr_m, worst.volume_m3)
@@ -213,7 +213,7 @@ def test_a_truth_of_another_capture_is_refused(tmp_path):
     arrays = {key: np.array(values) for key, values in fields.items()}
     np.savez(tmp_path / "t.npz", sensor_names=["lidar_0"], object_names=["wall"], **arrays)
     seen = replace(cloud([[1, 2, 3]], ("lidar_0",)), time_ns=np.array([10**15]))
-    with pytest.raises(CloudError, match="it is of another capture"):
+    with pytest.raises(CloudError, match="it belongs to another capture"):
         load_objects(tmp_path / "t.npz", seen, tilted_rig())
     with pytest.raises(CloudError, match="its sensor 'lidar_0' is not in the rig 'none'"):
         load_objects(tmp_path / "t.npz", seen, Rig("none", ()))
@@ -254,8 +254,8 @@ def test_files_are_told_apart(tmp_path):
 @pytest.mark.parametrize(
     ("files", "error", "message"),
     [
-        ({"a.txt": "hello"}, ConfigError, "a.txt: is no capture, cloud, rig, study or scene; allowed: .pcap"),
-        ({"a.yaml": "name: x"}, ConfigError, "a.yaml:1:1: is no rig"),
+        ({"a.txt": "hello"}, ConfigError, "a.txt: is not a capture, cloud, rig, study or scene; allowed: .pcap"),
+        ({"a.yaml": "name: x"}, ConfigError, "a.yaml:1:1: is not a rig"),
         ({"a.yaml": "[1, 2]"}, ConfigError, "a.yaml:1:1: a list of 2 is not a map of keys"),
         ({"a.yaml": "a: ["}, ConfigError, "a.yaml:1:5: not YAML"),
         ({"a.ply": "ply"}, CloudError, "a.ply: not a whole ply file"),
@@ -307,8 +307,8 @@ def test_a_scene_stands_where_at_says():
         (("--camera", "1,2,3"), "'1,2,3' is not EYEX,EYEY,EYEZ,X,Y,Z[,FIELD_DEG]"),
         (("--camera", "1,2,3,4,5,nan"), "is not EYEX"),
         (("--colour", "pink"), "'pink' is not one of"),
-        (("--colour", "object", "--png", "p.png"), "objects are known from the truth alone"),
-        (("--colour", "object", "--html", "p.html"), "objects are known from the truth alone"),
+        (("--colour", "object", "--png", "p.png"), "objects are known only from ground truth"),
+        (("--colour", "object", "--html", "p.html"), "objects are known only from ground truth"),
         (("--camera=0,0,0,0,0,0",), "eye and target are one point"),
         (("--camera=99,0,2,100,0,2", "--png", "p.png"), "nothing is in view of a camera at 99,0,2 that looks at 100,0,2"),
     ],

@@ -1,4 +1,4 @@
-// Region, what is left out of it, worst subspaces and scenes.
+// Region, what it excludes, worst subspaces and scenes.
 
 import {
   BoxGeometry,
@@ -39,8 +39,8 @@ export function box(low, high, color) {
 
 export function region(study, colours) {
   const group = new Group();
-  group.add(box(study.min_m, study.max_m, colours.left_out));
-  if (study.left_out) group.add(body(study.left_out, colours.left_out, 0.3));
+  group.add(box(study.min_m, study.max_m, colours.excluded));
+  if (study.excluded) group.add(body(study.excluded, colours.excluded, 0.3));
   return group;
 }
 
@@ -53,16 +53,16 @@ export function bounds(study) {
 export function scenery(scenes, colours) {
   const group = new Group();
   for (const { mesh, ground } of scenes) {
-    if (mesh) group.add(body(mesh, colours.left_out, 0.16));
+    if (mesh) group.add(body(mesh, colours.excluded, 0.16));
     if (!ground) continue;
-    const plane = new Mesh(new PlaneGeometry(2 * ground.half_m, 2 * ground.half_m), translucent(colours.left_out, 0.08));
+    const plane = new Mesh(new PlaneGeometry(2 * ground.half_m, 2 * ground.half_m), translucent(colours.excluded, 0.08));
     plane.position.set(...ground.center_m);
     group.add(plane);
   }
   return group;
 }
 
-// The worst subspaces of the rig as it stands, each with its VSR.
+// The worst subspaces of the rig, each with its VSR.
 export class Worst {
   constructor(stage, colours) {
     Object.assign(this, { stage, colours, labels: [] });

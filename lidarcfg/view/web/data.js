@@ -1,13 +1,13 @@
-// What the page is told: by its server, or by the scripts that a standalone file carries.
+// The page's data: from its server, or from scripts inside a standalone file.
 
 const inside = document.getElementById("about");
 
 export async function readAbout() {
-  return inside ? JSON.parse(inside.textContent) : (await answered("about.json")).json();
+  return inside ? JSON.parse(inside.textContent) : (await fetched("about.json")).json();
 }
 
 export async function readArray(name, Kind) {
-  if (!inside) return new Kind(await (await answered(`array/${name}`)).arrayBuffer());
+  if (!inside) return new Kind(await (await fetched(`array/${name}`)).arrayBuffer());
   const pieces = [...document.querySelectorAll(`script[data-array="${name}"]`)].map((script) => {
     const piece = bytes(script.textContent);
     script.remove();
@@ -22,9 +22,9 @@ function bytes(text) {
   return Uint8Array.fromBase64?.(text) ?? Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 }
 
-export const ask = (path, question) => answered(path, { method: "POST", body: JSON.stringify(question) });
+export const ask = (path, question) => fetched(path, { method: "POST", body: JSON.stringify(question) });
 
-async function answered(path, options) {
+async function fetched(path, options) {
   const answer = await fetch(path, options);
   if (!answer.ok) throw new Error((await answer.text()).trim());
   return answer;

@@ -1,4 +1,4 @@
-// Moving a rig's sensors; what that does to max VSR is asked of the server, one question at a time.
+// Moving a rig's sensors. The server evaluates the moved rig, one request at a time.
 
 import { TransformControls } from "three";
 import { ask } from "lidarcfg/data";
@@ -18,7 +18,7 @@ export class Handles {
     });
     this.controls.addEventListener("objectChange", () => {
       this.selected.takeMove(this.controls.mode === "rotate");
-      this.told();
+      this.changed();
     });
   }
 
@@ -36,17 +36,17 @@ export class Handles {
 
   setPose(mount, pose) {
     mount.pose = pose;
-    this.told();
+    this.changed();
   }
 
   reset() {
     this.mounts.forEach((mount, i) => {
       mount.pose = this.start[i];
     });
-    this.told();
+    this.changed();
   }
 
-  told() {
+  changed() {
     this.stage.moved();
     this.onMove();
   }
@@ -56,8 +56,8 @@ export class Handles {
   }
 }
 
-// Asks how good the rig is; while an answer is awaited only the latest question is kept.
-export class Judge {
+// Asks for an evaluation of the rig; while it waits for an answer, only the latest request is kept.
+export class Evaluator {
   constructor(question, onAnswer, onError) {
     Object.assign(this, { question, onAnswer, onError, busy: false, again: false, answered: 0, tookMs: 0 });
   }

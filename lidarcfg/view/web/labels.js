@@ -1,4 +1,4 @@
-// Texts that stand at places in the scene.
+// Texts at places in the scene.
 
 import { Vector3 } from "three";
 
@@ -8,7 +8,7 @@ export class Labels {
     this.labels = new Set();
   }
 
-  // `place` gives where it stands, or null while it is hidden.
+  // `place` returns its position, or null while it is hidden.
   add(text, colour, place) {
     const element = document.createElement("span");
     element.textContent = text;

@@ -1,11 +1,14 @@
 // Puts the picture and its controls together.
 
+import { readArrays } from "lidarcfg/cloud";
+import { MODES } from "lidarcfg/colours";
 import { readAbout } from "lidarcfg/data";
 import { Worst, bounds, region, scenery } from "lidarcfg/bodies";
-import { Handles, Judge, saveRig } from "lidarcfg/handles";
+import { Evaluator, Handles, saveRig } from "lidarcfg/handles";
 import { Measure } from "lidarcfg/measure";
-import { RigSection, TimeSection, WorthSection, check, colourSection, el, help, push, section, sensorSection, slide } from "lidarcfg/panel";
-import { Cloud, MODES } from "lidarcfg/points";
+import { EvaluationSection, RigSection, TimeSection, check, colourSection, el, help, push, section, sensorSection, slide } from "lidarcfg/panel";
+import { PointsCloud } from "lidarcfg/points";
+import { RasterCloud } from "lidarcfg/raster";
 import { Mount, axes } from "lidarcfg/sensors";
 import { Stage } from "lidarcfg/stage";
 
@@ -16,8 +19,9 @@ export async function start() {
   try {
     const began = performance.now();
     const about = await readAbout();
-    const cloud = about.points && (await Cloud.read(about));
-    const view = build(about, cloud);
+    const stage = new Stage(about);
+    const Cloud = stage.hasGpu ? PointsCloud : RasterCloud;
+    const view = build(about, stage, about.points && new Cloud(about, await readArrays(about)));
     loading.hidden = true;
     window.lidarcfg = Object.assign(view, { began });
   } catch (error) {
@@ -26,13 +30,12 @@ export async function start() {
   }
 }
 
-function build(about, cloud) {
-  const stage = new Stage(about);
+function build(about, stage, cloud) {
   const { scene } = stage;
   const panel = document.getElementById("panel");
-  const told = document.getElementById("told");
-  const tell = (text) => {
-    told.textContent = text;
+  const status = document.getElementById("status");
+  const say = (text) => {
+    status.textContent = text;
   };
   const view = { about, stage, cloud };
   panel.append(el("h1", {}, "lidarcfg ", el("small", { textContent: about.version })));
@@ -60,11 +63,11 @@ function build(about, cloud) {
   if (cloud) pointControls(view, panel);
   bodyControls(view, panel, mounts);
   if (about.rigs.length && about.live) rigControls(view, panel, mounts.slice(0, about.rigs[0].mounts.length));
-  else if (about.rigs.length) panel.append(el("p", { className: "dim", textContent: "lidarcfg view serves this page with handles that move the rig." }));
+  else if (about.rigs.length) panel.append(el("p", { className: "dim", textContent: "Served by lidarcfg view, this page has handles that move the rig." }));
 
   const bodies = () => scene.children.filter((object) => object.isGroup && object.visible && !mounts.some((mount) => mount.object === object));
-  view.measure = new Measure(stage, () => ({ mounts: mounts.filter(({ object }) => object.visible), bodies: bodies() }), tell, (mount) => view.rig?.select(mount));
-  cameraControls(view, panel, tell);
+  view.measure = new Measure(stage, () => ({ mounts: mounts.filter(({ object }) => object.visible), bodies: bodies() }), say, (mount) => view.rig?.select(mount));
+  cameraControls(view, panel, say);
   panel.append(help());
   keys(view);
   return view;
@@ -116,8 +119,8 @@ function bodyControls(view, panel, mounts) {
     }));
   };
   if (about.study) {
-    toggled("region", "region, and what is left out of it (the vehicle)", region(about.study, about.colours));
-    if (about.study.bounds.length) toggled("bounds", "where the sensors may be", bounds(about.study));
+    toggled("region", "region, and what it excludes (the vehicle)", region(about.study, about.colours));
+    if (about.study.bounds.length) toggled("bounds", "bounds of the sensors", bounds(about.study));
     view.worst = new Worst(stage, about.colours);
     toggled("bodies", "worst subspaces", view.worst.object);
   }
@@ -135,17 +138,17 @@ function bodyControls(view, panel, mounts) {
   }
   if (rows.length) panel.append(section("Around them", ...rows));
   if (!about.study) return;
-  view.worth = new WorthSection(about, (count) => show(view, view.judged, count));
-  panel.append(view.worth.element);
-  show(view, about.judged, Math.min(about.worst, about.judged.worst.length));
+  view.figures = new EvaluationSection(about, (count) => show(view, view.evaluation, count));
+  panel.append(view.figures.element);
+  show(view, about.evaluation, Math.min(about.worst, about.evaluation.worst.length));
 }
 
-// The latest judgement, with so many of the worst subspaces drawn.
-function show(view, judged, count) {
-  if (view.judge && judged.worst.length < count) view.judge.ask();
-  Object.assign(view, { judged, count });
-  view.worth.set(judged, count);
-  view.worst.set(judged.worst.slice(0, count));
+// The latest evaluation, with so many of the worst subspaces drawn.
+function show(view, evaluation, count) {
+  if (view.evaluator && evaluation.worst.length < count) view.evaluator.ask();
+  Object.assign(view, { evaluation, count });
+  view.figures.set(evaluation, count);
+  view.worst.set(evaluation.worst.slice(0, count));
   view.stage.redraw();
 }
 
@@ -154,14 +157,14 @@ function rigControls(view, panel, mounts) {
   const stale = () => {
     view.rig.show();
     view.rig.stale.hidden = !view.cloud;
-    view.judge?.ask();
+    view.evaluator?.ask();
   };
   view.handles = new Handles(stage, mounts, stale);
   if (about.study) {
     const fail = (error) => {
-      view.worth.broken.textContent = error.message;
+      view.figures.violations.textContent = error.message;
     };
-    view.judge = new Judge(() => ({ poses: view.handles.poses, worst: view.count }), (found) => show(view, found, view.count), fail);
+    view.evaluator = new Evaluator(() => ({ poses: view.handles.poses, worst: view.count }), (found) => show(view, found, view.count), fail);
   }
   view.rig = new RigSection(view.handles, {
     onSave: () => saveRig(view.handles.poses),
@@ -170,7 +173,7 @@ function rigControls(view, panel, mounts) {
   panel.append(view.rig.element);
 }
 
-function cameraControls(view, panel, tell) {
+function cameraControls(view, panel, say) {
   const { stage, measure } = view;
   const looks = ["perspective", "top", "front", "side"].map((from) => push(`look-${from}`, from, () => stage.look(from)));
   const text = el("code", { id: "camera" });
@@ -181,7 +184,7 @@ function cameraControls(view, panel, tell) {
     measure.on = on;
     button.ariaPressed = on;
     if (!on) measure.clear();
-    tell(on ? "click the first point" : "");
+    say(on ? "click the first point" : "");
   };
   const button = push("measure", "Measure", () => view.measuring(!measure.on));
   panel.append(section("Look", el("div", { className: "row" }, ...looks), el("div", { className: "row" }, button), text));

@@ -1,12 +1,12 @@
-// A click tells what is there; in measuring, two of them tell how far apart they are.
+// A click says what is under the pointer; while measuring, two clicks give a distance.
 
 import { BufferAttribute, BufferGeometry, Line, LineBasicMaterial, Raycaster, Vector2, Vector3 } from "three";
 
 const CLICK_PX = 4; // further is a drag
 
 export class Measure {
-  constructor(stage, targets, onTold, onMount) {
-    Object.assign(this, { stage, targets, onTold, onMount, on: false, ends: [], label: null });
+  constructor(stage, targets, onText, onMount) {
+    Object.assign(this, { stage, targets, onText, onMount, on: false, ends: [], label: null });
     this.line = new Line(new BufferGeometry(), new LineBasicMaterial({ color: "white", depthTest: false }));
     this.line.renderOrder = 10;
     this.line.frustumCulled = false;
@@ -17,9 +17,9 @@ export class Measure {
       down = [event.clientX, event.clientY];
     });
     stage.canvas.addEventListener("pointerup", (event) => {
-      const still = down && Math.hypot(event.clientX - down[0], event.clientY - down[1]) < CLICK_PX;
+      const clicked = down && Math.hypot(event.clientX - down[0], event.clientY - down[1]) < CLICK_PX;
       down = null;
-      if (still && event.button === 0) this.click(event.offsetX, event.offsetY);
+      if (clicked && event.button === 0) this.click(event.offsetX, event.offsetY);
     });
   }
 
@@ -54,13 +54,13 @@ export class Measure {
     const found = this.under(x, y);
     if (!this.on) {
       if (found?.mount) this.onMount(found.mount);
-      this.onTold(found?.text ?? "");
+      this.onText(found?.text ?? "");
       return;
     }
     if (!found) return;
     if (this.ends.length === 2) this.clear();
     this.ends.push(found.at);
-    this.onTold(this.ends.length === 1 ? `from ${found.text}; click the second point` : this.show());
+    this.onText(this.ends.length === 1 ? `from ${found.text}; click the second point` : this.show());
   }
 
   show() {
@@ -72,9 +72,9 @@ export class Measure {
     this.line.geometry = geometry;
     this.line.position.copy(a);
     this.line.visible = true;
-    const middle = new Vector3().addVectors(a, b).multiplyScalar(0.5);
+    const halfway = new Vector3().addVectors(a, b).multiplyScalar(0.5);
     this.distance_m = Math.hypot(dx, dy, dz);
-    this.label = this.stage.labels.add(`${this.distance_m.toFixed(3)} m`, "white", () => middle);
+    this.label = this.stage.labels.add(`${this.distance_m.toFixed(3)} m`, "white", () => halfway);
     this.stage.redraw();
     const parts = [["dx", dx], ["dy", dy], ["dz", dz], ["level", Math.hypot(dx, dy)]];
     return `${this.distance_m.toFixed(3)} m: ${parts.map(([name, value]) => `${name} ${value.toFixed(3)} m`).join(", ")}`;

@@ -1,17 +1,17 @@
-// The controls beside the picture. All of them are plain HTML inputs and can be reached by the keyboard.
+// The controls beside the picture: plain HTML inputs, all reachable by keyboard.
 
 import { AXES } from "lidarcfg/sensors";
-import { MODES } from "lidarcfg/points";
+import { MODES } from "lidarcfg/colours";
 
 const UNITS = { intensity: "%", ring: "", height: "m", time: "s" };
 const COORDINATES = [["x", "m"], ["y", "m"], ["z", "m"], ["roll", "°"], ["pitch", "°"], ["yaw", "°"]];
 const KEYS = [
-  ["Space", "play, stop"],
-  ["← →", "frame before, after"],
+  ["Space", "play or stop"],
+  ["← →", "previous, next frame"],
   ["1 … 6", "colour"],
   ["M", "measure"],
-  ["T, R", "shift or turn the sensor"],
-  ["Esc", "let it go; end measuring"],
+  ["T, R", "move or rotate the sensor"],
+  ["Esc", "deselect; end measuring"],
 ];
 
 export function el(tag, props = {}, ...children) {
@@ -52,7 +52,7 @@ export function push(id, text, onClick) {
   return button;
 }
 
-// Sensors with their number of points; each can be left out.
+// Sensors with their number of points; each can be hidden.
 export function sensorSection(about, onShow) {
   const counts = new Map((about.points?.sensors ?? []).map(({ name, count }) => [name, count]));
   const rows = about.sensors.map(({ name, colour }, i) => {
@@ -62,7 +62,7 @@ export function sensorSection(about, onShow) {
   return section("Sensors", el("div", { className: "scroll" }, ...rows));
 }
 
-// What the points' colours say, with a legend or a bar.
+// What the points' colours mean, with a legend or a colour bar.
 export function colourSection(about, onColour) {
   const { points, colours } = about;
   const choice = el("select", { id: "colour", ariaLabel: "Colour of the points" });
@@ -91,15 +91,15 @@ function legendOf(mode, points, colours) {
   }
   const [low, high] = points.spans[mode];
   const digits = Math.min(Math.max(1 - Math.floor(Math.log10(high - low)), 0), 9);
-  const ticks = [0, 0.25, 0.5, 0.75, 1].map((share) => {
-    const value = low + share * (high - low);
+  const ticks = [0, 0.25, 0.5, 0.75, 1].map((fraction) => {
+    const value = low + fraction * (high - low);
     const text = number(value, mode === "ring" ? 0 : digits);
     return el("span", { textContent: `${text} ${UNITS[mode]}` });
   });
   const bar = el("div", { className: "bar", style: { background: `linear-gradient(to right, ${colours.scale.join()})` } });
   const parts = [bar, el("div", { className: "ticks" }, ...ticks)];
   if (mode === "intensity") parts.push(entry(colours.retro, "retro-reflectors, 101 to 255", ""));
-  if (mode === "height") parts.push(el("div", { className: "dim", textContent: "z; beyond each end lies 1 % of the points" }));
+  if (mode === "height") parts.push(el("div", { className: "dim", textContent: "z; 1 % of the points lie beyond each end" }));
   return parts;
 }
 
@@ -122,28 +122,28 @@ export class TimeSection {
       this.joined.value = this.width;
       this.go(this.at);
     });
-    this.told = el("div", { className: "dim", id: "when" });
+    this.when = el("div", { className: "dim", id: "when" });
     this.element = section(
       "Time",
       el("label", {}, this.every, "all at once", el("span", { className: "count", textContent: `${number(frames.length)} frames of ${number(frame * unit_s * 1000)} ms` })),
       el("div", { className: "row" }, this.button, this.slider),
-      el("label", {}, "frames together", this.joined),
-      this.told,
+      el("label", {}, "frames at once", this.joined),
+      this.when,
     );
-    this.tell();
+    this.refresh();
   }
 
   all(on) {
     this.whole = this.every.checked = on;
     if (on) this.play(false);
-    this.tell();
+    this.refresh();
   }
 
   go(at) {
     this.at = (at + this.points.frames.length) % this.points.frames.length;
     this.slider.value = this.at;
     this.whole = this.every.checked = false;
-    this.tell();
+    this.refresh();
   }
 
   play(on) {
@@ -154,41 +154,41 @@ export class TimeSection {
     this.onPlay(on);
   }
 
-  tell() {
+  refresh() {
     const { frames, frame, unit_s, end, start } = this.points;
     const last = Math.min(this.at + this.width, frames.length) - 1;
     const slice = this.whole ? [0, end] : [frames[this.at] * frame, (frames[last] + 1) * frame - 1];
     const [from, to] = [slice[0], Math.min(slice[1] + 1, end)].map((time) => (time * unit_s).toFixed(3));
     const which = this.whole ? "" : `frame ${this.at + 1} of ${frames.length}: `;
-    this.told.textContent = `${which}${from} s to ${to} s after ${start}`;
+    this.when.textContent = `${which}${from} s to ${to} s after ${start}`;
     this.onSlice(...slice);
   }
 }
 
 // Max VSR, and the worst subspaces in a table.
-export class WorthSection {
+export class EvaluationSection {
   constructor(about, onCount) {
     this.vsr = el("div", { className: "big", id: "vsr" });
     this.rest = el("div", { className: "dim", id: "subspaces" });
-    this.broken = el("div", { className: "bad", id: "broken" });
+    this.violations = el("div", { className: "bad", id: "violations" });
     this.rows = el("tbody");
     const head = el("tr", {}, ...["worst", "VSR (m)", "volume (m³)"].map((text) => el("th", { textContent: text, scope: "col" })));
-    const most = about.judged.worst.length;
+    const most = about.evaluation.worst.length;
     this.element = section(
       `Study ${about.study.name}`,
       this.vsr,
       this.rest,
-      this.broken,
+      this.violations,
       slide("worst", "worst shown", [0, most, 1], Math.min(about.worst, most), String, onCount),
       el("table", {}, el("thead", {}, head), this.rows),
     );
   }
 
-  set({ max_vsr_m, subspaces, worst, broken }, count) {
+  set({ max_vsr_m, subspaces, worst, violations }, count) {
     this.vsr.textContent = `max VSR ${max_vsr_m.toFixed(6)} m`;
     this.vsr.dataset.value = max_vsr_m;
     this.rest.textContent = `${number(subspaces)} subspaces`;
-    this.broken.replaceChildren(...broken.map((text) => el("div", { textContent: text })));
+    this.violations.replaceChildren(...violations.map((text) => el("div", { textContent: text })));
     this.rows.replaceChildren(
       ...worst.slice(0, count).map(({ vsr_m, volume_m3 }, i) =>
         el("tr", {}, ...[i + 1, vsr_m.toFixed(4), volume_m3.toFixed(2)].map((text) => el("td", { textContent: text })))),
@@ -203,7 +203,7 @@ export class RigSection {
     this.choice = el("select", { id: "mount", ariaLabel: "Sensor to move" }, el("option", { value: "", textContent: "no sensor" }));
     handles.mounts.forEach((mount, i) => this.choice.append(el("option", { value: i, textContent: mount.name })));
     this.choice.addEventListener("change", () => this.select(handles.mounts[this.choice.value] ?? null));
-    this.modes = ["translate", "rotate"].map((mode) => push(mode, mode === "rotate" ? "Turn" : "Shift", () => this.mode(mode)));
+    this.modes = ["translate", "rotate"].map((mode) => push(mode, mode === "rotate" ? "Rotate" : "Move", () => this.mode(mode)));
     this.inputs = COORDINATES.map(([name], i) => {
       const input = el("input", { type: "number", id: `pose-${name}`, step: i < 3 ? 0.01 : 0.5 });
       input.addEventListener("input", () => this.typed(i));
@@ -211,13 +211,13 @@ export class RigSection {
     });
     const labels = COORDINATES.map(([name, unit], i) => el("label", {}, `${name} (${unit})`, this.inputs[i]));
     this.pose = el("div", { className: "pose" }, ...labels);
-    this.stale = el("div", { className: "dim", hidden: true, textContent: "The points are still those of the rig as it was." });
+    this.stale = el("div", { className: "dim", hidden: true, textContent: "The points are those of the rig before it was moved." });
     this.element = section(
       "Move a sensor",
       el("div", { className: "row" }, this.choice, ...this.modes),
       this.pose,
       this.stale,
-      el("div", { className: "row" }, push("save", "Save rig.yaml", onSave), push("reset", "Put back", onReset)),
+      el("div", { className: "row" }, push("save", "Save rig.yaml", onSave), push("reset", "Reset", onReset)),
     );
     this.mode("translate");
     this.select(null);
@@ -260,7 +260,7 @@ export function help() {
     { style: { marginTop: "12px" } },
     el("summary", { textContent: "Keys and axes" }),
     ...keys,
-    el("div", {}, "Drag turns, the wheel comes nearer, the right button shifts."),
+    el("div", {}, "Drag to orbit, wheel to zoom, right button to pan."),
     el("div", {}, "Axes:", ...axes, ": forward, left, up (REP-103, metres)"),
   );
 }

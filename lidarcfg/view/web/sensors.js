@@ -12,7 +12,7 @@ import {
   MeshLambertMaterial,
   Quaternion,
 } from "three";
-import { rgb } from "lidarcfg/points";
+import { rgb } from "lidarcfg/colours";
 
 export const AXES = [["x", "#FF7F50"], ["y", "#2ED9A3"], ["z", "#56B4E9"]];
 const STEP_DEG = 3.75;
@@ -76,17 +76,17 @@ export class Mount {
     this.object.quaternion.setFromEuler(new Euler(...numbers.slice(3), "ZYX"));
   }
 
-  // After a handle moved the object. What it did not touch stays as it was, bit for bit.
-  takeMove(turned) {
-    if (!turned) {
+  // After a handle moved the object: what the handle did not touch stays the same, bit for bit.
+  takeMove(rotated) {
+    if (!rotated) {
       this.numbers = [...this.object.position.toArray(), ...this.numbers.slice(3)];
       return;
     }
     const { x, y, z } = new Euler().setFromQuaternion(new Quaternion().copy(this.object.quaternion), "ZYX");
     const before = this.numbers.slice(3);
-    const ways = [[x, y, z], [x + Math.PI, Math.PI - y, z + Math.PI]].map((way) => way.map((angle, i) => near(angle, before[i])));
-    const far = (way) => way.reduce((sum, angle, i) => sum + Math.abs(angle - before[i]), 0);
-    this.numbers = [...this.numbers.slice(0, 3), ...(far(ways[0]) <= far(ways[1]) ? ways[0] : ways[1])];
+    const options = [[x, y, z], [x + Math.PI, Math.PI - y, z + Math.PI]].map((option) => option.map((angle, i) => near(angle, before[i])));
+    const change = (option) => option.reduce((sum, angle, i) => sum + Math.abs(angle - before[i]), 0);
+    this.numbers = [...this.numbers.slice(0, 3), ...(change(options[0]) <= change(options[1]) ? options[0] : options[1])];
   }
 }
 

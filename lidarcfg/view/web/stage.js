@@ -12,16 +12,39 @@ import {
 } from "three";
 import { Labels } from "lidarcfg/labels";
 
-const STILL_MS = 250; // after so long without a move everything is drawn
+const SETTLE_MS = 250; // after so long without a move everything is drawn
 const FIELD_DEG = 60;
 const LEAST = 50_000; // points that are drawn however long they take
 const DIRECTIONS = { perspective: [-0.75, -0.45, 0.5], top: [-1e-4, 0, 1], front: [1, 0, 0], side: [0, -1, 0] };
+
+// Names of renderers that run on the processor: Chromium's SwiftShader, Mesa's llvmpipe and softpipe, Windows' WARP.
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+const NO_WEBGL =
+  "this browser has no WebGL 2 to draw the scene with. Turn on hardware acceleration in its settings, or use another " +
+  "browser. lidarcfg view --png FILE draws a picture without a browser.";
+
+function rendererOf(canvas) {
+  try {
+    return new WebGLRenderer({ canvas, antialias: false, powerPreference: "high-performance" });
+  } catch (cause) {
+    throw new Error(NO_WEBGL, { cause });
+  }
+}
+
+// Whether WebGL runs on a GPU; ?points=gpu and ?points=cpu in the page's address decide it regardless.
+function gpuDraws(gl) {
+  const asked = new URLSearchParams(window.location.search).get("points");
+  if (asked === "gpu" || asked === "cpu") return asked === "gpu";
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  return !SOFTWARE.test(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+}
 
 export class Stage {
   constructor(about) {
     this.about = about;
     this.canvas = document.getElementById("canvas");
-    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: false, powerPreference: "high-performance" });
+    this.renderer = rendererOf(this.canvas);
+    this.hasGpu = gpuDraws(this.renderer.getContext());
     this.renderer.setClearColor(about.colours.background);
     this.scene = new Scene();
     this.scene.add(new AmbientLight("white", 1.6));
@@ -66,7 +89,7 @@ export class Stage {
   }
 
   look(from) {
-    const target = new Vector3(...this.about.middle_m);
+    const target = new Vector3(...this.about.center_m);
     const away = (1.15 * this.about.radius_m) / Math.tan((this.camera.fov * Math.PI) / 360) / 1.8;
     this.place(new Vector3(...DIRECTIONS[from]).normalize().multiplyScalar(away).add(target), target);
   }
@@ -91,13 +114,13 @@ export class Stage {
   drawPoints(moving) {
     const began = performance.now();
     this.points.draw(this.camera, this.size, this.renderer.getPixelRatio(), moving ? this.limit : Infinity);
-    const share = this.budgetMs / (performance.now() - began);
-    if (moving) this.limit = Math.max(this.points.drawn * Math.min(Math.max(share, 0.5), 2), LEAST);
+    const spare = this.budgetMs / (performance.now() - began);
+    if (moving) this.limit = Math.max(this.points.drawn * Math.min(Math.max(spare, 0.5), 2), LEAST);
   }
 
   draw() {
     this.waiting = false;
-    const moving = this.playing || performance.now() - this.movedAt < STILL_MS;
+    const moving = this.playing || performance.now() - this.movedAt < SETTLE_MS;
     this.onFrame?.();
     const away = this.camera.position.distanceTo(this.orbit.target);
     this.camera.near = Math.max(away / 500, 0.01);
@@ -109,6 +132,6 @@ export class Stage {
     this.frames += 1;
     this.onDrawn?.();
     if (moving) this.redraw();
-    else this.stillAt = this.frames;
+    else this.settledAt = this.frames;
   }
 }
