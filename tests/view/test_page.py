@@ -253,9 +253,7 @@ def test_without_webgl_the_page_says_so(scattered, tmp_path):
         while (text := driver.find_element("id", "loading").text) == "Loading …":
             assert time.monotonic() < end
             time.sleep(0.05)
-        assert text.startswith(
-            "This browser has no WebGL 2, which the scene is drawn with. Turn on hardware acceleration"
-        )
+        assert text.startswith("The page cannot be shown: this browser has no WebGL 2 to draw the scene with.")
         image = matplotlib.image.imread(BytesIO(driver.get_screenshot_as_png()))[..., :3] * 255
         assert (abs(image - NIGHT).max(axis=-1) > 100).sum() > 1000  # letters
 
