@@ -31,7 +31,7 @@ from lidarcfg.cloud import load_cloud
 out = Path(sys.argv[1])
 result = json.loads((out / "result.json").read_text())
 table = Table(box=SIMPLE, show_header=False)
-table.add_row("max VSR, rig in the middle of the bounds", f"{result['middle_max_vsr_m']:.4f} m")
+table.add_row("max VSR, rig at the midpoint of the bounds", f"{result['midpoint_max_vsr_m']:.4f} m")
 table.add_row("max VSR, optimised rig", f"{result['max_vsr_m']:.4f} m")
 table.add_row("evaluations", f"{result['evaluations']:,}")
 table.add_row("seconds", f"{result['seconds']:.1f}")

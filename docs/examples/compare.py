@@ -9,10 +9,10 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg import report
-from lidarcfg.placement.coverage import coverage
+from lidarcfg.placement.details import details
 
 # %% Two rigs in one study
-# Two sensors on the roof; and the study's four, each in the middle of its bounds.
+# Two sensors on the roof; and the study's four, each at the midpoint of its bounds.
 study = lidarcfg.load_study("data/studies/sedan.yaml")
 roof = lidarcfg.load_rig("data/rigs/roof.yaml")
 four = study.rig(study.poses(np.full((1, study.free.sum()), 0.5))[0])
@@ -28,13 +28,15 @@ assert found["four"].max_vsr_m > found["roof"].max_vsr_m
 assert found["four"].detection["lost_cargo"].rate > found["roof"].detection["lost_cargo"].rate
 
 # %% Where the beams are
-# How many beams cross an upright pole, over all places of the region.
-for name, evaluation in found.items():
-    beams = coverage(evaluation.subspaces)
-    print(f"{name:5} {beams.median_beams:.0f} beams in the middle, none at {beams.by_none:.1%} of all places")
+# How many beams cross an upright pole, over all positions in the region.
+rigs = {"roof": roof, "four": four}
+full = {name: details(study, rig, found[name]) for name, rig in rigs.items()}
+for name, rig in full.items():
+    beams = rig.coverage
+    print(f"{name:5} {beams.median_beams:.0f} beams in the median, none at {beams.by_none:.1%} of all positions")
 
 # %% One page for a review
-named = [(f"{name}.yaml", rig, found[name]) for name, rig in (("roof", roof), ("four", four))]
+named = [(f"{name}.yaml", rig, full[name]) for name, rig in rigs.items()]
 out = Path("out/examples/compared")
 report.save_comparison(study, report.contenders(named), out, report.Commands("docs/examples/compare.py", ""))
 print(f"{out}/compare.html, {(out / 'compare.html').stat().st_size / 1e6:.1f} MB")

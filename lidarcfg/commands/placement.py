@@ -73,6 +73,7 @@ def optimize(
     import time
 
     from lidarcfg import report
+    from lidarcfg.placement.details import details
     from lidarcfg.placement.optimize import optimize as search
     from lidarcfg.placement.study import load_study, with_solver
 
@@ -93,9 +94,10 @@ def optimize(
 
         found = search(loaded, threads, on_cycle, log)
     again = _repeat_command(study, folder, loaded.solver, found)
-    found = report.save_placement(loaded, found, folder, report.Commands(command_line(), again))
+    shown = details(loaded, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+    report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again))
     if not quiet:
-        report.print_placement(found)
+        report.print_placement(found, shown.evaluation)
         files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
         click.echo(f"written to {folder}/: {files}")
     if found.interrupted:
@@ -144,6 +146,7 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     subspaces, whose surface the cuboids' faces overestimate, is known that well.
     """
     from lidarcfg import report
+    from lidarcfg.placement.details import details
     from lidarcfg.placement.study import evaluate as evaluation
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
@@ -152,7 +155,9 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     found = evaluation(loaded, mounted, tolerance)
     if output:
         typed = command_line()
-        found = report.save_evaluation(loaded, mounted, found, output, report.Commands(typed, typed))
+        shown = details(loaded, mounted, found)
+        report.save_evaluation(loaded, mounted, shown, output, report.Commands(typed, typed))
+        found = shown.evaluation
     if as_json:
         click.echo(report.to_json(report.evaluation_dict(loaded, mounted, found)))
     elif not quiet:
@@ -182,6 +187,7 @@ def compare(
     on the poses are not enforced.
     """
     from lidarcfg import report
+    from lidarcfg.placement.details import details
     from lidarcfg.placement.study import evaluate as evaluation
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
@@ -194,13 +200,14 @@ def compare(
     with progress(quiet or as_json) as on_progress:
         for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
             on_progress(n / len(rigs), str(path))
-            named.append((str(path), rig, evaluation(loaded, rig, tolerance)))
-    found = report.contenders(named)
+            found = evaluation(loaded, rig, tolerance)
+            named.append((str(path), rig, details(loaded, rig, found, cheap_cuboids=0)))
+    compared = report.contenders(named)
     if output:
-        report.save_comparison(loaded, found, output, report.Commands(command_line(), command_line()))
+        report.save_comparison(loaded, compared, output, report.Commands(command_line(), command_line()))
     if as_json:
-        click.echo(report.to_json(report.comparison_dict(loaded, found)))
+        click.echo(report.to_json(report.comparison_dict(loaded, compared)))
     elif not quiet:
-        report.print_comparison(loaded, found)
+        report.print_comparison(loaded, compared)
         if output:
             click.echo(f"written to {output}/: compare.html compare.json")

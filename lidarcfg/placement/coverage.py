@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.placement.subspace import Subspaces
 
+Counts = NDArray[np.int64]
+
 
 def beams_across(subspaces: Subspaces, axis: int) -> NDArray[np.int64]:
     """(lidars, a, b) how many of each LiDAR's beams cross each line along `axis`; a, b are the other two in order.
@@ -31,16 +33,22 @@ def beams_across(subspaces: Subspaces, axis: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Coverage:
-    """What upright poles meet: of all places from above."""
+    """The beams across lines of cuboids, and figures of the upright lines."""
 
+    beams: tuple[Counts, Counts, Counts]  # (lidars, a, b) across the lines along x, y and z; −1 where none counts
     median_beams: float
-    by_none: float  # the share of places that no beam crosses
-    by_one_sensor: float  # the share whose beams are all of one sensor
+    by_none: float  # fraction of the lines that no beam crosses
+    by_one_sensor: float  # fraction whose beams are all of one sensor
 
 
 def coverage(subspaces: Subspaces) -> Coverage:
-    """The beams across upright lines of cuboids, in short."""
-    beams = beams_across(subspaces, 2)
-    beams = beams[:, beams[0] >= 0]
-    sensors = (beams > 0).sum(axis=0)
-    return Coverage(float(np.median(beams.sum(axis=0))), float((sensors == 0).mean()), float((sensors == 1).mean()))
+    """The beams across the lines of cuboids along each axis."""
+    along_x, along_y, along_z = (beams_across(subspaces, axis) for axis in range(3))
+    upright = along_z[:, along_z[0] >= 0]
+    sensors = (upright > 0).sum(axis=0)
+    return Coverage(
+        (along_x, along_y, along_z),
+        float(np.median(upright.sum(axis=0))),
+        float((sensors == 0).mean()),
+        float((sensors == 1).mean()),
+    )

@@ -50,7 +50,7 @@ class Placement:
     rig: Rig
     evaluation: Evaluation
     objective: float  # of the rig: its max VSR in metres, unless the study asks for something else
-    middle_max_vsr_m: float  # of the rig in the middle of the bounds
+    midpoint_max_vsr_m: float  # of the rig at the midpoint of the bounds
     history: tuple[Cycle, ...]
     evaluations: int  # trials asked, but for first sources and scouts
     first_evaluations: int
@@ -142,7 +142,7 @@ def optimize(
         rig=rig,
         evaluation=evaluate(study, rig),
         objective=best_cost,
-        middle_max_vsr_m=max_vsr(study.region, study.lidars(middle)),
+        midpoint_max_vsr_m=max_vsr(study.region, study.lidars(middle)),
         history=tuple(history),
         evaluations=asked["trial"],
         first_evaluations=asked["first"],

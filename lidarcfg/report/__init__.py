@@ -1,4 +1,4 @@
-"""A result as JSON, files, tables, plots and a page."""
+"""Results as JSON, files, tables, pictures and a page. It shows; `lidarcfg.placement` computes."""
 
 from lidarcfg.report.comparison import check_count, comparison_dict, contenders, save_comparison
 from lidarcfg.report.document import Commands

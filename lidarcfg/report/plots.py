@@ -1,4 +1,4 @@
-"""A result as pictures in PNG: how a search went, and where the sensors sit."""
+"""Pictures in PNG: the course of a search, and the rig in its region."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart by colour-blind people
+# Okabe and Ito's colours, which colour-blind people can tell apart
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
 CUT_OFF = 4  # times the best found
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """As a PNG, whole or not at all."""
+    """Write a PNG, whole or not at all."""
     with replacing(path, "wb") as file:
         figure.savefig(file, format="png", dpi=120)
 
@@ -34,9 +34,9 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 
 
 def history_top(study: Study, found: Placement) -> float | None:
-    """Up to where a search is drawn: rigs that break the constraints cost far more than any other."""
+    """The top of the drawing of a search: rigs that break the constraints cost far more than any other."""
     shown = [value for cycle in found.history for value in (cycle.best, cycle.mean)]
-    shown += [found.middle_max_vsr_m] if study.objective.is_max_vsr else []
+    shown += [found.midpoint_max_vsr_m] if study.objective.is_max_vsr else []
     return min(1.05 * max(shown), CUT_OFF * found.history[-1].best) or None
 
 
@@ -48,7 +48,7 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
     axes.plot(evaluations, [cycle.mean for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
     if study.objective.is_max_vsr:
-        axes.axhline(found.middle_max_vsr_m, color="0.5", ls=":", label="middle of the bounds")
+        axes.axhline(found.midpoint_max_vsr_m, color="0.5", ls=":", label="midpoint of the bounds")
     label = "max VSR (m)" if study.objective.is_max_vsr else "objective"
     axes.set(xlabel="evaluations", ylabel=label, ylim=(0, history_top(study, found)))
     axes.set_title(
@@ -90,7 +90,7 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
         axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
         axes.set_title({2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"))
     figure.axes[0].legend(loc="upper right")
-    title = f"{rig.name}: max VSR {found.max_vsr_m:.4f} m; its subspace orange, left out grey"
+    title = f"{rig.name}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
     figure.suptitle(title, parse_math=False)
     return figure
 

@@ -1,10 +1,10 @@
-"""A result as JSON and as a folder of files. Every run's folder says what was asked, with seed and version."""
+"""Results as JSON and as a folder of files, with the task, seed and version."""
 
 import csv
 import json
 import tempfile
 import zipfile
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +13,16 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.analytic import analytic
-from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.details import Details
 from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.study import BUDGETS, Evaluation, Study
-from lidarcfg.report.document import CHEAP_CUBOIDS, Commands, report
+from lidarcfg.report.document import Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.rig import Rig, rig_to_dict, save_rig
 
-HALVED_ONCE = 1.0  # a tolerance that the first halving reaches
-
 
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
-    """What `evaluate --json` prints and every result.json carries."""
+    """What `evaluate --json` prints and every result.json contains."""
     return {
         "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
@@ -46,11 +43,12 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
     }
 
 
-def placement_dict(study: Study, found: Placement) -> dict[str, Any]:
+def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> dict[str, Any]:
     """What `optimize` writes as result.json."""
-    return evaluation_dict(study, found.rig, found.evaluation) | {
+    trials = found.evaluations + found.first_evaluations + found.scout_evaluations
+    return evaluation_dict(study, found.rig, evaluation) | {
         "objective": found.objective,
-        "middle_max_vsr_m": found.middle_max_vsr_m,
+        "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
         "evaluations": found.evaluations,
         "first_evaluations": found.first_evaluations,
         "scout_evaluations": found.scout_evaluations,
@@ -59,64 +57,49 @@ def placement_dict(study: Study, found: Placement) -> dict[str, Any]:
         "seed": study.solver.seed,
         "solver": study.solver.method,
         "skipped": {
-            "full_evaluations": found.evaluations
-            + found.first_evaluations
-            + found.scout_evaluations
-            - found.full_evaluations,
-            "cuboids": (found.evaluations + found.first_evaluations + found.scout_evaluations)
-            * study.region.included.size
-            - found.cuboids,
+            "full_evaluations": trials - found.full_evaluations,
+            "cuboids": trials * study.region.included.size - found.cuboids,
         },
     }
 
 
 def to_json(values: dict[str, Any]) -> str:
-    """As one JSON document; a NaN or infinity is our own mistake and raises ValueError."""
+    """One JSON document. Raises ValueError on NaN and infinity, which would be a bug."""
     return json.dumps(values, indent=1, allow_nan=False, ensure_ascii=False)
 
 
-def with_error_bar(study: Study, rig: Rig, found: Evaluation) -> Evaluation:
-    """The evaluation with its analytic max VSR from one halving of the cuboids, where there are few of them."""
-    if found.analytic or study.region.included.size > CHEAP_CUBOIDS:
-        return found
-    return replace(found, analytic=analytic(study.region, rig_lidars(rig), HALVED_ONCE))
-
-
-def save_evaluation(
-    study: Study, rig: Rig, found: Evaluation, folder: Path, commands: Commands | None = None
-) -> Evaluation:
-    """Write result.json, rig.png and report.html into `folder`; what they say, with its error bar where it is cheap."""
+def save_evaluation(study: Study, rig: Rig, details: Details, folder: Path, commands: Commands | None = None) -> None:
+    """Write result.json, rig.png and report.html into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    found = with_error_bar(study, rig, found)
+    found = details.evaluation
     values = evaluation_dict(study, rig, found)
     _write_text(to_json(values) + "\n", folder / "result.json")
     save_figure(draw_rig(study, rig, found), folder / "rig.png")
-    _write_text(report(study, rig, found, values, None, commands), folder / "report.html")
-    return found
+    _write_text(report(study, rig, details, values, None, commands), folder / "report.html")
 
 
-def save_placement(study: Study, found: Placement, folder: Path, commands: Commands | None = None) -> Placement:
-    """Write rig.yaml, search.npz, result.json, history.csv, convergence.png, rig.png and report.html into `folder`.
+def save_placement(
+    study: Study, found: Placement, details: Details, folder: Path, commands: Commands | None = None
+) -> None:
+    """Write the result of a search into `folder`; `details` are those of its rig.
 
-    Returns what they say: with an error bar, where it is cheap.
+    The files are rig.yaml, search.npz, result.json, history.csv, convergence.png, rig.png and report.html.
     """
     folder.mkdir(parents=True, exist_ok=True)
     save_progress(study, found.rig, found.log, folder)
-    found = replace(found, evaluation=with_error_bar(study, found.rig, found.evaluation))
-    values = placement_dict(study, found)
+    values = placement_dict(study, found, details.evaluation)
     _write_text(to_json(values) + "\n", folder / "result.json")
     with replacing(folder / "history.csv") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(asdict(found.history[0]))
         writer.writerows(asdict(cycle).values() for cycle in found.history)
     save_figure(draw_convergence(study, found), folder / "convergence.png")
-    save_figure(draw_rig(study, found.rig, found.evaluation), folder / "rig.png")
-    _write_text(report(study, found.rig, found.evaluation, values, found, commands), folder / "report.html")
-    return found
+    save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
+    _write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
 
 
 def check_writable(folder: Path) -> None:
-    """Make the folder, and raise OSError now, not after hours, where nothing can be written into it."""
+    """Make the folder. Raises OSError at once, not after hours, if nothing can be written into it."""
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryFile(dir=folder):
@@ -126,14 +109,14 @@ def check_writable(folder: Path) -> None:
 
 
 def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
-    """Write the best rig so far, rig.yaml, and search.npz, from which a search can go on."""
+    """Write the best rig so far to rig.yaml, and search.npz, from which a search can resume."""
     save_rig(rig, folder / "rig.yaml")
     with replacing(folder / "search.npz", "wb") as file:
-        np.savez_compressed(file, cost=log.cost, seconds=log.seconds, asked=_asked(study))
+        np.savez_compressed(file, cost=log.cost, seconds=log.seconds, asked=_fingerprint(study))
 
 
 def load_log(study: Study, folder: Path) -> Log:
-    """The log in a folder's search.npz. Raises ConfigError where it is none, or of another search."""
+    """The log in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
     path = folder / "search.npz"
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -142,13 +125,13 @@ def load_log(study: Study, folder: Path) -> Log:
         raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except (KeyError, ValueError, zipfile.BadZipFile):
         raise ConfigError(f"{path}: is not the log of a search") from None
-    if asked != _asked(study):
+    if asked != _fingerprint(study):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
     return log
 
 
-def _asked(study: Study) -> str:
-    """All that decides how a search goes, as one text: the study but for its budgets."""
+def _fingerprint(study: Study) -> str:
+    """Everything that determines the course of a search, as one text: the study without its budgets."""
     solver = {key: value for key, value in study.file["solver"].items() if key not in BUDGETS}
     return json.dumps(study.file | {"solver": solver}, sort_keys=True)
 

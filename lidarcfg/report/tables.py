@@ -1,4 +1,4 @@
-"""A result as tables on the terminal."""
+"""Results as tables on the terminal."""
 
 import sys
 from collections.abc import Sequence
@@ -19,23 +19,23 @@ TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offs
 
 
 def _console() -> Console:
-    """Standard output; as wide as the terminal, or wide enough for the tables where there is none."""
+    """Standard output, as wide as the terminal, or as the tables need where there is none."""
     return Console(width=None if sys.stdout.isatty() else 110, highlight=False, markup=False, emoji=False)
 
 
-def print_placement(found: Placement) -> None:
-    """The search in short, then the rig and what it is worth."""
+def print_placement(found: Placement, evaluation: Evaluation) -> None:
+    """Print a summary of the search, then the rig and its evaluation."""
     search = Table(box=SIMPLE, show_header=False)
-    search.add_row("max VSR, middle of the bounds", f"{found.middle_max_vsr_m:.4f} m")
-    search.add_row("max VSR, optimised", f"{found.evaluation.max_vsr_m:.4f} m")
+    search.add_row("max VSR, midpoint of the bounds", f"{found.midpoint_max_vsr_m:.4f} m")
+    search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
     search.add_row("evaluations", f"{found.evaluations:,}")
     search.add_row("seconds", f"{found.seconds:.1f}")
     _console().print(search)
-    print_evaluation(found.rig, found.evaluation)
+    print_evaluation(found.rig, evaluation)
 
 
 def print_evaluation(rig: Rig, found: Evaluation) -> None:
-    """The rig, its max VSR and detection rates, and the worst subspaces."""
+    """Print the rig, its max VSR and detection rates, and the worst subspaces."""
     console = _console()
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
@@ -46,9 +46,9 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     if found.analytic:
         console.print(analytic_line(found.analytic))
     for name, detection in found.detection.items():
-        how = f"± {detection.half_width:.4f}, {detection.places:,} places drawn"
+        how = f"± {detection.half_width:.4f}, {detection.places:,} drawn positions"
         if not detection.half_width:
-            how = f"all {detection.places:,} places counted"
+            how = f"all {detection.places:,} positions"
         console.print(f"detection rate of {name}: {detection.rate:.4f} ({how})")
     worst = Table(
         "VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "between the beams at (°), by sensor", box=SIMPLE
@@ -66,7 +66,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
 
 
 def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
-    """A row for each thing compared, a column for each rig; the best of a row has a star."""
+    """Print a row for each property, a column for each rig; a star marks the best of a row."""
     names = Table("rig", "name", "file", box=SIMPLE)
     for rig in rigs:
         names.add_row(rig.letter, rig.rig.name, rig.file)
@@ -77,7 +77,7 @@ def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
         [f"{value} *" if best else f"{value}  " for value, best in zip(row.values, row.best, strict=True)]
         for row in lines
     ]
-    widest = max(len(cell) for line in cells for cell in line) + 3  # and what is between two columns
+    widest = max(len(cell) for line in cells for cell in line) + 3  # and the gap between columns
     fit = max((console.width - max(len(row.what) for row in lines) - 4) // widest, 1)
     for first in range(0, len(rigs), fit):
         part = slice(first, first + fit)
@@ -85,16 +85,16 @@ def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
         for row, line in zip(lines, cells, strict=True):
             side.add_row(row.what, *line[part])
         console.print(side)
-    console.print("* the best of its row")
+    console.print("* best of its row")
 
 
 def analytic_line(found: Analytic) -> str:
-    """The analytic max VSR, its error bar, and whether that is what was asked for."""
+    """The analytic max VSR, its error bar, and whether that is the tolerance asked for."""
     edges = " × ".join(f"{edge:g}" for edge in found.cuboid_m)
     reached = f"within the tolerance of {found.tolerance:.3g}" if found.tolerance < 1 else "by one halving"
     if not found.reached:
-        share = found.error_m / found.max_vsr_m
-        reached = f"NOT within the tolerance of {found.tolerance:.3g}, but of {share:.2g}: no finer grid is tried"
+        error = found.error_m / found.max_vsr_m
+        reached = f"NOT within the tolerance of {found.tolerance:.3g}, but of {error:.2g}: no finer grid is tried"
     return (
         f"analytic max VSR {found.max_vsr_m:.6f} ± {found.error_m:.6f} m, {reached} "
         f"({found.cuboids:,} cuboids of {edges} m, {found.seconds:.2f} s)"
@@ -106,7 +106,7 @@ def _degrees(angle: float | None) -> str:
 
 
 def print_sensors(sensors: Sequence[Sensor]) -> None:
-    """One line a model."""
+    """Print one line per model."""
     table = Table("name", "beams", "elevation (°)", "range (m)", "simulated", "description", box=SIMPLE)
     for sensor in sensors:
         low, high = min(sensor.beams.elevation_deg), max(sensor.beams.elevation_deg)
@@ -122,7 +122,7 @@ def print_sensors(sensors: Sequence[Sensor]) -> None:
 
 
 def print_sensor(sensor: Sensor) -> None:
-    """All that is known of a model: the beam table, then every fact with its source."""
+    """Print a model: the beam table, then every fact with its source."""
     console = _console()
     console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
     table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)

@@ -114,8 +114,8 @@ def test_what_a_run_reports(tmp_path):
     assert (poses <= small.upper).all()
     assert max_vsr(small.region, small.lidars(poses)) == best[-1]
     middle = (small.lower + small.upper) / 2
-    assert found.middle_max_vsr_m == max_vsr(small.region, small.lidars(middle))
-    assert best[-1] < found.middle_max_vsr_m
+    assert found.midpoint_max_vsr_m == max_vsr(small.region, small.lidars(middle))
+    assert best[-1] < found.midpoint_max_vsr_m
     endpoints = {(m.host, m.data_port) for m in found.rig.mounts}
     assert len(endpoints) == 3
 

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import click
 import pytest
@@ -10,6 +11,8 @@ import pytest
 from lidarcfg import report
 from lidarcfg.cli import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.placement.analytic import Analytic
+from lidarcfg.placement.details import details
 from lidarcfg.placement.metric import inscribed_radii_m
 from lidarcfg.placement.study import evaluate, load_study
 from lidarcfg.report.comparison import rows
@@ -44,7 +47,8 @@ def folder(tmp_path_factory):
 def compared(folder, study, *names, tolerance=None):
     loaded = load_study(folder / study)
     rigs = [(name, load_rig(folder / f"{name}.yaml")) for name in names]
-    return loaded, report.contenders([(name, rig, evaluate(loaded, rig, tolerance)) for name, rig in rigs])
+    named = [(name, rig, details(loaded, rig, evaluate(loaded, rig, tolerance), cheap_cuboids=0)) for name, rig in rigs]
+    return loaded, report.contenders(named)
 
 
 def run(folder, *words):
@@ -89,13 +93,13 @@ def test_error_bars_that_reach_the_best_are_marked_as_well(folder):
     study, rigs = compared(folder, "s.yaml", "few", "many")
 
     def marked(*bars):
-        values = [
-            report.results.analytic(study.region, [], 1.0).__class__(value, error, 1.0, [1.0, 1.0, 1.0], 1, 0.0)
-            for value, error in bars
-        ]
         named = [
-            (rig.file, rig.rig, report.results.replace(rig.found, analytic=bar))
-            for rig, bar in zip([*rigs, rigs[0]], values, strict=True)
+            (rig.file, rig.rig, replace(rig.details, evaluation=replace(rig.found, analytic=bar)))
+            for rig, bar in zip(
+                [*rigs, rigs[0]],
+                [Analytic(value, error, 1.0, [1.0, 1.0, 1.0], 1, 0.0) for value, error in bars],
+                strict=True,
+            )
         ]
         table = rows(study, report.contenders(named))
         return next(row.best for row in table if row.what.startswith("analytic"))
@@ -120,7 +124,7 @@ def test_the_command_prints_a_table_and_writes_a_page(folder):
         for rate in rig["detection"].values():
             assert f"{rate:.4f}" in page.words
     assert "detection of <i>&" in page.words
-    assert "the best of its row" in done.stdout
+    assert "best of its row" in done.stdout
     assert "lidarcfg compare few.yaml many.yaml many.yaml --study s.yaml -o out" in page.words
     assert [link for link in page.links if link in ("#table", "#worst", "#detection", "#coverage", "#rigs", "#repeat")]
     printed = run(folder, *words[:-2], "--json")

@@ -1,7 +1,6 @@
-"""The report: read back by the standard library's parser; maps and rings against plain loops; names of any kind."""
+"""The report: read back by the standard library's parser, with names of any kind."""
 
 import json
-import math
 import os
 import re
 import subprocess
@@ -15,20 +14,14 @@ import pytest
 
 from lidarcfg import report
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.coverage import beams_across, coverage
-from lidarcfg.placement.detection import DetectionObject, detection, detection_by_distance
+from lidarcfg.placement.details import details
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import evaluate, load_study
-from lidarcfg.placement.subspace import segment
-from lidarcfg.report.document import date, ring_edges_m, vehicle_m
+from lidarcfg.report.words import date
 from lidarcfg.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints
-from tests.naive import placement as naive
 
 ROOT = Path(__file__).parents[2]
-ELEVATION_DEG = [-20, -7, 3, 15]
 NAMES = [
     "<script>alert('x')</script> & \"q\" $\\frac$",
     "歩行者 пешеход مشاة",
@@ -142,7 +135,9 @@ def runs(study, found, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOURCE_DATE_EPOCH", "1767225600")
         for folder in folders:
-            report.save_placement(study, found, folder, report.Commands("lidarcfg <typed>", "lidarcfg again"))
+            commands = report.Commands("lidarcfg <typed>", "lidarcfg again")
+            shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+            report.save_placement(study, found, shown, folder, commands)
     return folders
 
 
@@ -152,7 +147,7 @@ def test_the_page_says_what_result_json_says(runs):
     bar = result["analytic"]
     said = [
         f"{result['max_vsr_m']:.6f} m",
-        f"{result['middle_max_vsr_m']:.6f} m",
+        f"{result['midpoint_max_vsr_m']:.6f} m",
         f"{bar['max_vsr_m']:.6f} ± {bar['error_m']:.6f} m",
         f"the largest of {result['subspaces']:,} subspaces",
         f"{result['skipped']['full_evaluations']:,} of",
@@ -186,26 +181,27 @@ def test_the_same_run_gives_the_same_page(runs):
 def test_an_evaluation_without_objects(tmp_path):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
-    saved = report.save_evaluation(bare, rig, evaluate(bare, rig), tmp_path / "o")
-    page = read((tmp_path / "o/report.html").read_text())
+    shown = details(bare, rig, evaluate(bare, rig))
+    report.save_evaluation(bare, rig, shown, tmp_path / "o")
+    page, bar = read((tmp_path / "o/report.html").read_text()), shown.evaluation.analytic
     assert "names no objects" in page.words
     assert "No search was run" in page.words
     assert "Nothing: the rig was evaluated once, in full." in page.words
     assert "written from Python" in page.words
-    assert saved.analytic.cuboid_m == [0.5, 0.25, 0.125]
-    assert f"{saved.analytic.max_vsr_m:.4f} ± {saved.analytic.error_m:.4f} m" in page.words
+    assert bar.cuboid_m == [0.5, 0.25, 0.125]
+    assert f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m" in page.words
 
 
-def test_no_error_bar_where_it_would_cost_too_much(tmp_path, monkeypatch):
+def test_no_error_bar_where_it_would_cost_too_much(tmp_path):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
-    for module in (report.results, report.document):
-        monkeypatch.setattr(module, "CHEAP_CUBOIDS", 100)
-    saved = report.save_evaluation(bare, rig, evaluate(bare, rig), tmp_path / "o")
+    shown = details(bare, rig, evaluate(bare, rig), cheap_cuboids=100)
+    report.save_evaluation(bare, rig, shown, tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
-    assert saved.analytic is None
+    assert shown.evaluation.analytic is None
     assert "not computed" in page.words
     assert "its error bar were not computed" in page.words
+    assert "midpoint of the study's bounds" not in page.words
 
 
 @pytest.mark.parametrize("text", ["noon", "1e9", "9" * 30])
@@ -220,106 +216,8 @@ def test_rigs_that_break_the_constraints_do_not_flatten_the_rest(study, found):
     first = replace(found.history[0], mean=1e6)
     axes = report.draw_convergence(study, replace(found, history=(first, *found.history[1:]))).axes[0]
     assert axes.get_ylim() == (0, 4 * found.history[-1].best)
-    most = max(found.middle_max_vsr_m, *(cycle.mean for cycle in found.history))
+    most = max(found.midpoint_max_vsr_m, *(cycle.mean for cycle in found.history))
     assert report.draw_convergence(study, found).axes[0].get_ylim() == (0, pytest.approx(1.05 * most))
-
-
-REGION = Region.from_boxes((0, 0, 0), (6, 4, 2), (0.5, 0.5, 0.25), (((2, 1, 0), (3, 2, 2)), ((4, 0, 0), (5, 1, 1))))
-POSES = [((2.6, 1.3, 1.1), (0.1, 0.2, 0.0)), ((3.4, 2.2, 0.9), (-0.2, 0.4, 0.0))]
-SPACES = segment(REGION, [lidar(at, rpy, np.sin(np.radians(ELEVATION_DEG))) for at, rpy in POSES])
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_beams_across_lines_against_plain_loops(axis):
-    found = beams_across(SPACES, axis)
-    others = [a for a in range(3) if a != axis]
-    centres = REGION.centres()
-    empty = 0
-    for a in range(REGION.shape[others[0]]):
-        for b in range(REGION.shape[others[1]]):
-            digits = []
-            for n in range(REGION.shape[axis]):
-                index = [0, 0, 0]
-                index[others[0]], index[others[1]], index[axis] = a, b, n
-                if REGION.included[tuple(index)]:
-                    point = [float(centres[k][index[k]]) for k in range(3)]
-                    digits.append([naive.digit(point, at, rpy, ELEVATION_DEG) for at, rpy in POSES])
-            empty += not digits
-            for m in range(len(POSES)):
-                crossed = 0
-                for beam in range(1, len(ELEVATION_DEG) + 1):  # a digit of `beam` or more: this cone is below
-                    sides = {digit[m] >= beam for digit in digits}
-                    crossed += len(sides) == 2
-                assert found[m, a, b] == (crossed if digits else -1)
-    assert empty == (4 if axis == 2 else 0)
-
-
-def test_coverage_by_hand():
-    """One level beam through the middle of a box: every upright pole is crossed, one beside a wall of it is not."""
-    region = Region.from_boxes((0, 0, 0), (4, 1, 2), (1, 1, 0.5), (((0, 0, 1), (1, 1, 2)),))
-    spaces = segment(region, [lidar((2, 0.5, 1.0), (0, 0, 0), np.array([0.0]))])
-    found = coverage(spaces)
-    assert beams_across(spaces, 2).tolist() == [[[0], [1], [1], [1]]]
-    assert (found.median_beams, found.by_none, found.by_one_sensor) == (1.0, 0.25, 0.75)
-
-
-@pytest.mark.parametrize(("size", "threshold", "on_ground"), [((1.2, 0.5, 0.4), 2, True), ((0.5, 1.0, 0.6), 3, False)])
-def test_rings_against_plain_loops(size, threshold, on_ground):
-    item = DetectionObject(name="o", size_m=size, threshold=threshold, on_ground=on_ground)
-    middle, edges = np.array([2.9, 1.7]), np.array([0.0, 1.0, 1.5, 3.0, 9.0])
-    cells = [math.ceil(s / e - 1e-9) for s, e in zip(size, (0.5, 0.5, 0.25), strict=True)]
-    detected, places = [0] * 4, [0] * 4
-    nx, ny, nz = REGION.shape
-    for i in range(nx - cells[0] + 1):
-        for j in range(ny - cells[1] + 1):
-            x, y = (i + cells[0] / 2) * 0.5, (j + cells[1] / 2) * 0.5
-            away = math.dist((x, y), middle)
-            ring = max(n for n in range(4) if edges[n] <= away)
-            for k in range(1 if on_ground else nz - cells[2] + 1):
-                touched = {
-                    int(SPACES.label[a, b, c])
-                    for a in range(i, i + cells[0])
-                    for b in range(j, j + cells[1])
-                    for c in range(k, k + cells[2])
-                }
-                if -1 not in touched:
-                    places[ring] += 1
-                    detected[ring] += len(touched) > threshold
-    found = detection_by_distance(SPACES, item, middle, edges)
-    assert (found.detected.tolist(), found.places.tolist()) == (detected, places)
-    whole = detection(SPACES, item)
-    assert found.places.sum() == whole.places
-    assert found.detected.sum() == pytest.approx(whole.rate * whole.places)
-    assert 0 < found.detected.sum() < found.places.sum()
-
-
-def test_rings_of_places_drawn():
-    """All rings together are what `detection` counts; a ring that holds no place has no rate; beyond is left out."""
-    item = DetectionObject(name="o", size_m=(0.8, 0.4, 0.4), threshold=2, samples=2**12)
-    middle = np.array([3.0, 2.0])
-    found = detection_by_distance(SPACES, item, middle, np.array([0.0, 1.0, 2.0, 9.0, 10.0]))
-    whole = detection(SPACES, item)
-    assert found.places.sum() == whole.places
-    assert found.detected.sum() / found.places.sum() == pytest.approx(whole.rate, abs=whole.half_width)
-    assert np.isnan(found.rate[3])
-    inner = detection_by_distance(SPACES, item, middle, np.array([0.0, 1.0, 2.0]))
-    assert inner.places.tolist() == found.places[:2].tolist()
-
-
-@pytest.mark.parametrize("size_m", [0.3, 1.0, 7.7, 36.06, 59.99, 60.0, 60.01, 1e7])
-def test_few_rings_hold_the_whole_region(size_m):
-    region = Region.from_boxes((-size_m, 0, 0), (size_m / 2, size_m, 1), (size_m / 2, size_m, 1))
-    middle = np.array([size_m / 4, size_m / 3])
-    edges = ring_edges_m(region, middle)
-    assert 2 <= len(edges) - 1 <= 12
-    assert edges[0] == 0
-    assert edges[-1] > math.hypot(1.25 * size_m, 2 / 3 * size_m) >= edges[-2] - 1e-9
-    assert f"{edges[1]:.0e}"[0] in "125"
-
-
-def test_where_the_vehicle_stands():
-    assert vehicle_m(load_study(ROOT / "data/studies/liu2018-2x16.yaml")).tolist() == [29.5, 10.0]
-    assert vehicle_m(load_study(ROOT / "data/studies/sedan.yaml")).tolist() == [0.0, 0.0]
 
 
 def test_the_command_line_writes_it(tmp_path):

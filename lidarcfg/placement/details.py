@@ -1,0 +1,98 @@
+"""What a report shows of a rig beyond its evaluation: error bar, coverage, detection by position and distance."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.analytic import analytic
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.coverage import Coverage, coverage
+from lidarcfg.placement.detection import Counts, Rings, counted_places, detection_by_distance
+from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.metric import inscribed_radii_m, volume_m3
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.rig import Rig
+
+CHEAP_CUBOIDS = 100_000  # up to this size another evaluation takes a fraction of a second
+ONE_HALVING = 1.0  # a tolerance that the first halving of the cuboids reaches
+RINGS_MAX = 12
+RING_M = (1, 2, 5)  # times a power of ten
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where an object without `samples` is detected, and where it can be, by position from above."""
+
+    detected: Counts  # (mx, my) over all heights
+    places: Counts  # (mx, my)
+
+    @property
+    def rate(self) -> Array:
+        """(mx, my) NaN where the object cannot be."""
+        none = np.full(self.places.shape, np.nan)
+        rate: Array = np.divide(self.detected, self.places, out=none, where=self.places > 0)
+        return rate
+
+
+@dataclass(frozen=True)
+class Details:
+    """An evaluation and what a report shows beside it."""
+
+    evaluation: Evaluation  # with an error bar where that is cheap
+    midpoint_max_vsr_m: float | None  # of the study's sensors at the midpoint of their bounds, where that is cheap
+    volume_m3: Array  # (n,) by subspace
+    sphere_m: float  # radius of the largest sphere inside any subspace
+    coverage: Coverage
+    vehicle_m: Array  # (2,) from where distances are measured
+    rings: dict[str, Rings]  # by object
+    places: dict[str, Places]  # by object without `samples`
+
+
+def details(
+    study: Study,
+    rig: Rig,
+    found: Evaluation,
+    midpoint_max_vsr_m: float | None = None,
+    cheap_cuboids: int = CHEAP_CUBOIDS,
+) -> Details:
+    """The details of a rig's evaluation; `midpoint_max_vsr_m` if a search has computed it.
+
+    A study with more than `cheap_cuboids` gets no error bar and no comparison that it does not bring along.
+    """
+    cheap = study.region.included.size <= cheap_cuboids
+    if found.analytic is None and cheap:
+        found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING))
+    if midpoint_max_vsr_m is None and cheap:
+        midpoint = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
+        midpoint_max_vsr_m = max_vsr(study.region, study.lidars(midpoint))
+    subspaces, vehicle = found.subspaces, vehicle_m(study)
+    edges = ring_edges_m(study.region, vehicle)
+    return Details(
+        evaluation=found,
+        midpoint_max_vsr_m=midpoint_max_vsr_m,
+        volume_m3=volume_m3(subspaces),
+        sphere_m=float(inscribed_radii_m(subspaces).max()),
+        coverage=coverage(subspaces),
+        vehicle_m=vehicle,
+        rings={item.name: detection_by_distance(subspaces, item, vehicle, edges) for item in study.detection},
+        places={item.name: Places(*counted_places(subspaces, item)) for item in study.detection if not item.samples},
+    )
+
+
+def vehicle_m(study: Study) -> Array:
+    """(2,) where the vehicle is taken to stand: the sensors' mean position at the midpoint of their bounds."""
+    midpoint = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
+    where: Array = midpoint[:, :2].mean(axis=0)
+    return where
+
+
+def ring_edges_m(region: Region, centre_m: Array) -> Array:
+    """Rings about a point that hold the whole region: at most RINGS_MAX, their width 1, 2 or 5 × a power of ten."""
+    corners = [(x, y) for x in (region.min_m[0], region.max_m[0]) for y in (region.min_m[1], region.max_m[1])]
+    far = max(float(np.hypot(*(corner - centre_m))) for corner in np.array(corners))
+    power = 10.0 ** math.floor(math.log10(far / RINGS_MAX))
+    width = next(step * power for step in (*RING_M, 10) if RINGS_MAX * step * power > far)
+    return np.arange(math.floor(far / width) + 2) * np.float64(width)

@@ -1,0 +1,179 @@
+"""What the drawings of a page share: SVG in one style, and views of the region."""
+
+import io
+import re
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup, escape
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.region import Region
+from lidarcfg.report.html import printable
+from lidarcfg.report.plots import COLOURS, new_figure
+from lidarcfg.rig import Rig
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_IN = 7.4
+VIEWS = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # the axes they show, across and up
+MARKERS = "osD^vPX*"
+EXCLUDED = (0.55, 0.57, 0.6)
+PIXELS_MAX = 700  # a side of a map; larger ones are drawn as means of several cells
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "sans-serif"],
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.edgecolor": "#57606a",
+    "axes.linewidth": 0.7,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#d5d9de",
+    "grid.linewidth": 0.6,
+    "xtick.color": "#57606a",
+    "ytick.color": "#57606a",
+    "xtick.labelcolor": "#1b1f24",
+    "ytick.labelcolor": "#1b1f24",
+    "legend.frameon": False,
+    "lines.linewidth": 1.5,
+    "text.parse_math": False,
+    "image.composite_image": False,
+    "image.interpolation": "none",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "lidarcfg",
+}
+
+
+def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], None]) -> Markup:
+    """What `draw` draws, as SVG inside a page; `name` keeps its ids apart from those of other drawings."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has more fonts
+        figure = new_figure(WIDTH_IN, height_in)
+        draw(figure)
+        file = io.StringIO()
+        figure.savefig(file, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+    svg = file.getvalue()
+    svg = svg[svg.index("<svg") :]
+    box = re.search(r'viewBox="[^"]*"', svg)
+    assert box
+    svg = re.sub(r"<svg[^>]*>", f'<svg {box[0]} role="img" aria-label="{escape(alt)}">', svg, count=1)
+    used = set(re.findall(r'(?:url\(|href=")#([^")]+)', svg))
+    svg = re.sub(r' id="([^"]*)"', lambda found: f' id="{name}-{found[1]}"' if found[1] in used else "", svg)
+    return Markup(re.sub(r'(url\(|href=")#', rf"\g<1>#{name}-", svg))  # matplotlib escapes the texts
+
+
+def label(name: str, most: int = 28) -> str:
+    """A name, cut to fit beside a line."""
+    text = printable(name).replace("\n", " ")
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def colour(i: int) -> str:
+    """The colour of the i-th item."""
+    return COLOURS[i % len(COLOURS)]
+
+
+def dashes(i: int) -> str:
+    """The dashes of the i-th line, so that lines on top of each other both show."""
+    return ("-", "--", "-.", ":")[i % 4]
+
+
+def hidden(view: str) -> int:
+    """The axis along which a view looks."""
+    return 3 - sum(VIEWS[view])
+
+
+def fractions(one: float, other: float) -> tuple[float, float]:
+    """The fractions that two extents take of a width; neither is too small."""
+    part = min(max(one / (one + other), 0.3), 0.75)
+    return part, 1 - part
+
+
+def name_axes(axes: "Axes", view: str, more: str = "") -> None:
+    """Label the axes and name the view."""
+    across, up = VIEWS[view]
+    axes.set(xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
+    axes.set_title(view + more)
+
+
+def extent(region: Region, view: str) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top."""
+    across, up = VIEWS[view]
+    low, high = region.min_m, region.max_m
+    return float(low[across]), float(high[across]), float(low[up]), float(high[up])
+
+
+def thinned(values: Array) -> Array:
+    """A map (a, b) of at most PIXELS_MAX cells a side: means of blocks, NaN where all of a block is."""
+    for axis in (0, 1):
+        step = -(-values.shape[axis] // PIXELS_MAX)
+        if step > 1:
+            starts = np.arange(0, values.shape[axis], step)
+            known = np.add.reduceat(~np.isnan(values), starts, axis=axis)
+            total = np.add.reduceat(np.nan_to_num(values), starts, axis=axis)
+            values = np.divide(total, known, out=np.full(total.shape, np.nan), where=known > 0)
+    return values
+
+
+def shade(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, rgb: Any, alpha: float) -> None:
+    """Colour the cells of a mask (a, b)."""
+    from matplotlib.colors import to_rgb
+
+    part = thinned(mask.astype(float))
+    picture = np.zeros((part.shape[1], part.shape[0], 4))
+    picture[..., :3] = to_rgb(rgb)
+    picture[..., 3] = alpha * part.T
+    axes.imshow(picture, extent=extent(region, view), origin="lower", aspect="auto")
+
+
+def shade_excluded(axes: "Axes", region: Region, view: str) -> None:
+    """Shade what is excluded from the region."""
+    shade(axes, region, np.asarray((~region.included).any(axis=hidden(view))), view, EXCLUDED, 0.4)
+
+
+def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **style: Any) -> None:
+    """Draw the edges of a mask (a, b), along its cells."""
+    from matplotlib.collections import LineCollection
+
+    shown = list(VIEWS[view])
+    low, edge = region.min_m[shown], region.cuboid_m[shown]
+    lines = []
+    for swapped in (False, True):  # edges across the first axis, then across the second
+        cells = mask.T if swapped else mask
+        walls = np.diff(np.pad(cells, ((1, 1), (0, 0))).astype(np.int8), axis=0) != 0
+        ends = np.diff(np.pad(walls, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+        for (i, first), (_, last) in zip(np.argwhere(ends == 1), np.argwhere(ends == -1), strict=True):
+            line = np.array([[i, first], [i, last]], np.float64)
+            lines.append(low + (line[:, ::-1] if swapped else line) * edge)
+    axes.add_collection(LineCollection(lines, rasterized=len(lines) > 4000, **style))
+
+
+def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float = 5) -> None:
+    """Mark the sensors."""
+    across, up = VIEWS[view]
+    for i, mount in enumerate(rig.mounts):
+        at, marker = mount.position_m, MARKERS[i // len(COLOURS) % len(MARKERS)]
+        axes.plot(at[across], at[up], marker, color=colour(i), mec="w", mew=0.6, ms=size)
+
+
+def panels(figure: "Figure", count: int, columns: int = 2) -> list["Axes"]:
+    """Axes in rows of two that share their scales; y is labelled on the left, x at the bottom."""
+    rows = -(-count // columns)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    for axes in grid[max(count - columns, 0) : count]:
+        axes.tick_params(labelbottom=True)
+    return list(grid[:count])

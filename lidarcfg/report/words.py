@@ -1,0 +1,163 @@
+"""What reports say of rigs, studies and objects, as text and tables."""
+
+import math
+import os
+import platform
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+import yaml
+
+from lidarcfg import __version__
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.detection import DetectionObject
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import COORDINATES, Study
+from lidarcfg.report.html import Table
+from lidarcfg.rig import Rig
+
+PACKAGES = ("numpy", "scipy", "numba", "open3d", "matplotlib")
+
+
+def date() -> str:
+    """Now in UTC, or the time in SOURCE_DATE_EPOCH. Raises ConfigError if that is not a time."""
+    seconds = os.environ.get("SOURCE_DATE_EPOCH")
+    if not seconds:
+        return f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+    try:
+        return f"{datetime.fromtimestamp(int(seconds), UTC):%Y-%m-%d %H:%M} UTC"
+    except (ValueError, OverflowError, OSError):
+        raise ConfigError(f"SOURCE_DATE_EPOCH: {seconds[:40]!r} is not a number of seconds since 1970") from None
+
+
+def versions() -> str:
+    """The versions of everything that a result may depend on."""
+    found = [f"lidarcfg {__version__}", f"Python {platform.python_version()}"]
+    for name in PACKAGES:
+        for distribution in (name, f"{name}-cpu"):
+            try:
+                found.append(f"{distribution} {metadata.version(distribution)}")
+            except metadata.PackageNotFoundError:
+                continue
+            break
+    return ", ".join(found) + f"; {platform.system()} {platform.machine()}"
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things: 1 beam, 2 beams."""
+    return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
+
+
+def vector(values: Sequence[float] | Array, form: str = "g") -> str:
+    """Numbers with commas between them."""
+    return ", ".join(f"{value:{form}}" for value in values)
+
+
+def as_yaml(values: dict[str, Any]) -> str:
+    """The values as a file would hold them."""
+    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110).rstrip()
+
+
+def beams(rig: Rig) -> int:
+    """The number of beams of all sensors."""
+    return sum(mount.sensor.count for mount in rig.mounts)
+
+
+def rig_in_words(rig: Rig) -> str:
+    """The number of sensors of each model, and of beams."""
+    models = [mount.sensor.name for mount in rig.mounts]
+    kinds = ", ".join(f"{models.count(name)} × {name}" for name in dict.fromkeys(models))
+    return f"{counted(len(models), 'sensor')} ({kinds}), {counted(beams(rig), 'beam')}"
+
+
+def region_rows(region: Region) -> list[tuple[str, str]]:
+    """Its extent, its cuboids and what is excluded."""
+    excluded = region.included.size - int(region.included.sum())
+    return [
+        ("region", f"from {vector(region.min_m)} to {vector(region.max_m)} m"),
+        ("cuboids", f"{' × '.join(map(str, region.shape))} of {' × '.join(f'{e:g}' for e in region.cuboid_m)} m"),
+        ("excluded", f"{excluded:,} of {region.included.size:,} cuboids"),
+    ]
+
+
+def object_in_words(item: DetectionObject) -> str:
+    """Its size, where it may be, and when it counts as detected."""
+    where = "on the ground" if item.on_ground else "at all heights"
+    how = f"{counted(item.samples, 'position')} and headings drawn" if item.samples else "every position on the grid"
+    size = " × ".join(f"{edge:g}" for edge in item.size_m)
+    return f"{size} m, {where}, {how}; detected if in more than {counted(item.threshold, 'subspace')}"
+
+
+def objective_in_words(study: Study) -> str:
+    """What the search minimises."""
+    wanted = study.objective
+    if wanted.is_max_vsr:
+        return "max VSR, the largest volume-to-surface ratio of all subspaces"
+    terms = [] if wanted.max_vsr is None else [f"{wanted.max_vsr:g} × max VSR in metres"]
+    if wanted.inscribed_radius is not None:
+        terms.append(f"{wanted.inscribed_radius:g} × the radius of the largest sphere in a subspace, in metres")
+    terms += [f"{weight:g} × (1 − detection rate of {name})" for name, weight in wanted.detection.items()]
+    return "the weighted mean of " + ", ".join(terms)
+
+
+def constraints_in_words(study: Study) -> str:
+    """What every rig must satisfy."""
+    limits = study.constraints
+    terms = [] if limits.max_tilt_deg == 180 else [f"every sensor's tilt at most {limits.max_tilt_deg:g}°"]
+    terms += [] if not limits.min_distance_m else [f"sensors at least {limits.min_distance_m:g} m apart"]
+    return "; ".join(["the bounds below", *terms])
+
+
+def solver_in_words(study: Study) -> str:
+    """The method, its seed and its budget."""
+    solver = study.solver
+    budgets = [("cycles", solver.cycles), ("evaluations", solver.evaluations), ("seconds", solver.seconds)]
+    budget = " or ".join(f"{value:,} {name}" for name, value in budgets if value is not None)
+    bees = f", {solver.bees} bees" if solver.method == "abc" else ""
+    return f"{solver.method}{bees}, seed {solver.seed}, for {budget}"
+
+
+def bounds_table(study: Study) -> Table:
+    """The range of each coordinate of each sensor."""
+    rows = []
+    for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True):
+        if not math.isnan(mirror):
+            rows.append([slot.name, slot.sensor.name, f"image in y = {mirror:g} m", *["–"] * 5])
+            continue
+        angles = np.degrees([low[3:], high[3:]])
+        pairs = [*zip(low[:3], high[:3], strict=True), *zip(*angles, strict=True)]
+        rows.append([slot.name, slot.sensor.name, *(f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs)])
+    head = ("sensor", "model", *(f"{c} ({'m' if i < 3 else '°'})" for i, c in enumerate(COORDINATES)))
+    return Table("Bounds of each sensor; a single number is fixed", head, rows, texts=(1,))
+
+
+def mounts_table(rig: Rig) -> Table:
+    """The poses, and each axis's angle from the vertical."""
+    rows = []
+    for i, (mount, lidar) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
+        tilt = math.degrees(math.acos(min(max(float(lidar.axis[2]), -1.0), 1.0)))
+        angles = np.degrees(mount.rpy_rad)
+        low, high = min(mount.sensor.beams.elevation_deg), max(mount.sensor.beams.elevation_deg)
+        rows.append(
+            [
+                f"{i + 1} {mount.name}",
+                mount.sensor.name,
+                f"{mount.sensor.count}",
+                f"{low:g} … {high:g}",
+                *(f"{v:.3f}" for v in mount.position_m),
+                *(f"{v:.2f}" for v in angles),
+                f"{tilt:.2f}",
+            ]
+        )
+    head = ("sensor", "model", "beams", "elevation (°)", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)")
+    return Table(
+        "Poses in the vehicle frame: x forward, y left, z up. The tilt is the axis's angle from the vertical.",
+        (*head, "tilt (°)"),
+        rows,
+        texts=(1,),
+    )
