@@ -73,7 +73,7 @@ def chromium():
 
 
 def settled(driver):
-    """Wait until the page has drawn all of what it shows, and nothing is asked of the server any more."""
+    """Wait until the page has drawn everything and has no request open."""
     quiet = (
         "const v = window.lidarcfg; return Boolean(v && v.stage.settledAt === v.stage.frames && !v.stage.waiting "
         "&& !(v.evaluator && v.evaluator.busy))"
@@ -87,7 +87,7 @@ def settled(driver):
 
 
 def opened(driver, url):
-    asked_for(driver), complaints(driver)  # what was before is not this page's
+    asked_for(driver), complaints(driver)  # drop what was before this page
     driver.get(url)
     settled(driver)
     return driver
@@ -216,32 +216,47 @@ def test_the_gpu_draws_what_the_rasteriser_draws(chromium, scattered, tmp_path):
 
 
 @in_browser
-@pytest.mark.parametrize(
-    ("renderer", "gpu"),
-    [
-        ("ANGLE (NVIDIA, NVIDIA GeForce RTX 3060 (0x00002504) Direct3D11 vs_5_0 ps_5_0, D3D11)", True),
-        ("Apple M2", True),
-        ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", True),
-        ("llvmpipe (LLVM 15.0.6, 256 bits)", False),
-        ("ANGLE (Microsoft, Microsoft Basic Render Driver (0x0000008C) Direct3D11 vs_5_0 ps_5_0, D3D11)", False),
-        (None, False),  # this browser's own: SwiftShader
-    ],
-)
-def test_who_draws_follows_from_the_renderer(chromium, scattered, tmp_path, renderer, gpu):
+def test_a_gpu_draws_points(chromium, scattered, tmp_path):
+    """The browser's own renderer is SwiftShader; under a graphics card's name it draws as a card would."""
     save_html(scattered, tmp_path / "p.html")
     code = (
         "const own = WebGL2RenderingContext.prototype.getParameter;"
         "WebGL2RenderingContext.prototype.getParameter = function (name) {"
-        f"return name === 0x9246 ? {json.dumps(renderer)} : own.call(this, name) }};"
+        "return name === 0x9246 ? 'ANGLE (NVIDIA, NVIDIA GeForce RTX 3060, OpenGL 4.5)' : own.call(this, name) };"
     )
-    script = chromium.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": code if renderer else ""})
+    drawn = "return [lidarcfg.stage.hasGpu, Boolean(lidarcfg.cloud.object.isPoints)]"
+    opened(chromium, (tmp_path / "p.html").as_uri())
+    assert chromium.execute_script(drawn) == [False, False]
+    script = chromium.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": code})
     try:
         opened(chromium, (tmp_path / "p.html").as_uri())
     finally:
         chromium.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
-    assert chromium.execute_script("return lidarcfg.stage.hasGpu") == gpu
-    assert chromium.execute_script("return Boolean(lidarcfg.cloud.object.isPoints)") == gpu
+    assert chromium.execute_script(drawn) == [True, True]
     assert (abs(picture(chromium) - NIGHT).max(axis=-1) > 24).sum() > 2000
+
+
+@in_browser
+@pytest.mark.parametrize("unmasked", [True, False])
+def test_renderers_by_name(chromium, served, unmasked):
+    """As Chromium, Firefox and Safari call them, with or without the extension for it."""
+    opened(chromium, served)
+    code = (
+        "const [name, unmasked, done] = arguments; import('lidarcfg/stage').then(({ gpuDraws }) => done(gpuDraws({"
+        "RENDERER: 7937, getExtension: () => unmasked ? { UNMASKED_RENDERER_WEBGL: 0x9246 } : null,"
+        "getParameter: (asked) => asked === (unmasked ? 0x9246 : 7937) ? name : 'none' })))"
+    )
+    for name, gpu in (
+        ("ANGLE (Intel, Mesa Intel(R) UHD Graphics 620 (KBL GT2), OpenGL 4.6)", True),
+        ("Apple M2", True),
+        ("AMD Radeon RX 6700 XT (radeonsi, navi22, LLVM 15.0.7)", True),
+        ("ANGLE (Google, Vulkan 1.3.0 (SwiftShader Device (Subzero) (0x0000C0DE)), SwiftShader driver)", False),
+        ("ANGLE (Mesa, llvmpipe (LLVM 15.0.6, 256 bits), OpenGL 4.5)", False),
+        ("ANGLE (Microsoft, Microsoft Basic Render Driver (0x0000008C) Direct3D11 vs_5_0 ps_5_0, D3D11)", False),
+        ("softpipe", False),
+        ("Apple Software Renderer", False),
+    ):
+        assert chromium.execute_async_script(code, name, unmasked) is gpu, name
 
 
 @in_browser
@@ -305,7 +320,7 @@ def test_the_slider_shows_a_frame_and_play_goes_on(chromium, served, stage):
 
 
 @in_browser
-def test_a_handle_moves_the_rig_and_its_worth_follows(chromium, served, stage):
+def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, stage):
     from selenium.webdriver import ActionChains
 
     opened(chromium, served)
@@ -364,8 +379,8 @@ def test_poses_can_be_typed_and_the_rig_saved(chromium, served, stage):
 
 
 @in_browser
-def test_turning_a_handle_keeps_the_way_the_angles_are_said(chromium, served, stage):
-    """The page's angles make the same matrix as geometry.py's, also near where they could be said in two ways."""
+def test_rotating_by_a_handle_keeps_equivalent_angles(chromium, served, stage):
+    """The page's angles make the same matrix as geometry.py's, also where two sets of angles are the same orientation."""
     opened(chromium, served)
     code = (
         "const m = lidarcfg.handles.mounts[0]; const before = m.pose; m.pose = arguments[0]; "

@@ -32,7 +32,7 @@ function rendererOf(canvas) {
 }
 
 // Whether WebGL runs on a GPU; ?points=gpu and ?points=cpu in the page's address decide it regardless.
-function gpuDraws(gl) {
+export function gpuDraws(gl) {
   const asked = new URLSearchParams(window.location.search).get("points");
   if (asked === "gpu" || asked === "cpu") return asked === "gpu";
   const info = gl.getExtension("WEBGL_debug_renderer_info");
