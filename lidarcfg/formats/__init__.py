@@ -1,1 +1,1 @@
-"""Handing over: rigs, clouds and captures in the formats of other tools."""
+"""Conversion: rigs, clouds and captures in the formats of other tools."""

@@ -1,8 +1,8 @@
-"""Libraries that come with an extra of this package."""
+"""Libraries that are an extra of this package."""
 
 from lidarcfg.errors import HandoverError
 
 
 def missing(library: str) -> HandoverError:
-    """What to do where `library` is not installed."""
+    """The error for a `library` that is not installed."""
     return HandoverError(f"{library} is not installed; pip install 'lidarcfg[convert]'")

@@ -1,4 +1,4 @@
-"""What is made aside and takes its place only when whole: folders, and files that others write."""
+"""Folders, and files that libraries write, made aside and moved into place when whole."""
 
 import os
 import shutil
@@ -12,10 +12,10 @@ from lidarcfg.errors import HandoverError
 
 @contextmanager
 def beside(path: Path) -> Iterator[Path]:
-    """A new folder beside `path`, for a while. What the system refuses in there is said of `path`."""
+    """A temporary folder beside `path`. Errors of the system inside it are reported for `path`."""
     whole = path.resolve()
     aside = whole.parent / f".{whole.name}.{os.urandom(4).hex()}.part"
-    try:  # from before it is there: an interrupt comes at any time
+    try:  # from before it exists: an interrupt can come at any time
         aside.mkdir(0o700)
         yield aside
     except OSError as error:
@@ -28,9 +28,9 @@ def beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
-    """Where to make the folder that becomes `path`; nothing stays of it if anything goes wrong.
+    """Where to make the folder that becomes `path`; nothing of it remains if anything goes wrong.
 
-    A folder that is there is replaced if all that it holds has names like `contents`, else HandoverError is raised.
+    An existing folder is replaced if all its files have names like `contents`; otherwise HandoverError is raised.
     """
     whole = path.resolve()
     if whole.exists() and not whole.is_dir():
@@ -45,7 +45,7 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
             if whole.exists():
                 whole.rename(old)
             new.rename(whole)
-        except BaseException:  # an interrupt as well: what was there stays
+        except BaseException:  # an interrupt too: the old folder stays
             if old.exists() and not whole.exists():
                 old.rename(whole)
             raise

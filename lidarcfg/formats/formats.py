@@ -1,4 +1,4 @@
-"""Which formats there are, what becomes what, and the conversion itself."""
+"""The formats, what converts to what, and the conversion."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,19 +22,19 @@ INPUTS: dict[Kind, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Format:
-    """What one kind of input can become."""
+    """A format that one kind of input converts to."""
 
     name: str  # as --to has it
     kind: Kind  # of the input
     suffix: str  # of the output; none: a folder
-    lacks: str = ""  # what the input says and this cannot
+    lacks: str = ""  # what the input has and this format cannot hold
 
 
 POSES_ALONE = "beams, network, speed or return mode"
 FORMATS = (
     Format("urdf", "rig", ".urdf", POSES_ALONE),
     Format("launch", "rig", ".py", POSES_ALONE),
-    Format("carla", "rig", ".json", "order of firing, network or return mode"),
+    Format("carla", "rig", ".json", "firing order, network or return mode"),
     Format("nuscenes", "rig", "", POSES_ALONE),
     Format("ply", "cloud", ".ply"),
     Format("pcd", "cloud", ".pcd"),
@@ -49,7 +49,7 @@ FORMATS = (
 
 
 def chosen(source: Path, output: Path, name: str | None) -> Format:
-    """The format called `name`, else the first that OUTPUT's suffix means. Raises HandoverError."""
+    """The format called `name`, or the first with OUTPUT's suffix. Raises HandoverError."""
     kind = _kind(source)
     formats = [form for form in FORMATS if form.kind == kind]
     if name:
@@ -58,14 +58,14 @@ def chosen(source: Path, output: Path, name: str | None) -> Format:
                 if form.suffix and output.suffix.lower() != form.suffix:
                     raise HandoverError(f"{output}: does not end in {form.suffix}, as {name} does")
                 return form
-        raise HandoverError(f"a {kind} cannot become {name}; allowed: {', '.join(form.name for form in formats)}")
+        raise HandoverError(f"a {kind} does not convert to {name}; allowed: {', '.join(form.name for form in formats)}")
     for form in formats:
         if form.suffix == output.suffix.lower():
             return form
     allowed = ", ".join(form.suffix for form in formats if form.suffix)
     folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
-    hint = "; decode makes a cloud of it" if kind == "capture" else ""
-    what = f"a {kind} cannot become {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
+    hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
+    what = f"a {kind} does not convert to {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
     raise HandoverError(what)
 
 
@@ -74,16 +74,16 @@ def _kind(source: Path) -> Kind:
         if source.suffix.lower() in suffixes:
             return kind
     allowed = "; ".join(f"{kind}: {' '.join(suffixes)}" for kind, suffixes in INPUTS.items())
-    raise HandoverError(f"{source}: is of no known kind; {allowed}")
+    raise HandoverError(f"{source}: not a rig, a cloud or a capture by its suffix; {allowed}")
 
 
 def convert(
     source: Path, output: Path, form: Format, rig: Path | None, model: str | None, on_warning: OnWarning
 ) -> str:
-    """Write what `source` says as `output` in the format, whole or not at all, and return what there is in it.
+    """Write `source` as `output` in the format, whole or not at all, and return what it holds.
 
-    `rig` and `model` are for captures: where the sensors are, and what they are whatever their packets say.
-    `on_warning` is told what the format cannot hold. Raises LidarcfgError.
+    `rig` and `model` are for captures: the sensors' poses, and their model whatever their packets say. `on_warning` is
+    told what the format cannot hold. Raises LidarcfgError.
     """
     if form.lacks:
         on_warning(f"{output}: {form.name} has no {form.lacks}")

@@ -1,4 +1,4 @@
-"""Frames as other tools write them: names that ROS allows, and quaternions."""
+"""Frames of other tools: names that ROS allows, and quaternions."""
 
 import re
 from collections.abc import Callable
@@ -11,13 +11,13 @@ BASE_LINK = "base_link"  # ROS REP-105's name for the vehicle frame
 
 
 def ros_name(name: str) -> str:
-    """The name as a ROS 2 topic or frame may have it: letters, digits and _, no digit first."""
+    """The name with what ROS 2 allows in topics and frames: letters, digits and _, a letter first."""
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return plain if plain[0].isalpha() else f"lidar_{plain}"
 
 
 def ros_names(rig: Rig, on_warning: Callable[[str], None]) -> dict[str, str]:
-    """The ROS names of the rig's sensors. Raises HandoverError where two would be one."""
+    """The ROS names of the rig's sensors. Raises HandoverError if two are the same."""
     taken = {BASE_LINK: "the vehicle"}
     names = {}
     for mount in rig.mounts:

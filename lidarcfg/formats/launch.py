@@ -1,4 +1,4 @@
-"""A ROS 2 launch file that publishes where the sensors are, as static transforms."""
+"""A ROS 2 launch file that publishes the sensors' poses as static transforms."""
 
 from collections.abc import Callable
 
@@ -6,12 +6,12 @@ from lidarcfg.formats.frames import BASE_LINK, quaternion_xyzw, ros_names
 from lidarcfg.rig import Rig
 
 FILE = '''\
-"""Where the sensors of a rig are: x forward, y left, z up; metres; quaternions x y z w."""
+"""Poses of a rig's sensors: x forward, y left, z up; metres; quaternions x y z w."""
 
 from launch import LaunchDescription
 from launch_ros.actions import Node
 
-# The rig is called {rig}.
+# Rig: {rig}
 
 
 def generate_launch_description():
@@ -36,7 +36,7 @@ def static_transform(name, x, y, z, qx, qy, qz, qw):
 
 
 def launch(rig: Rig, on_warning: Callable[[str], None]) -> str:
-    """The launch file: one static_transform_publisher a sensor, from base_link to it."""
+    """The launch file: one static_transform_publisher per sensor, from base_link to it."""
     names = ros_names(rig, on_warning)
     transforms = ""
     for mount in rig.mounts:

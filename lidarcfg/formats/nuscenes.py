@@ -6,7 +6,7 @@ import uuid
 from lidarcfg.formats.frames import quaternion_xyzw
 from lidarcfg.rig import Rig
 
-TOKENS = uuid.UUID("4d0e4bd4-9c4e-5b7c-8a55-0d6c2f9b7a11")  # of our own; the same rig gives the same tokens
+TOKENS = uuid.UUID("4d0e4bd4-9c4e-5b7c-8a55-0d6c2f9b7a11")  # ours; the same rig gives the same tokens
 
 
 def nuscenes(rig: Rig) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""URDF: a link for the vehicle, and one with a fixed joint for each sensor."""
+"""URDF: a link for the vehicle, and one with a fixed joint per sensor."""
 
 import re
 from collections.abc import Callable
@@ -7,12 +7,12 @@ from xml.etree import ElementTree
 from lidarcfg.formats.frames import BASE_LINK, ros_names
 from lidarcfg.rig import Rig
 
-CYLINDER = {"radius": "0.052", "length": "0.072"}  # a VLP-16's, by its manual; other models are drawn as large
+CYLINDER = {"radius": "0.052", "length": "0.072"}  # a VLP-16's, by its manual; other models are drawn at the same size
 NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
 
 
 def urdf(rig: Rig, on_warning: Callable[[str], None]) -> str:
-    """The rig as URDF. Its rpy turn about the fixed axes x, y, z in this order, which is our Rz Ry Rx."""
+    """The rig as URDF. Its rpy are rotations about the fixed axes x, y, z in this order, our Rz Ry Rx."""
     robot = ElementTree.Element("robot", name=NOT_XML.sub("_", rig.name))
     ElementTree.SubElement(robot, "link", name=BASE_LINK)
     names = ros_names(rig, on_warning)
