@@ -7,7 +7,8 @@ numbers. Errors: unknown or repeated keys, wrong types, NaN, infinities, and tag
 import difflib
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
@@ -213,6 +214,32 @@ def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
         return ConfigError(f"{path}: {what}")
 
 
+@dataclass(frozen=True)
+class Section:
+    """A part of a file whose owner checks it when it is needed: its values, and where they stand."""
+
+    values: Mapping[str, Any]
+    path: str = field(default="", compare=False)  # of the file; empty: made in Python
+    at: Key = field(default=(), compare=False)
+
+    def checked(self, model: type[M]) -> M:
+        """The values as a `model`. Raises ConfigError with file, line, column and key."""
+        try:
+            return model.model_validate(dict(self.values))
+        except ValidationError as error:
+            raise _first_error(self._document(), error, model, self.at) from None
+
+    def error(self, key: Key, what: object) -> ConfigError:
+        """The error `what` at a key of the section."""
+        return self._document().error((*self.at, *key), str(what))
+
+    def _document(self) -> "_Document":
+        try:
+            return _Document(_read(self.path), self.path)
+        except ConfigError:  # made in Python, or gone since
+            return _Document("{}", self.path or "in Python")
+
+
 def _read(path: str | Path) -> str:
     try:
         return Path(path).read_bytes().decode("utf-8-sig")
@@ -235,8 +262,8 @@ def loads(text: str, model: type[M], name: str, own: bool = False) -> M:
         raise ConfigError(f"{name}:1:1: {error}") from None
 
 
-def _first_error(document: _Document, error: ValidationError, model: type[Model]) -> ConfigError:
-    """The first error in the file, with a count of the others."""
+def _first_error(document: _Document, error: ValidationError, model: type[Model], above: Key = ()) -> ConfigError:
+    """The first error in the file, with a count of the others; `above` is where the model stands in it."""
     errors = error.errors(include_url=False)
     keys = [_key(item) for item in errors]
     # pydantic also calls a list too short if one of its items is wrong: report the item only
@@ -245,9 +272,9 @@ def _first_error(document: _Document, error: ValidationError, model: type[Model]
         for item, key in zip(errors, keys, strict=True)
         if item["type"] != "too_short" or not any(len(k) > len(key) and k[: len(key)] == key for k in keys)
     ]
-    items.sort(key=lambda item: (item["type"] == "missing", document.place(_key(item))))
+    items.sort(key=lambda item: (item["type"] == "missing", document.place((*above, *_key(item)))))
     more = f" (and {len(items) - 1} more)" if len(items) > 1 else ""
-    return document.error(_key(items[0]), _message(items[0], model) + more)
+    return document.error((*above, *_key(items[0])), _message(items[0], model) + more)
 
 
 def _key(item: Any) -> Key:
@@ -259,7 +286,7 @@ def _message(item: Any, model: type[Model]) -> str:
     if kind == "fault":
         return str(context["what"])
     if kind == "extra_forbidden":
-        return _unknown_key(str(item["loc"][-1]), _model_at(model, item["loc"][:-1]))
+        return unknown_key(str(item["loc"][-1]), _model_at(model, item["loc"][:-1]))
     if kind in ("too_short", "too_long"):
         least, most = context.get("min_length"), context.get("max_length")
         allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
@@ -277,7 +304,8 @@ def _shown(value: Any) -> str:
     return format(value, ".15g") if isinstance(value, float) else repr(value)[:60]
 
 
-def _unknown_key(name: str, model: type[Model]) -> str:
+def unknown_key(name: str, model: type[Model]) -> str:
+    """What is said of a key that the model does not have."""
     if name in model.renamed:
         return f"renamed; it is now {model.renamed[name]}"
     allowed = list(model.model_fields)

@@ -3,14 +3,14 @@
 import ipaddress
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import yaml
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
-from lidarcfg.config import Angles, Model, Position, Positive, Vec3, error_at, fault, load
+from lidarcfg.config import Angles, Model, Position, Positive, Section, Vec3, error_at, fault, load, unknown_key
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
@@ -21,17 +21,17 @@ Azimuth = Annotated[float, Field(ge=0, le=360)]
 Port = Annotated[int, Field(ge=1, le=65535)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest", "last", "dual"]
-PpsState = Literal["absent", "synchronising", "locked", "error"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
 DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0
 RETURN_MODE: ReturnMode = "strongest"
-PPS: PpsState = "locked"
 
 
 class MountFile(Model):
-    """One sensor of a rig, as its file says it."""
+    """One sensor of a rig, as its file says it. A key called as the sensor's codec holds that codec's settings."""
 
+    model_config = ConfigDict(extra="allow")
+    renamed: ClassVar[dict[str, str]] = {"sector_deg": "azimuth_fov_deg", "pps": "velodyne: {pps: ...}"}
     name: MountName
     model: str | None = None
     elevation_deg: Elevations | None = None
@@ -43,18 +43,26 @@ class MountFile(Model):
     telemetry_port: Port = TELEMETRY_PORT
     rpm: Positive = RPM
     return_mode: ReturnMode = RETURN_MODE
-    sector_deg: tuple[Azimuth, Azimuth] | None = None
+    azimuth_fov_deg: tuple[Azimuth, Azimuth] | None = None
     phase_deg: Azimuth | None = None
-    pps: PpsState = PPS
     realism: Realism | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            for key, value in data.items():
+                if key not in cls.model_fields and (key in cls.renamed or not isinstance(value, dict)):
+                    raise fault(unknown_key(str(key), cls), str(key))
+        return data
 
     @model_validator(mode="after")
     def _check(self) -> "MountFile":
         one_of(self, "model", "elevation_deg")
-        if self.sector_deg is not None and self.sector_deg[0] == self.sector_deg[1]:
-            raise fault(f"{self.sector_deg[0]:g} to {self.sector_deg[1]:g} is empty", "sector_deg")
+        if self.azimuth_fov_deg is not None and self.azimuth_fov_deg[0] == self.azimuth_fov_deg[1]:
+            raise fault(f"{self.azimuth_fov_deg[0]:g} to {self.azimuth_fov_deg[1]:g} is empty", "azimuth_fov_deg")
         if self.phase_deg is not None and self.rpm % 60:
-            raise fault(f"needs whole turns a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg")
+            raise fault(f"needs whole revolutions a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg")
         if self.rpy_rad is not None and self.rpy_deg is not None:
             raise fault("stands beside rpy_rad; give one of them", "rpy_deg")
         if self.host is not None:
@@ -111,9 +119,11 @@ class Mount:
     telemetry_port: int
     rpm: float
     return_mode: ReturnMode
-    sector_deg: tuple[float, float] | None = None  # from, to, clockwise: outside it nothing is fired; None: all around
+    azimuth_fov_deg: tuple[float, float] | None = (
+        None  # from, to, clockwise: nothing is fired outside; None: all around
+    )
     phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
-    pps: PpsState = PPS  # what its position packets say of the GPS receiver's pulse
+    settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads
     realism: Realism | None = None  # None: exact
 
     @property
@@ -162,6 +172,10 @@ def load_rig(path: str | Path) -> Rig:
             allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
             what = f"{mount.rpm:g} is outside {sensor.name}'s {allowed}"
             raise error_at(path, ("sensors", i, "rpm"), what)
+        sections = mount.model_extra or {}
+        for key in sections:
+            if key != sensor.codec:
+                raise error_at(path, ("sensors", i, key), unknown_key(key, MountFile))
         for other in mounts:
             if (host, mount.data_port) == (other.host, other.data_port):
                 what = f"{host}:{mount.data_port} is {other.name!r}'s; give each sensor its own"
@@ -178,9 +192,9 @@ def load_rig(path: str | Path) -> Rig:
                 telemetry_port=mount.telemetry_port,
                 rpm=mount.rpm,
                 return_mode=mount.return_mode,
-                sector_deg=mount.sector_deg,
+                azimuth_fov_deg=mount.azimuth_fov_deg,
                 phase_deg=mount.phase_deg,
-                pps=mount.pps,
+                settings=Section(sections.get(sensor.codec or "", {}), str(path), ("sensors", i, sensor.codec or "")),
                 realism=mount.realism,
             )
         )
@@ -209,9 +223,9 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 "telemetry_port": mount.telemetry_port,
                 "rpm": mount.rpm,
                 "return_mode": mount.return_mode,
-                **({"sector_deg": list(mount.sector_deg)} if mount.sector_deg else {}),
+                **({"azimuth_fov_deg": list(mount.azimuth_fov_deg)} if mount.azimuth_fov_deg else {}),
                 **({"phase_deg": mount.phase_deg} if mount.phase_deg is not None else {}),
-                **({"pps": mount.pps} if mount.pps != PPS else {}),
+                **({str(mount.sensor.codec): dict(mount.settings.values)} if mount.settings.values else {}),
                 **({"realism": mount.realism.model_dump(exclude_none=True)} if mount.realism else {}),
             }
         )

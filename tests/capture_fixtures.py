@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarcfg.capture.pcap import Datagram, Sender, read_datagrams, write_pcap
+from lidarcfg.capture.frames import frames as frames_of
+from lidarcfg.capture.pcap import Datagram, read_datagrams, write_pcap
+from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.velodyne.layout import POSITION
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import Sensor, load_sensor
 from lidarcfg.world.scene import Scene, load_scene
+from tests.packets.velodyne.shaped import facts, with_facts
 
 STREET = Path(__file__).parents[1] / "data" / "scenes" / "street.yaml"
 AT_NS = 1_700_000_000_123_456_789
@@ -44,6 +47,8 @@ def hdl_64e(name: str) -> Sensor:
     beams = {
         "elevation_deg": tuple((np.array(sensor.beams.elevation_deg) - 0.5).round(2).tolist()),
         "vertical_offset_mm": table(-300, 300),
+    }
+    calibration = {
         "distance_offset_mm": tuple(far.tolist()),
         "near_x_offset_mm": tuple((far + table(-60, 61)).tolist()),
         "near_y_offset_mm": tuple((far + table(-60, 61)).tolist()),
@@ -52,7 +57,8 @@ def hdl_64e(name: str) -> Sensor:
         "intensity_min": tuple(rng.integers(0, 60, 64).tolist()),
         "intensity_max": tuple(rng.integers(150, 256, 64).tolist()),
     }
-    return sensor.model_copy(update={"beams": sensor.beams.model_copy(update=beams)})
+    sensor = sensor.model_copy(update={"beams": sensor.beams.model_copy(update=beams)})
+    return with_facts(sensor, calibration=calibration)
 
 
 def tilted_rig() -> Rig:
@@ -87,14 +93,13 @@ def recording(name: str) -> Path:
 
 def frames(datagrams):
     """Datagrams as a VLP-16 frames them, one by one; position packets are numbered, those of each sender alone."""
-    headers, numbers = load_sensor("vlp-16").headers, {}
+    headers, numbers = facts(load_sensor("vlp-16")).headers, {}
     for datagram in datagrams:
         header = headers.position if len(datagram.payload) == POSITION.itemsize else headers.data
         number = numbers[datagram.host] = numbers.get(datagram.host, -1) + header.numbered
         payload = np.frombuffer(datagram.payload, np.uint8)[None]
-        yield Sender(headers, header, datagram.host, datagram.port).frames(
-            np.array([datagram.time_ns]), payload, number
-        )
+        payloads = Payloads(np.array([datagram.time_ns]), payload, datagram.port, headers, header, number)
+        yield frames_of(datagram.host, payloads)
 
 
 def write_datagrams(path, datagrams) -> int:

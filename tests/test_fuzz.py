@@ -12,7 +12,7 @@ import pytest
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram
-from lidarcfg.capture.stream import Source
+from lidarcfg.capture.stream import Stream
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.velodyne.layout import PACKET
 from tests.capture_fixtures import AT_NS, no_warning, write_datagrams
@@ -48,6 +48,6 @@ def test_a_refused_capture_leaves_no_packets_behind(tmp_path):
             pytest.fail(f"decoded: {list(clouds)}")
         except PacketError:
             del clouds
-        assert [thing for thing in gc.get_objects() if isinstance(thing, Source)] == []
+        assert [thing for thing in gc.get_objects() if isinstance(thing, Stream)] == []
     finally:
         gc.enable()

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from lidarcfg.config import load
 from lidarcfg.errors import ConfigError
+from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
 
 
@@ -27,12 +27,11 @@ def test_vlp_16_as_its_manual_has_it():
     # table 9-1: laser 2i at -15 + 2i degrees, laser 2i + 1 at 1 + 2i
     assert sensor.beams.elevation_deg == tuple(-15 + i if i % 2 == 0 else i for i in range(16))
     assert sensor.ring.tolist() == [0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15]
-    assert sensor.firing is not None
-    assert sensor.firing.offset_ns == tuple(2304 * laser for laser in range(16))
-    assert sensor.firing.sequence_ns == 16 * 2304 + 18432
-    assert sensor.packet is not None
-    assert sensor.packet.product_id == 0x22
-    modes = sensor.packet.return_modes
+    facts = unit(sensor).facts
+    assert facts.firing.offset_ns == tuple(2304 * laser for laser in range(16))
+    assert facts.firing.sequence_ns == 16 * 2304 + 18432
+    assert facts.packet.product_id == 0x22
+    modes = facts.packet.return_modes
     assert (modes.strongest, modes.last, modes.dual) == (0x37, 0x38, 0x39)
 
 
@@ -67,22 +66,23 @@ def of_beams(count: int, flags: int, sequences: int) -> dict[str, object]:
     """A VLP-16 with other beams in other blocks, as its file would say it."""
     facts = load_sensor("vlp-16").model_dump()
     facts["beams"] = {"elevation_deg": tuple(i * 0.25 - 60 for i in range(count))}
-    facts["firing"] |= {"offset_ns": (0,) * count}
-    facts["packet"] |= {"block_flags": (0xEEFF,) * flags, "sequences_per_block": sequences}
+    section = dict(facts["velodyne"])
+    section["firing"] = section["firing"] | {"offset_ns": (0,) * count}
+    section["packet"] = section["packet"] | {"block_flags": (0xEEFF,) * flags, "sequences_per_block": sequences}
+    facts["velodyne"] = section
     return facts
 
 
 @pytest.mark.parametrize(("beams", "flags", "sequences"), [(80, 5, 2), (224, 7, 1), (384, 12, 1), (192, 12, 2)])
 def test_a_packet_holds_whole_firing_sequences(beams, flags, sequences):
-    with pytest.raises(
-        ValidationError, match=f"has {flags} values; allowed: 1, 2, 3, 4, 6, which divide a packet's 12"
-    ):
-        Sensor.model_validate(of_beams(beams, flags, sequences))
+    with pytest.raises(ConfigError, match=f"has {flags} values; allowed: 1, 2, 3, 4, 6, which divide a packet's 12"):
+        unit(Sensor.model_validate(of_beams(beams, flags, sequences)))
 
 
 @pytest.mark.parametrize("flags", [1, 2, 3, 4, 6])
 def test_what_has_packets_has_rings_of_a_byte(flags):
     sensor = Sensor.model_validate(of_beams(32 * flags, flags, 1))
+    assert unit(sensor).count == 32 * flags
     assert sensor.ring.tolist() == list(range(32 * flags))
     assert sensor.ring.max() <= 255
 
@@ -95,19 +95,23 @@ def test_rings_of_a_placement_sensor_do_not_wrap():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("sequence_ns: 55296", "sequence_ns: 34560", "firing.offset_ns: a firing lies beyond the sequence's"),
-        ("[0, 2304, ", "[0, ", "firing.offset_ns: has 15 values; allowed: 16, one a beam"),
+        ("sequence_ns: 55296", "sequence_ns: 34560", "velodyne.firing.offset_ns: a firing lies beyond the sequence's"),
+        ("[0, 2304, ", "[0, ", "velodyne.firing.offset_ns: has 15 values; allowed: 16, one a beam"),
         ("azimuth_offset_deg: [0, ", "azimuth_offset_deg: [", "beams.azimuth_offset_deg: has 15 values"),
         (
             "sequences_per_block: 2",
             "sequences_per_block: 1",
-            "packet.sequences_per_block: 16 beams × 1 do not fill",
+            "velodyne.packet.sequences_per_block: 16 beams × 1 do not fill",
         ),
         ("rpm_min: 300", "rpm_min: 1201", "rotation.rpm_min: 1201 is above rpm_max, 1200"),
-        ("rate_hz: 147", "rate_hz: 10001", "position_packet.rate_hz: 10001 is too large; allowed: at most 10000"),
-        ("rate_hz: 147", "rate_hz: 0", "position_packet.rate_hz: 0 is too small; allowed: above 0"),
+        (
+            "rate_hz: 147",
+            "rate_hz: 10001",
+            "velodyne.position_packet.rate_hz: 10001 is too large; allowed: at most 10000",
+        ),
+        ("rate_hz: 147", "rate_hz: 0", "velodyne.position_packet.rate_hz: 0 is too small; allowed: above 0"),
         ("min_m: 0.5", "min_m: 100", "range.min_m: 100.0 is not below max_m"),
-        ("product_id: 0x22", "product_id: 256", "packet.product_id: 256 is too large; allowed: at most 255"),
+        ("product_id: 0x22", "product_id: 256", "velodyne.packet.product_id: 256 is too large; allowed: at most 255"),
     ],
 )
 def test_facts_that_contradict_each_other(tmp_path, old, new, message):
@@ -115,5 +119,6 @@ def test_facts_that_contradict_each_other(tmp_path, old, new, message):
     path = tmp_path / "s.yaml"
     path.write_text(VLP.replace(old, new))
     with pytest.raises(ConfigError) as caught:
-        load_sensor(path)
+        unit(load_sensor(path))
+    assert str(caught.value).startswith(f"{path}:")
     assert message in str(caught.value)

@@ -20,8 +20,7 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
-from lidarcfg.packets.firing import firings, packet_period_ns, rays
-from lidarcfg.packets.velodyne.layout import PACKET, decode
+from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.placement import optimize as optimize_module
 from lidarcfg.placement import region as region_module
 from lidarcfg.placement import rows
@@ -41,6 +40,7 @@ from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
 from tests import oracle
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene
+from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays
 from tests.placement.solvers.test_solvers import SOLVERS
 from tests.placement.test_rows import check
 from tests.world.test_scene import PLY

@@ -14,6 +14,7 @@ from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array, directions, inverse, pose, transform
+from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.simulate.export import START_NS, export, in_time_order
@@ -66,10 +67,10 @@ def measure(rig: Rig, near: Scene, scene: Scene, east_north_m: tuple[float, floa
     """A rig of one VLP-16 in `scene`, which is `near` moved to (east, north)."""
     (mount,) = rig.mounts
     sensor = mount.sensor
-    assert sensor.firing
+    facts = unit(sensor).firing
     cloud, _, _ = capture(rig, scene, pose((*east_north_m, 0.0), (0.0, 0.0, 0.0)), duration_ns)
-    packets = duration_ns // (SEQUENCES * sensor.firing.sequence_ns)
-    fired_ns = np.arange(packets * SEQUENCES)[:, None] * sensor.firing.sequence_ns + np.array(sensor.firing.offset_ns)
+    packets = duration_ns // (SEQUENCES * facts.sequence_ns)
+    fired_ns = np.arange(packets * SEQUENCES)[:, None] * facts.sequence_ns + np.array(facts.offset_ns)
     azimuth = (fired_ns * mount.rpm / 60e9 % 1.0) * 2 * np.pi
     rays = directions(azimuth, sensor.elevation_rad).reshape(-1, 3)
     starts = np.tile(np.column_stack([np.zeros((LASERS, 2)), sensor.vertical_offset_m]), (len(fired_ns), 1))
@@ -77,8 +78,8 @@ def measure(rig: Rig, near: Scene, scene: Scene, east_north_m: tuple[float, floa
     ranges, is_round = exact_ranges(near, transform(T, starts), rays @ T[:3, :3].T)
 
     laser = np.argsort(sensor.ring)[cloud.ring]
-    into_ns = cloud.time_ns - START_NS - np.array(sensor.firing.offset_ns)[laser]
-    firing = np.rint(into_ns / sensor.firing.sequence_ns).astype(np.int64) * LASERS + laser
+    into_ns = cloud.time_ns - START_NS - np.array(facts.offset_ns)[laser]
+    firing = np.rint(into_ns / facts.sequence_ns).astype(np.int64) * LASERS + laser
     xyz = transform(inverse(T), cloud.xyz)
     beam = xyz - starts[firing]
     range_m = np.linalg.norm(beam, axis=1)

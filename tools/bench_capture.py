@@ -22,10 +22,10 @@ import numpy as np
 import open3d as o3d
 
 import lidarcfg
-from lidarcfg.capture.pcap import Sender, write_pcap
-from lidarcfg.geometry import pose, transform
-from lidarcfg.packets.firing import firing_chunks, firings, packet_period_ns, packet_stamps_ns, rays
-from lidarcfg.packets.velodyne.layout import encode
+from lidarcfg.capture.frames import frames
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.geometry import directions, pose, transform
+from lidarcfg.packets.codec import codec
 from lidarcfg.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.export import CHUNK_RAYS, START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
@@ -79,9 +79,15 @@ def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], 
     caster.add_triangles(tensor(scene.vertices_m.astype(np.float32)), tensor(scene.triangles.astype(np.uint32)))
     chunks = []
     for mount in rig.mounts:
-        packets = duration_ns // packet_period_ns(mount.sensor)
-        for fired in firing_chunks(mount.sensor, mount.rpm, START_NS, packets, CHUNK_RAYS // 384):
-            origins, axes = (values.reshape(-1, 3) for values in rays(mount.sensor, fired))
+        maker = codec(mount.sensor)
+        pace = maker.pace(mount)
+        packets, chunk = duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings
+        for batch in maker.schedule(mount, START_NS, packets, chunk):
+            fired, sensor = batch.firings, mount.sensor
+            azimuth_rad = fired.encoder_rad + sensor.azimuth_offset_rad[fired.laser]
+            axes = directions(azimuth_rad, sensor.elevation_rad[fired.laser])
+            origins = np.zeros_like(axes)
+            origins[:, 2] = sensor.vertical_offset_m[fired.laser]
             T = mount.T_vehicle_sensor
             both = np.concatenate([transform(T, origins), axes @ T[:3, :3].T], axis=1)
             chunks.append(tensor(both.astype(np.float32)))
@@ -95,16 +101,13 @@ def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], 
 
 def encoding(mount: Mount, packets: int, path: Path) -> tuple[Callable[[], None], int]:
     """What encodes and writes so many packets, all of whose returns are there; and how many returns."""
-    fired = firings(mount.sensor, mount.rpm, START_NS, range(packets))
-    range_m = np.random.default_rng(1).uniform(1, 99, fired.time_ns.shape)
+    maker = codec(mount.sensor)
+    (batch,) = maker.schedule(mount, START_NS, packets, packets)
+    range_m = np.random.default_rng(1).uniform(1, 99, (len(batch.firings.time_ns), 1))
     reflectivity = np.full(range_m.shape, 9, np.uint8)
-    assert mount.sensor.headers
-    sender = Sender(mount.sensor.headers, mount.sensor.headers.data, mount.host, mount.data_port)
 
     def write() -> None:
-        encoded = encode(mount.sensor, mount.return_mode, fired, range_m, reflectivity)
-        payloads = encoded.view(np.uint8).reshape(packets, -1)
-        write_pcap(path, [sender.frames(packet_stamps_ns(mount.sensor, fired)[1], payloads)])
+        write_pcap(path, [frames(mount.host, maker.encode(mount, batch, range_m, reflectivity))])
 
     return write, int(range_m.size)
 

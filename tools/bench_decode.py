@@ -24,9 +24,12 @@ import velodyne_decoder as vd
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.pcap import ETHERNET_HEADER, FILE_HEADER, IP, RECORD, UDP
-from lidarcfg.packets.firing import firings, packet_period_ns, packet_stamps_ns
-from lidarcfg.packets.velodyne.layout import PACKET, encode
+from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
+from lidarcfg.capture.pcap import FILE_HEADER
+from lidarcfg.packets.velodyne.encode import encode
+from lidarcfg.packets.velodyne.facts import unit
+from lidarcfg.packets.velodyne.layout import PACKET
+from lidarcfg.packets.velodyne.schedule import firings, stamps_ns
 from lidarcfg.sensor import load_sensor
 
 RUNS, PACKETS = 7, 40_000
@@ -43,14 +46,15 @@ FRAME = np.dtype([("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP),
 
 def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> None:
     """A capture of sensors that send together; every thousand packets their ranges are the same again."""
-    sensor, dual = load_sensor(model), mode == "dual"
+    sensor, dual = unit(load_sensor(model)), mode == "dual"
     rng = np.random.default_rng(1)
     fired = firings(sensor, 600.0, START_NS, range(1000), dual)
-    shape = (*fired.time_ns.shape, 2) if dual else fired.time_ns.shape
+    shape = len(fired.time_ns), 1 + dual
+    per_packet = len(fired.time_ns) // 1000
     range_m = np.where(rng.random(shape) < 0.1, np.inf, rng.uniform(2, 100, shape))
     reflectivity = rng.integers(1, 256, shape, np.uint8)
     if dual:  # half of the firings had one return
-        one = rng.random(fired.time_ns.shape) < 0.5
+        one = rng.random(len(fired.time_ns)) < 0.5
         range_m[one, 0], reflectivity[one, 0] = range_m[one, 1], reflectivity[one, 1]
     frames = np.zeros((1000, sensors), FRAME)
     frames["record"]["captured"] = frames["record"]["length"] = FRAME.itemsize - RECORD.itemsize
@@ -65,8 +69,9 @@ def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> 
         for first in range(0, packets, 1000):
             count = min(packets - first, 1000)
             fired = firings(sensor, 600.0, START_NS, range(first, first + count), dual)
-            frames["packet"][:count] = encode(sensor, mode, fired, range_m[:count], reflectivity[:count])[:, None]
-            us = packet_stamps_ns(sensor, fired)[1][:, None] // 1000 + np.arange(sensors)
+            some = slice(count * per_packet)
+            frames["packet"][:count] = encode(sensor, mode, fired, range_m[some], reflectivity[some])[:, None]
+            us = stamps_ns(sensor, fired, dual)[1][:, None] // 1000 + np.arange(sensors)
             frames["record"]["seconds"][:count], frames["record"]["microseconds"][:count] = np.divmod(us, 10**6)
             file.write(frames[:count].tobytes())
 
@@ -129,7 +134,7 @@ print(loaded_s, time.perf_counter() - began, count, peak_mb)
 def long(folder: Path, seconds: float) -> None:
     """The table of a long capture of four VLP-16: each row in a process of its own."""
     path = folder / "long.pcap"
-    write(path, "vlp-16", "strongest", int(seconds * 1e9) // packet_period_ns(load_sensor("vlp-16")), sensors=4)
+    write(path, "vlp-16", "strongest", int(seconds * 1e9) // unit(load_sensor("vlp-16")).period_ns(), sensors=4)
     print(
         f"\n| four VLP-16, {seconds:g} s, {path.stat().st_size / 1e9:.1f} GB | s | of them to load | points | peak MB |"
     )

@@ -50,10 +50,13 @@ with (
     else contextlib.nullcontext()
 ):
     from lidarcfg.capture import decode as decoder
-    from lidarcfg.capture.pcap import ETHERNET_HEADER, IP, PCAP_MAGIC, RECORD, UDP, read_batches
+    from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
+    from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
-    from lidarcfg.packets.firing import firings
-    from lidarcfg.packets.velodyne.layout import PACKET, encode
+    from lidarcfg.packets.velodyne.encode import encode
+    from lidarcfg.packets.velodyne.facts import unit
+    from lidarcfg.packets.velodyne.layout import PACKET, packets_of
+    from lidarcfg.packets.velodyne.schedule import firings
 from lidarcfg.cloud import concatenate  # noqa: E402
 from lidarcfg.errors import LidarcfgError  # noqa: E402
 from lidarcfg.rig import Mount, Rig  # noqa: E402
@@ -118,13 +121,13 @@ def seed_packets(number: int) -> NDArray[Any]:
     recorded = sorted(Path(os.environ.get("LIDARCFG_CAPTURES", "/none")).glob("*.pcap"))
     for path in recorded[number - SYNTHETIC :][:1] if number >= SYNTHETIC else []:
         batches = [batch[batch.size == PACKET.itemsize] for batch in read_batches(path, lambda warning: None)]
-        packets = np.concatenate([batch.payloads(PACKET) for batch in batches])
+        packets = packets_of(np.concatenate([batch.payloads(PACKET.itemsize) for batch in batches]))
         if len(packets):
             return packets[:400]
-    sensor, mode = load_sensor(MODELS[number % len(MODELS)]), MODES[number % len(MODES)]
+    sensor, mode = unit(load_sensor(MODELS[number % len(MODELS)])), MODES[number % len(MODES)]
     fired = firings(sensor, 600.0, START_NS, range(400), mode == "dual")
     rng = np.random.default_rng(number)
-    shape = (*fired.time_ns.shape, 2) if mode == "dual" else fired.time_ns.shape
+    shape = len(fired.time_ns), 1 + (mode == "dual")
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 100, shape), np.inf)
     return encode(sensor, mode, fired, range_m, rng.integers(0, 256, shape, np.uint8))
 

@@ -29,7 +29,7 @@ for name in catalogue():
 facts = yaml.safe_load(catalogue()["vlp-16"].read_text())
 facts["name"] = "steep-16"
 facts["beams"] = {"elevation_deg": [-30, 0, -26, 2, -22, 4, -18, 6, -14, 8, -10, 10, -6, 12, -3, 14]}
-facts["packet"] |= {"product_id": 0x77, "old_product_ids": []}
+facts["velodyne"]["packet"] |= {"product_id": 0x77, "old_product_ids": []}
 (out / "steep-16.yaml").write_text(yaml.safe_dump(facts))
 steep = lidarcfg.load_sensor(out / "steep-16.yaml")
 assert steep.count == 16

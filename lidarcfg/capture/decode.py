@@ -3,30 +3,30 @@
 import os
 import socket
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lidarcfg.capture.pcap import Datagrams, read_batches
+from lidarcfg.capture.frames import Datagrams
+from lidarcfg.capture.pcap import read_batches
 from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window_ns
-from lidarcfg.capture.stream import Source, SourceStats
+from lidarcfg.capture.stream import OnHeads, Place, SourceStats, Stream
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
-from lidarcfg.packets.velodyne.layout import PACKET
-from lidarcfg.packets.velodyne.status import carried_beams
-from lidarcfg.sensor import Beams, Sensor, Status, catalogue, load_sensor
+from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, codec, family
+from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Rig
 
 CHUNK_PACKETS = 1024
-CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
 
-Endpoint = tuple[str, int]  # the address that sends, and the port that it sends to
 Job = Callable[[], PointCloud]
 
 
@@ -38,20 +38,22 @@ def decode_pcap(
     chunk_packets: int = CHUNK_PACKETS,
     on_stats: Callable[[SourceStats], None] | None = None,
     selection: Selection = ALL,
+    on_heads: OnHeads | None = None,
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig they are in the vehicle frame and the sensors are its mounts; without, each source (called
     host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
-    what the product id byte says. `on_warning` is told of a file that is cut off, `on_stats` at the end of each
-    source. What is chosen comes as it does in the whole capture. Raises PacketError and ConfigError.
+    what the packets say. `on_warning` is told of a file that is cut off, `on_stats` at the end of each source, and
+    `on_heads` before each cloud where the heads pointed. What is selected comes as it does in the whole capture.
+    Raises PacketError and ConfigError.
     """
-    capture = _Capture(path, on_warning, rig, load_sensor(model) if model else None, selection)
+    capture = _Capture(path, on_warning, rig, load_sensor(model) if model else None, selection, on_heads)
     yield from _ahead(capture.jobs(chunk_packets))
     if on_stats:
-        for source in capture.sources:
-            if source.packets:
-                on_stats(source.stats())
+        for stream in capture.streams:
+            if stream.packets:
+                on_stats(stream.stats())
 
 
 def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
@@ -78,19 +80,16 @@ class _Capture:
         rig: "Rig | None",
         override: Sensor | None,
         selection: Selection,
+        on_heads: OnHeads | None,
     ) -> None:
-        self._path, self._on_warning, self._rig, self._override, self._selection = (
-            path,
-            on_warning,
-            rig,
-            override,
-            selection,
-        )
+        self._path, self._on_warning, self._selection, self._on_heads = Path(path), on_warning, selection, on_heads
+        self._rig, self._override = rig, override
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
-        self._known = cache(lambda: [load_sensor(name) for name in catalogue()])
+        self._catalogue = cache(lambda: [load_sensor(name) for name in catalogue()])
         self._window_ns = window_ns(path, selection)
         self._others: Counter[int] = Counter()  # sizes of other datagrams
-        self._endpoints: dict[Endpoint, Source | None] = {}  # none: passed over
+        self._families: dict[int, type[Codec] | None] = {}  # by host, port and size; none: these are no LiDAR's
+        self._streams: dict[int, Stream | None] = {}  # the same of LiDARs; none: passed over
         if rig:
             for name in selection.sensors:
                 if not any(name in (mount.name, f"{mount.host}:{mount.data_port}") for mount in rig.mounts):
@@ -98,20 +97,21 @@ class _Capture:
                     raise ConfigError(f"no sensor of the rig {rig.name!r} is called {name!r}; allowed: {has}")
 
     @property
-    def sources(self) -> list[Source]:
+    def streams(self) -> list[Stream]:
         """In the order of their appearance."""
-        return [source for source in self._endpoints.values() if source]
+        return [stream for stream in self._streams.values() if stream]
 
     def jobs(self, chunk_packets: int) -> Iterator[Job]:
         """What is to be done of each so many packets. What goes wrong before one comes in its turn, as the last."""
         try:
             waiting = 0
             for batch in around(self._path, self._on_warning, self._window_ns):
-                left = self._data(batch)
+                left, keys = self._claimed(batch)
                 while len(left.size):
-                    some, left = left[: chunk_packets - waiting], left[chunk_packets - waiting :]
-                    self._add(some)
-                    waiting += len(some.size)
+                    count = chunk_packets - waiting
+                    self._add(left[:count], keys[:count])
+                    waiting += len(keys[:count])
+                    left, keys = left[count:], keys[count:]
                     if waiting == chunk_packets:
                         yield self._job(last=False)
                         waiting = 0
@@ -121,32 +121,61 @@ class _Capture:
         except LidarcfgError as error:
             yield partial(_fail, error)
 
-    def _data(self, batch: Datagrams) -> Datagrams:
-        """Those of the size of data packets; the others are counted."""
-        sized = batch.size == PACKET.itemsize
-        self._others.update(batch.size[~sized].tolist())
-        return batch[sized]
+    def _claimed(self, batch: Datagrams) -> tuple[Datagrams, NDArray[np.uint64]]:
+        """Those that hold a LiDAR's returns, each with a key of host, port and size; the others are counted."""
+        host, port, size = (column.astype(np.uint64) for column in (batch.host, batch.port, batch.size))
+        keys = np.asarray(host << 32 | port << 16 | size, np.uint64)
+        kinds, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+        for key, row in zip(kinds.tolist(), first.tolist(), strict=True):
+            if key not in self._families:
+                payload = batch.data[batch.start[row] : batch.start[row] + batch.size[row]].tobytes()
+                self._families[key] = self._family(key, payload)
+        lidar = np.array([self._families[key] is not None for key in kinds.tolist()], np.bool_)[inverse]
+        self._others.update(batch.size[~lidar].tolist())
+        return batch[lidar], keys[lidar]
 
-    def _add(self, some: Datagrams) -> None:
-        """Hand the packets to their sources."""
-        keys = some.host.astype(np.int64) << 16 | some.port
+    def _family(self, key: int, payload: bytes) -> type[Codec] | None:
+        """Whose packets these are: of the sensor that is given, or of whichever family claims them."""
+        given = self._given(key)[0]
+        families = [type(codec(given))] if given else [family(name) for name in FAMILIES]
+        source = self._source(key)
+        return next((one for one in families if one.claims(source, len(payload), payload)), None)
+
+    def _add(self, some: Datagrams, keys: NDArray[np.uint64]) -> None:
+        """Hand the packets to their streams."""
         for key in dict.fromkeys(keys.tolist()):
-            endpoint = socket.inet_ntoa((key >> 16).to_bytes(4)), key & 0xFFFF
-            if endpoint not in self._endpoints:
-                self._endpoints[endpoint] = self._source(endpoint)
-            if source := self._endpoints[endpoint]:
+            if key not in self._streams:
+                self._streams[key] = self._stream(key)
+            if stream := self._streams[key]:
                 mine = some[keys == key]
-                source.add(mine.payloads(PACKET), mine.time_ns)
+                stream.add(mine.payloads(int(mine.size[0])), mine.time_ns)
 
     def _job(self, last: bool) -> Job:
-        """Decodes what all sources have, as one cloud. Raises PacketError, ConfigError."""
-        jobs = [job for source in self.sources if (job := source.take(self._names, last))]
+        """Decodes what all streams have, as one cloud. Raises PacketError, ConfigError."""
+        jobs = [job for stream in self.streams if (job := stream.take(self._names, last))]
         return partial(_together, jobs, self._names)
 
-    def _source(self, endpoint: Endpoint) -> Source | None:
+    def _given(self, key: int) -> tuple[Sensor | None, int | None]:
+        """The sensor that is said to send from there, and the number of its mount."""
+        mounts = self._rig.mounts if self._rig else ()
+        index = next((i for i, m in enumerate(mounts) if (m.host, m.data_port) == _endpoint(key)), None)
+        return self._override or (None if index is None else mounts[index].sensor), index
+
+    def _source(self, key: int) -> Source:
+        host, port = _endpoint(key)
+        return Source(
+            where=f"{self._path}: {_name(key)}",
+            host=host,
+            port=port,
+            companions=partial(_companions, self._path),
+            payloads=partial(_payloads, self._path, host),
+            on_warning=self._on_warning,
+        )
+
+    def _stream(self, key: int) -> Stream | None:
         """A source that appears: with a rig the mount with its address and port; none if it is not wanted."""
-        name, mounts = _name(endpoint), self._rig.mounts if self._rig else ()
-        index = next((i for i, m in enumerate(mounts) if (m.host, m.data_port) == endpoint), None)
+        name, mounts = _name(key), self._rig.mounts if self._rig else ()
+        sensor, index = self._given(key)
         if self._rig and index is None and not self._selection.sensors:
             has = ", ".join(f"{mount.host}:{mount.data_port}" for mount in mounts)
             raise PacketError(f"{self._path}: {name} is not in the rig {self._rig.name!r}; it has {has}")
@@ -156,32 +185,44 @@ class _Capture:
         if index is None:
             index = len(self._names)
             self._names = (*self._names, name)
-        return Source(
+        place = Place(
             f"{self._path}: {name}",
             mount.name if mount else name,
             index,
-            self._override or (mount.sensor if mount else None),
             mount.T_vehicle_sensor if mount else None,
-            self._override is None,
-            self._known,
             self._window_ns,
-            partial(_carried, self._path, endpoint),
-            self._on_warning,
         )
+        found = self._families[key]
+        assert found
+        known = partial(_known, self._catalogue, found)
+        opened = partial(_decoder, self._source(key), found, sensor, known, self._override is None)
+        return Stream(place, opened, self._on_heads)
 
     def _check_found(self) -> None:
-        """Raises PacketError if there is nothing, or nothing of what was chosen."""
-        met = {name for key, source in self._endpoints.items() if source for name in (source.name, _name(key))}
-        missing = [name for name in self._selection.sensors if name not in met]
-        if self._endpoints and missing:
-            there = ", ".join(map(_name, self._endpoints))
+        """Raises PacketError if there is nothing, or nothing of what was selected."""
+        found = {name for key, stream in self._streams.items() if stream for name in (stream.name, _name(key))}
+        missing = [name for name in self._selection.sensors if name not in found]
+        if self._streams and missing:
+            there = ", ".join(dict.fromkeys(map(_name, self._streams)))
             raise PacketError(f"{self._path}: no data packets of {missing[0]!r}; there are those of {there}")
-        if self._window_ns != ALWAYS_NS and not any(source.packets for source in self.sources):
+        if self._window_ns != ALWAYS_NS and not any(stream.packets for stream in self.streams):
             raise PacketError(f"{self._path}: no LiDAR data packets in the window")
-        if not self._endpoints:
+        if not self._streams:
             sizes = ", ".join(f"{n} of {size} bytes" for size, n in sorted(self._others.items())[:5])
-            found = f"its UDP datagrams: {sizes}" if sizes else "no UDP datagrams at all"
-            raise PacketError(f"{self._path}: no LiDAR data packets of {PACKET.itemsize} bytes; {found}")
+            found_ = f"its UDP datagrams: {sizes}" if sizes else "no UDP datagrams at all"
+            raise PacketError(f"{self._path}: no LiDAR data packets; {found_}")
+
+
+def _known(catalogue: Callable[[], list[Sensor]], found: type[Codec]) -> list[Sensor]:
+    """The catalogue's sensors of a family."""
+    return [one for one in catalogue() if one.codec and family(one.codec) is found]
+
+
+def _decoder(
+    source: Source, found: type[Codec], sensor: Sensor | None, known: Known, trusted: bool, packets: Octets
+) -> Decoder:
+    """For a source that begins with these packets. Raises PacketError, ConfigError."""
+    return codec(sensor or found.recognise(source, packets, known)).decoder(source, packets, known, trusted)
 
 
 def _fail(error: LidarcfgError) -> PointCloud:
@@ -197,19 +238,28 @@ def _together(jobs: list[Job], names: tuple[str, ...]) -> PointCloud:
     return clouds[0] if len(clouds) == 1 else concatenate([PointCloud.none(names), *clouds])
 
 
-def _name(endpoint: Endpoint) -> str:
-    return f"{endpoint[0]}:{endpoint[1]}"
+def _endpoint(key: int) -> tuple[str, int]:
+    """The address that sends, and the port that it sends to."""
+    return socket.inet_ntoa((key >> 32).to_bytes(4)), key >> 16 & 0xFFFF
 
 
-def _carried(path: str | Path, endpoint: Endpoint, status: Status) -> tuple[Beams, str] | None:
-    """The beams and mode of single returns that status bytes carry, in the packets of one source."""
-    host, port = int.from_bytes(socket.inet_aton(endpoint[0])), endpoint[1]
-    found, count = [], 0
+def _name(key: int) -> str:
+    host, port = _endpoint(key)
+    return f"{host}:{port}"
+
+
+def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
+    """The files beside a capture that are called as it, or as it and `-` and something, and end in `suffix`."""
+    stem, end = escape(path.stem), escape(suffix)
+    found = {*path.parent.glob(stem + end), *path.parent.glob(f"{stem}-*{end}")}
+    try:
+        return {one.name: one.read_bytes() for one in sorted(found)}
+    except OSError as error:
+        raise PacketError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+
+
+def _payloads(path: Path, host: str, port: int, size: int) -> Iterator[Octets]:
+    """The payloads of one size that a host sends to a port, from the capture's start."""
+    number = int.from_bytes(socket.inet_aton(host))
     for batch in read_batches(path, lambda warning: None):
-        mine = (batch.host == host) & (batch.port == port) & (batch.size == PACKET.itemsize)
-        found.append(batch[mine].payloads(PACKET)[: CARRIED_PACKETS - count])
-        count += len(found[-1])
-        if count == CARRIED_PACKETS:
-            break
-    packets = np.concatenate(found)
-    return carried_beams(status, packets["return_mode"], packets["product_id"])
+        yield batch[(batch.host == number) & (batch.port == port) & (batch.size == size)].payloads(size)

@@ -1,7 +1,7 @@
-"""ROS 2 bags, by rosbags: a PointCloud2 for each turn of each sensor, and where the sensors are.
+"""ROS 2 bags, by rosbags: a PointCloud2 for each scan of each sensor, and where the sensors are.
 
 Points are laid out as velodyne_driver's PointXYZIRT: 22 bytes, nothing between the fields; `time` is in seconds
-after the message's stamp, which is the turn's first point.
+after the message's stamp, which is the scan's first point.
 """
 
 import sqlite3
@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from lidarcfg.capture.scans import turns
+from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import HandoverError, PacketError
 from lidarcfg.formats.extra import missing
@@ -35,7 +35,7 @@ OnWarning = Callable[[str], None]
 def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
     """Write the capture `source` as a bag in the folder `path`, whole or not at all, and return how many messages.
 
-    `storage` is sqlite3 or mcap. Raises HandoverError, and what `turns` raises.
+    `storage` is sqlite3 or mcap. Raises HandoverError, and what `scans` raises.
     """
     if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(path.resolve()))):
         raise HandoverError(f"{path.resolve()}: no bag can be written where a path has {' '.join(sorted(signs))}")
@@ -83,30 +83,30 @@ def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str
 def _messages(
     types: Any, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning
 ) -> Iterator[tuple[str, Any, int]]:
-    """Topic, message and the time at which a driver would have sent it: when the turn was complete."""
+    """Topic, message and the time at which a driver would have sent it: when the scan was complete."""
     names = ros_names(rig, on_warning) if rig else {}
     heard: set[str] = set()
-    for turn in turns(source, on_warning, rig, model):
-        first_ns, last_ns = int(turn.time_ns.min()), int(turn.time_ns.max())
+    for scan in scans(source, on_warning, rig, model):
+        first_ns, last_ns = int(scan.time_ns.min()), int(scan.time_ns.max())
         if last_ns >= TIME_END_NS:
             raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, where the seconds of ROS 2 end")
         if rig and not heard:
             yield TF_STATIC, _transforms(types, rig, names, first_ns), first_ns
-        (name,) = turn.sensor_names
+        (name,) = scan.sensor_names
         if name not in names:
             names[name] = ros_name(name)
             on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
         heard.add(name)
-        yield f"/{names[name]}/points", _points(types, turn, names[name], first_ns), last_ns
+        yield f"/{names[name]}/points", _points(types, scan, names[name], first_ns), last_ns
     if silent := [name for name in names if name not in heard]:
         on_warning(f"{source}: nothing of {', '.join(silent)} is in it")
 
 
-def _points(types: Any, turn: PointCloud, frame: str, stamp_ns: int) -> Any:
-    rows = np.empty(len(turn.xyz), POINT)
-    rows["x"], rows["y"], rows["z"] = turn.xyz.T
-    rows["intensity"], rows["ring"] = turn.intensity, turn.ring
-    rows["time"] = (turn.time_ns - stamp_ns) / SECOND_NS
+def _points(types: Any, scan: PointCloud, frame: str, stamp_ns: int) -> Any:
+    rows = np.empty(len(scan.xyz), POINT)
+    rows["x"], rows["y"], rows["z"] = scan.xyz.T
+    rows["intensity"], rows["ring"] = scan.intensity, scan.ring
+    rows["time"] = (scan.time_ns - stamp_ns) / SECOND_NS
     field = types["sensor_msgs/msg/PointField"]
     return types["sensor_msgs/msg/PointCloud2"](
         header=_header(types, frame, stamp_ns),

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lidarcfg.packets.codec import codec
 from lidarcfg.rig import Mount, Rig
 
 EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing are told of
@@ -50,16 +51,17 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
     }
     if sensor.range:
         attributes["range"] = sensor.range.max_m
-    if sensor.firing:
-        attributes["points_per_second"] = round(sensor.count * 1e9 / sensor.firing.sequence_ns)
-    if not (sensor.range and sensor.firing):
+    if sensor.codec:
+        pace = codec(sensor).pace(mount)
+        attributes["points_per_second"] = round(pace.firings * 1e9 / pace.period_ns)
+    if not (sensor.range and sensor.codec):
         on_warning(f"{mount.name}: {sensor.name} is beams alone; its range and points_per_second are CARLA's defaults")
     away_deg = abs(elevation_deg - np.linspace(elevation_deg[0], elevation_deg[-1], sensor.count)).max()
     if away_deg > EVEN_DEG:
         on_warning(
             f"{mount.name}: CARLA spaces channels evenly; {sensor.name}'s are up to {away_deg:.2f} deg from there"
         )
-    if mount.sector_deg:
-        low, high = mount.sector_deg
+    if mount.azimuth_fov_deg:
+        low, high = mount.azimuth_fov_deg
         on_warning(f"{mount.name}: CARLA fires all around, not from {low:g} to {high:g} deg alone")
     return attributes

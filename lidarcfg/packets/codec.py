@@ -1,17 +1,206 @@
-"""What every family of packets offers to the rest."""
+"""What every family of packets offers to the rest, and which families there are.
 
+A family is a class with the methods of `Codec`, entered in `FAMILIES`. Outside `packets/` nobody knows its bytes: the
+simulator sees `Firings`, capture files see `Payloads`, readers see `Returns`.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.packets.network import Header, Network
+from lidarcfg.sensor import Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+    from lidarcfg.world.motion import Trajectory
+    from lidarcfg.world.scene import GeoOrigin
+
+Times = NDArray[np.int64]
+Octets = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
+Known = Callable[[], Sequence[Sensor]]  # the catalogue's sensors of a family, read when they are asked for
 
 
 @dataclass(frozen=True)
 class Firings:
     """N firings of one sensor in flat columns, in the order in which packets hold them."""
 
-    time_ns: NDArray[np.int64]  # (N,) device time
-    laser: NDArray[np.uint8]  # (N,)
+    time_ns: Times  # (N,) device time
+    laser: Octets  # (N,)
     encoder_rad: Array  # (N,) where the head points, clockwise, 0 to 2π, unrounded
+
+
+@dataclass(frozen=True)
+class Batch:
+    """P successive packets of one sensor before they are encoded."""
+
+    firings: Firings  # packet by packet; as many in each, but for lasers that do not fire
+    number: Times  # (P,) as the family counts its packets
+    sent_ns: Times  # (P,) host time at which each leaves
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How a sensor sends."""
+
+    period_ns: int  # from one packet to the next
+    firings: int  # in a packet
+
+
+@dataclass(frozen=True)
+class Payloads:
+    """N UDP payloads of one size that one sensor sends to one port, in the order of time."""
+
+    time_ns: Times  # (N,) host time
+    data: Octets  # (N, size)
+    port: int
+    network: Network
+    header: Header
+    first: int = 0  # how many went to this port before: IP ids count on
+
+
+@dataclass(frozen=True)
+class Returns:
+    """What packets hold: one entry a return, in the order of the packets."""
+
+    xyz_m: Array  # (N, 3) in the sensor frame
+    range_m: Array  # (N,) along the beam, or empty
+    azimuth_rad: Array  # (N,) of the beam, or empty
+    time_ns: Times  # (N,) device time
+    laser: Octets  # (N,)
+    ring: Octets  # (N,) 0 is the lowest beam
+    intensity: Octets  # (N,)
+    return_type: Octets  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest
+
+
+@dataclass(frozen=True)
+class Source:
+    """One endpoint of a capture: what a family may look at besides the packets to say whose they are."""
+
+    where: str  # file and endpoint, for errors
+    host: str  # the address that sends
+    port: int  # the port that it sends to
+    companions: Callable[[str], Mapping[str, bytes]]  # the files beside the capture whose names end so
+    payloads: Callable[[int, int], Iterator[Octets]]  # of the host to a port, of one size, from the capture's start
+    on_warning: Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What a source's packets say of it, as far as they have been decoded."""
+
+    models: tuple[str, ...]  # that they may be of
+    return_modes: tuple[str, ...]
+    lost: int  # packets, by the family's own counters
+    rpm: float  # mean; NaN where it is not known
+
+
+class Decoder(Protocol):
+    """Packets of one source, (P, size) octets at a time."""
+
+    @property
+    def period_ns(self) -> int:
+        """From one packet to the next, at most."""
+
+    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+        """(P,) device time of each, by which they are put in order."""
+
+    def heading_rad(self, packets: Octets) -> Array:
+        """(P,) where the head points at the start of each, clockwise."""
+
+    def check(self, packets: Octets) -> None:
+        """Raises PacketError for packets of another model than the first ones."""
+
+    def count(self, packets: Octets, wanted: Flags) -> None:
+        """Count what is wanted (P,) of successive packets, together with what went before it."""
+
+    def tally(self) -> Tally:
+        """What has been counted."""
+
+    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+        """The returns of those that are wanted; the others say how the head turns. Changes nothing here.
+
+        Raises PacketError, without saying where.
+        """
+
+
+class Codec(Protocol):
+    """The packets of one sensor. Made from the sensor; raises ConfigError if its file says too little."""
+
+    def __init__(self, sensor: Sensor) -> None: ...
+
+    # writing
+
+    def check(self, mount: "Mount") -> None:
+        """Raises ConfigError if the mount cannot be exported: its mode, its settings, its sensor."""
+
+    def pace(self, mount: "Mount") -> Pace:
+        """How the mount sends."""
+
+    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+        """The firings of so many packets' time, `chunk` packets at a time; fewer if the field of view is narrow."""
+
+    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
+        """The packets of firings and what they measured, (N, R): range (inf: nothing) and reflectivity.
+
+        R is 2 with dual returns: strongest (or second strongest, if the last is the strongest) and last, equal where
+        there is one return only. What the sensor does not measure, or the packet cannot say, is no return.
+        """
+
+    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
+        """(N, R): which of those are returns in the packets; of two that are alike there, the first."""
+
+    def housekeeping(
+        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    ) -> Iterator[Payloads]:
+        """What the sensor sends besides: position, state, calibration, inertial measurements."""
+
+    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
+        """The files that a reader needs beside the capture, by the end of their names."""
+
+    # reading
+
+    @classmethod
+    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
+        """Whether a payload holds returns in this family's packets, by its size, its first bytes, its port."""
+
+    @classmethod
+    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+        """Which of the family's known sensors sends these packets (P, size). Raises PacketError."""
+
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
+        """For a source that begins with these packets. If `trusted`, they must say that they are the sensor's.
+
+        Raises PacketError.
+        """
+
+    # for reports
+
+    def firing_ns(self) -> Times:
+        """(L,) when each laser fires after the first, in one firing of all."""
+
+
+FAMILIES = {"velodyne": "lidarcfg.packets.velodyne.codec:Velodyne"}  # module and class, loaded when they are needed
+
+
+def family(name: str) -> type[Codec]:
+    """The family with this name. Raises ConfigError."""
+    if name not in FAMILIES:
+        raise ConfigError(f"no codec is called {name!r}; allowed: {', '.join(sorted(FAMILIES))}")
+    module, _, member = FAMILIES[name].partition(":")
+    found: type[Codec] = getattr(import_module(module), member)
+    return found
+
+
+def codec(sensor: Sensor) -> Codec:
+    """The sensor's codec. Raises ConfigError if it has none, or for what its file says of its packets."""
+    if sensor.codec is None:
+        raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no codec")
+    return family(sensor.codec)(sensor)

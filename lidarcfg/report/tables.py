@@ -8,6 +8,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Column, Table
 
+from lidarcfg.packets.codec import codec
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Evaluation, Study
@@ -15,7 +16,7 @@ from lidarcfg.report.comparison import Contender, rows
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
 
-TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns"}
+TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns", "source"}
 
 
 def _console() -> Console:
@@ -115,7 +116,7 @@ def print_sensors(sensors: Sequence[Sensor]) -> None:
             str(sensor.count),
             f"{low:g} to {high:g}",
             f"{sensor.range.min_m:g} to {sensor.range.max_m:g}" if sensor.range else "–",
-            "yes" if sensor.packet else "no",
+            sensor.codec or "no",
             sensor.description,
         )
     _console().print(table)
@@ -126,6 +127,7 @@ def print_sensor(sensor: Sensor) -> None:
     console = _console()
     console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
     table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)
+    firing_ns = codec(sensor).firing_ns().tolist() if sensor.codec else ["–"] * sensor.count
     for laser in range(sensor.count):
         table.add_row(
             str(laser),
@@ -133,13 +135,13 @@ def print_sensor(sensor: Sensor) -> None:
             f"{sensor.beams.elevation_deg[laser]:g}",
             f"{sensor.beams.azimuth_offset_deg[laser]:g}" if sensor.beams.azimuth_offset_deg else "0",
             f"{sensor.beams.vertical_offset_mm[laser]:g}" if sensor.beams.vertical_offset_mm else "0",
-            str(sensor.firing.offset_ns[laser]) if sensor.firing else "–",
+            str(firing_ns[laser]),
         )
     console.print(table)
     facts = sensor.model_dump(mode="json", exclude_none=True)
-    for part in ("beams", "firing", "rotation", "range", "optics", "packet", "position_packet"):
-        values = facts.get(part, {})
-        source = values.pop("source", "")
+    parts = {part: values for part, values in facts.items() if isinstance(values, dict) and part != sensor.codec}
+    for part, values in (parts | dict(facts.get(sensor.codec or "", {}))).items():
+        source = values.get("source", "")
         shown = {key: value for key, value in values.items() if key not in TABLE_KEYS}
         if values:
             console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))

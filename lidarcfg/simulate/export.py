@@ -1,48 +1,36 @@
 """What a rig's sensors send while the vehicle stands or moves in a scene."""
 
-import math
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
-from fractions import Fraction
-from typing import TypeVar
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.pcap import TIME_END_NS, Frames, Sender
+from lidarcfg.capture.frames import Frames, frames
+from lidarcfg.capture.pcap import TIME_END_NS
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.packets.firing import (
-    Times,
-    firing_chunks,
-    packet_offsets_ns,
-    packet_period_ns,
-    packet_stamps_ns,
-)
-from lidarcfg.packets.velodyne.layout import check_encodable, encode, gprmc, position_packets, sent_returns
+from lidarcfg.packets.codec import Batch, codec
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.simulate.ground_truth import RECORD, records
 from lidarcfg.simulate.reach import Still
 from lidarcfg.simulate.simulator import Counts, Observer, Plan, Stage
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.geodesy import geographic
 from lidarcfg.world.motion import Trajectory, standing
 from lidarcfg.world.raycast import Raycaster
-from lidarcfg.world.scene import COORDINATE_MAX_M, Scene
+from lidarcfg.world.scene import COORDINATE_MAX_M, GeoOrigin, Scene
 
-START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export repeats
-YEAR_2000_NS = 946_684_800 * 10**9
+START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
 CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # cast at a time, at most: what is done once a chunk is not nothing
-CHUNK_M = 3.0  # how far a vehicle gets meanwhile: beyond that little is sure of what its beams may meet
+CHUNK_M = 3.0  # how far a vehicle gets meanwhile: beyond that little is sure of what its beams may hit
 AHEAD = 1  # chunks of a sensor that are cast while others are written
-POSITIONS = 1024  # position packets at a time
-SLOWEST_M_S = 0.1  # a vehicle that is slower has its heading for a course
 
-A = TypeVar("A")
-B = TypeVar("B")
 OnTruth = Callable[[NDArray[np.void]], None]
 OnRays = Callable[[Counts], None]
 
@@ -62,29 +50,20 @@ def export(
 ) -> list[Iterator[Frames]]:
     """What each sensor of the rig sends, in the order of time. `in_time_order` merges them.
 
-    `way` is where the vehicle stands, T_world_vehicle (4, 4), or how it moves; objects that move start at `start_ns`.
+    `way` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     Sensor i of n starts i/n of a packet later than the first, so that the packets interleave.
-    `on_progress` is told the simulated time that is done, of `duration_ns`; `on_truth` the records of `truth.py`;
-    `on_rays` how many rays there were; all by the thread that reads. With `skip`, rays are not cast that cannot meet
+    `on_progress` gets the simulated time that is done, of `duration_ns`; `on_truth` the records of `ground_truth`;
+    `on_rays` how many rays there were; all from the thread that reads. With `skip`, rays are not cast that cannot hit
     anything in range, or only a few triangles, one of which is clearly first. Neither that, nor chunks, nor threads
     (as many as there are cores) change anything in what is sent. Raises ConfigError.
     """
-    done = [0] * len(rig.mounts)
-
-    def progress(index: int) -> Callable[[int], None]:
-        def tell(done_ns: int) -> None:
-            done[index] = done_ns
-            on_progress(sum(done) // len(done))
-
-        return tell
-
     trajectory = way if isinstance(way, Trajectory) else standing(way)
     for mount in rig.mounts:
         check_exportable(mount, duration_ns)
         check_place(mount.name, mount.position_m)
     starts_ns = [
-        start_ns + i * packet_period_ns(m.sensor, m.return_mode == "dual") // len(rig.mounts)
-        for i, m in enumerate(rig.mounts)
+        start_ns + i * codec(mount.sensor).pace(mount).period_ns // len(rig.mounts)
+        for i, mount in enumerate(rig.mounts)
     ]
     end_ns = max(starts_ns) + duration_ns
     if start_ns < 0 or (end_ns + 500) // 1000 * 1000 >= TIME_END_NS:
@@ -98,17 +77,58 @@ def export(
     stage = Stage(caster, trajectory, Still(caster) if skip else None)
     if trajectory.path.speed_max_m_s:
         chunk_ns = min(chunk_ns, int(CHUNK_M / trajectory.path.speed_max_m_s * SECOND_NS))
-    pool = ThreadPoolExecutor(threads or os.cpu_count())
+    workers = _Workers(threads or os.cpu_count() or 1)
+    progress = _Progress(len(rig.mounts), on_progress)
     streams = []
     for i, (mount, first_ns) in enumerate(zip(rig.mounts, starts_ns, strict=True)):
-        told = Told(progress(i), on_truth, on_rays)
-        data = data_stream(i, mount, stage, first_ns, duration_ns, chunk_ns, pool, told)
-        streams.append(in_time_order([data, position_stream(mount, scene, trajectory, first_ns, duration_ns)]))
+        task = _Task(i, mount, stage, first_ns, duration_ns, chunk_ns, on_truth is not None)
+        data = _data_stream(task, workers, progress, on_truth, on_rays)
+        housekeeping = _housekeeping_stream(task, scene.file.geo_origin)
+        streams.append(in_time_order([data, housekeeping]))
     return streams
 
 
+def save_companions(path: Path, mounts: Sequence[Mount]) -> list[Path]:
+    """Write the files that readers need beside the capture at `path`, and return them."""
+    written = []
+    for mount in mounts:
+        infix = f"-{mount.name}" if len(mounts) > 1 else ""
+        for suffix, content in codec(mount.sensor).companions(mount).items():
+            written.append(path.with_name(f"{path.stem}{infix}{suffix}"))
+            with replacing(written[-1], "wb") as file:
+                file.write(content)
+    return written
+
+
+def check_exportable(mount: Mount, duration_ns: int) -> None:
+    """Raises ConfigError unless the mount's sensor can be exported for this long."""
+    sensor = mount.sensor
+    try:
+        maker = codec(sensor)
+        maker.check(mount)
+    except ConfigError as error:
+        raise ConfigError(f"{mount.name}: {error}") from None
+    for key in ("rotation", "range"):
+        if getattr(sensor, key) is None:
+            raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
+    period_ns = maker.pace(mount).period_ns
+    if duration_ns < period_ns:
+        raise ConfigError(
+            f"a duration of {duration_ns / SECOND_NS:g} s holds no packet of {mount.name}; "
+            f"allowed: at least {period_ns / SECOND_NS:g} s"
+        )
+
+
+def check_place(name: str, position_m: Sequence[float] | Array) -> None:
+    """Raises ConfigError unless what is called `name` stands where a scene can be."""
+    for axis, value in zip("xyz", position_m, strict=True):
+        if not abs(value) <= COORDINATE_MAX_M:
+            allowed = f"{-COORDINATE_MAX_M:g} to {COORDINATE_MAX_M:g}"
+            raise ConfigError(f"{name} stands at {axis} = {value:g} m; allowed: {allowed}")
+
+
 def _checked_start(trajectory: Trajectory, start_ns: int, end_ns: int) -> Array:
-    """(3,): where the vehicle starts. Raises ConfigError unless its way covers the time and stays in the world."""
+    """(3,): where the vehicle starts. Raises ConfigError if its trajectory is too short or leaves the world."""
     path = trajectory.path
     check_place("the vehicle", trajectory.T_world_start[:3, 3])
     path.check_span((start_ns - trajectory.zero_ns) / SECOND_NS, (end_ns - trajectory.zero_ns) / SECOND_NS)
@@ -145,152 +165,109 @@ def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
         yield Frames(together_ns[order], [records[k] for k in order.tolist()])
 
 
-def ahead(pool: Executor, work: Callable[[A], B], plans: Iterable[A]) -> Iterator[B]:
-    """What the work makes of each plan, in their order; the pool's threads are a few plans ahead."""
-    waiting: deque[Future[B]] = deque()
-    for plan in plans:
-        waiting.append(pool.submit(work, plan))
+class _Workers:
+    """Threads that the streams share: there are some while a stream is being read, and none after."""
+
+    def __init__(self, threads: int) -> None:
+        self._threads, self._readers = threads, 0
+        self._pool: ThreadPoolExecutor | None = None
+
+    @contextmanager
+    def pool(self) -> Iterator[Executor]:
+        """The threads, until all readers are done, stop early or are interrupted."""
+        self._pool = self._pool or ThreadPoolExecutor(self._threads)
+        self._readers += 1
+        try:
+            yield self._pool
+        finally:
+            self._readers -= 1
+            if not self._readers:
+                self._pool.shutdown(cancel_futures=True)
+                self._pool = None
+
+
+class _Progress:
+    """How much all streams together have done."""
+
+    def __init__(self, streams: int, on_progress: Callable[[int], None]) -> None:
+        self._done_ns, self._on_progress = [0] * streams, on_progress
+
+    def set(self, stream: int, done_ns: int) -> None:
+        """A stream has come so far."""
+        self._done_ns[stream] = done_ns
+        self._on_progress(sum(self._done_ns) // len(self._done_ns))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What one sensor is to send."""
+
+    index: int
+    mount: Mount
+    stage: Stage
+    start_ns: int
+    duration_ns: int
+    chunk_ns: int
+    truth: bool  # whether it is asked for
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """What is known of a chunk once it is cast."""
+
+    frames: Frames
+    truth: NDArray[np.void]  # empty if nobody asks
+    counts: Counts
+
+
+def _data_stream(
+    task: _Task, workers: _Workers, progress: _Progress, on_truth: OnTruth | None, on_rays: OnRays
+) -> Iterator[Frames]:
+    """The data packets that are complete within the duration, each sent when it is complete."""
+    maker, mount, duration_ns = codec(task.mount.sensor), task.mount, task.duration_ns
+    observer, pace = Observer(task.index, mount, task.stage), maker.pace(mount)
+    total = duration_ns // pace.period_ns
+    packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * observer.width)), 1)
+
+    def work(plan: Plan, batch: Batch) -> _Chunk | None:
+        if not len(batch.sent_ns):
+            return None
+        with task.stage.caster.turns.together():
+            found, counts = observer.report(plan)
+            payloads = maker.encode(mount, batch, found.range_m + found.noise_m, found.reflectivity)
+            truth = np.empty(0, RECORD)
+            if task.truth:
+                sent = maker.sent(mount, batch, payloads)
+                truth = records(task.index, mount.return_mode, batch.firings, found, sent)
+            return _Chunk(frames(mount.host, payloads), truth, counts)
+
+    with workers.pool() as pool:
+        batches = maker.schedule(mount, task.start_ns, total, packets)
+        jobs = (pool.submit(work, observer.plan(batch.firings), batch) for batch in batches)
+        for number, chunk in enumerate(_ahead(jobs), 1):
+            if chunk:
+                if on_truth:
+                    on_truth(chunk.truth)
+                on_rays(chunk.counts)
+                yield chunk.frames
+            done_ns = number * packets * pace.period_ns
+            progress.set(task.index, done_ns if number * packets < total else duration_ns)
+
+
+def _housekeeping_stream(task: _Task, origin: GeoOrigin) -> Iterator[Frames]:
+    """What the sensor sends besides."""
+    mount, trajectory = task.mount, task.stage.trajectory
+    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, task.duration_ns)
+    for some in payloads:
+        yield frames(mount.host, some)
+
+
+def _ahead(jobs: Iterator[Future[_Chunk | None]]) -> Iterator[_Chunk | None]:
+    """What the jobs make, in their order, while a few more are begun."""
+    waiting: deque[Future[_Chunk | None]] = deque()
+    for job in jobs:
+        waiting.append(job)
         if len(waiting) > AHEAD:
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
-
-
-def check_exportable(mount: Mount, duration_ns: int) -> None:
-    """Raises ConfigError unless the mount's sensor can be exported for this long."""
-    sensor = mount.sensor
-    try:
-        check_encodable(sensor, mount.return_mode)
-    except ConfigError as error:
-        raise ConfigError(f"{mount.name}: {error}") from None
-    for key in ("rotation", "range", "headers"):
-        if getattr(sensor, key) is None:
-            raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
-    if duration_ns < packet_period_ns(sensor):
-        raise ConfigError(
-            f"a duration of {duration_ns / SECOND_NS:g} s holds no packet of {mount.name}; "
-            f"allowed: at least {packet_period_ns(sensor) / SECOND_NS:g} s"
-        )
-
-
-def check_place(name: str, position_m: Sequence[float] | Array) -> None:
-    """Raises ConfigError unless what is called `name` stands where a scene can be."""
-    for axis, value in zip("xyz", position_m, strict=True):
-        if not abs(value) <= COORDINATE_MAX_M:
-            allowed = f"{-COORDINATE_MAX_M:g} to {COORDINATE_MAX_M:g}"
-            raise ConfigError(f"{name} stands at {axis} = {value:g} m; allowed: {allowed}")
-
-
-@dataclass(frozen=True)
-class Told:
-    """Who is told what, as it is done."""
-
-    progress: Callable[[int], None]
-    truth: OnTruth | None
-    rays: OnRays
-
-
-@dataclass(frozen=True)
-class Sent:
-    """What is known of a chunk once it is cast."""
-
-    frames: Frames
-    truth: NDArray[np.void]  # none if nobody asks
-    counts: Counts
-
-
-def data_stream(
-    index: int,
-    mount: Mount,
-    stage: Stage,
-    start_ns: int,
-    duration_ns: int,
-    chunk_ns: int,
-    pool: Executor,
-    told: Told,
-) -> Iterator[Frames]:
-    """The data packets that are complete within the duration, each sent when it is complete."""
-    sensor, dual, observer = mount.sensor, mount.return_mode == "dual", Observer(index, mount, stage)
-    assert sensor.headers
-    sender = Sender(sensor.headers, sensor.headers.data, mount.host, mount.data_port)
-    period_ns = packet_period_ns(sensor, dual)
-    total = duration_ns // period_ns
-    chunk = max(min(chunk_ns // period_ns, CHUNK_RAYS // (packet_offsets_ns(sensor, dual).size * observer.width)), 1)
-
-    def work(plan: Plan) -> Sent | None:
-        fired = plan.fired
-        if not len(fired.time_ns):
-            return None
-        with stage.caster.turns.together():
-            found, counts = observer.report(plan)
-            measured_m = (found.range_m + found.noise_m).reshape(*fired.time_ns.shape, -1)
-            reflectivity = found.reflectivity.reshape(measured_m.shape)
-            seen = (measured_m, reflectivity) if dual else (measured_m[..., 0], reflectivity[..., 0])
-            packets = encode(sensor, mount.return_mode, fired, *seen, mount.pps)
-            truth = np.empty(0, RECORD)
-            if told.truth:
-                sent = sent_returns(sensor, mount.return_mode, packets)
-                truth = records(index, mount.return_mode, fired.time_ns, found, *sent)
-            ends_ns = _microseconds(packet_stamps_ns(sensor, fired)[1])
-            return Sent(sender.frames(ends_ns, packets.view(np.uint8).reshape(len(packets), -1)), truth, counts)
-
-    chunks = firing_chunks(sensor, mount.rpm, start_ns, total, chunk, dual, mount.phase_deg, mount.sector_deg)
-    for number, sent in enumerate(ahead(pool, work, map(observer.plan, chunks)), 1):
-        if sent:
-            if told.truth:
-                told.truth(sent.truth)
-            told.rays(sent.counts)
-            yield sent.frames
-        told.progress(number * chunk * period_ns if number * chunk < total else duration_ns)
-
-
-def position_stream(
-    mount: Mount, scene: Scene, trajectory: Trajectory, start_ns: int, duration_ns: int
-) -> Iterator[Frames]:
-    """The position packets of a sensor that has them, evenly spaced."""
-    facts, headers = mount.sensor.position_packet, mount.sensor.headers
-    if facts is None:
-        return
-    assert headers
-    assert headers.position
-    sender = Sender(headers, headers.position, mount.host, mount.telemetry_port)
-    period_ns = SECOND_NS / Fraction(facts.rate_hz)
-    total = math.ceil(duration_ns / period_ns)
-    for first in range(0, total, POSITIONS):
-        numbers = range(first, min(first + POSITIONS, total))
-        times_ns = start_ns + np.array([int(number * period_ns) for number in numbers], np.int64)
-        sentences = nmea(mount, scene, trajectory, start_ns, times_ns)
-        packets = position_packets(times_ns, mount.pps, sentences)
-        payloads = packets.view(np.uint8).reshape(len(packets), -1)
-        yield sender.frames(_microseconds(times_ns), payloads, first)
-
-
-def nmea(mount: Mount, scene: Scene, trajectory: Trajectory, start_ns: int, times_ns: Times) -> list[bytes]:
-    """The sentences that the sensor has of its receiver at these times (n,): with a fix if its pulse is locked."""
-    facts, origin = mount.sensor.position_packet, scene.file.geo_origin
-    seconds = times_ns // SECOND_NS
-    if mount.pps != "locked":
-        if mount.pps == "absent":
-            if facts is None or facts.sentence_without_gps == "none":
-                return [b""] * len(times_ns)
-            seconds = (times_ns - start_ns + YEAR_2000_NS) // SECOND_NS
-        by_second = {s: gprmc(s * SECOND_NS, None) for s in np.unique(seconds).tolist()}
-        return [by_second[second] for second in seconds.tolist()]
-    place_m = trajectory.world(np.zeros((len(times_ns), 3)), times_ns)
-    ahead_m = trajectory.world(np.tile([1.0, 0.0, 0.0], (len(times_ns), 1)), times_ns) - place_m
-    velocity_m_s = trajectory.velocity_m_s(times_ns)
-    speed_m_s = np.hypot(*velocity_m_s[:, :2].T)
-    way = np.where(speed_m_s[:, None] >= SLOWEST_M_S, velocity_m_s, ahead_m)
-    course_rad = np.arctan2(way[:, 1], way[:, 0])
-    found: dict[tuple[int, tuple[float, ...]], bytes] = {}  # a vehicle that stands has one sentence a second
-    keys = [tuple(row) for row in np.column_stack([geographic(origin, place_m), course_rad, speed_m_s]).tolist()]
-    for key in zip(seconds.tolist(), keys, strict=True):
-        if key not in found:
-            second, (latitude, longitude, course, speed) = key
-            found[key] = gprmc(second * SECOND_NS, (latitude, longitude), course, speed)
-    return [found[key] for key in zip(seconds.tolist(), keys, strict=True)]
-
-
-def _microseconds(time_ns: Times) -> Times:
-    """Rounded to whole microseconds, as the host's clock has it."""
-    return (time_ns + 500) // 1000 * 1000

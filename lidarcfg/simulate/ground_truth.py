@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.files import replacing
-from lidarcfg.packets.firing import Times
+from lidarcfg.packets.codec import Firings, Flags
 from lidarcfg.simulate.echoes import Echoes
 
 RECORD = np.dtype(
@@ -30,26 +30,15 @@ RECORD = np.dtype(
 RECORDS = 1 << 16  # at a time
 
 
-def records(
-    sensor_index: int,
-    return_mode: str,
-    time_ns: Times,
-    found: Echoes,
-    distance: NDArray[np.uint16],
-    intensity: NDArray[np.uint8],
-) -> NDArray[np.void]:
-    """The records of firings (P, S, L): echoes, and on the wire distances (0: none) and intensities, are all (N, R)."""
-    sent = distance > 0
-    if sent.shape[1] == 2:
-        sent[:, 1] &= (distance[:, 0] != distance[:, 1]) | (intensity[:, 0] != intensity[:, 1])
-    firing, slot = np.nonzero(sent)
+def records(sensor_index: int, return_mode: str, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
+    """The records of N firings: echoes, and which of them were sent, are (N, R)."""
+    firing, which = np.nonzero(sent)
     out = np.empty(len(firing), RECORD)
     out["sensor"] = sensor_index
-    out["time_ns"] = time_ns.ravel()[firing]
-    out["laser"] = firing % time_ns.shape[2]
-    out["return_type"] = slot if sent.shape[1] == 2 else int(return_mode == "last")
+    out["time_ns"], out["laser"] = fired.time_ns[firing], fired.laser[firing]
+    out["return_type"] = which if sent.shape[1] == 2 else int(return_mode == "last")
     for key in ("object", "range_m", "noise_m"):
-        out[key] = getattr(found, key)[firing, slot]
+        out[key] = getattr(found, key)[firing, which]
     return out
 
 

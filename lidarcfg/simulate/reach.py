@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.packets.firing import firing_facts
+from lidarcfg.packets.codec import codec
 from lidarcfg.rig import Mount
 from lidarcfg.simulate.reach_kernels import gathered, mark_balls, mark_cap
 from lidarcfg.units import SECOND_NS
@@ -97,7 +97,8 @@ class Reach:
         self._fan = np.stack([np.sin(sensor.elevation_rad), np.cos(sensor.elevation_rad), sensor.azimuth_offset_rad])
         self._offset_m = float(np.hypot(sensor.lateral_offset_m, sensor.vertical_offset_m).max()) + SLACK_M
         self._wide_rad = spread_rad + SLACK_RAD
-        self._beams_per_ns = sensor.count / firing_facts(sensor)[0].sequence_ns
+        pace = codec(sensor).pace(mount)
+        self._beams_per_ns = pace.firings / pace.period_ns
         self._tables: Mask = np.empty((0, 0, 0), np.bool_)
         self._from_ns, self._to_ns = 0, -1
         self._sights: Sights | None = None

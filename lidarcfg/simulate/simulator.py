@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.packets.firing import Firings, Times, aimed
+from lidarcfg.packets.codec import Firings, Times
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
+from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.echoes import (
     CELLS,
     NODES,
@@ -23,7 +24,7 @@ from lidarcfg.simulate.echoes import (
     wide,
 )
 from lidarcfg.simulate.reach import Known, Reach, Still
-from lidarcfg.world.kernels import chained, may_meet
+from lidarcfg.world.kernels import beams, chained, may_meet
 from lidarcfg.world.motion import Trajectory, rotated
 from lidarcfg.world.raycast import Listed, Raycaster
 from lidarcfg.world.scene import Weather
@@ -76,11 +77,11 @@ class Observer:
 
     def plan(self, fired: Firings) -> Plan:
         """For the next firings: these are asked in the order of time."""
-        first, count = self._fired, fired.time_ns.size
+        first, count = self._fired, len(fired.time_ns)
         self._fired += count
         known = None
-        if self._reach and count:  # packets are in the order of time; the firings of one need not be
-            known = self._reach.known(int(fired.time_ns[0].min()), int(fired.time_ns[-1].max()))
+        if self._reach and count:
+            known = self._reach.known(int(fired.time_ns.min()), int(fired.time_ns.max()))
         return Plan(fired, first, known)
 
     def report(self, plan: Plan) -> tuple[Echoes, Counts]:
@@ -88,13 +89,13 @@ class Observer:
 
         Changes nothing, so that threads may ask for several at a time. Raises ConfigError outside timed poses.
         """
-        fired, count, caster = plan.fired, plan.fired.time_ns.size, self._stage.caster
-        time_ns, what, listed = fired.time_ns.ravel(), None, None
+        fired, count, caster = plan.fired, len(plan.fired.time_ns), self._stage.caster
+        time_ns, what, listed = fired.time_ns, None, None
         if plan.known is None:
             rows = np.arange(count)
         else:
             tables, sights = plan.known
-            azimuth_rad = fired.azimuth_rad.reshape(-1, self._mount.sensor.count)
+            azimuth_rad = fired.encoder_rad.reshape(-1, self._mount.sensor.count)
             rows, what, which = may_meet(azimuth_rad, tables, sights.which if sights else NO_LISTS)
             listed = Listed(which, sights) if sights else None
             time_ns = time_ns[rows] if caster.movers or not self._stage.trajectory.path.stands else time_ns[:0]
@@ -143,3 +144,13 @@ class Observer:
 def _parted(T: Array) -> tuple[Array, Array]:
     """R (1, 3, 3) and t (3,) of a rigid motion (4, 4)."""
     return np.ascontiguousarray(T[None, :3, :3]), np.ascontiguousarray(T[:3, 3])
+
+
+def aimed(sensor: Sensor, fired: Firings, rows: NDArray[np.int64], R: Array, t: Array) -> tuple[Array, Array]:
+    """Origins and unit directions (M, 3) of the firings `rows` (M,), in the frame into which R and t lead.
+
+    These are (M or 1, 3, 3) and (M or 1, 3): one each or one for all. The lasers fire in the order of their numbers.
+    """
+    lasers = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, sensor.vertical_offset_m
+    origins, directions = beams(fired.encoder_rad.reshape(-1, sensor.count), rows, *lasers, R, t)
+    return origins, directions

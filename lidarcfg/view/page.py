@@ -229,7 +229,7 @@ def _mount(mount: Mount) -> dict[str, Any]:
         "position_m": list(mount.position_m),
         "rpy_rad": list(mount.rpy_rad),
         "elevation_deg": sorted(mount.sensor.beams.elevation_deg),
-        "sector_deg": mount.sector_deg and list(mount.sector_deg),
+        "azimuth_fov_deg": mount.azimuth_fov_deg and list(mount.azimuth_fov_deg),
         "range_m": mount.sensor.range and mount.sensor.range.max_m,
     }
 

@@ -69,7 +69,7 @@ def test_content_and_time(speed):
         assert [payload for payload, _ in got[index]] == [payload for payload, _ in mine]
         for (_, arrived), (_, due) in zip(got[index], mine, strict=True):
             assert arrived - began >= due - 1e-3  # the two clocks may drift that much, by far
-            assert arrived - began <= due + took
+            assert arrived - began <= due + took + 1e-3
     assert done.packets == 120
     assert offsets[-1] / 1e9 / speed <= done.seconds <= took + 1e-3
     assert 0 <= done.latest_s <= done.seconds

@@ -14,10 +14,9 @@ from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from lidarcfg.capture import scans as turns
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram, write_pcap
-from lidarcfg.capture.scans import turn_starts
+from lidarcfg.capture.scans import Head, scans
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import HandoverError, PacketError
 from lidarcfg.formats import bag
@@ -178,7 +177,7 @@ def test_the_mcap_file_is_ros_2_and_indexed(capture, tmp_path):
 
 def test_a_message_is_a_turn(capture):
     found = defaultdict(list)
-    for turn in turns.turns(capture, no_warning, named_rig()):
+    for turn in scans(capture, no_warning, named_rig()):
         found[turn.sensor_names[0]].append(turn)
     decoded = concatenate(list(decode_pcap(capture, no_warning, named_rig())))
     for i, (name, rpm) in enumerate((("left", 600), ("right.2", 660))):
@@ -199,11 +198,14 @@ def test_a_message_is_a_turn(capture):
 
 
 @pytest.mark.parametrize("chunk", [1, 5, 100])
-def test_turns_whatever_the_chunks(capture, monkeypatch, chunk):
-    whole = turn_starts(capture)
-    monkeypatch.setattr(turns, "CHUNK_PACKETS", chunk)
-    for endpoint, starts_ns in turn_starts(capture).items():
-        assert starts_ns.tolist() == whole[endpoint].tolist()
+def test_scans_whatever_the_chunks(capture, chunk):
+    def ordered(found):
+        return sorted(found, key=lambda scan: (scan.sensor_names, scan.time_ns[0]))
+
+    whole, parts = ordered(scans(capture, no_warning)), ordered(scans(capture, no_warning, chunk_packets=chunk))
+    for one, other in zip(whole, parts, strict=True):
+        assert one.sensor_names == other.sensor_names
+        assert (one.xyz == other.xyz).all()
 
 
 @pytest.mark.parametrize("name", ["veloview_hdl32e_monterey.pcap", "nebula_vlp16.pcap", "mrpt_vlp16_gps.pcap"])
@@ -224,63 +226,54 @@ def test_turns_of_real_recordings_by_a_plain_loop(name):
                 there = block[at] or block[at + 1]
                 twin = dual and b % 2 == 1 and block[at : at + 3] == blocks[b - 1][at : at + 3]
                 counts[-1] += bool(there and not twin)
-    messages = list(turns.turns(path, lambda warning: None))
+    messages = list(scans(path, lambda warning: None))
     assert len(counts) > 1
     assert [len(turn.xyz) for turn in messages] == counts
 
 
-def head_datagrams(azimuths, times_ns, host_offset_ns=0) -> list[Datagram]:
-    """Empty packets of one sensor, only as good as their azimuth and stamp."""
-    made = []
-    for azimuth, time_ns in zip(azimuths, times_ns, strict=True):
-        packet = np.zeros(1, PACKET)
-        packet["blocks"]["azimuth"] = azimuth
-        packet["stamp_us"] = time_ns // 1000 % (3600 * 10**6)
-        made.append(Datagram(time_ns + host_offset_ns, "192.168.1.201", 2368, 2368, packet.tobytes()))
-    return made
+def starts(azimuths, times_ns) -> list[int]:
+    """When a head's revolutions begin: azimuths in hundredths of a degree, in pieces of 7 packets."""
+    head = Head()
+    for i in range(0, len(times_ns), 7):
+        head.add(np.array(times_ns[i : i + 7]), np.radians(np.array(azimuths[i : i + 7]) / 100))
+    return sorted(set(head.starts_ns))
 
 
-def starts(tmp_path, datagrams) -> list[int]:
-    write_datagrams(tmp_path / "h.pcap", datagrams)
-    (found,) = turn_starts(tmp_path / "h.pcap").values()
-    return found.tolist()
-
-
-def test_overtaken_and_doubled_packets_make_no_turns(tmp_path):
+def test_overtaken_and_doubled_packets_make_no_turns():
     step_ns, step = 2_000_000, 720
     times_ns = [START_NS + i * step_ns for i in range(120)]
     azimuths = [i * step % 36000 for i in range(120)]
-    plain = head_datagrams(azimuths, times_ns)
+    plain = list(zip(azimuths, times_ns, strict=True))
     right = [times_ns[i] for i in (0, 50, 100)]
-    assert starts(tmp_path, plain) == right
+    assert starts(azimuths, times_ns) == right
     for at in (20, 49, 50, 51, 99):
         odd = plain.copy()
         odd[at], odd[at + 1] = odd[at + 1], odd[at]
-        found = starts(tmp_path, odd)
+        found = starts(*zip(*odd, strict=True))
         assert len(found) == 3
         assert np.abs(np.array(found) - right).max() <= step_ns
-    assert starts(tmp_path, [one for one in plain for _ in range(2)]) == right
+    assert starts(*zip(*[one for one in plain for _ in range(2)], strict=True)) == right
 
 
-def test_a_head_that_stands_still_is_cut_by_the_second(tmp_path):
+def test_a_head_that_stands_still_is_cut_by_the_second():
     times_ns = [START_NS + i * 10_000_000 for i in range(250)]
-    assert starts(tmp_path, head_datagrams([12345] * 250, times_ns)) == [times_ns[i] for i in (0, 100, 200)]
+    assert starts([12345] * 250, times_ns) == [times_ns[i] for i in (0, 100, 200)]
     wobbling = [12345 + i % 2 for i in range(250)]
-    assert starts(tmp_path, head_datagrams(wobbling, times_ns)) == [times_ns[i] for i in (0, 100, 200)]
+    assert starts(wobbling, times_ns) == [times_ns[i] for i in (0, 100, 200)]
 
 
-def test_a_narrow_sector_still_has_turns(tmp_path):
+def test_a_narrow_sector_still_has_turns():
     times_ns = [START_NS + i * 100_000_000 + j * 1_300_000 for i in range(4) for j in range(4)]
     azimuths = [10000 + 500 * j for _ in range(4) for j in range(4)]
-    assert starts(tmp_path, head_datagrams(azimuths, times_ns)) == times_ns[::4]
+    assert starts(azimuths, times_ns) == times_ns[::4]
 
 
-def test_a_clock_that_is_set_back_begins_anew(tmp_path):
+def test_a_clock_that_is_set_back_begins_anew():
     step_ns = 2_000_000
     times_ns = [START_NS + 3 * SECOND_NS + i * step_ns for i in range(80)]
     times_ns += [START_NS + 10**9 + i * step_ns for i in range(80)]
     azimuths = [i * 720 % 36000 for i in range(160)]
-    found = starts(tmp_path, head_datagrams(azimuths, times_ns))
+    found = starts(azimuths, times_ns)
     assert found == sorted(times_ns[i] for i in (0, 50, 80, 100, 150))
 
 
@@ -337,10 +330,10 @@ def test_whole_or_not_at_all(capture, tmp_path):
 
 def test_ctrl_c_leaves_nothing(capture, tmp_path, monkeypatch):
     def stopped(*words):
-        yield from list(turns.turns(*words))[:2]
+        yield from list(scans(*words))[:2]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(bag, "turns", stopped)
+    monkeypatch.setattr(bag, "scans", stopped)
     for storage in ("sqlite3", "mcap"):
         with pytest.raises(KeyboardInterrupt):
             save_bag(tmp_path / "bag", capture, storage, named_rig(), None, lambda warning: None)
@@ -371,11 +364,14 @@ def test_what_is_no_bag_is_left_alone(capture, tmp_path):
 
 def test_nothing_to_hand_over(tmp_path):
     times_ns = [START_NS + i * 1_327_104 for i in range(40)]
-    datagrams = head_datagrams([i * 480 for i in range(40)], times_ns)
-    for i, one in enumerate(datagrams):
-        packet = np.frombuffer(one.payload, PACKET).copy()
-        packet["blocks"]["flag"], packet["return_mode"], packet["product_id"] = 0xEEFF, 0x37, 0x22
-        datagrams[i] = replace(one, payload=packet.tobytes())
+    packets = np.zeros(40, PACKET)
+    packets["blocks"]["flag"], packets["return_mode"], packets["product_id"] = 0xEEFF, 0x37, 0x22
+    packets["blocks"]["azimuth"] = (np.arange(40) * 480)[:, None]
+    packets["stamp_us"] = np.array(times_ns) // 1000 % (3600 * 10**6)
+    datagrams = [
+        Datagram(time_ns, "192.168.1.201", 2368, 2368, packet.tobytes())
+        for time_ns, packet in zip(times_ns, packets, strict=True)
+    ]
     write_datagrams(tmp_path / "a.pcap", datagrams)
     with pytest.raises(PacketError, match=r"a\.pcap: holds no returns; there is nothing to put into a bag"):
         save_mcap(tmp_path / "a.mcap", tmp_path / "a.pcap", None, None, no_warning)

@@ -189,7 +189,7 @@ def test_carla_is_told_what_the_sensor_is():
         "dropoff_general_rate": 0.1,
         "dropoff_zero_intensity": 0,
     }
-    uneven = turned("front", sensor=load_sensor("vlp-32c"), sector_deg=(10.0, 200.0))
+    uneven = turned("front", sensor=load_sensor("vlp-32c"), azimuth_fov_deg=(10.0, 200.0))
     carla(Rig("one", (uneven, turned("beams", sensor=custom_sensor((-3.0, 5.0))))), warnings.append)
     elevations = sorted(load_sensor("vlp-32c").beams.elevation_deg)
     away = max(abs(elevation - (-25 + i * 40 / 31)) for i, elevation in enumerate(elevations))

@@ -8,7 +8,6 @@ import pytest
 
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import pose, transform
-from lidarcfg.packets.firing import firings, rays
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
 from lidarcfg.simulate import reach as reach_module
@@ -22,6 +21,7 @@ from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.raycast import Raycaster
 from tests.capture_fixtures import datagrams_of, mount, scene, tilted_rig
 from tests.naive import placement as naive
+from tests.packets.velodyne.shaped import firings, rays
 
 RANGE_M = 100.0
 

@@ -157,7 +157,7 @@ def test_commands(here):
 
 def test_counts_of_no_rays(here):
     """A sector that the head has not reached yet: nothing is fired, nothing is divided by it."""
-    sensors = [{"name": "a", "model": "vlp-16", "position_m": [0, 0, 2], "sector_deg": [350, 355]}]
+    sensors = [{"name": "a", "model": "vlp-16", "position_m": [0, 0, 2], "azimuth_fov_deg": [350, 355]}]
     (here / "rig.yaml").write_text(yaml.safe_dump({"name": "one", "sensors": sensors}))
     done = run("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 0.01, "--stats", "-o", "a.pcap", cwd=here)
     assert done.returncode == 0, done.stderr

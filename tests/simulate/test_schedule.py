@@ -8,13 +8,21 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose
-from lidarcfg.packets.firing import aimed, firings, packet_period_ns, rays
+from lidarcfg.packets.codec import codec
 from lidarcfg.sensor import load_sensor
+from lidarcfg.simulate.simulator import aimed
 from lidarcfg.world.kernels import chained
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, prepared
 from tests.naive.capture import ELEVATION_DEG, VERTICAL_MM, firing_ns, head_deg
+from tests.packets.velodyne.shaped import firings, packet_period_ns
 
 VLP16 = load_sensor("vlp-16")
+
+
+def rays(sensor, fired):
+    """Those of all firings, in the sensor frame."""
+    found = aimed(sensor, fired.flat, np.arange(fired.time_ns.size), np.eye(3)[None], np.zeros((1, 3)))
+    return [values.reshape(*fired.time_ns.shape, 3) for values in found]
 
 
 def test_packet_period():
@@ -98,7 +106,7 @@ def test_rays_of_a_sensor_that_moves(motion):
         R, t = chained(
             outer[None, :3, :3].copy(), outer[:3, 3].copy(), R, t, inner[None, :3, :3].copy(), inner[:3, 3].copy()
         )
-        found.append(np.concatenate(aimed(sensor, fired, rows, R, t), axis=1))
+        found.append(np.concatenate(aimed(sensor, fired.flat, rows, R, t), axis=1))
     assert (found[0][1::7] == found[1]).all()
     origins, directions = (values.reshape(-1, 3) for values in rays(sensor, fired))
     for i, time_ns in enumerate(fired.time_ns.ravel().tolist()):
@@ -108,5 +116,5 @@ def test_rays_of_a_sensor_that_moves(motion):
 
 
 def test_placement_only_sensors_are_refused():
-    with pytest.raises(ConfigError, match="'fan-16' is for placement only: it has no firing and packet facts"):
-        packet_period_ns(load_sensor("fan-16"))
+    with pytest.raises(ConfigError, match="'fan-16' is for placement only: it has no codec"):
+        codec(load_sensor("fan-16"))

@@ -4,19 +4,18 @@ After each cycle's letters (clock and state) come seven bytes of the calibration
 28 bytes for each laser, and the unit's settings; as velodyne_decoder reads them, after the HDL-64E manual.
 """
 
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.sensor import Beams, Sensor, Status
-
-if TYPE_CHECKING:
-    from lidarcfg.rig import PpsState
+from lidarcfg.packets.velodyne.facts import Calibration, PpsState, Status, Unit
+from lidarcfg.sensor import Beams
 
 MARK = b"UNIT#"
 HEAD, ROW, ROWS, RECORD = 7, 7, 4, 28  # bytes; rows of a record, of which the calibration takes three
@@ -41,16 +40,32 @@ LASER = np.dtype(
 BEAMS = {  # the beams' table that a field holds, and how many of the field's units are one of its
     "elevation": ("elevation_deg", 100),
     "rotation": ("azimuth_offset_deg", -100),
+    "vertical": ("vertical_offset_mm", 1),
+    "lateral": ("lateral_offset_mm", 1),
+}
+CALIBRATION = {  # the same of the calibration's tables
     "far": ("distance_offset_mm", 1),
     "near_x": ("near_x_offset_mm", 1),
     "near_y": ("near_y_offset_mm", 1),
-    "vertical": ("vertical_offset_mm", 1),
-    "lateral": ("lateral_offset_mm", 1),
     "focal_distance": ("focal_distance_mm", 1),
     "focal_slope": ("focal_slope", 10),
     "intensity_min": ("intensity_min", 1),
     "intensity_max": ("intensity_max", 1),
 }
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What status bytes say of the unit that sends them."""
+
+    beams: Beams
+    calibration: Calibration
+    return_mode: str  # of single returns
+
+    def unit(self, example: Unit) -> Unit:
+        """The example unit with what is carried in place of its own."""
+        sensor = example.sensor.model_copy(update={"beams": self.beams})
+        return Unit(sensor, example.facts.model_copy(update={"calibration": self.calibration}))
 
 
 def crc16(data: bytes) -> int:
@@ -64,30 +79,24 @@ def crc16(data: bytes) -> int:
 
 
 @lru_cache
-def calibration(sensor: Sensor, status: Status, return_mode: str) -> bytes:
-    """The calibration of a sensor's beams, as its status bytes carry it. Times and thresholds are left at zero.
+def calibration(unit: Unit, status: Status, return_mode: str) -> bytes:
+    """The calibration of a sensor's beams, as its status bytes carry it. Times and thresholds are zero.
 
     Raises ConfigError for what they cannot say; digits beyond theirs are rounded away.
     """
-    if sensor.count != LASERS:
-        raise ConfigError(f"sensor {sensor.name!r} has {sensor.count} beams; status bytes say those of {LASERS}")
+    if unit.count != LASERS:
+        raise ConfigError(f"sensor {unit.name!r} has {unit.count} beams; status bytes say those of {LASERS}")
     table = np.zeros(LASERS, LASER)
     table["id"], table["intensity_max"] = np.arange(LASERS), 255
-    for field, (key, scale) in BEAMS.items():
-        values = getattr(sensor.beams, key)
-        if not values and field in ("near_x", "near_y"):
-            values = sensor.beams.distance_offset_mm
-        if not values:
-            continue
-        units, allowed = np.rint(np.array(values) * scale), np.iinfo(table[field].dtype)
-        for k in np.flatnonzero((units < allowed.min) | (units > allowed.max)):
-            low, high = sorted((allowed.min / scale, allowed.max / scale))
-            what = f"{values[k]:g} is beyond what status bytes can say; allowed: {low:g} to {high:g}"
-            raise ConfigError(f"sensor {sensor.name!r}: beams.{key}[{k}]: {what}")
-        table[field] = units
+    beams, calibration = unit.sensor.beams, unit.facts.calibration
+    _fill(table, BEAMS, beams, f"sensor {unit.name!r}: beams")
+    if not calibration.near_x_offset_mm:
+        far = calibration.distance_offset_mm
+        calibration = calibration.model_copy(update={"near_x_offset_mm": far, "near_y_offset_mm": far})
+    _fill(table, CALIBRATION, calibration, f"sensor {unit.name!r}: velodyne.calibration")
     for k in np.setdiff1d(table["id"], np.unique(table["elevation"], return_index=True)[1]):
-        what = f"{sensor.beams.elevation_deg[k]} is another beam's already in the hundredths of status bytes"
-        raise ConfigError(f"sensor {sensor.name!r}: beams.elevation_deg[{k}]: {what}")
+        what = f"{beams.elevation_deg[k]} is another beam's already in the hundredths of status bytes"
+        raise ConfigError(f"sensor {unit.name!r}: beams.elevation_deg[{k}]: {what}")
     out = bytearray(LENGTH)
     out[: len(MARK)] = MARK
     for i, row in enumerate(table):
@@ -100,31 +109,48 @@ def calibration(sensor: Sensor, status: Status, return_mode: str) -> bytes:
     return bytes(out)
 
 
+def _fill(
+    table: NDArray[np.void], columns: dict[str, tuple[str, int]], tables: Beams | Calibration, where: str
+) -> None:
+    """Write the tables, in the units of their fields. Raises ConfigError for a value beyond these."""
+    for field, (key, scale) in columns.items():
+        values = getattr(tables, key)
+        if not values:
+            continue
+        units, allowed = np.rint(np.array(values) * scale), np.iinfo(table[field].dtype)
+        for k in np.flatnonzero((units < allowed.min) | (units > allowed.max)):
+            low, high = sorted((allowed.min / scale, allowed.max / scale))
+            what = f"{values[k]:g} is beyond what status bytes can say; allowed: {low:g} to {high:g}"
+            raise ConfigError(f"{where}.{key}[{k}]: {what}")
+        table[field] = units
+
+
 def status_bytes(
-    sensor: Sensor, status: Status, return_mode: str, pps: "PpsState", stamp_ns: NDArray[np.int64], period_ns: int
+    unit: Unit, status: Status, return_mode: str, pps: PpsState, stamp_ns: NDArray[np.int64], period_ns: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Types (P,) and values (P,) of the packets with these stamps: the same whatever packets they come with."""
-    carried = calibration(sensor, status, return_mode)
+    carries = calibration(unit, status, return_mode)
     cycle, gps = len(status.letters) + ROW, getattr(status.gps, pps)
     types, values = np.zeros(len(stamp_ns), np.uint8), np.zeros(len(stamp_ns), np.uint8)
     for i, time_ns in enumerate(stamp_ns.tolist()):
-        turns, place = divmod(time_ns // period_ns, cycle)
+        rounds, place = divmod(time_ns // period_ns, cycle)
         if place < len(status.letters):
             letter = status.letters[place]
             now = datetime.fromtimestamp(time_ns // 10**9, UTC)
             clock = {"H": now.hour, "M": now.minute, "S": now.second, "D": now.day, "N": now.month, "Y": now.year % 100}
             types[i], values[i] = ord(letter), (clock | {"G": gps}).get(letter, 0)
         else:
-            at = (turns * ROW + place - len(status.letters)) % LENGTH
+            at = (rounds * ROW + place - len(status.letters)) % LENGTH
             warning = status.warnings and at == WARNING_AT
             types[i] = ord(status.warnings) if warning else ord("1") + at % ROW
-            values[i] = carried[at]
+            values[i] = carries[at]
     return types, values
 
 
-def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8]) -> tuple[Beams, str] | None:
-    """Beams and return mode that the status bytes of successive packets (P,) carry; None if there is none, whole and
-    with the right checksum. Raises PacketError if it makes no sense.
+def carried(status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8]) -> Carried | None:
+    """What the status bytes of successive packets (P,) carry; None if there is none, whole and with the right checksum.
+
+    Raises PacketError if it makes no sense.
     """
     letters = np.isin(types, np.frombuffer(status.letters.encode(), np.uint8))
     stream = values[~letters].tobytes()
@@ -138,7 +164,7 @@ def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.u
         if int.from_bytes(found[-2:], "little") == checksum and (table["id"] == np.arange(LASERS)).all():
             modes = {code: name for name, code in MODES.items()}
             try:
-                return _beams(table), modes.get(found[MODE_AT], "strongest")
+                return Carried(*_read(table), modes.get(found[MODE_AT], "strongest"))
             except ValidationError as error:
                 what = error.errors()[0]["msg"]
                 raise PacketError(f"status bytes carry a calibration that no sensor has: {what}") from None
@@ -146,15 +172,18 @@ def carried_beams(status: Status, types: NDArray[np.uint8], values: NDArray[np.u
     return None
 
 
-def _beams(table: NDArray[np.void]) -> Beams:
+def _read(table: NDArray[np.void]) -> tuple[Beams, Calibration]:
     even = (table["near_x"] == table["far"]) & (table["near_y"] == table["far"])
     focused = (table["focal_slope"] == 0) & (table["intensity_min"] == 0) & (table["intensity_max"] == 255)
-    left_out = {"near_x", "near_y"} if even.all() else set[str]()
+    idle = {"near_x", "near_y"} if even.all() else set[str]()  # fields that correct nothing
     if focused.all():
-        left_out |= {"focal_distance", "focal_slope", "intensity_min", "intensity_max"}
-    columns = {
-        key: tuple((table[field] if table[field].dtype == np.uint8 else table[field] / scale).tolist())
-        for field, (key, scale) in BEAMS.items()
-        if field not in left_out
-    }
-    return Beams(source="the capture's status bytes", **columns)
+        idle |= {"focal_distance", "focal_slope", "intensity_min", "intensity_max"}
+
+    def tables(columns: dict[str, tuple[str, int]]) -> dict[str, Any]:
+        return {
+            key: tuple((table[field] if table[field].dtype == np.uint8 else table[field] / scale).tolist())
+            for field, (key, scale) in columns.items()
+            if field not in idle
+        }
+
+    return Beams(source="the capture's status bytes", **tables(BEAMS)), Calibration(**tables(CALIBRATION))

@@ -36,7 +36,7 @@ export function axes(length) {
 
 // The maker's azimuth turns clockwise seen from above: x = cos ω cos α, y = -cos ω sin α, z = sin ω.
 function cones(mount, color) {
-  const [from, to] = mount.sector_deg ?? [0, 360];
+  const [from, to] = mount.azimuth_fov_deg ?? [0, 360];
   const wide = to > from ? to - from : to - from + 360;
   const steps = Math.max(Math.round(wide / STEP_DEG), 1);
   const ends = [];

@@ -12,10 +12,11 @@ import velodyne_decoder as vd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.capture.pcap import Frames, Sender, write_pcap
+from lidarcfg.capture.frames import Frames, frames
+from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.firing import firings, packet_period_ns
-from lidarcfg.packets.velodyne.layout import encode, sent_returns
+from lidarcfg.packets.codec import Payloads, codec
+from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
@@ -23,6 +24,7 @@ from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 from tests.naive import capture as naive
+from tests.packets.velodyne.shaped import encode, facts, firings, packet_period_ns, sent_returns, with_facts
 
 VLP16 = load_sensor("vlp-16")
 MODELS = ["vlp-16", "puck-lite", "puck-hi-res", "vlp-32c", "hdl-32e", "vls-128", "hdl-64e-s2", "hdl-64e-s3"]
@@ -32,16 +34,12 @@ CODES = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
 def made_up(beams, sequences, flags, order, by):
     """A sensor of another layout."""
     packet = {"block_flags": flags, "sequences_per_block": sequences}
-    packet["dual"] = VLP16.packet.dual.model_copy(update={"order": order, "by": by})
+    packet["dual"] = {"source": "", "order": order, "by": by}
     elevation = tuple(np.linspace(-25, 15, beams).tolist())
     offset = tuple(500 * (i // 2) for i in range(beams))
-    return VLP16.model_copy(
-        update={
-            "beams": VLP16.beams.model_copy(update={"elevation_deg": elevation, "vertical_offset_mm": ()}),
-            "firing": VLP16.firing.model_copy(update={"offset_ns": offset, "sequence_ns": 50_000}),
-            "packet": VLP16.packet.model_copy(update=packet),
-        }
-    )
+    none = {"elevation_deg": elevation, "azimuth_offset_deg": (), "vertical_offset_mm": ()}
+    sensor = VLP16.model_copy(update={"beams": VLP16.beams.model_copy(update=none)})
+    return with_facts(sensor, firing={"offset_ns": offset, "sequence_ns": 50_000}, packet=packet)
 
 
 LAYOUTS = [
@@ -64,26 +62,26 @@ def test_every_layout_is_the_twins(sensor, mode):
 
     A unit's own distances and intensities are those that are found by trying them all.
     """
-    dual, rng, facts = mode == "dual", np.random.default_rng(3), sensor.packet
+    dual, rng, layout, of = mode == "dual", np.random.default_rng(3), facts(sensor).packet, unit(sensor)
     period_ns = packet_period_ns(sensor, dual)
     start_ns = START_NS - 3 * period_ns + 777
-    fired = firings(sensor, 600, start_ns, range(8 if sensor.focal is not None else 30), dual)
+    fired = firings(sensor, 600, start_ns, range(8 if of.focal is not None else 30), dual)
     range_m = rng.uniform(0, 1.2 * sensor.range.max_m, (*fired.time_ns.shape, 2) if dual else fired.time_ns.shape)
     range_m[5] = rng.uniform(23, 28, range_m[5].shape)  # where an HDL-64E's corrections end
     range_m[rng.random(range_m.shape) < 0.1] = np.inf
     reflectivity = rng.integers(0, 256, range_m.shape, np.uint8)
     packets = encode(sensor, mode, fired, range_m, reflectivity)
-    head_ns = min(sensor.firing.offset_ns)
+    head_ns = min(of.firing.offset_ns)
 
     beams = []
-    if sensor.focal is not None:
-        tables = sensor.beams.model_dump(exclude={"source"})
+    if of.focal is not None:
+        tables = sensor.beams.model_dump(exclude={"source"}) | of.facts.calibration.model_dump()
         beams = [dict(zip(tables, values, strict=True)) for values in zip(*tables.values(), strict=True)]
 
     def on_the_wire(laser, azimuth, metres, byte):
         if not sensor.range.min_m <= metres <= sensor.range.max_m:
             return 0, 0
-        units = round((metres - sensor.distance_offset_m[laser]) / sensor.range.resolution_m)
+        units = round((metres - of.distance_offset_m[laser]) / sensor.range.resolution_m)
         if beams:
             units = naive.unit_distance(beams[laser], metres, sensor.range.resolution_m, azimuth)
         if not 0 < units <= 65535:
@@ -103,19 +101,19 @@ def test_every_layout_is_the_twins(sensor, mode):
         said = np.stack(sent_returns(sensor, mode, packets[p : p + 1]), axis=-1)
         assert said.tolist() == np.array(returns).reshape(-1, 1 + dual, 2).tolist()
         azimuths = []
-        for sequence in range(0, len(returns), facts.sequences_per_block):
-            since_ns = p * period_ns + sequence * sensor.firing.sequence_ns + head_ns
+        for sequence in range(0, len(returns), layout.sequences_per_block):
+            since_ns = p * period_ns + sequence * of.firing.sequence_ns + head_ns
             azimuths.append(round(naive.head_deg(since_ns, 600) * 100) % 36000)
-        if facts.status:
-            carried = calibration(sensor, facts.status, mode)
+        if layout.status:
+            carried = calibration(of, layout.status, mode)
             when = datetime.fromtimestamp(stamp_ns // SECOND_NS, UTC)
-            letters = facts.status.letters, facts.status.warnings, ord("A")
+            letters = layout.status.letters, layout.status.warnings, ord("A")
             tail = naive.status(stamp_ns // period_ns, when, *letters, carried)
         else:
-            tail = bytes([CODES[mode], facts.product_id])
+            tail = bytes([CODES[mode], layout.product_id])
         stamp_us = (stamp_ns + 500) // 1000 % 3_600_000_000
-        pairs = (facts.dual.order, facts.dual.by) if dual else (None, None)
-        expected = naive.encode_any(facts.block_flags, facts.sequences_per_block, *pairs, stamp_us, azimuths, returns, tail)  # fmt: skip
+        pairs = (layout.dual.order, layout.dual.by) if dual else (None, None)
+        expected = naive.encode_any(layout.block_flags, layout.sequences_per_block, *pairs, stamp_us, azimuths, returns, tail)  # fmt: skip
         assert packet.tobytes() == expected
 
 
@@ -131,11 +129,10 @@ def test_every_layout_is_the_twins(sensor, mode):
 )
 def test_frames_are_the_twins(name, position, host, port, number, time_us, payload):
     """Lengths, checksums and ids, whatever is sent; an odd octet at the end is summed too."""
-    headers = load_sensor(name).headers
+    headers = facts(load_sensor(name)).headers
     header = headers.position if position and headers.position else headers.data
-    frames = Sender(headers, header, str(host), port).frames(
-        np.array([time_us * 1000]), np.frombuffer(payload, np.uint8)[None], number
-    )
+    octets = np.frombuffer(payload, np.uint8)[None]
+    sent = frames(str(host), Payloads(np.array([time_us * 1000]), octets, port, headers, header, number))
     macs = bytes.fromhex("ffffffffffff607688") + host.packed[1:]
     expected = naive.frame(
         macs,
@@ -148,7 +145,7 @@ def test_frames_are_the_twins(name, position, host, port, number, time_us, paylo
         payload,
     )
     record = struct.pack("<IIII", *divmod(time_us, 10**6), len(expected), len(expected))
-    assert frames.records == [record + expected]
+    assert sent.records == [record + expected]
 
 
 @pytest.mark.parametrize("name", ["mrpt_vlp16_gps", "veloview_hdl32e_monterey", "jerry_vlp16"])
@@ -162,12 +159,12 @@ def test_headers_are_those_of_recordings(name, kind, size):
     with open(recording(f"{name}.pcap"), "rb") as file:
         real = [frame for _, frame in dpkt.pcap.Reader(file) if len(frame) == 42 + size]
     assert len(real) > 10
-    header, same = getattr(sensor.headers, kind), 0
+    header, same = getattr(facts(sensor).headers, kind), 0
     for frame in real:
         host, port = socket.inet_ntoa(frame[26:30]), int.from_bytes(frame[36:38])
-        sender = Sender(sensor.headers, header, host, port)
-        payload = np.frombuffer(frame[42:], np.uint8)[None]
-        ours = sender.frames(np.array([0]), payload, int.from_bytes(frame[18:20])).records[0][16:]
+        payload, number = np.frombuffer(frame[42:], np.uint8)[None], int.from_bytes(frame[18:20])
+        sent = Payloads(np.array([0]), payload, port, facts(sensor).headers, header, number)
+        ours = frames(host, sent).records[0][16:]
         unit = slice(9, 12)  # of the MAC address; ours is made of the IP address
         same += ours[: unit.start] + frame[unit] + ours[unit.stop :] == frame
     assert same == (0 if (name, kind) == ("jerry_vlp16", "position") else len(real))
@@ -175,8 +172,9 @@ def test_headers_are_those_of_recordings(name, kind, size):
 
 def test_headers_of_other_models():
     """As the facts have it: an HDL-64E sends from port 443, with TTL 128 and without "do not fragment"."""
-    headers = load_sensor("hdl-64e-s3").headers
-    record = Sender(headers, headers.data, "10.0.0.9", 2368).frames(np.array([0]), np.zeros((1, 1206), np.uint8))
+    headers = facts(load_sensor("hdl-64e-s3")).headers
+    payloads = Payloads(np.array([0]), np.zeros((1, 1206), np.uint8), 2368, headers, headers.data)
+    record = frames("10.0.0.9", payloads)
     packet = dpkt.ethernet.Ethernet(record.records[0][16:]).data
     assert (packet.ttl, packet.df, packet.data.sport, packet.data.dport, packet.data.sum) == (128, 0, 443, 2368, 0)
     assert dpkt.in_cksum(record.records[0][30:50]) == 0
@@ -185,18 +183,20 @@ def test_headers_of_other_models():
 def test_models_without_headers(tmp_path):
     """They cannot be exported; and a position packet needs a header too."""
     text = catalogue()["vlp-16"].read_text()
-    (tmp_path / "a.yaml").write_text(text[: text.index("\nheaders:")])
+    (tmp_path / "a.yaml").write_text(text[: text.index("\n  headers:")])
     rig = "name: r\nsensors: [{name: s, model: a.yaml, position_m: [0, 0, 2]}]"
     (tmp_path / "rig.yaml").write_text(rig)
-    with pytest.raises(ConfigError, match="s: sensor 'vlp-16' is for placement only: it has no headers facts"):
+    with pytest.raises(ConfigError, match=r"s: sensor 'vlp-16' cannot be exported: its file has no velodyne\.headers"):
         export(load_rig(tmp_path / "rig.yaml"), scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), SECOND_NS)
     lines = text.splitlines(keepends=True)
     (tmp_path / "a.yaml").write_text("".join(line for line in lines if "position: {ttl" not in line))
-    with pytest.raises(ConfigError, match=r"headers\.position: missing, as there is a position_packet"):
-        load_rig(tmp_path / "rig.yaml")
+    with pytest.raises(
+        ConfigError, match=r"a\.yaml:66:3: velodyne\.headers\.position: missing, as there is a position"
+    ):
+        codec(load_rig(tmp_path / "rig.yaml").mounts[0].sensor)
     (tmp_path / "a.yaml").write_text(text.replace("destination_ip: 255.255.255.255", "destination_ip: 255.255.255.256"))
     with pytest.raises(ConfigError, match=r"headers\.destination_ip: '255\.255\.255\.256' is not an IPv4 address"):
-        load_rig(tmp_path / "rig.yaml")
+        codec(load_rig(tmp_path / "rig.yaml").mounts[0].sensor)
 
 
 PPS = vd.TelemetryPacket.PpsStatus
@@ -215,12 +215,12 @@ PPS = vd.TelemetryPacket.PpsStatus
 )
 def test_states_of_the_pulse(tmp_path, model, pps, status, sentence):
     """As the rig says, read by another parser: without a lock no fix, without a receiver no sentence or 2000-01-01."""
-    rig = f"name: r\nsensors: [{{name: s, model: {model}, position_m: [0, 0, 2], pps: {pps}}}]"
+    rig = f"name: r\nsensors: [{{name: s, model: {model}, position_m: [0, 0, 2], velodyne: {{pps: {pps}}}}}]"
     (tmp_path / "rig.yaml").write_text(rig)
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     write_pcap(tmp_path / "a.pcap", export(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), 3 * SECOND_NS // 2)[0])
     sent = [d.payload for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
-    assert len(sent) == math.ceil(1.5 * load_sensor(model).position_packet.rate_hz)
+    assert len(sent) == math.ceil(1.5 * facts(load_sensor(model)).position_packet.rate_hz)
     read = [vd.TelemetryPacket(payload) for payload in sent]
     assert {packet.pps_status for packet in read} == {status}
     assert read[0].nmea_sentence.startswith(sentence)
@@ -236,7 +236,7 @@ def test_states_of_the_pulse(tmp_path, model, pps, status, sentence):
 def test_states_of_the_pulse_in_status_bytes(tmp_path, name, pps, value):
     """What sends no position packets says it beside the letter G."""
     (tmp_path / "rig.yaml").write_text(
-        f"name: r\nsensors: [{{name: s, model: {name}, position_m: [0, 0, 2], pps: {pps}}}]"
+        f"name: r\nsensors: [{{name: s, model: {name}, position_m: [0, 0, 2], velodyne: {{pps: {pps}}}}}]"
     )
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     write_pcap(tmp_path / "a.pcap", export(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS // 50)[0])
@@ -246,9 +246,12 @@ def test_states_of_the_pulse_in_status_bytes(tmp_path, name, pps, value):
 
 
 def test_states_of_the_pulse_are_named(tmp_path):
-    (tmp_path / "rig.yaml").write_text("name: r\nsensors: [{name: s, model: vlp-16, position_m: [0, 0, 2], pps: lost}]")
-    with pytest.raises(ConfigError, match=r"sensors\[0\]\.pps: .*'absent', 'synchronising', 'locked' or 'error'"):
-        load_rig(tmp_path / "rig.yaml")
+    text = "name: r\nsensors: [{name: s, model: vlp-16, position_m: [0, 0, 2], velodyne: {pps: lost}}]"
+    (tmp_path / "rig.yaml").write_text(text)
+    (lidar,) = load_rig(tmp_path / "rig.yaml").mounts
+    where = r"rig\.yaml:2:\d+: sensors\[0\]\.velodyne\.pps: .*'absent', 'synchronising', 'locked' or 'error'"
+    with pytest.raises(ConfigError, match=where):
+        codec(lidar.sensor).check(lidar)
 
 
 @given(
@@ -274,7 +277,7 @@ def test_the_order_of_time(streams, size):
 def test_threads_do_not_matter(tmp_path, threads):
     """Four sensors of three models, moving or not: the same bytes as by as many threads as there are cores."""
     lines = [
-        f"- {{name: s{i}, model: {model}, position_m: [{i}, 0, 2], return_mode: {mode}, sector_deg: [{sector}]}}"
+        f"- {{name: s{i}, model: {model}, position_m: [{i}, 0, 2], return_mode: {mode}, azimuth_fov_deg: [{sector}]}}"
         for i, (model, mode, sector) in enumerate(
             [("vlp-16", "strongest", "0, 360"), ("vls-128", "dual", "300, 40"), ("hdl-64e-s2", "last", "0, 360")]
         )

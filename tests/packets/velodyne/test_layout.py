@@ -11,22 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.firing import Firings, firings
 from lidarcfg.packets.velodyne.layout import (
     BLOCK,
     PACKET,
     POSITION,
-    decode,
     device_time_ns,
-    encode,
-    gprmc,
-    position_packets,
     stamp_us,
 )
+from lidarcfg.packets.velodyne.position import gprmc, position_packets
 from lidarcfg.sensor import load_sensor
 from lidarcfg.units import HOUR_NS
 from tests.capture_fixtures import AT_NS
 from tests.naive import capture as naive
+from tests.packets.velodyne.shaped import Fired, decode, encode, firings, with_facts
 
 VLP16 = load_sensor("vlp-16")
 
@@ -40,7 +37,7 @@ def random_packets(count: int, first: int = 0):
     return encode(VLP16, "strongest", fired, range_m, reflectivity), fired, range_m, reflectivity
 
 
-def host_ns(fired: Firings):
+def host_ns(fired: Fired):
     return fired.time_ns[:, 0, 0] + 1_327_104
 
 
@@ -128,10 +125,10 @@ def test_any_layout_of_blocks(beams, sequences, flags):
                     "vertical_offset_mm": (),
                 }
             ),
-            "firing": VLP16.firing.model_copy(update={"offset_ns": offset, "sequence_ns": 50_000}),
-            "packet": VLP16.packet.model_copy(update={"block_flags": flags, "sequences_per_block": sequences}),
         }
     )
+    packet = {"block_flags": flags, "sequences_per_block": sequences}
+    sensor = with_facts(sensor, firing={"offset_ns": offset, "sequence_ns": 50_000}, packet=packet)
     fired = firings(sensor, 600, AT_NS, range(50, 60))
     assert fired.time_ns.shape == (10, 12 * sequences // len(flags), beams)
     range_m = np.random.default_rng(5).uniform(0.6, 99, fired.time_ns.shape)

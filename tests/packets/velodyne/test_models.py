@@ -18,18 +18,12 @@ from lidarcfg.cli import cli
 from lidarcfg.cloud import FIELDS, concatenate, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import transform
-from lidarcfg.packets.firing import (
-    Firings,
-    firing_chunks,
-    firings,
-    head_offset_ns,
-    packet_offsets_ns,
-    packet_period_ns,
-    packet_stamps_ns,
-    rays,
-)
+from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.velodyne import decode_kernels as kernels
-from lidarcfg.packets.velodyne.layout import PACKET, decode, device_time_ns, encode, is_dual, sent_returns
+from lidarcfg.packets.velodyne.encode import sent as are_sent
+from lidarcfg.packets.velodyne.facts import unit as unit_of
+from lidarcfg.packets.velodyne.layout import PACKET, device_time_ns, is_dual
+from lidarcfg.packets.velodyne.schedule import batches
 from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
@@ -40,6 +34,19 @@ from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import AT_NS, STREET, hdl_64e, mount, no_warning, recording, scene
 from tests.capture_fixtures import write_datagrams as write_pcap
+from tests.packets.velodyne.shaped import (
+    Fired,
+    decode,
+    encode,
+    facts,
+    firings,
+    packet_offsets_ns,
+    packet_period_ns,
+    packet_stamps_ns,
+    rays,
+    shaped,
+    with_facts,
+)
 
 OTHERS = {
     "vlp-16": vd.Model.VLP16,
@@ -124,12 +131,13 @@ def test_the_catalogue_has_them_all():
 )
 def test_published_figures(name, product_id, single_us, dual_us, per_second, unit_mm):
     sensor = load_sensor(name)
-    assert sensor.packet.product_id == product_id
+    assert facts(sensor).packet.product_id == product_id
     assert packet_period_ns(sensor) == round(single_us * 1000)
     assert packet_period_ns(sensor, dual=True) == round(dual_us * 1000)
     assert 1e9 / packet_period_ns(sensor) == pytest.approx(per_second, rel=1e-3)
     assert sensor.range.resolution_m * 1000 == unit_mm
-    assert all(getattr(sensor, key).source for key in ("beams", "firing", "rotation", "range", "optics", "packet"))
+    assert all(getattr(sensor, key).source for key in ("beams", "rotation", "range", "optics"))
+    assert all(getattr(facts(sensor), key).source for key in ("firing", "packet"))
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -172,7 +180,7 @@ def test_every_return_comes_back(name, mode):
     assert abs(got.time_ns[ours] - time_ns[theirs]).max() <= 1000
     assert (got.intensity[ours] == reflectivity[kept][theirs]).all()
     error_deg = abs(np.degrees(got.azimuth_rad[ours] - azimuth[theirs] + np.pi) % 360 - 180)
-    last_block = time_ns[theirs] > fired.time_ns[-1, -sensor.packet.sequences_per_block].min() - 1
+    last_block = time_ns[theirs] > fired.time_ns[-1, -facts(sensor).packet.sequences_per_block].min() - 1
     assert error_deg[~last_block].max() <= 0.005 + 1e-9
     assert error_deg.max() <= 0.014
 
@@ -193,7 +201,7 @@ def test_packets_say_what_they_are(name, mode, tmp_path):
     assert points("a.pcap") == points("a.pcap", name) > points("b.pcap") > 9_000
     assert all(name in one.models for one in stats)
     assert [(one.packets, one.lost) for one in stats] == [(60, 0), (60, 0), (57, 3)]
-    assert stats[0].return_modes == (mode if sensor.packet.return_modes or mode == "dual" else "strongest",)
+    assert stats[0].return_modes == (mode if facts(sensor).packet.return_modes or mode == "dual" else "strongest",)
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -206,11 +214,11 @@ def test_another_decoder_agrees(name, mode, tmp_path, calibrations):
     xyz, time_s, intensity, ring, kind = elsewhere(tmp_path / "a.pcap", OTHERS[name], calibration)
     warnings: list[str] = []
     ours = concatenate(list(decode_pcap(tmp_path / "a.pcap", warnings.append, model=name)))
-    assert len(warnings) == (0 if sensor.packet.return_modes else 1)
+    assert len(warnings) == (0 if facts(sensor).packet.return_modes else 1)
     slow_s = 20e-6 if name == "vls-128" else 2e-6
     unturned = packet_stamps_ns(sensor, fired)[1][0] if name == "vls-128" else 0  # theirs, in the first packet
     agree(ours, xyz, time_s, intensity, ring, slow_s, unturned_ns=unturned)
-    if mode == "dual" and sensor.packet.return_modes:
+    if mode == "dual" and facts(sensor).packet.return_modes:
         assert {1, 2, 3} == set(np.unique(kind).astype(int))
         assert (ours.return_type == 1).sum() == (kind == 2).sum()  # theirs: 1 strongest, 2 last, 3 both
 
@@ -357,7 +365,7 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
     datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_warning) if len(d.payload) == 1206]
     packets = np.frombuffer(b"".join(d.payload for d in datagrams), PACKET)
     host_ns = np.array([d.time_ns for d in datagrams])
-    dual = bool(is_dual(sensor.packet, packets)[0])
+    dual = bool(is_dual(facts(sensor).packet, packets)[0])
     mode = "dual" if dual else "strongest"
     fired = as_fired(sensor, packets, host_ns, dual)
     got = decode(sensor, packets, host_ns)
@@ -380,8 +388,7 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
         range_m[same, 1], intensity[same, 1] = range_m[same, 0], intensity[same, 0]
     wide = sensor.model_copy(update={"range": sensor.range.model_copy(update={"min_m": 0.0, "max_m": 300.0})})
     shape = (len(packets), -1, sensor.count, 2) if dual else (len(packets), -1, sensor.count)
-    facts = sensor.packet.model_copy(update={"product_id": int(packets["product_id"][0])})  # old firmware has another
-    wide = wide.model_copy(update={"packet": facts})
+    wide = with_facts(wide, packet={"product_id": int(packets["product_id"][0])})  # old firmware has another
     again = encode(wide, mode, fired, range_m.reshape(shape), intensity.reshape(shape))
     expected = packets.copy()
     returns = expected["blocks"]["returns"]
@@ -394,18 +401,19 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
 
 def as_fired(sensor, packets, host_ns, dual):
     """The firings that the packets tell of: where the head pointed, and when."""
-    span = len(sensor.packet.block_flags) * (1 + dual)
-    groups, together = 12 // span, sensor.packet.sequences_per_block
+    layout = facts(sensor).packet
+    span = len(layout.block_flags) * (1 + dual)
+    groups, together = 12 // span, layout.sequences_per_block
     azimuth = packets["blocks"]["azimuth"][:, : groups * span : span].astype(np.int64)
-    group_ns = together * sensor.firing.sequence_ns
+    group_ns = together * facts(sensor).firing.sequence_ns
     stamp_us = packets["stamp_us"].astype(np.int64)
-    turn, late_ns = kernels.turning(azimuth, stamp_us, packet_period_ns(sensor, dual), group_ns)
+    turn, late_ns = kernels.steps(azimuth, stamp_us, packet_period_ns(sensor, dual), group_ns)
     offsets = packet_offsets_ns(sensor, dual)
     group = np.repeat(np.arange(groups), together)
-    share = (offsets - head_offset_ns(sensor)) / group_ns - group[:, None]
+    share = (offsets - unit_of(sensor).head_offset_ns) / group_ns - group[:, None]
     head = (azimuth[:, group, None] + turn[:, group, None] * share) * kernels.RADIANS
     time_ns = device_time_ns(packets["stamp_us"], host_ns)[:, None, None] + offsets + late_ns[:, group, None]
-    return Firings(time_ns, head)
+    return Fired(time_ns, head)
 
 
 @pytest.mark.parametrize("name", ["hdl-64e-s2", "hdl-64e-s3"])
@@ -434,7 +442,9 @@ def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
     lasers = yaml.safe_load(read_elsewhere.to_string())["lasers"]
     for key, (theirs, unit_of_theirs) in READ_ELSEWHERE.items():
         read = np.array([laser.get(theirs, 0) for laser in lasers]) / unit_of_theirs
-        np.testing.assert_allclose(read, getattr(unit.beams, key), atol=1e-5)
+        np.testing.assert_allclose(
+            read, getattr(unit.beams if hasattr(unit.beams, key) else facts(unit).calibration, key), atol=1e-5
+        )
     ours = whole(tmp_path / "a.pcap")  # no warning: recognised, and its calibration found
     xyz, time_s, intensity, ring, _ = elsewhere(tmp_path / "a.pcap", OTHERS[name], read_elsewhere)
     agree(ours, xyz, time_s, intensity, ring, 2e-6)
@@ -456,8 +466,8 @@ def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
     away_m = away_along(unit, laser, got.xyz_m[mine], range_m, origins, directions)
     assert (away_m > 0.0011).any()
 
-    raw = np.rint((got.range_m[mine] - unit.distance_offset_m[laser]) / 0.002)
-    distance_m, slope, least, most = unit.focal[laser].T
+    raw = np.rint((got.range_m[mine] - unit_of(unit).distance_offset_m[laser]) / 0.002)
+    distance_m, slope, least, most = unit_of(unit).focal[laser].T
     raised = slope * abs(256 * (1 - distance_m / 131) ** 2 - 256 * (1 - raw / 65535) ** 2)
     in_reach = np.clip(np.rint(np.arange(256) + raised[:, None]), least[:, None], most[:, None])
     nearest = abs(in_reach - reflectivity[:, None]).min(axis=1)
@@ -467,7 +477,7 @@ def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
 
 def away_along(unit, laser, xyz, range_m, origins, directions):
     """How far points (N, 3) are along the beam from what was met; within the bounds, across it too."""
-    far_m, near_m = unit.distance_offset_m[laser], unit.near_offset_m[laser]
+    far_m, near_m = unit_of(unit).distance_offset_m[laser], unit_of(unit).near_offset_m[laser]
     apart_m = abs(near_m - far_m[:, None]).max(axis=1)
     along_m = np.einsum("ij,ij->i", xyz - origins, directions)
     jump_m = np.where(abs(range_m - far_m - 25.04) < apart_m, apart_m / 5, 0)
@@ -521,7 +531,7 @@ def test_a_unit_through_the_commands(tmp_path):
     assert abs(mine.time_ns - fired.time_ns.ravel()[met]).max() <= 1000
     laser = met % 64
     away_along(unit, laser, bare.xyz, hits.range_m[met], origins[met], directions[met])
-    _, _, least, most = unit.focal[laser].T
+    _, _, least, most = unit_of(unit).focal[laser].T
     assert (mine.intensity >= least).all()
     assert (mine.intensity <= most).all()
     assert (mine.intensity == bare.intensity).all()
@@ -540,7 +550,7 @@ def test_returns_that_are_alike_on_the_wire_are_one():
     echoes = Echoes(
         *(v.reshape(-1, 2) for v in (range_m, 0 * range_m, reflectivity, np.zeros(range_m.shape, np.int32)))
     )
-    true = records(0, "dual", fired.time_ns, echoes, *sent_returns(unit, "dual", packets))
+    true = records(0, "dual", fired.flat, echoes, are_sent(unit_of(unit), "dual", packets))
     got = decode(unit, packets, packet_stamps_ns(unit, fired)[1])
     assert fired.time_ns.size < len(true) < 2 * fired.time_ns.size
     assert len(got.laser) == len(true)
@@ -559,19 +569,24 @@ def test_returns_that_are_alike_on_the_wire_are_one():
 )
 def test_a_unit_that_status_bytes_cannot_say(tmp_path, key, value, message):
     unit = hdl_64e("hdl-64e-s3")
-    table = list(getattr(unit.beams, key))
+    tables = unit.beams if hasattr(unit.beams, key) else facts(unit).calibration
+    table = list(getattr(tables, key))
     table[5] = value
-    unit = unit.model_copy(update={"beams": unit.beams.model_copy(update={key: tuple(table)})})
+    if tables is unit.beams:
+        unit = unit.model_copy(update={"beams": tables.model_copy(update={key: tuple(table)})})
+    else:
+        unit, key = with_facts(unit, calibration={key: tuple(table)}), f"velodyne.calibration.{key}"
+    key = key if "." in key else f"beams.{key}"
     rig = Rig("one", (replace(mount(), sensor=unit),))
-    where = re.escape(f"lidar_0: sensor 'hdl-64e-s3': beams.{key}[5]: {message}")
+    where = re.escape(f"lidar_0: sensor 'hdl-64e-s3': {key}[5]: {message}")
     with pytest.raises(ConfigError, match=f"^{where}$"):
         export(rig, scene(tmp_path, "ground: {reflectivity: 9}"), np.eye(4), 10**9)
 
 
 def test_status_bytes_have_64_beams():
-    status = load_sensor("hdl-64e-s3").packet.status
+    status = facts(load_sensor("hdl-64e-s3")).packet.status
     with pytest.raises(ConfigError, match="sensor 'hdl-32e' has 32 beams; status bytes say those of 64"):
-        calibration(load_sensor("hdl-32e"), status, "strongest")
+        calibration(unit_of(load_sensor("hdl-32e")), status, "strongest")
 
 
 def test_without_a_calibration_the_example_unit_is_taken(tmp_path):
@@ -656,10 +671,15 @@ def test_a_sector_and_back(name, mode, tmp_path):
     """Nothing outside the sector is sent; what is inside comes back with its own time and azimuth."""
     sensor, low, high, dual = load_sensor(name), 300.0, 40.0, mode == "dual"
     packets = 250_000_000 // packet_period_ns(sensor, dual)  # two turns and a half
-    chunks = list(firing_chunks(sensor, 600.0, AT_NS, packets, 100, dual, sector_deg=(low, high)))
-    fired = Firings(*(np.concatenate([getattr(c, key) for c in chunks]) for key in ("time_ns", "azimuth_rad")))
+    lidar = replace(mount(), sensor=sensor, return_mode=mode, azimuth_fov_deg=(low, high))
+    chunks = [batch.firings for batch in batches(unit_of(sensor), lidar, AT_NS, packets, 100)]
+    flat = Firings(*(np.concatenate([getattr(c, key) for c in chunks]) for key in ("time_ns", "laser", "encoder_rad")))
+    assert (flat.laser == np.arange(len(flat.laser)) % sensor.count).all()
+    fired = shaped(sensor, flat, dual)
     head = np.degrees(
-        fired.azimuth_rad[:, :: sensor.packet.sequences_per_block, int(np.argmin(sensor.firing.offset_ns))]
+        fired.azimuth_rad[
+            :, :: facts(sensor).packet.sequences_per_block, int(np.argmin(facts(sensor).firing.offset_ns))
+        ]
     )
     assert ((head - low) % 360 <= 100).all()
     assert len(fired.time_ns) == pytest.approx(packets * 100 / 360, rel=0.15)
@@ -702,7 +722,7 @@ def test_facts_decide_not_names(tmp_path):
 
 def test_what_a_sensor_does_not_do():
     sensor = load_sensor("vlp-16")
-    none = sensor.model_copy(update={"packet": sensor.packet.model_copy(update={"dual": None})})
+    none = with_facts(sensor, packet={"dual": None})
     fired = firings(sensor, 600, AT_NS, range(1), dual=True)
     with pytest.raises(ConfigError, match="'vlp-16' has no dual returns"):
         encode(none, "dual", fired, np.zeros((*fired.time_ns.shape, 2)), np.zeros((*fired.time_ns.shape, 2), np.uint8))

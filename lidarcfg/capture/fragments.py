@@ -1,0 +1,83 @@
+"""Datagrams that came in IP fragments, put together again (RFC 791)."""
+
+from dataclasses import dataclass, field
+
+from lidarcfg.units import SECOND_NS
+
+TIMEOUT_NS = 30 * SECOND_NS  # of host time, for the fragments of a datagram to come
+PENDING_MAX = 1024  # datagrams that wait for fragments: at most 64 MB
+DATAGRAM_MAX = 65535 - 20  # bytes after the IP header
+
+
+@dataclass(frozen=True)
+class Fragment:
+    """One fragment of a datagram."""
+
+    key: bytes  # of the datagram: both addresses and the IP id
+    time_ns: int  # host time
+    offset: int  # bytes into the datagram
+    last: bool
+    data: bytes
+
+
+@dataclass
+class _Datagram:
+    """The fragments of a datagram that have come."""
+
+    time_ns: int  # of the first that came
+    parts: dict[int, bytes] = field(default_factory=dict)  # by offset; they do not overlap
+    size: int | None = None  # known from the last fragment
+
+
+class Reassembly:
+    """Puts fragments together, in whatever order they come.
+
+    A repeated fragment counts once. Fragments that overlap otherwise, or reach beyond the datagram's end, make it
+    damaged. Incomplete datagrams are dropped after 30 s, and the oldest where too many wait. Those that began before
+    `from_ns`, where reading began in the middle of a capture, do not count.
+    """
+
+    def __init__(self, from_ns: int = 0) -> None:
+        self._pending: dict[bytes, _Datagram] = {}  # the oldest first
+        self._dropped, self._from_ns = 0, from_ns
+
+    @property
+    def incomplete(self) -> int:
+        """How many datagrams were damaged, or miss fragments so far."""
+        return self._dropped + sum(one.time_ns >= self._from_ns for one in self._pending.values())
+
+    def add(self, fragment: Fragment) -> bytes | None:
+        """The datagram that this fragment completes, if it does."""
+        self._drop_old(fragment.time_ns)
+        datagram = self._pending.setdefault(fragment.key, _Datagram(fragment.time_ns))
+        if datagram.parts.get(fragment.offset) == fragment.data:
+            return None
+        if not self._fits(datagram, fragment):
+            self._drop(fragment.key)
+            return None
+        datagram.parts[fragment.offset] = fragment.data
+        if fragment.last:
+            datagram.size = fragment.offset + len(fragment.data)
+        if sum(map(len, datagram.parts.values())) != datagram.size:
+            return None
+        del self._pending[fragment.key]
+        return b"".join(data for _, data in sorted(datagram.parts.items()))
+
+    def _fits(self, datagram: _Datagram, fragment: Fragment) -> bool:
+        start, stop = fragment.offset, fragment.offset + len(fragment.data)
+        if stop > DATAGRAM_MAX or (not fragment.last and stop % 8):
+            return False
+        end = max((at + len(data) for at, data in datagram.parts.items()), default=0)
+        if stop > (DATAGRAM_MAX if datagram.size is None else datagram.size) or (fragment.last and stop < end):
+            return False
+        return all(stop <= at or at + len(data) <= start for at, data in datagram.parts.items())
+
+    def _drop_old(self, now_ns: int) -> None:
+        while self._pending:
+            key, oldest = next(iter(self._pending.items()))
+            if abs(now_ns - oldest.time_ns) <= TIMEOUT_NS and len(self._pending) < PENDING_MAX:
+                return
+            self._drop(key)
+
+    def _drop(self, key: bytes) -> None:
+        self._dropped += self._pending.pop(key).time_ns >= self._from_ns

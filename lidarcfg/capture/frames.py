@@ -1,0 +1,244 @@
+"""UDP datagrams in Ethernet frames, both ways. The only module that knows Ethernet, IP and UDP."""
+
+import socket
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.capture.fragments import Fragment, Reassembly
+from lidarcfg.packets.codec import Octets, Payloads, Times
+
+ETHERNET, LINUX_COOKED, RAW_IP, RAW_IP_FILE = 1, 113, 12, 101  # link types, as tcpdump.org lists them
+LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP header, and where its kind stands
+    ETHERNET: (14, 12),
+    LINUX_COOKED: (16, 14),
+    RAW_IP: (0, None),
+    RAW_IP_FILE: (0, None),
+}
+VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
+TAGS_MAX = 4  # VLAN tags in a frame: two are in use
+MTU = 1500  # bytes of an IP packet that Ethernet carries
+WORD = np.dtype(">u2")
+DONT_FRAGMENT, MORE_FRAGMENTS, FRAGMENT_OFFSET = 0x4000, 0x2000, 0x1FFF
+RECORD = np.dtype([(key, "<u4") for key in ("seconds", "microseconds", "captured", "length")])
+ETHERNET_HEADER = np.dtype([("destination", "u1", (6,)), ("source", "u1", (6,)), ("kind", ">u2")])
+IP = np.dtype(
+    [
+        *[("version", "u1"), ("service", "u1"), ("length", ">u2"), ("id", ">u2"), ("flags", ">u2"), ("ttl", "u1")],
+        *[("protocol", "u1"), ("checksum", ">u2"), ("source", "u1", (4,)), ("destination", "u1", (4,))],
+    ]
+)
+UDP = np.dtype([(key, ">u2") for key in ("source_port", "port", "length", "checksum")])
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Ethernet frames as a capture file has them, in the order of time."""
+
+    time_ns: Times  # (n,) host time, in whole microseconds
+    records: list[bytes]  # (n,)
+
+
+@dataclass(frozen=True)
+class Datagrams:
+    """N UDP datagrams of a capture, as arrays."""
+
+    time_ns: Times  # (N,) host time
+    host: NDArray[np.uint32]  # (N,) the address that sent it
+    source_port: NDArray[np.uint16]  # (N,)
+    port: NDArray[np.uint16]  # (N,) the one it was sent to
+    start: NDArray[np.int64]  # (N,) where the payload is in `data`
+    size: NDArray[np.int64]  # (N,) its bytes
+    data: Octets
+
+    def __getitem__(self, which: NDArray[Any] | slice) -> "Datagrams":
+        """Some of them, in the same data."""
+        return replace(self, **{key: column[which] for key, column in vars(self).items() if key != "data"})
+
+    def payloads(self, size: int) -> Octets:
+        """The payloads (N, size), each of this size."""
+        return gathered(self.data, self.start, np.dtype((np.void, size))).view(np.uint8).reshape(len(self.start), size)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """N frames in a piece of a capture, of one kind of link."""
+
+    link: int
+    time_ns: Times  # (N,)
+    start: NDArray[np.int64]  # (N,) where the frame is in `data`
+    size: NDArray[np.int64]  # (N,) its bytes
+    data: Octets
+
+
+def frames(host: str, payloads: Payloads) -> Frames:
+    """The payloads as a host sends them. Datagrams above the MTU leave as fragments, all at the same time."""
+    count, size = payloads.data.shape
+    header = payloads.header
+    body = np.zeros((count, UDP.itemsize + size), np.uint8)
+    body[:, UDP.itemsize :] = payloads.data
+    udp = body[:, : UDP.itemsize].view(UDP)[:, 0]
+    udp["source_port"], udp["port"] = header.source_port or payloads.port, payloads.port
+    udp["length"] = UDP.itemsize + size
+    if header.checksum:
+        hosts = [
+            np.frombuffer(socket.inet_aton(one), np.uint8)[None] for one in (host, payloads.network.destination_ip)
+        ]
+        pseudo = _sum(hosts[0]) + _sum(hosts[1]) + socket.IPPROTO_UDP + UDP.itemsize + size
+        found = _checksum(pseudo + _sum(body))
+        udp["checksum"] = np.where(found == 0, 0xFFFF, found)  # 0 would say that there is none
+    ids = (payloads.first + np.arange(count)) % 65536
+    most = MTU - IP.itemsize
+    if body.shape[1] <= most:
+        flags = DONT_FRAGMENT if header.dont_fragment else 0
+        return Frames(payloads.time_ns, _records(host, payloads, body, flags, ids if header.numbered else 0 * ids))
+    records = []
+    for at in range(0, body.shape[1], most):
+        flags = at // 8 | (MORE_FRAGMENTS if at + most < body.shape[1] else 0)
+        records.append(_records(host, payloads, body[:, at : at + most], flags, ids))
+    together = [record for row in zip(*records, strict=True) for record in row]
+    return Frames(np.repeat(payloads.time_ns, len(records)), together)
+
+
+def _records(host: str, payloads: Payloads, body: Octets, flags: int, ids: NDArray[np.int64]) -> list[bytes]:
+    """Each body (n, m) behind an IP and an Ethernet header, as a record of a pcap."""
+    count, size = body.shape
+    out = np.zeros(count, [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("body", "u1", (size,))])
+    out["body"] = body
+    record, ethernet, ip = (out[key] for key in ("record", "ethernet", "ip"))
+    record["seconds"], record["microseconds"] = np.divmod(payloads.time_ns // 1000, 10**6)
+    record["captured"] = record["length"] = out.itemsize - RECORD.itemsize
+    address = socket.inet_aton(host)
+    ethernet["destination"] = _octets(payloads.network.destination_mac)
+    ethernet["source"] = _octets(payloads.network.mac_prefix) + list(address[1:])
+    ethernet["kind"] = IPV4
+    ip["version"], ip["ttl"], ip["protocol"] = 0x45, payloads.header.ttl, socket.IPPROTO_UDP
+    ip["length"], ip["flags"], ip["id"] = IP.itemsize + size, flags, ids
+    ip["source"], ip["destination"] = list(address), list(socket.inet_aton(payloads.network.destination_ip))
+    ip["checksum"] = _checksum(_sum(ip))
+    return list(out.view(f"V{out.itemsize}").tolist())
+
+
+def _octets(mac: str) -> list[int]:
+    return list(bytes.fromhex(mac.replace(":", "")))
+
+
+def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
+    """(n,): the sum of the 16-bit words of each part (n, …); an odd octet at the end is a word's upper half."""
+    octets = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
+    upper, lower = (octets[:, i::2].sum(axis=1, dtype=np.uint32) for i in range(2))
+    return np.asarray(256 * upper + lower)
+
+
+def _checksum(total: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """The Internet checksum (RFC 1071) of words with these sums."""
+    for _ in range(2):
+        total = (total >> 16) + (total & 0xFFFF)
+    return 0xFFFF - total
+
+
+def gathered(data: Octets, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """(N,) of a dtype, whose bytes start at these places."""
+    kind = np.dtype((np.void, dtype.itemsize))  # copied whole, not field by field
+    everywhere = np.ndarray(max(len(data) - dtype.itemsize + 1, 0), kind, data, strides=(1,))
+    return everywhere[start].view(dtype)
+
+
+def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
+    """What the frames hold behind their link headers and VLAN tags, if that is UDP over IPv4.
+
+    A datagram that came in fragments stands where its last one came.
+    """
+    at, kind = LINK_HEADERS[piece.link]
+    data, which = piece.data, np.arange(len(piece.size))
+    ip = piece.start + at
+    left = piece.size - at
+
+    def keep(good: NDArray[np.bool_]) -> None:
+        nonlocal which, ip, left
+        which, ip, left = which[good], ip[good], left[good]
+
+    keep(left >= IP.itemsize)
+    if kind is not None:
+        for _ in range(TAGS_MAX):
+            tagged = np.isin(gathered(data, ip - (at - kind), WORD), VLAN)
+            if not tagged.any():
+                break
+            ip, left = ip + 4 * tagged, left - 4 * tagged
+            keep(left >= IP.itemsize)
+        keep(gathered(data, ip - (at - kind), WORD) == IPV4)
+    head = gathered(data, ip, IP)
+    length = (head["version"] & 15).astype(np.int64) * 4
+    good = (head["version"] >> 4 == 4) & (head["protocol"] == socket.IPPROTO_UDP) & (length >= IP.itemsize)
+    end = np.where(head["length"] > 0, np.minimum(head["length"], left), left)
+    part = head["flags"] & (MORE_FRAGMENTS | FRAGMENT_OFFSET) != 0
+    whole = good & ~part & (left >= length + UDP.itemsize)
+    found = _whole(piece, which[whole], ip[whole], head[whole], length[whole], end[whole])
+    part &= good & (end > length)
+    if not part.any():
+        return found
+    rows = which[part], ip[part] + length[part], end[part] - length[part]
+    return _with_fragments(piece, found, which[whole], rows, head[part], reassembly)
+
+
+def _whole(
+    piece: Piece, which: NDArray[Any], ip: NDArray[Any], head: NDArray[Any], length: NDArray[Any], end: NDArray[Any]
+) -> Datagrams:
+    ports = gathered(piece.data, ip + length, UDP)
+    return Datagrams(
+        time_ns=piece.time_ns[which],
+        host=np.ascontiguousarray(head["source"]).view(">u4")[:, 0].astype(np.uint32),
+        source_port=ports["source_port"].astype(np.uint16),
+        port=ports["port"].astype(np.uint16),
+        start=ip + length + UDP.itemsize,
+        size=np.maximum(end - length - UDP.itemsize, 0),
+        data=piece.data,
+    )
+
+
+def _with_fragments(
+    piece: Piece,
+    whole: Datagrams,
+    whole_at: NDArray[np.int64],
+    rows: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    head: NDArray[Any],
+    reassembly: Reassembly,
+) -> Datagrams:
+    """The whole datagrams, from the frames `whole_at`, and those that these fragments complete.
+
+    Of fragments, `rows` are the frame, where in the data they start, and their bytes.
+    """
+    made, made_at, hosts = [], [], []
+    for frame, start, size, ip in zip(*(row.tolist() for row in rows), head, strict=True):
+        flags = int(ip["flags"])
+        fragment = Fragment(
+            key=ip["source"].tobytes() + ip["destination"].tobytes() + int(ip["id"]).to_bytes(2),
+            time_ns=int(piece.time_ns[frame]),
+            offset=(flags & FRAGMENT_OFFSET) * 8,
+            last=not flags & MORE_FRAGMENTS,
+            data=piece.data[start : start + size].tobytes(),
+        )
+        datagram = reassembly.add(fragment)
+        if datagram is not None and len(datagram) >= UDP.itemsize:
+            made.append(datagram)
+            made_at.append(frame)
+            hosts.append(int.from_bytes(fragment.key[:4]))
+    if not made:
+        return whole
+    sizes = np.array([len(one) for one in made], np.int64)
+    start = np.cumsum(sizes) - sizes
+    data = np.frombuffer(b"".join(made), np.uint8)
+    ports = gathered(data, start, UDP)
+    order = np.argsort(np.concatenate([whole_at, made_at]), kind="stable")
+    together = Datagrams(
+        time_ns=np.concatenate([whole.time_ns, piece.time_ns[made_at]]),
+        host=np.concatenate([whole.host, np.array(hosts, np.uint32)]),
+        source_port=np.concatenate([whole.source_port, ports["source_port"].astype(np.uint16)]),
+        port=np.concatenate([whole.port, ports["port"].astype(np.uint16)]),
+        start=np.concatenate([whole.start, len(piece.data) + start + UDP.itemsize]),
+        size=np.concatenate([whole.size, sizes - UDP.itemsize]),
+        data=np.concatenate([piece.data, data]),
+    )
+    return together[order]

@@ -1,0 +1,174 @@
+"""Velodyne's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidarcfg.errors import ConfigError, PacketError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Flags, Known, Octets, Pace, Payloads, Returns, Source, Tally, Times
+from lidarcfg.packets.velodyne.decode import decode
+from lidarcfg.packets.velodyne.facts import Settings, Status, Unit, unit
+from lidarcfg.packets.velodyne.layout import (
+    PACKET,
+    RADIANS,
+    device_time_ns,
+    octets_of,
+    packets_of,
+)
+from lidarcfg.packets.velodyne.losses import Losses
+from lidarcfg.packets.velodyne.recognise import alike, check_ids, check_period, identify
+from lidarcfg.packets.velodyne.status import Carried, carried
+from lidarcfg.sensor import Sensor, catalogue
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+    from lidarcfg.world.motion import Trajectory
+    from lidarcfg.world.scene import GeoOrigin
+
+CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
+
+
+class Velodyne:
+    """The packets of one Velodyne sensor."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.unit = unit(sensor)
+
+    def check(self, mount: "Mount") -> None:
+        """See `Codec`."""
+        from lidarcfg.packets.velodyne.encode import check_encodable
+
+        check_encodable(self.unit, mount.return_mode)
+        mount.settings.checked(Settings)
+        if self.unit.facts.headers is None:
+            raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
+
+    def pace(self, mount: "Mount") -> Pace:
+        """See `Codec`."""
+        dual = mount.return_mode == "dual"
+        return Pace(self.unit.period_ns(dual), self.unit.offsets_ns(dual).size)
+
+    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+        """See `Codec`."""
+        from lidarcfg.packets.velodyne.schedule import batches
+
+        return batches(self.unit, mount, start_ns, packets, chunk)
+
+    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
+        """See `Codec`."""
+        from lidarcfg.packets.velodyne.encode import encode
+
+        headers, pps = self.unit.facts.headers, mount.settings.checked(Settings).pps
+        assert headers
+        packets = encode(self.unit, mount.return_mode, batch.firings, range_m, reflectivity, pps)
+        first = int(batch.number[0]) if len(batch.number) else 0
+        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.data, first)
+
+    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
+        """See `Codec`."""
+        from lidarcfg.packets.velodyne.encode import sent
+
+        return sent(self.unit, mount.return_mode, packets_of(payloads.data))
+
+    def housekeeping(
+        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    ) -> Iterator[Payloads]:
+        """See `Codec`."""
+        from lidarcfg.packets.velodyne.position import position_payloads
+
+        return position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
+
+    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
+        """None: packets and the model say all."""
+        return {}
+
+    @classmethod
+    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
+        """By the size alone: whose they are, `recognise` says, or why not."""
+        return size == PACKET.itemsize
+
+    @classmethod
+    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+        """See `Codec`."""
+        return identify(source.where, packets_of(packets), _units(known)).sensor
+
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> "VelodyneDecoder":
+        """See `Codec`."""
+        first = packets_of(packets)
+        check_ids(source.where, self.unit, first, trusted)
+        check_period(source.where, self.unit, first)
+        status, found = self.unit.packet.status, None
+        if status and self.unit.name in catalogue():
+            found = _carried(source, status)
+            if found is None:
+                what = f"no whole calibration in its packets; {self.unit.name}'s example unit is taken"
+                source.on_warning(f"{source.where}: {what}")
+        return VelodyneDecoder(source.where, self.unit, found, known, trusted)
+
+    def firing_ns(self) -> Times:
+        """See `Codec`."""
+        return np.array(self.unit.firing.offset_ns, np.int64)
+
+
+class VelodyneDecoder:
+    """Packets of one Velodyne sensor. What status bytes carry stands in for the catalogue's example unit."""
+
+    def __init__(self, where: str, unit: Unit, found: Carried | None, known: Known, trusted: bool) -> None:
+        self._where, self._known, self._trusted = where, known, trusted
+        self._unit = found.unit(unit) if found else unit
+        self._last_only = found is not None and found.return_mode == "last"
+        self._losses = Losses(self._unit, self._last_only)
+
+    @property
+    def period_ns(self) -> int:
+        """See `Decoder`."""
+        return self._unit.period_ns()
+
+    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+        """See `Decoder`."""
+        return device_time_ns(packets_of(packets)["stamp_us"], host_ns)
+
+    def heading_rad(self, packets: Octets) -> Array:
+        """See `Decoder`."""
+        return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
+
+    def check(self, packets: Octets) -> None:
+        """See `Decoder`."""
+        check_ids(self._where, self._unit, packets_of(packets), self._trusted)
+
+    def count(self, packets: Octets, wanted: Flags) -> None:
+        """See `Decoder`."""
+        self._losses.add(packets_of(packets), wanted)
+
+    def tally(self) -> Tally:
+        """See `Decoder`."""
+        models = alike(self._unit, _units(self._known))
+        return Tally(models, self._losses.return_modes, self._losses.lost, self._losses.rpm)
+
+    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+        """See `Decoder`."""
+        found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
+        if self._last_only:
+            found.return_type[:] = 1
+        return found
+
+
+def _units(known: Known) -> Sequence[Unit]:
+    return [unit(sensor) for sensor in known()]
+
+
+def _carried(source: Source, status: Status) -> Carried | None:
+    """The calibration in the source's own packets, and the mode of single returns."""
+    found, count = [], 0
+    for octets in source.payloads(source.port, PACKET.itemsize):
+        found.append(packets_of(octets[: CARRIED_PACKETS - count]))
+        count += len(found[-1])
+        if count == CARRIED_PACKETS:
+            break
+    packets = np.concatenate(found)
+    try:
+        return carried(status, packets["return_mode"], packets["product_id"])
+    except PacketError as error:
+        raise PacketError(f"{source.where}: {error}") from None

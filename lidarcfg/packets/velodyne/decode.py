@@ -1,0 +1,127 @@
+"""Points of packets."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.errors import PacketError
+from lidarcfg.packets.codec import Flags, Returns, Times
+from lidarcfg.packets.velodyne import decode_kernels as kernels
+from lidarcfg.packets.velodyne.facts import SLOTS, Unit
+from lidarcfg.packets.velodyne.layout import Packets, block_flags, device_time_ns, is_dual, one_of, slots
+
+
+def decode(
+    unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags | None = None, polar: bool = True
+) -> Returns:
+    """The returns of one sensor's successive packets (P,), or of those that are wanted (P,).
+
+    The others only say how the head turns before and after. Without `polar`, ranges and azimuths are empty.
+    Raises PacketError, ConfigError.
+    """
+    facts = unit.packet
+    if facts.return_modes:
+        allowed = facts.return_modes.strongest, facts.return_modes.last, facts.return_modes.dual
+        modes = packets["return_mode"]
+        known = one_of(modes, allowed if facts.dual else allowed[:2])
+        _check(modes, known, f"{unit.name}: return mode", allowed)
+    dual = is_dual(facts, packets)
+    wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
+    edges = [0, *(np.flatnonzero(np.diff(dual)) + 1).tolist(), len(packets)]
+    runs = []
+    for start, stop in pairwise(edges):
+        run = slice(start, stop)
+        runs.append(_decode(unit, packets[run], host_time_ns[run], wanted[run], bool(dual[start:].any()), polar))
+    if len(runs) == 1:
+        return runs[0]
+    return Returns(**{f.name: np.concatenate([getattr(r, f.name) for r in runs]) for f in fields(Returns)})
+
+
+def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
+    """The same of packets that are all dual, or all not."""
+    facts = unit.packet
+    order, span = slots(facts, dual), unit.span(dual)
+    used = packets["blocks"][:, : len(order)]
+    flags = np.tile(block_flags(facts, dual), len(order) // span)
+    _check(used["flag"], used["flag"] == flags, f"not a packet of {unit.name}: block flag", facts.block_flags)
+
+    tables, lasers = _tables(unit, dual)
+    group_ns = facts.sequences_per_block * unit.firing.sequence_ns
+    azimuth = np.ascontiguousarray(used["azimuth"][:, ::span], np.int64)
+    stamp = packets["stamp_us"].astype(np.int64)
+    step, late_ns = kernels.steps(azimuth, stamp, unit.period_ns(dual), group_ns)
+
+    distance, intensity = (_read_only(used["returns"][key]) for key in ("distance", "intensity"))
+    modes = facts.return_modes
+    size = kernels.count(distance, wanted)
+    out = Returns(
+        xyz_m=np.empty((size, 3)),
+        range_m=np.empty(size if polar else 0),
+        azimuth_rad=np.empty(size if polar else 0),
+        time_ns=np.empty(size, np.int64),
+        laser=np.empty(size, np.uint8),
+        ring=np.empty(size, np.uint8),
+        intensity=np.empty(size, np.uint8),
+        return_type=np.empty(size, np.uint8),
+    )
+    last = packets["return_mode"] == modes.last if modes else np.zeros(len(packets), np.bool_)
+    count = kernels.points(
+        kernels.Wire(
+            distance, intensity, azimuth, step, late_ns, device_time_ns(packets["stamp_us"], host_time_ns), last
+        ),
+        wanted,
+        tables,
+        lasers,
+        unit.range.resolution_m,
+        kernels.Columns(*(getattr(out, field.name) for field in fields(out))),
+    )
+    return Returns(*(getattr(out, field.name)[:count] for field in fields(out)))
+
+
+@lru_cache
+def _tables(unit: Unit, dual: bool) -> tuple[kernels.Slots, kernels.Lasers]:
+    """What the kernels know of a packet's slots, and of the lasers."""
+    numbers, width = slots(unit.packet, dual).ravel(), unit.span(dual) * SLOTS
+    fired, group = numbers // (1 + dual), np.arange(numbers.size) // width
+    offset_ns = unit.offsets_ns(dual).ravel()[fired]
+    group_ns = unit.packet.sequences_per_block * unit.firing.sequence_ns
+    other = np.full(width, -1)
+    if dual:
+        pairs = np.argsort(numbers[:width]).reshape(-1, 2)
+        other[pairs] = pairs[:, ::-1]
+    sensor, near, focal = unit.sensor, unit.near_offset_m, unit.focal
+    slots_of_packet = kernels.Slots(
+        laser=fired[:width] % unit.count,
+        fraction=(offset_ns - unit.head_offset_ns) / group_ns - group,
+        offset_ns=offset_ns,
+        kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
+        other=other,
+    )
+    lasers = kernels.Lasers(
+        sensor.elevation_rad,
+        sensor.azimuth_offset_rad,
+        sensor.lateral_offset_m,
+        sensor.vertical_offset_m,
+        unit.distance_offset_m,
+        sensor.ring.astype(np.uint8),  # packets have no more beams
+        np.empty((0, 2)) if near is None else near,
+        np.empty((0, 4)) if focal is None else focal,
+    )
+    return slots_of_packet, lasers
+
+
+def _read_only(field: NDArray[Any]) -> NDArray[Any]:
+    """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
+    view = field.view()
+    view.flags.writeable = False
+    return view
+
+
+def _check(got: NDArray[np.integer], right: Flags, what: str, allowed: Sequence[int]) -> None:
+    if not right.all():
+        raise PacketError(f"{what} 0x{got[~right][0]:02X}; allowed: {', '.join(f'0x{n:02X}' for n in allowed)}")
