@@ -1,10 +1,16 @@
 """The documentation, tried as a reader would: every command, example, file, link and name in it."""
 
+import ast
+import csv
+import json
 import os
 import re
 import runpy
 import shlex
+import time
+from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -42,6 +48,24 @@ SUBSTITUTIONS = [
     (r"^(replay .*?)( --speed [\d.]+)?$", r"\1 --speed 100"),
     (r"^(view (?!.*(--html|--png|--window)).*)$", r"\1 --html out/page.html"),
 ]
+# What the commands write that get a folder; what a folder of another tool holds; how files begin.
+RESULTS = {
+    "optimize": ["report.html", "rig.yaml", "result.json", "history.csv", "convergence.png", "rig.png", "search.npz"],
+    "evaluate": ["report.html", "result.json", "rig.png"],
+    "compare": ["compare.html", "compare.json"],
+}
+FOLDERS = [["metadata.yaml"], ["sensor.json", "calibrated_sensor.json"]]  # ROS 2, nuScenes
+MAGIC = {
+    ".pcap": b"\xd4\xc3\xb2\xa1",  # little-endian, microseconds
+    ".ply": b"ply\nformat binary_little_endian 1.0\n",
+    ".pcd": b"# .PCD v0.7",
+    ".npz": b"PK\x03\x04",
+    ".png": b"\x89PNG\r\n\x1a\n",
+    ".html": b"<!doctype html>",
+    ".las": b"LASF",
+    ".laz": b"LASF",
+    ".mcap": b"\x89MCAP0\r\n",
+}
 # Words of a command that is not run, and why.
 NOT_RUN = {"--window": "needs a screen"}
 
@@ -82,7 +106,55 @@ def named_files(page):
 
 
 def run(words):
+    """Run a command; the files that it names as output are new, whole and of their kind."""
+    before = time.time_ns()
     assert not cli.main(words, prog_name="lidarcfg", standalone_mode=False), words
+    for path in outputs(words):
+        assert path.stat().st_mtime_ns >= before - 20_000_000, f"{path} was not written by {words}"  # a clock's tick
+        check_kind(path)
+
+
+def outputs(words):
+    """The files that a command should write."""
+    options = dict(pairwise(words))
+    named = [Path(options[name]) for name in ("-o", "--output", "--html", "--png", "--truth") if name in options]
+    if words[0] == "optimize":
+        folder = Path(options.get("-o") or options.get("--resume") or f"out/{Path(words[1]).stem}")
+        return [folder / name for name in RESULTS["optimize"]]
+    if words[0] in RESULTS:
+        return [folder / name for folder in named for name in RESULTS[words[0]]]
+    if "--split" in words:
+        path = Path(options["-o"])
+        return [path.with_name(f"{path.stem}-{mount.name}.pcap") for mount in lidarcfg.load_rig(words[1]).mounts]
+    return named
+
+
+def check_kind(path):
+    """By the magic bytes of its format, or by reading it."""
+    if path.is_dir():
+        (names,) = (names for names in FOLDERS if all((path / name).exists() for name in names))
+        assert all((path / name).stat().st_size for name in names)
+        return
+    content = path.read_bytes()
+    if path.suffix in MAGIC:
+        assert content.startswith(MAGIC[path.suffix]), path
+        assert len(content) > 200, path
+    elif path.suffix == ".json":
+        assert json.loads(content), path
+    elif path.suffix == ".urdf":
+        assert ElementTree.fromstring(content).tag == "robot"
+    elif path.suffix == ".csv":
+        header, *rows = csv.reader(content.decode().splitlines())
+        assert rows
+        assert {len(row) for row in rows} == {len(header)}
+    elif path.suffix == ".py":
+        assert "static_transform" in ast.unparse(ast.parse(content))
+    elif path.suffix == ".bin":
+        assert content
+        assert len(content) % 16 == 0  # four float32 a point
+    else:
+        assert path.suffix == ".yaml", f"{path} is of a kind that no test knows"
+        assert lidarcfg.load_rig(path).mounts
 
 
 @pytest.fixture
@@ -107,6 +179,23 @@ def test_every_command_of_a_page_runs(page, project):
         for words in commands(text) if kind != "python" else ():
             if not NOT_RUN.keys() & set(words):
                 run(quick(words))
+    for _, text in blocks(page, "json"):
+        shown = json.loads(text)
+        (path,) = (path for path in Path("out").glob("*.json") if json.loads(path.read_text()).keys() == shown.keys())
+        assert_shown(shown, json.loads(path.read_text()))
+
+
+def assert_shown(shown, made):
+    """What a page shows is what was made; "…" stands for anything, and numbers are rounded as the page has them."""
+    if isinstance(shown, dict):
+        assert shown.keys() == made.keys()
+        for key in shown:
+            assert_shown(shown[key], made[key])
+    elif isinstance(shown, list):
+        for one, other in zip(shown, made, strict=False):
+            assert_shown(one, other)
+    elif shown != "…":
+        assert made == (pytest.approx(shown, rel=1e-3, abs=1e-9) if isinstance(shown, int | float) else shown)
 
 
 def test_every_example_of_help_runs(project, capsys):

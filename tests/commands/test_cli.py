@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from lidarcfg import __version__
 from lidarcfg.commands.progress import AGAIN_S, Interrupts, progress
+from tests.command_line import lidarcfg
 
 ROOT = Path(__file__).parents[2]
 STUDY = str(ROOT / "data/studies/liu2018-2x16.yaml")
@@ -22,10 +24,7 @@ HEAVY = {"numba", "scipy", "open3d", "matplotlib"}
 
 
 def run(*words, code=0, cwd=ROOT):
-    done = subprocess.run([sys.executable, "-m", "lidarcfg", *map(str, words)], capture_output=True, text=True, cwd=cwd)
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+    return lidarcfg(*words, code=code, cwd=cwd)
 
 
 def one_line(*words):
@@ -148,7 +147,7 @@ def test_the_catalogue():
 
 
 def test_version():
-    assert run("--version").stdout == "lidarcfg, version 0.1.0\n"
+    assert run("--version").stdout == f"lidarcfg, version {__version__}\n"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,35 @@
+"""The command line as a user types it, in this process: `main` with its errors, exit codes and output."""
+
+import contextlib
+import io
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from lidarcfg.cli import main
+
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE") if hasattr(signal, name)]
+
+
+def lidarcfg(*words, code=0, cwd="."):
+    """What `lidarcfg words` prints in a folder, after it ended with `code`; a bug is raised."""
+    out, errors = io.StringIO(), io.StringIO()
+    handlers = {number: signal.getsignal(number) for number in SIGNALS}
+    try:
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            contextlib.chdir(Path(cwd)),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(errors),
+            pytest.raises(SystemExit) as ended,
+        ):
+            patch.setattr(sys, "argv", ["lidarcfg", *map(str, words)])
+            main()
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert ended.value.code == code, errors.getvalue()
+    return SimpleNamespace(stdout=out.getvalue(), stderr=errors.getvalue(), returncode=code)
