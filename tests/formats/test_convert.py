@@ -136,6 +136,18 @@ def test_all_that_a_rig_becomes(here):
     )
 
 
+def test_a_cloud_of_another_program(here):
+    """As CloudCompare writes it: ASCII, floats, no time."""
+    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    Path("f.ply").write_text(f"{head}property float scalar_Intensity\nend_header\n1 2 3 7\n4 5 6 8\n")
+    done = run("f.ply", "-o", "f.npz")
+    assert done.stdout == "f.npz: 2 points\n"
+    assert done.stderr == ("lidarcfg: warning: f.ply: has no ring, time_ns, sensor, return_type; 0 is assumed\n")
+    with np.load("f.npz") as arrays:
+        assert arrays["xyz"].tolist() == [[1, 2, 3], [4, 5, 6]]
+        assert (arrays["intensity"].tolist(), arrays["sensor_names"].tolist()) == ([7, 8], ["f"])
+
+
 def test_a_cloud_there_and_back(here):
     done = run("c.ply", "-o", "c.las")
     assert (done.stdout, done.stderr) == ("c.las: 50 points\n", "")

@@ -286,6 +286,22 @@ def test_a_window_and_a_sensor_of_a_recording():
         load_stage([ROOF], None, None, np.eye(4), no_warning, Selection(sensors=("left",)))
 
 
+def test_a_cloud_of_another_program_is_shown(tmp_path):
+    """One warning says what it lacks; its points are in the picture."""
+    rows = "".join(f"{x} {y} 1\n" for x in range(-20, 20) for y in range(-9, 9))
+    head = (
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 720\nHEIGHT 1\nPOINTS 720\nDATA ascii\n"
+    )
+    (tmp_path / "f.pcd").write_text(head + rows)
+    done = CliRunner().invoke(view, [str(tmp_path / "f.pcd"), "--png", str(tmp_path / "f.png"), "--size", "480x270"])
+    assert done.exit_code == 0
+    assert done.stderr == (
+        f"lidarcfg: warning: {tmp_path}/f.pcd: has no intensity, ring, time_ns, sensor, return_type; 0 is assumed\n"
+    )
+    blue = drawn(tmp_path / "f.png")
+    assert (blue[..., 2] > blue[..., 0] + 40).sum() > 700
+
+
 def test_a_cloud_of_nan_is_refused(tmp_path):
     save_clouds(tmp_path / "n.ply", [cloud([[1, 2, 3], [np.nan, 0, 0]])])
     with pytest.raises(CloudError, match=r"n.ply: point 1 is not finite"):
