@@ -29,5 +29,5 @@ class CloudError(LidarcfgError):
     """A point cloud cannot be read, written or shown."""
 
 
-class HandoverError(LidarcfgError):
-    """The target format cannot express what is to be converted."""
+class ConversionError(LidarcfgError):
+    """The format cannot hold the input, or the output cannot be written."""

@@ -1,4 +1,4 @@
-"""ROS 2 bags, by rosbags: a PointCloud2 for each scan of each sensor, and where the sensors are.
+"""ROS 2 bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses.
 
 Points are laid out as velodyne_driver's PointXYZIRT: 22 bytes, nothing between the fields; `time` is in seconds
 after the message's stamp, which is the scan's first point.
@@ -13,7 +13,7 @@ import numpy as np
 
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
-from lidarcfg.errors import HandoverError, PacketError
+from lidarcfg.errors import ConversionError, PacketError
 from lidarcfg.formats.extra import missing
 from lidarcfg.formats.folder import beside, replacing_folder
 from lidarcfg.formats.frames import BASE_LINK, quaternion_xyzw, ros_name, ros_names
@@ -27,26 +27,26 @@ BAG_VERSION: Final = 8  # of metadata.yaml: QoS as text, as rosbag2 had it befor
 TF_STATIC = "/tf_static"
 FOREVER = 9223372036, 854775807  # seconds and ns: rmw's infinite time
 BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap")
-URI_SIGNS = "?#%"  # mean something else in the file: URI that rosbags gives SQLite
+URI_SIGNS = "?#%"  # have other meanings in the file: URI that rosbags passes to SQLite
 
 OnWarning = Callable[[str], None]
 
 
 def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
-    """Write the capture `source` as a bag in the folder `path`, whole or not at all, and return how many messages.
+    """Write the capture `source` as a bag in the folder `path`, whole or not at all; return the number of messages.
 
-    `storage` is sqlite3 or mcap. Raises HandoverError, and what `scans` raises.
+    `storage` is sqlite3 or mcap. Raises ConversionError, and what `scans` raises.
     """
     if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(path.resolve()))):
-        raise HandoverError(f"{path.resolve()}: no bag can be written where a path has {' '.join(sorted(signs))}")
+        raise ConversionError(f"{path.resolve()}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
     with replacing_folder(path, *BAG_FILES) as folder:
         return _write(folder, storage, source, rig, model, on_warning)
 
 
 def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
-    """Write the capture `source` as one .mcap, whole or not at all, and return how many messages."""
+    """Write the capture `source` as one .mcap, whole or not at all; return the number of messages."""
     if path.exists() and not path.is_file():
-        raise HandoverError(f"{path}: is not a file; give the name of a new one")
+        raise ConversionError(f"{path}: is not a file; give the name of a new one")
     with beside(path) as aside:
         folder = aside / path.stem
         count = _write(folder, "mcap", source, rig, model, on_warning)
@@ -74,32 +74,32 @@ def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str
                 writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
                 count += 1
     except sqlite3.Error as error:
-        raise HandoverError(f"{folder.name}: {error}") from None
+        raise ConversionError(f"{folder.name}: {error}") from None
     if not count:
-        raise PacketError(f"{source}: holds no returns; there is nothing to put into a bag")
+        raise PacketError(f"{source}: holds no returns to convert")
     return count
 
 
 def _messages(
     types: Any, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning
 ) -> Iterator[tuple[str, Any, int]]:
-    """Topic, message and the time at which a driver would have sent it: when the scan was complete."""
+    """Topic, message, and the time at which a driver would have sent it: at the end of the scan."""
     names = ros_names(rig, on_warning) if rig else {}
-    heard: set[str] = set()
+    seen: set[str] = set()
     for scan in scans(source, on_warning, rig, model):
         first_ns, last_ns = int(scan.time_ns.min()), int(scan.time_ns.max())
         if last_ns >= TIME_END_NS:
-            raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, where the seconds of ROS 2 end")
-        if rig and not heard:
+            raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2")
+        if rig and not seen:
             yield TF_STATIC, _transforms(types, rig, names, first_ns), first_ns
         (name,) = scan.sensor_names
         if name not in names:
             names[name] = ros_name(name)
             on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
-        heard.add(name)
+        seen.add(name)
         yield f"/{names[name]}/points", _points(types, scan, names[name], first_ns), last_ns
-    if silent := [name for name in names if name not in heard]:
-        on_warning(f"{source}: nothing of {', '.join(silent)} is in it")
+    if absent := [name for name in names if name not in seen]:
+        on_warning(f"{source}: holds nothing of {', '.join(absent)}")
 
 
 def _points(types: Any, scan: PointCloud, frame: str, stamp_ns: int) -> Any:
@@ -125,7 +125,7 @@ def _points(types: Any, scan: PointCloud, frame: str, stamp_ns: int) -> Any:
 
 
 def _transforms(types: Any, rig: Rig, names: dict[str, str], stamp_ns: int) -> Any:
-    """Where each sensor is on the vehicle."""
+    """The sensors' poses on the vehicle."""
     transforms = []
     for mount in rig.mounts:
         x, y, z, w = quaternion_xyzw(mount.T_vehicle_sensor)
@@ -150,7 +150,7 @@ def _header(types: Any, frame: str, stamp_ns: int) -> Any:
 
 
 def _latched() -> Any:
-    """The QoS of transforms that never change: who comes late is still told."""
+    """The QoS of transforms that never change: late subscribers get them, too."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     always = QosTime(*FOREVER)

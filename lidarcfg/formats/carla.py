@@ -14,11 +14,11 @@ import numpy as np
 from lidarcfg.packets.codec import codec
 from lidarcfg.rig import Mount, Rig
 
-EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing are told of
+EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing get a warning
 
 
 def carla(rig: Rig, on_warning: Callable[[str], None]) -> str:
-    """The rig's sensors as JSON; each names its blueprint, its place on the vehicle and its attributes."""
+    """The rig's sensors as JSON; each with its blueprint, its pose on the vehicle and its attributes."""
     sensors = []
     for mount in rig.mounts:
         x, y, z = mount.position_m
@@ -37,7 +37,7 @@ def carla(rig: Rig, on_warning: Callable[[str], None]) -> str:
 
 
 def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, float]:
-    """The blueprint's attributes; what is not known of the sensor is left to CARLA's defaults."""
+    """The blueprint's attributes; for what is unknown of the sensor, CARLA's defaults hold."""
     sensor, realism = mount.sensor, mount.realism
     elevation_deg = np.sort(sensor.beams.elevation_deg)
     attributes = {
@@ -55,7 +55,7 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
         pace = codec(sensor).pace(mount)
         attributes["points_per_second"] = round(pace.firings * 1e9 / pace.period_ns)
     if not (sensor.range and sensor.codec):
-        on_warning(f"{mount.name}: {sensor.name} is beams alone; its range and points_per_second are CARLA's defaults")
+        on_warning(f"{mount.name}: {sensor.name} has beams only; its range and points_per_second are CARLA's defaults")
     away_deg = abs(elevation_deg - np.linspace(elevation_deg[0], elevation_deg[-1], sensor.count)).max()
     if away_deg > EVEN_DEG:
         on_warning(
@@ -63,5 +63,5 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
         )
     if mount.azimuth_fov_deg:
         low, high = mount.azimuth_fov_deg
-        on_warning(f"{mount.name}: CARLA fires all around, not from {low:g} to {high:g} deg alone")
+        on_warning(f"{mount.name}: CARLA fires all around, not only from {low:g} to {high:g} deg")
     return attributes

@@ -1,8 +1,8 @@
 """Libraries that are an extra of this package."""
 
-from lidarcfg.errors import HandoverError
+from lidarcfg.errors import ConversionError
 
 
-def missing(library: str) -> HandoverError:
+def missing(library: str) -> ConversionError:
     """The error for a `library` that is not installed."""
-    return HandoverError(f"{library} is not installed; pip install 'lidarcfg[convert]'")
+    return ConversionError(f"{library} is not installed; pip install 'lidarcfg[convert]'")

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
-from lidarcfg.errors import HandoverError
+from lidarcfg.errors import ConversionError
 
 
 @contextmanager
@@ -30,14 +30,14 @@ def beside(path: Path) -> Iterator[Path]:
 def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
     """Where to make the folder that becomes `path`; nothing of it remains if anything goes wrong.
 
-    An existing folder is replaced if all its files have names like `contents`; otherwise HandoverError is raised.
+    An existing folder is replaced if all its files have names like `contents`; otherwise ConversionError is raised.
     """
     whole = path.resolve()
     if whole.exists() and not whole.is_dir():
-        raise HandoverError(f"{path}: is not a folder; give the name of a new one")
+        raise ConversionError(f"{path}: is not a folder; give the name of a new one")
     for item in whole.iterdir() if whole.exists() else ():
         if not any(fnmatch(item.name, pattern) for pattern in contents):
-            raise HandoverError(f"{path}: holds {item.name!r}; only a folder of {', '.join(contents)} is replaced")
+            raise ConversionError(f"{path}: holds {item.name!r}; only a folder of {', '.join(contents)} is replaced")
     with beside(path) as aside:
         new, old = aside / whole.name, aside / f"{whole.name}.old"
         yield new

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from lidarcfg.cloud import PointCloud, load_cloud, save_clouds
-from lidarcfg.errors import HandoverError
+from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing
 from lidarcfg.rig import load_rig
 
@@ -49,16 +49,18 @@ FORMATS = (
 
 
 def chosen(source: Path, output: Path, name: str | None) -> Format:
-    """The format called `name`, or the first with OUTPUT's suffix. Raises HandoverError."""
+    """The format called `name`, or the first with OUTPUT's suffix. Raises ConversionError."""
     kind = _kind(source)
     formats = [form for form in FORMATS if form.kind == kind]
     if name:
         for form in formats:
             if form.name == name:
                 if form.suffix and output.suffix.lower() != form.suffix:
-                    raise HandoverError(f"{output}: does not end in {form.suffix}, as {name} does")
+                    raise ConversionError(f"{output}: does not end in {form.suffix}, as {name} does")
                 return form
-        raise HandoverError(f"a {kind} does not convert to {name}; allowed: {', '.join(form.name for form in formats)}")
+        raise ConversionError(
+            f"a {kind} does not convert to {name}; allowed: {', '.join(form.name for form in formats)}"
+        )
     for form in formats:
         if form.suffix == output.suffix.lower():
             return form
@@ -66,7 +68,7 @@ def chosen(source: Path, output: Path, name: str | None) -> Format:
     folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
     hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
     what = f"a {kind} does not convert to {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
-    raise HandoverError(what)
+    raise ConversionError(what)
 
 
 def _kind(source: Path) -> Kind:
@@ -74,7 +76,7 @@ def _kind(source: Path) -> Kind:
         if source.suffix.lower() in suffixes:
             return kind
     allowed = "; ".join(f"{kind}: {' '.join(suffixes)}" for kind, suffixes in INPUTS.items())
-    raise HandoverError(f"{source}: not a rig, a cloud or a capture by its suffix; {allowed}")
+    raise ConversionError(f"{source}: not a rig, a cloud or a capture by its suffix; {allowed}")
 
 
 def convert(

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 
-from lidarcfg.errors import HandoverError
+from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array
 from lidarcfg.rig import Rig
 
@@ -17,13 +17,13 @@ def ros_name(name: str) -> str:
 
 
 def ros_names(rig: Rig, on_warning: Callable[[str], None]) -> dict[str, str]:
-    """The ROS names of the rig's sensors. Raises HandoverError if two are the same."""
+    """The ROS names of the rig's sensors. Raises ConversionError if two are the same."""
     taken = {BASE_LINK: "the vehicle"}
     names = {}
     for mount in rig.mounts:
         name = ros_name(mount.name)
         if name in taken:
-            raise HandoverError(f"{mount.name!r} would be {name} in ROS, which is {taken[name]}; rename the sensor")
+            raise ConversionError(f"{mount.name!r} would be {name} in ROS, which is {taken[name]}; rename the sensor")
         if name != mount.name:
             on_warning(f"{mount.name!r} is called {name} in ROS")
         taken[name] = repr(mount.name)

@@ -41,7 +41,7 @@ def save_las(path: Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
     """Write the cloud as .las or .laz, whole or not at all, `chunk` points at a time.
 
     Coordinates are kept to 0.05 mm, times to 30 ns. Raises CloudError for a cloud that is not finite or too
-    wide, HandoverError without laspy.
+    wide, ConversionError without laspy.
     """
     laspy, _ = _libraries()
     header = laspy.LasHeader(version="1.4", point_format=6)
@@ -92,7 +92,7 @@ def _offsets(path: Path, xyz: Array) -> Array:
 def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) -> PointCloud:
     """The cloud in a .las or .laz, ours or another's, read `chunk` points at a time.
 
-    `on_warning` is told which fields the file lacks, which are then 0. Raises CloudError, and HandoverError without
+    `on_warning` is told which fields the file lacks, which are then 0. Raises CloudError, and ConversionError without
     laspy.
     """
     laspy, lazrs = _libraries()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from lidarcfg.capture.pcap import Datagram
 from lidarcfg.cli import cli
 from lidarcfg.cloud import save_clouds
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.formats.formats import FORMATS, INPUTS, chosen
 from tests.capture_fixtures import write_datagrams
-from tests.formats.test_convert_capture import head_datagrams
 from tests.test_cloud import cloud
 
 ROOT = Path(__file__).parents[2]
@@ -32,7 +32,7 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOF, "roof.yaml")
     save_clouds("c.ply", [cloud()])
-    write_datagrams("p.pcap", head_datagrams([0], [1_700_000_000 * 10**9]))
+    write_datagrams("p.pcap", [Datagram(1_700_000_000 * 10**9, "192.168.1.201", 2368, 2368, bytes(1206))])
     return tmp_path
 
 

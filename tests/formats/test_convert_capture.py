@@ -18,8 +18,7 @@ from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.capture.scans import Head, scans
 from lidarcfg.cloud import concatenate
-from lidarcfg.errors import HandoverError, PacketError
-from lidarcfg.formats import bag
+from lidarcfg.errors import ConversionError, PacketError
 from lidarcfg.formats.bag import POINT, save_bag, save_mcap
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.rig import Rig
@@ -38,7 +37,7 @@ def named_rig() -> Rig:
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
-    """Three and a half turns of two VLP-16 in the street."""
+    """Three and a half revolutions of two VLP-16 in the street."""
     path = tmp_path_factory.mktemp("capture") / "a.pcap"
     write_pcap(path, in_time_order(export(named_rig(), load_scene(STREET), np.eye(4), DURATION_NS)))
     return path
@@ -123,12 +122,12 @@ def test_points_and_places_are_those_that_decode_merges(capture, tmp_path, way):
         frame = message.header.frame_id
         assert topic == f"/{frame}/points"
         rows = points(message)
-        turn_ns = stamp_ns(message) + np.rint(rows["time"].astype(np.float64) * 1e9).astype(np.int64)
+        scan_ns = stamp_ns(message) + np.rint(rows["time"].astype(np.float64) * 1e9).astype(np.int64)
         assert rows["time"].min() == 0
-        assert abs(turn_ns.max() - time_ns) < 10  # logged when the turn is complete
+        assert abs(scan_ns.max() - time_ns) < 10  # logged at the end of the scan
         q, t = places[frame]
         xyz = np.column_stack([rows[key] for key in "xyz"]).astype(np.float64)
-        seen[frame].append((xyz @ q.rotation_matrix.T + t, rows["intensity"], rows["ring"], turn_ns))
+        seen[frame].append((xyz @ q.rotation_matrix.T + t, rows["intensity"], rows["ring"], scan_ns))
     for i, frame in enumerate(("left", "right_2")):
         xyz, intensity, ring, time_ns = (np.concatenate(column) for column in zip(*seen[frame], strict=True))
         mine = decoded.sensor == i
@@ -175,10 +174,10 @@ def test_the_mcap_file_is_ros_2_and_indexed(capture, tmp_path):
         assert len(summary.chunk_indexes) >= 1
 
 
-def test_a_message_is_a_turn(capture):
+def test_a_message_is_a_scan(capture):
     found = defaultdict(list)
-    for turn in scans(capture, no_warning, named_rig()):
-        found[turn.sensor_names[0]].append(turn)
+    for scan in scans(capture, no_warning, named_rig()):
+        found[scan.sensor_names[0]].append(scan)
     decoded = concatenate(list(decode_pcap(capture, no_warning, named_rig())))
     for i, (name, rpm) in enumerate((("left", 600), ("right.2", 660))):
         parts = found[name]
@@ -209,8 +208,8 @@ def test_scans_whatever_the_chunks(capture, chunk):
 
 
 @pytest.mark.parametrize("name", ["veloview_hdl32e_monterey.pcap", "nebula_vlp16.pcap", "mrpt_vlp16_gps.pcap"])
-def test_turns_of_real_recordings_by_a_plain_loop(name):
-    """Packets counted one by one: a turn ends where the azimuth falls; its points are the distances above zero."""
+def test_scans_of_real_recordings_by_a_plain_loop(name):
+    """Packets counted one by one: a scan ends where the azimuth falls; its points are the distances above zero."""
     path = recording(name)
     counts, last = [0], None
     packets = [datagram.payload for datagram in datagrams_of(path) if len(datagram.payload) == 1206]
@@ -228,7 +227,7 @@ def test_turns_of_real_recordings_by_a_plain_loop(name):
                 counts[-1] += bool(there and not twin)
     messages = list(scans(path, lambda warning: None))
     assert len(counts) > 1
-    assert [len(turn.xyz) for turn in messages] == counts
+    assert [len(scan.xyz) for scan in messages] == counts
 
 
 def starts(azimuths, times_ns) -> list[int]:
@@ -239,7 +238,7 @@ def starts(azimuths, times_ns) -> list[int]:
     return sorted(set(head.starts_ns))
 
 
-def test_overtaken_and_doubled_packets_make_no_turns():
+def test_overtaken_and_duplicate_packets_make_no_scans():
     step_ns, step = 2_000_000, 720
     times_ns = [START_NS + i * step_ns for i in range(120)]
     azimuths = [i * step % 36000 for i in range(120)]
@@ -255,14 +254,14 @@ def test_overtaken_and_doubled_packets_make_no_turns():
     assert starts(*zip(*[one for one in plain for _ in range(2)], strict=True)) == right
 
 
-def test_a_head_that_stands_still_is_cut_by_the_second():
+def test_a_head_that_does_not_turn_has_a_scan_a_second():
     times_ns = [START_NS + i * 10_000_000 for i in range(250)]
     assert starts([12345] * 250, times_ns) == [times_ns[i] for i in (0, 100, 200)]
     wobbling = [12345 + i % 2 for i in range(250)]
     assert starts(wobbling, times_ns) == [times_ns[i] for i in (0, 100, 200)]
 
 
-def test_a_narrow_sector_still_has_turns():
+def test_a_narrow_field_of_view_has_scans():
     times_ns = [START_NS + i * 100_000_000 + j * 1_300_000 for i in range(4) for j in range(4)]
     azimuths = [10000 + 500 * j for _ in range(4) for j in range(4)]
     assert starts(azimuths, times_ns) == times_ns[::4]
@@ -297,15 +296,15 @@ def test_a_rig_that_does_not_fit(capture, tmp_path):
     third = replace(rig.mounts[0], name="third", host="192.168.1.99")
     warnings = []
     save_mcap(tmp_path / "a.mcap", capture, Rig("three", (*rig.mounts, third)), None, warnings.append)
-    assert warnings[-1] == f"{capture}: nothing of third is in it"
+    assert warnings[-1] == f"{capture}: holds nothing of third"
     clash = Rig("clash", (replace(rig.mounts[0], name="a.b"), replace(rig.mounts[1], name="a-b")))
-    with pytest.raises(HandoverError, match="'a-b' would be a_b in ROS"):
+    with pytest.raises(ConversionError, match="'a-b' would be a_b in ROS"):
         save_mcap(tmp_path / "b.mcap", capture, clash, None, lambda warning: None)
     assert [item.name for item in tmp_path.iterdir()] == ["a.mcap"]
 
 
 def spoilt(capture, path):
-    """The capture with a packet of another model two turns in."""
+    """The capture with a packet of another model after two revolutions."""
     datagrams = datagrams_of(capture)
     at = [i for i, one in enumerate(datagrams) if len(one.payload) == 1206][400]
     datagrams[at] = replace(datagrams[at], payload=datagrams[at].payload[:1205] + b"\x77")
@@ -328,35 +327,42 @@ def test_whole_or_not_at_all(capture, tmp_path):
     assert {item.name for item in (tmp_path / "bag").iterdir()} == {"metadata.yaml", "bag.mcap"}
 
 
-def test_ctrl_c_leaves_nothing(capture, tmp_path, monkeypatch):
-    def stopped(*words):
-        yield from list(scans(*words))[:2]
-        raise KeyboardInterrupt
+def test_ctrl_c_leaves_nothing(capture, tmp_path):
+    """Interrupted at the second sensor's first scan, when the first sensor's is written."""
+    for save in (
+        lambda *words: save_bag(tmp_path / "bag", capture, "sqlite3", *words),
+        lambda *words: save_bag(tmp_path / "bag", capture, "mcap", *words),
+        lambda *words: save_mcap(tmp_path / "a.mcap", capture, *words),
+    ):
+        begun = []
 
-    monkeypatch.setattr(bag, "scans", stopped)
-    for storage in ("sqlite3", "mcap"):
+        def stop(warning, begun=begun):
+            if "in ROS" in warning:
+                begun.append([path for path in tmp_path.rglob("*") if path.is_file()])
+                if len(begun) == 2:
+                    raise KeyboardInterrupt
+
         with pytest.raises(KeyboardInterrupt):
-            save_bag(tmp_path / "bag", capture, storage, named_rig(), None, lambda warning: None)
-    with pytest.raises(KeyboardInterrupt):
-        save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, lambda warning: None)
-    assert list(tmp_path.iterdir()) == []
+            save(None, None, stop)
+        assert begun[1]  # files that could be left behind
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_no_bag_is_left_alone(capture, tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos/cat.jpg").write_text("meow")
     with pytest.raises(
-        HandoverError, match=r"photos: holds 'cat.jpg'; only a folder of metadata.yaml, \*\.db3, \*\.mcap"
+        ConversionError, match=r"photos: holds 'cat.jpg'; only a folder of metadata.yaml, \*\.db3, \*\.mcap"
     ):
         save_bag(tmp_path / "photos", capture, "sqlite3", named_rig(), None, no_warning)
-    with pytest.raises(HandoverError, match="photos: is not a file"):
+    with pytest.raises(ConversionError, match="photos: is not a file"):
         save_mcap(tmp_path / "photos", capture, named_rig(), None, no_warning)
-    with pytest.raises(HandoverError, match=r"cat\.jpg: is not a folder"):
+    with pytest.raises(ConversionError, match=r"cat\.jpg: is not a folder"):
         save_bag(tmp_path / "photos/cat.jpg", capture, "sqlite3", named_rig(), None, no_warning)
     with pytest.raises(OSError, match="No such file") as error:
         save_bag(tmp_path / "no/bag", capture, "sqlite3", named_rig(), None, no_warning)
     assert error.value.filename == str(tmp_path / "no/bag")
-    with pytest.raises(HandoverError, match="no bag can be written where a path has #"):
+    with pytest.raises(ConversionError, match="rosbags cannot write a bag to a path with #"):
         save_bag(tmp_path / "a#b", capture, "sqlite3", named_rig(), None, no_warning)
     assert [item.name for item in tmp_path.iterdir()] == ["photos"]
     assert (tmp_path / "photos/cat.jpg").read_text() == "meow"
@@ -373,7 +379,7 @@ def test_nothing_to_hand_over(tmp_path):
         for time_ns, packet in zip(times_ns, packets, strict=True)
     ]
     write_datagrams(tmp_path / "a.pcap", datagrams)
-    with pytest.raises(PacketError, match=r"a\.pcap: holds no returns; there is nothing to put into a bag"):
+    with pytest.raises(PacketError, match=r"a\.pcap: holds no returns to convert"):
         save_mcap(tmp_path / "a.mcap", tmp_path / "a.pcap", None, None, no_warning)
     assert [item.name for item in tmp_path.iterdir()] == ["a.pcap"]
 
@@ -381,12 +387,12 @@ def test_nothing_to_hand_over(tmp_path):
 def test_the_seconds_of_ros_2_end(capture, tmp_path):
     later = [replace(one, time_ns=one.time_ns + 13 * 365 * 86_400 * SECOND_NS) for one in datagrams_of(capture)[:300]]
     write_datagrams(tmp_path / "later.pcap", later)
-    with pytest.raises(PacketError, match="goes on after 2038-01-19 03:14:07 UTC, where the seconds of ROS 2 end"):
+    with pytest.raises(PacketError, match="goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2"):
         save_mcap(tmp_path / "a.mcap", tmp_path / "later.pcap", named_rig(), None, lambda warning: None)
 
 
 def test_without_rosbags(capture, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    with pytest.raises(HandoverError, match=r"rosbags is not installed; pip install 'lidarcfg\[convert\]'"):
+    with pytest.raises(ConversionError, match=r"rosbags is not installed; pip install 'lidarcfg\[convert\]'"):
         save_mcap(tmp_path / "a.mcap", capture, named_rig(), None, no_warning)
     assert list(tmp_path.iterdir()) == []

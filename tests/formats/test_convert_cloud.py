@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from laspy.header import GpsTimeType
 
 from lidarcfg.cloud import FIELDS, PointCloud, load_cloud, save_clouds
-from lidarcfg.errors import CloudError, HandoverError
+from lidarcfg.errors import CloudError, ConversionError
 from lidarcfg.formats.formats import INPUTS, chosen, convert
 from lidarcfg.formats.gps import gps_seconds, unix_ns
 from lidarcfg.formats.kitti import load_kitti, save_kitti
@@ -342,5 +342,7 @@ def test_odd_las_files(tmp_path, suffix):
 def test_without_the_libraries(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
     for call in (lambda: save_las(tmp_path / "a.las", timed()), lambda: load_las(tmp_path / "a.las", no_warning)):
-        with pytest.raises(HandoverError, match=r"laspy\[lazrs\] is not installed; pip install 'lidarcfg\[convert\]'"):
+        with pytest.raises(
+            ConversionError, match=r"laspy\[lazrs\] is not installed; pip install 'lidarcfg\[convert\]'"
+        ):
             call()

@@ -15,7 +15,7 @@ from pyquaternion import Quaternion
 from scipy.spatial.transform import Rotation
 from urdf_parser_py.urdf import URDF
 
-from lidarcfg.errors import HandoverError
+from lidarcfg.errors import ConversionError
 from lidarcfg.formats.carla import carla
 from lidarcfg.formats.frames import ros_name
 from lidarcfg.formats.launch import launch
@@ -92,7 +92,7 @@ def test_names_become_names_that_xml_and_ros_allow():
 )
 @pytest.mark.parametrize("writer", [urdf, launch])
 def test_two_names_that_ros_would_not_tell_apart(names, what, writer):
-    with pytest.raises(HandoverError) as error:
+    with pytest.raises(ConversionError) as error:
         writer(Rig("r", tuple(turned(name) for name in names)), lambda warning: None)
     assert str(error.value) == what
 
@@ -195,8 +195,8 @@ def test_carla_is_told_what_the_sensor_is():
     away = max(abs(elevation - (-25 + i * 40 / 31)) for i, elevation in enumerate(elevations))
     assert warnings == [
         f"front: CARLA spaces channels evenly; vlp-32c's are up to {away:.2f} deg from there",
-        "front: CARLA fires all around, not from 10 to 200 deg alone",
-        "beams: custom is beams alone; its range and points_per_second are CARLA's defaults",
+        "front: CARLA fires all around, not only from 10 to 200 deg",
+        "beams: custom has beams only; its range and points_per_second are CARLA's defaults",
     ]
 
 
