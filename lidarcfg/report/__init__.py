@@ -1,4 +1,4 @@
-"""Results as JSON, files, tables, pictures and a page. It shows; `lidarcfg.placement` computes."""
+"""Results as JSON, files, tables, pictures and reports. It shows; `lidarcfg.placement` computes."""
 
 from lidarcfg.report.comparison import check_count, comparison_dict, contenders, save_comparison
 from lidarcfg.report.document import Commands

@@ -1,4 +1,4 @@
-"""What the drawings of a page share: SVG in one style, and views of the region."""
+"""What the drawings of a report share: SVG in one style, and views of the region."""
 
 import io
 import re
@@ -55,7 +55,7 @@ STYLE: dict[Any, Any] = {
 
 
 def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], None]) -> Markup:
-    """What `draw` draws, as SVG inside a page; `name` keeps its ids apart from those of other drawings."""
+    """What `draw` draws, as SVG inside HTML; `name` keeps its ids apart from those of other drawings."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE), warnings.catch_warnings():

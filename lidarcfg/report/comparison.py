@@ -1,4 +1,4 @@
-"""Rigs side by side in one study: a table of what differs, and one page."""
+"""Rigs side by side in one study: a table of what differs, and one report."""
 
 import string
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ from lidarcfg.files import replacing
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.study import Evaluation, Study
 from lidarcfg.report import drawings
-from lidarcfg.report.document import Commands, compared_rings
+from lidarcfg.report.document import Commands
 from lidarcfg.report.html import Best, Figure, Table, render
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.words import (
@@ -164,12 +164,11 @@ def save_comparison(study: Study, rigs: Sequence[Contender], folder: Path, comma
 
 
 def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> str:
-    """The page. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
+    """The report as HTML. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
     lines = rows(study, rigs)
     parts = [rigs[first : first + COLUMNS_MAX] for first in range(0, len(rigs), COLUMNS_MAX)]
-    titles = [rig.title for rig in rigs]
     coverage = [(rig.title, rig.rig, rig.details.coverage) for rig in rigs]
-    rings = compared_rings(titles, [rig.details for rig in rigs])
+    rings = [(item.name, {rig.title: rig.details.rings[item.name] for rig in rigs}) for item in study.detection]
     return render(
         "comparison.html",
         title=f"Comparison: {study.name}",

@@ -1,6 +1,5 @@
 """The report of a rig as one HTML file: the task, the result, its accuracy, and how to repeat it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -244,8 +243,3 @@ def _repeat(values: dict[str, Any]) -> Facts:
         ("seconds", f"{values['seconds']:.2f}"),
         ("date", date()),
     ]
-
-
-def compared_rings(titles: Sequence[str], rigs: Sequence[Details]) -> list[tuple[str, dict[str, Rings]]]:
-    """For each object, the rings of each rig by its title."""
-    return [(item, {title: rig.rings[item] for title, rig in zip(titles, rigs, strict=True)}) for item in rigs[0].rings]

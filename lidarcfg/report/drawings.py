@@ -1,4 +1,4 @@
-"""The drawings of a page: mounts, search, worst subspaces, distribution, detection and coverage."""
+"""The drawings of a report: mounts, search, worst subspaces, distribution, detection and coverage."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal

@@ -45,7 +45,7 @@ def printable(text: object) -> str:
 
 
 def render(template: str, **values: Any) -> str:
-    """The page that a template makes of the values."""
+    """The document that a template makes of the values."""
     return _environment().get_template(template).render(values)
 
 

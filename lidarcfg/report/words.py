@@ -54,8 +54,8 @@ def counted(number: int, what: str) -> str:
 
 
 def vector(values: Sequence[float] | Array, form: str = "g") -> str:
-    """Numbers with commas between them."""
-    return ", ".join(f"{value:{form}}" for value in values)
+    """Numbers with commas between them, without negative zeros."""
+    return ", ".join(f"{value:z{form}}" for value in values)
 
 
 def as_yaml(values: dict[str, Any]) -> str:
