@@ -115,8 +115,8 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
 def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty: bool = False) -> PointCloud:
     """The cloud in a file, ours or, of PLY and PCD, another program's.
 
-    `on_warning` is told in one line which fields a file lacks, and what they are instead. Raises CloudError for
-    anything that no cloud holds.
+    `on_warning` gets one line on what a file lacks and what is assumed instead. Raises CloudError for anything that no
+    cloud holds.
     """
     path = Path(path)
     if _suffix(path) == ".npz":
@@ -177,7 +177,7 @@ def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> P
                 raise CloudError(f"{path}: {what}; allowed: {allowed.min} to {allowed.max}")
     if len(xyz) and columns["sensor"].max() >= len(names):
         raise CloudError(f"{path}: a point is of sensor {columns['sensor'].max()}; there are {len(names)}")
-    return PointCloud(sensor_names=names, **{key: columns[key].astype(FIELDS[key]) for key in FIELDS})
+    return PointCloud(sensor_names=names, **{key: np.ascontiguousarray(columns[key], FIELDS[key]) for key in FIELDS})
 
 
 def _names(path: Path, names: Any) -> tuple[str, ...]:

@@ -53,10 +53,9 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
     names = _sensor_names(path, comments)
     if absent := [name for name in "xyz" if name not in fields]:
         raise CloudError(f"{path}: missing: {', '.join(absent)}")
-    xyz = np.stack([fields.pop(name).astype(np.float64) for name in "xyz"], axis=1)
+    xyz = np.stack([fields.pop(name) for name in "xyz"], axis=1, dtype=np.float64)
     remarks = []
-    finite = np.isfinite(xyz).all(axis=1)
-    if names is None and not finite.all():
+    if names is None and not (finite := np.isfinite(xyz).all(axis=1)).all():
         remarks.append(f"{(~finite).sum()} points without coordinates are dropped")
         xyz, fields = xyz[finite], {name: field[finite] for name, field in fields.items()}
     if fields.keys() >= set(TIME_PARTS):
@@ -139,7 +138,7 @@ def _sensor_names(path: Path, comments: list[str]) -> list[Any] | None:
 
 
 def _numbered(path: Path, sensor: Column, unknown: bool) -> list[str]:
-    """Names of sensors that have numbers alone: the file's, or the numbers."""
+    """Names for sensors without any: their numbers, or without numbers the file's name."""
     most = int(sensor.max(initial=0))
     return [path.stem] if unknown or not 0 < most <= np.iinfo(np.uint16).max else [str(i) for i in range(most + 1)]
 

@@ -84,8 +84,8 @@ def convert(
 ) -> str:
     """Write `source` as `output` in the format, whole or not at all, and return what it holds.
 
-    `rig` and `model` are for captures: the sensors' poses, and their model whatever their packets say. `on_warning` is
-    told what the format cannot hold. Raises LidarcfgError.
+    `rig` and `model` are for captures: the sensors' poses, and their model whatever their packets say. `on_warning`
+    gets what the format cannot hold. Raises LidarcfgError.
     """
     if form.lacks:
         on_warning(f"{output}: {form.name} has no {form.lacks}")

@@ -36,7 +36,7 @@ def save_kitti(path: Path, cloud: PointCloud, on_warning: Callable[[str], None],
 
 
 def load_kitti(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
-    """The cloud in a .bin, of one sensor named after the file; `on_warning` is told what it lacks.
+    """The cloud in a .bin, of one sensor named after the file; `on_warning` gets a line on what it lacks.
 
     Raises CloudError.
     """

@@ -32,8 +32,8 @@ TIME_MAX_S = 9e9  # beyond it, nanoseconds since 1970 do not fit into int64
 DAY_NS = 86_400 * 10**9
 CHUNK = 1 << 20  # points
 CHUNK_BYTES = 1 << 26  # read at a time, whatever the size of a point
-# Places in the header, by LAS 1.4: where the points begin, how many VLRs there are, and the point format, whose highest
-# bit says LAZ. A VLR and a chunk take at least so many bytes.
+# Places in the header, by LAS 1.4: where the points begin, how many VLRs there are, and the point format, with
+# its highest bit set in LAZ. Then the fewest bytes of a VLR and of a chunk.
 POINTS_AT, VLRS_AT, FORMAT_AT, COMPRESSED, VLR_HEAD, CHUNK_LEAST = 96, 100, 104, 0x80, 54, 20
 
 
@@ -92,7 +92,7 @@ def _offsets(path: Path, xyz: Array) -> Array:
 def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) -> PointCloud:
     """The cloud in a .las or .laz, ours or another's, read `chunk` points at a time.
 
-    `on_warning` is told which fields the file lacks, which are then 0. Raises CloudError, and ConversionError without
+    `on_warning` gets the fields that the file lacks, which are then 0. Raises CloudError, and ConversionError without
     laspy.
     """
     laspy, lazrs = _libraries()
@@ -173,7 +173,7 @@ def _unpacked(file: IO[bytes], at: int, form: str) -> tuple[int, ...]:
 
 
 def _columns(rows: Any) -> dict[str, NDArray[Any]]:
-    """What we keep of a chunk of points, as it stands there."""
+    """The columns of a chunk of points that a cloud has, unconverted."""
     there = set(rows.point_format.dimension_names)
     columns = {key: np.array(rows[key]) for key in ("intensity", "gps_time", *EXTRA) if key in there}
     with np.errstate(over="ignore"):  # of absurd scales; what they make is not finite

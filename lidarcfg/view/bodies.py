@@ -74,7 +74,7 @@ def faces(region: Region, inside: NDArray[np.bool_]) -> Array:
 
 
 def _back(index: NDArray[np.intp], along: int) -> NDArray[np.intp]:
-    """Indices (n, 3) of an array whose axis `along` was moved to the end, in its own order of axes."""
+    """Indices (n, 3) into an array with axis `along` moved to the end, back in the order of its own axes."""
     order = [axis for axis in range(3) if axis != along]
     out = np.empty_like(index)
     out[:, [*order, along]] = index

@@ -1,4 +1,4 @@
-"""The page's server, for this machine alone: the page's own routes, and evaluations of the rig as it is moved."""
+"""The page's server, for this machine only: the page's own routes, and evaluations of the rig as it is moved."""
 
 import json
 import sys
@@ -96,7 +96,7 @@ class _Handler(BaseHTTPRequestHandler):
         if all(name.partition(":")[0] in HOSTS for name in names):
             return True
         self.close_connection = True
-        self._refuse(HTTPStatus.FORBIDDEN, f"this page answers to {' and '.join(HOSTS)} alone")
+        self._refuse(HTTPStatus.FORBIDDEN, f"this page answers to {' and '.join(HOSTS)} only")
         return False
 
     def _request(self) -> dict[str, Any]:

@@ -463,9 +463,9 @@ def test_the_server_answers_what_evaluate_does(served, stage):
 @pytest.mark.parametrize(
     ("method", "path", "body", "headers", "status", "what"),
     [
-        ("GET", "/", None, {"Host": "evil.example"}, 403, "this page answers to 127.0.0.1 and localhost alone"),
-        ("GET", "/about.json", None, {"Host": "evil.example:80"}, 403, "alone"),
-        ("POST", "/evaluate", "{}", {"Origin": "https://evil.example"}, 403, "alone"),
+        ("GET", "/", None, {"Host": "evil.example"}, 403, "this page answers to 127.0.0.1 and localhost only"),
+        ("GET", "/about.json", None, {"Host": "evil.example:80"}, 403, "only"),
+        ("POST", "/evaluate", "{}", {"Origin": "https://evil.example"}, 403, "only"),
         ("GET", "/../pyproject.toml", None, {}, 404, "no such page"),
         ("GET", "/page/../../pyproject.toml", None, {}, 404, "no such page"),
         ("GET", "/array/none", None, {}, 404, "no such page"),
