@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from lidarcfg.cloud import save_clouds
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.formats.formats import FORMATS, INPUTS, chosen
 from tests.capture_fixtures import write_datagrams
+from tests.command_line import lidarcfg
 from tests.test_cloud import cloud
 
 ROOT = Path(__file__).parents[2]
@@ -161,20 +163,14 @@ def test_a_cloud_there_and_back(here):
 
 
 def test_a_capture_by_the_command(tmp_path):
-    """The whole way in a process of its own, with the real exit codes."""
-
-    def lidarcfg(*words, code=0):
-        command = [sys.executable, "-m", "lidarcfg", *map(str, words)]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
-        assert done.returncode == code, done.stderr
-        return done
-
-    lidarcfg("export", ROOF, "--scene", ROOT / "data/scenes/street.yaml", "--duration", 0.11, "-o", "a.pcap", "--quiet")
-    done = lidarcfg("convert", "a.pcap", "--rig", ROOF, "-o", "bag")
+    """The whole trip with the real exit codes; a full disk in a process of its own."""
+    run = partial(lidarcfg, cwd=tmp_path)
+    run("export", ROOF, "--scene", ROOT / "data/scenes/street.yaml", "--duration", 0.11, "-o", "a.pcap", "--quiet")
+    done = run("convert", "a.pcap", "--rig", ROOF, "-o", "bag")
     assert done.stdout == "bag: 5 messages\n"
     assert done.stderr == "lidarcfg: warning: bag: rosbag2 has no return type\n"
     assert {item.name for item in (tmp_path / "bag").iterdir()} == {"bag.db3", "metadata.yaml"}
-    done = lidarcfg("convert", "a.pcap", "--rig", "bag", "-o", "a.mcap", code=2)
+    done = run("convert", "a.pcap", "--rig", "bag", "-o", "a.mcap", code=2)
     assert len(done.stderr.splitlines()) == 1
     for output in ("full", "full.mcap"):  # a full disk, as files may grow to 100 kB
         words = f"ulimit -f 100; {sys.executable} -m lidarcfg convert a.pcap --rig {ROOF} -o {output}"

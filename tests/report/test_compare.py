@@ -1,8 +1,6 @@
 """Rigs side by side: the table against each rig's own evaluation, what is marked best, and the page."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import click
@@ -17,6 +15,7 @@ from lidarcfg.placement.metric import inscribed_radii_m
 from lidarcfg.placement.study import evaluate, load_study
 from lidarcfg.report.comparison import rows
 from lidarcfg.rig import load_rig
+from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
 
 OBJECTS = "detection:\n  - {name: box, size_m: [1, 1, 0.5]}\n  - {name: '<i>&', size_m: [1, 1, 2], on_ground: true}\n"
@@ -52,10 +51,7 @@ def compared(folder, study, *names, tolerance=None):
 
 
 def run(folder, *words):
-    call = [sys.executable, "-m", "lidarcfg", "compare", *words]
-    done = subprocess.run(call, capture_output=True, text=True, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return done
+    return lidarcfg("compare", *words, cwd=folder)
 
 
 def test_each_column_is_what_evaluate_says(folder):

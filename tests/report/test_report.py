@@ -1,10 +1,7 @@
 """The report: read back by the standard library's parser, with names of any kind."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -20,6 +17,7 @@ from lidarcfg.placement.study import evaluate, load_study
 from lidarcfg.report.words import date
 from lidarcfg.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints
+from tests.command_line import lidarcfg
 
 ROOT = Path(__file__).parents[2]
 NAMES = [
@@ -220,14 +218,13 @@ def test_rigs_that_break_the_constraints_do_not_flatten_the_rest(study, found):
     assert report.draw_convergence(study, found).axes[0].get_ylim() == (0, pytest.approx(1.05 * most))
 
 
-def test_the_command_line_writes_it(tmp_path):
+def test_the_command_line_writes_it(tmp_path, monkeypatch):
     (tmp_path / "s.yaml").write_text(STUDY)
-    environment = os.environ | {"SOURCE_DATE_EPOCH": "1767225600"}
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")
 
     def run(*words):
-        call = [sys.executable, "-m", "lidarcfg", *words]
-        done = subprocess.run(call, capture_output=True, text=True, cwd=tmp_path, env=environment)
-        assert (done.returncode, done.stderr) == (0, "")
+        done = lidarcfg(*words, cwd=tmp_path)
+        assert done.stderr == ""
         return done.stdout
 
     assert run("optimize", "s.yaml", "-o", "a b", "--seconds", "0.2", "--quiet") == ""

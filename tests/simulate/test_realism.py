@@ -20,6 +20,7 @@ from lidarcfg.simulate.ground_truth import TruthFile
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, mount, no_warning, scene, tilted_rig
+from tests.command_line import lidarcfg
 
 ALL = Realism(seed=7, range_noise_m=0.02, dropout_share=0.1, range_10_percent_m=40.0, divergence=True)
 
@@ -119,12 +120,6 @@ def test_off_is_exact(street, tmp_path):
     assert len({made[name] for name in ("none", "noise", "other", "share", "range")}) == 5
 
 
-def run(*words, cwd=None, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "lidarcfg", *map(str, words)], capture_output=True, text=True, cwd=cwd, **options
-    )
-
-
 @pytest.fixture
 def here(tmp_path):
     sensors = [{"name": "a", "model": "vlp-16", "position_m": [0, 0, 2], "realism": {"range_noise_m": 0.01}}]
@@ -139,19 +134,16 @@ def here(tmp_path):
 def test_commands(here):
     """Out with a motion, back without it: the wall stands where it stood. The truth and the counts are told."""
     words = ("--trajectory", "way.yaml", "--at", "1,2,5", "--start", "2026-03-01T12:59:59.9")
-    done = run("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 0.2, *words, "--truth", "t.npz", "--stats", "-o", "a.pcap", cwd=here)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = lidarcfg("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 0.2, *words, "--truth", "t.npz", "--stats", "-o", "a.pcap", cwd=here)  # fmt: skip
     assert "a.pcap: 180 packets, 0.2 s" in done.stdout
     assert "57,600 rays" in done.stdout
-    done = run("decode", "a.pcap", "--rig", "rig.yaml", *words, "-o", "a.npz", cwd=here)
-    assert done.returncode == 0, done.stderr
+    done = lidarcfg("decode", "a.pcap", "--rig", "rig.yaml", *words, "-o", "a.npz", cwd=here)
     cloud = load_cloud(here / "a.npz", print)
     with np.load(here / "t.npz") as truth:
         assert len(truth["range_m"]) == len(cloud.xyz) > 1000
     near = abs(cloud.xyz[:, 1]) < 10
     assert abs(cloud.xyz[near, 0] - 19).max() < 0.06
-    done = run("replay", "a.pcap", "--to", "127.0.0.1:9", "--speed", 100, cwd=here)
-    assert done.returncode == 0, done.stderr
+    done = lidarcfg("replay", "a.pcap", "--to", "127.0.0.1:9", "--speed", 100, cwd=here)
     assert "180 datagrams to 127.0.0.1:9" in done.stdout
 
 
@@ -159,8 +151,9 @@ def test_counts_of_no_rays(here):
     """A sector that the head has not reached yet: nothing is fired, nothing is divided by it."""
     sensors = [{"name": "a", "model": "vlp-16", "position_m": [0, 0, 2], "azimuth_fov_deg": [350, 355]}]
     (here / "rig.yaml").write_text(yaml.safe_dump({"name": "one", "sensors": sensors}))
-    done = run("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 0.01, "--stats", "-o", "a.pcap", cwd=here)
-    assert done.returncode == 0, done.stderr
+    done = lidarcfg(
+        "export", "rig.yaml", "--scene", "scene.yaml", "--duration", 0.01, "--stats", "-o", "a.pcap", cwd=here
+    )
     assert "0 rays: 0 (0.0%) could hit nothing in range, 0 (0.0%) were settled" in done.stdout
 
 
@@ -178,8 +171,7 @@ def test_counts_of_no_rays(here):
     ],
 )  # fmt: skip
 def test_mistakes(here, words, match):
-    done = run(*words, cwd=here)
-    assert done.returncode == 2
+    done = lidarcfg(*words, code=2, cwd=here)
     assert match in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (here / "a.pcap").exists()
@@ -198,7 +190,9 @@ def test_a_full_disk_is_one_line(here, size, words, name):
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
     before = sorted(path.name for path in here.iterdir())
-    done = run("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--quiet", *words, cwd=here, preexec_fn=limit)  # fmt: skip
+    call = [sys.executable, "-m", "lidarcfg", "export", "rig.yaml", "--scene", "scene.yaml", "--duration", "1"]
+    call += ["-o", "a.pcap", "--quiet", *words]
+    done = subprocess.run(call, capture_output=True, text=True, cwd=here, preexec_fn=limit)
     assert done.returncode == 2
     assert done.stderr == f"lidarcfg: {name}: file too large\n"
     assert sorted(path.name for path in here.iterdir()) == before
