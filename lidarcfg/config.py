@@ -216,7 +216,7 @@ def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a file whose owner checks it when it is needed: its values, and where they stand."""
+    """A part of a file that is checked when its owner needs it: its values, and where they came from."""
 
     values: Mapping[str, Any]
     path: str = field(default="", compare=False)  # of the file; empty: made in Python
@@ -263,7 +263,7 @@ def loads(text: str, model: type[M], name: str, own: bool = False) -> M:
 
 
 def _first_error(document: _Document, error: ValidationError, model: type[Model], above: Key = ()) -> ConfigError:
-    """The first error in the file, with a count of the others; `above` is where the model stands in it."""
+    """The first error in the file, with a count of the others; `above` is the model's key in it."""
     errors = error.errors(include_url=False)
     keys = [_key(item) for item in errors]
     # pydantic also calls a list too short if one of its items is wrong: report the item only
@@ -292,7 +292,9 @@ def _message(item: Any, model: type[Model]) -> str:
         allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
         return f"has {context['actual_length']} values; allowed: {allowed}"
     limits = {key: _shown(value) for key, value in context.items() if key != "expected"}
-    return SENTENCES[kind].format_map(limits | {"expected": context.get("expected"), "got": _shown(item["input"])})
+    return SENTENCES.get(kind, "{got} is not allowed").format_map(
+        limits | {"expected": context.get("expected"), "got": _shown(item["input"])}
+    )
 
 
 def _shown(value: Any) -> str:
@@ -305,7 +307,7 @@ def _shown(value: Any) -> str:
 
 
 def unknown_key(name: str, model: type[Model]) -> str:
-    """What is said of a key that the model does not have."""
+    """The message for a key that the model does not have."""
     if name in model.renamed:
         return f"renamed; it is now {model.renamed[name]}"
     allowed = list(model.model_fields)

@@ -286,13 +286,13 @@ def parts(annotation):
 
 
 @pytest.mark.parametrize("model", [StudyFile, RigFile, SceneFile, Sensor, Motion, Realism])
-def test_every_key_of_a_file_is_told(model):
+def test_every_key_of_a_file_is_documented(model):
     text = documentation()
     assert [key for key in keys(model) if not re.search(rf"\b{key}\b", text)] == []
 
 
 def test_the_figures_of_the_scene(project):
-    """What its page says of the small scene: how often each object is met, and what mistakes are called."""
+    """What its page says of the small scene: how often each object is hit, and how mistakes are reported."""
     page = (DOCS / "scene.md").read_text()
     Path("corner.yaml").write_text(named_files(DOCS / "scene.md")["corner.yaml"])
     words = next(w for _, text in blocks(DOCS / "scene.md", "") for w in commands(text) if "--truth" in w)
@@ -335,8 +335,8 @@ def test_mesh_files_that_the_page_names(suffix, project):
     np.testing.assert_allclose(corners[0], corners[1], atol=1e-5)
 
 
-def test_the_sensor_of_the_page_is_heard_as_it_fired(project):
-    """Its capture decodes to what was true of each of its returns."""
+def test_the_sensor_of_the_page_decodes_as_it_fired(project):
+    """Its capture decodes to the ground truth of each return."""
     from lidarcfg.cloud import load_cloud
 
     for name, text in named_files(DOCS / "sensors.md").items():
