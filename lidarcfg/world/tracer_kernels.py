@@ -1,0 +1,349 @@
+"""Rays through a tree of shapes: what each hits first, and whether anything blocks the way to a target.
+
+Rays that start near each other and point nearly the same way go through the tree together, as a packet whose loops
+vectorise. Boxes are tested in float32, larger by more than that rounds; shapes in float64, by the same operations for
+a ray in a packet and a ray alone, so that what a ray hits does not depend on the rays that it travels with.
+"""
+
+# mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
+from lidarcfg.world.bvh import DEPTH_MAX, INSTANCE, SPHERE, TRIANGLE
+from lidarcfg.world.shapes import FAST, cylinder, inside, normal, on_plane, sheared, sphere, triangle
+
+SIZE = 16  # rays in a packet
+# Rows of a packet: origin, direction (its largest component last), shear; range and slot of the nearest hit; scratch.
+OX, OY, OZ, DX, DY, DZ, SX, SY, SZ, RANGE, SLOT, INSIDE = range(0, 12 * SIZE, SIZE)
+# Rows in float32: 1 / direction and range; the boxes of a node; of each 1 / direction the one nearest to zero.
+IX, IY, IZ, FAR, EDGES, LEAST = range(0, 6 * SIZE, SIZE)
+NONE = -2.0  # a slot; where something is hit, the shape's number in its tree
+WIDER, PAD = np.float32(4e-7), np.float32(1e-9)  # of a box's distance, and m, by which boxes are larger for float32
+STEEPEST = 1e28  # 1 / direction at most: 0 times that is 0, where 0 times inf is not a number
+FARTHEST, ZERO = np.float32(3e38), np.float32(0)
+ENDS = 1e-9  # of a segment, at both of its ends, that count as its end points
+
+
+class Packet(NamedTuple):
+    """Working memory of a thread."""
+
+    rays: Array  # (12 SIZE,)
+    slabs: NDArray[np.float32]  # (6 SIZE,)
+    origin: NDArray[np.float32]  # (12,) what to subtract from a node's boxes
+    codes: NDArray[np.int32]  # (DEPTH_MAX,) subtrees to look at
+    enter: Array  # (DEPTH_MAX,) from where on
+    alone_codes: NDArray[np.int32]  # the same for a ray alone
+    alone_enter: Array
+    instances: NDArray[np.int32]  # 1 + as many as there may be: how many moving objects the packet may hit, and which
+
+
+@njit(cache=True, nogil=True)
+def new_packet(instances):
+    """Working memory for as many moving objects."""
+    return Packet(
+        np.zeros(12 * SIZE),
+        np.zeros(6 * SIZE, np.float32),
+        np.zeros(12, np.float32),
+        np.zeros(DEPTH_MAX, np.int32),
+        np.zeros(DEPTH_MAX),
+        np.zeros(DEPTH_MAX, np.int32),
+        np.zeros(DEPTH_MAX),
+        np.zeros(1 + instances, np.int32),
+    )
+
+
+@njit(cache=True, nogil=True)
+def facing(dx, dy, dz):
+    """The largest component of a direction and its octant as one number, which is the same for a packet's rays."""
+    x, y, z = abs(dx), abs(dy), abs(dz)
+    largest = 2 if z >= x and z >= y else 1 if y >= x else 0
+    return largest + 4 * (dx < 0) + 8 * (dy < 0) + 16 * (dz < 0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _steep(d):
+    """1 / d, but finite."""
+    steep = 1 / max(abs(d), 1 / STEEPEST)
+    return -steep if d < 0 else steep
+
+
+@njit(cache=True, nogil=True)
+def alike(directions, first, count):
+    """How many rays from `first` on, of (3, count), can be one packet; and what they face."""
+    face = facing(directions[0, first], directions[1, first], directions[2, first])
+    end = first + 1
+    while end < min(first + SIZE, count) and face == facing(directions[0, end], directions[1, end], directions[2, end]):
+        end += 1
+    return end - first, face
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def load(packet, origins, directions, first, count, face):
+    """Fill a packet with rays `first` to `first` + count of (3, N); the last one fills its rest. Nothing is hit yet."""
+    rays, slabs = packet.rays, packet.slabs
+    k = face & 3
+    i, j = (k + 1) % 3, (k + 2) % 3
+    for axis in range(3):
+        low, high, least = math.inf, -math.inf, STEEPEST
+        for n in range(count):
+            low, high = min(low, origins[axis, first + n]), max(high, origins[axis, first + n])
+        for n in range(SIZE):
+            d = directions[axis, first + min(n, count - 1)]
+            steep = _steep(d)
+            least = min(least, abs(steep))
+            slabs[IX + axis * SIZE + n] = steep
+        slabs[LEAST + axis] = -least if face & (4 << axis) else least
+        below, above = np.float32(low), np.float32(high)
+        packet.origin[3 + axis] = packet.origin[9 + axis] = below - abs(below) * WIDER
+        packet.origin[axis] = packet.origin[6 + axis] = above + abs(above) * WIDER
+    for n in range(SIZE):
+        m = first + min(n, count - 1)
+        rays[OX + n], rays[OY + n], rays[OZ + n] = origins[i, m], origins[j, m], origins[k, m]
+        dx, dy, dz = directions[i, m], directions[j, m], directions[k, m]
+        rays[DX + n], rays[DY + n], rays[DZ + n] = dx, dy, dz
+        rays[SX + n], rays[SY + n], rays[SZ + n] = dx / dz, dy / dz, 1 / dz
+        rays[SLOT + n] = NONE
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _limit(rays, slabs):
+    """Have the boxes tested up to the nearest hits; returns the farthest of these."""
+    most = -1.0
+    for n in range(SIZE):
+        far = min(rays[RANGE + n], 1e38) * (1 + 4e-7)
+        slabs[FAR + n] = far
+        most = max(most, far)
+    return most
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _enter(boxes, node, slabs, origin, face, width):
+    """From where on a packet may be in each child of a node; FARTHEST: nowhere."""
+    for c in range(12):
+        edge = boxes[12 * node + c] - origin[c]
+        wider = abs(edge) * WIDER + PAD
+        slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
+    nx, ny, nz = 3 if face & 4 else 0, 4 if face & 8 else 1, 5 if face & 16 else 2
+    fx, fy, fz = 3 - nx, 5 - ny, 7 - nz
+    ax, ay, az = slabs[EDGES + nx], slabs[EDGES + ny], slabs[EDGES + nz]
+    bx, by, bz = slabs[EDGES + fx], slabs[EDGES + fy], slabs[EDGES + fz]
+    cx, cy, cz = slabs[EDGES + 6 + nx], slabs[EDGES + 6 + ny], slabs[EDGES + 6 + nz]
+    dx, dy, dz = slabs[EDGES + 6 + fx], slabs[EDGES + 6 + fy], slabs[EDGES + 6 + fz]
+    left, right = False, False
+    for n in range(width):
+        x, y, z, far = slabs[IX + n], slabs[IY + n], slabs[IZ + n], slabs[FAR + n]
+        left |= max(max(ax * x, ay * y), max(az * z, ZERO)) <= min(min(bx * x, by * y), min(bz * z, far))
+        right |= max(max(cx * x, cy * y), max(cz * z, ZERO)) <= min(min(dx * x, dy * y), min(dz * z, far))
+    x, y, z = slabs[LEAST], slabs[LEAST + 1], slabs[LEAST + 2]
+    one = max(max(ax * x, ay * y), max(az * z, ZERO)) if left else FARTHEST
+    other = max(max(cx * x, cy * y), max(cz * z, ZERO)) if right else FARTHEST
+    return one, other
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _test_triangle(shapes, s, face, rays, after):
+    """Keep triangle s where it is hit first, beyond `after`; of two at the same range, the first in the tree."""
+    k = face & 3
+    i, j = (k + 1) % 3, (k + 2) % 3
+    a, b, c = 9 * s, 9 * s + 3, 9 * s + 6
+    ax, ay, az = shapes[a + i], shapes[a + j], shapes[a + k]
+    bx, by, bz = shapes[b + i], shapes[b + j], shapes[b + k]
+    cx, cy, cz = shapes[c + i], shapes[c + j], shapes[c + k]
+    within = False
+    for n in range(SIZE):
+        ox, oy, oz, sx, sy = rays[OX + n], rays[OY + n], rays[OZ + n], rays[SX + n], rays[SY + n]
+        ux, uy, _ = sheared(ax, ay, az, ox, oy, oz, sx, sy)
+        vx, vy, _ = sheared(bx, by, bz, ox, oy, oz, sx, sy)
+        wx, wy, _ = sheared(cx, cy, cz, ox, oy, oz, sx, sy)
+        rays[INSIDE + n] = inside(ux, uy, vx, vy, wx, wy)
+        within |= rays[INSIDE + n] >= 0
+    if not within:
+        return False
+    nx, ny, nz = normal(ax, ay, az, bx, by, bz, cx, cy, cz)
+    found = False
+    for n in range(SIZE):
+        ox, oy, oz, sz = rays[OX + n], rays[OY + n], rays[OZ + n], rays[SZ + n]
+        far = on_plane(
+            nx, ny, nz, ax - ox, ay - oy, az - oz, rays[DX + n], rays[DY + n], rays[DZ + n],
+            (az - oz) * sz, (bz - oz) * sz, (cz - oz) * sz,
+        )  # fmt: skip
+        nearest = rays[RANGE + n]
+        nearer = (far < nearest) | ((far == nearest) & (s < rays[SLOT + n]))
+        nearer &= (rays[INSIDE + n] >= 0) & (far > after)
+        found |= nearer
+        rays[RANGE + n] = far if nearer else nearest
+        rays[SLOT + n] = float(s) if nearer else rays[SLOT + n]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _round(shapes, kind, s, ox, oy, oz, dx, dy, dz):
+    """How far a sphere or cylinder is."""
+    x, y, z = ox - shapes[9 * s], oy - shapes[9 * s + 1], oz - shapes[9 * s + 2]
+    if kind[s] == SPHERE:
+        return sphere(x, y, z, shapes[9 * s + 3], dx, dy, dz)
+    return cylinder(x, y, z, shapes[9 * s + 3], shapes[9 * s + 4], dx, dy, dz)[0]
+
+
+@njit(cache=True, nogil=True)
+def ray_of(rays, n, face):
+    """Origin and direction of ray n of a packet, in the order of the axes."""
+    k = face & 3
+    if k == 2:
+        return rays[OX + n], rays[OY + n], rays[OZ + n], rays[DX + n], rays[DY + n], rays[DZ + n]
+    if k == 1:
+        return rays[OY + n], rays[OZ + n], rays[OX + n], rays[DY + n], rays[DZ + n], rays[DX + n]
+    return rays[OZ + n], rays[OX + n], rays[OY + n], rays[DZ + n], rays[DX + n], rays[DY + n]
+
+
+@njit(cache=True, nogil=True)
+def _test_round(tree, s, face, rays, after):
+    """Keep a sphere or a cylinder where it is hit first."""
+    found = False
+    for n in range(SIZE):
+        far = _round(tree.shapes, tree.kind, s, *ray_of(rays, n, face))
+        nearest = rays[RANGE + n]
+        if far > after and (far < nearest or (far == nearest and s < rays[SLOT + n])):
+            rays[RANGE + n], rays[SLOT + n], found = far, s, True
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def trace(tree, packet, face, any_hit):
+    """Keep what a packet's rays hit first of a tree, where that is nearer than RANGE says.
+
+    Moving objects are only noted. With `any_hit`, directions reach as far as the targets: a ray is done with once something blocks it, and SLOT says so.
+    """
+    rays, slabs, codes, enter = packet.rays, packet.slabs, packet.codes, packet.enter
+    width, after = len(slabs) // 6, ENDS if any_hit else 0.0  # a width that the compiler does not know is not unrolled
+    most = _limit(rays, slabs)
+    code, waiting = tree.root, 0
+    while True:
+        if code >= 0:
+            near, far = _enter(tree.boxes, code, slabs, packet.origin, face, width)
+            first, second = tree.children[2 * code], tree.children[2 * code + 1]
+            if far < near:
+                near, far, first, second = far, near, second, first
+            if far < FARTHEST:
+                codes[waiting], enter[waiting] = second, far
+                waiting += 1
+            if near < FARTHEST:
+                code = first
+                continue
+        else:
+            leaf, found = ~code, False
+            for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
+                if tree.kind[s] == TRIANGLE:
+                    found |= _test_triangle(tree.shapes, s, face, rays, after)
+                elif tree.kind[s] == INSTANCE:
+                    packet.instances[0] += 1
+                    packet.instances[packet.instances[0]] = tree.number[s]
+                else:
+                    found |= _test_round(tree, s, face, rays, after)
+            if found:
+                for n in range(SIZE if any_hit else 0):
+                    rays[RANGE + n] = -1.0 if rays[SLOT + n] >= 0 else rays[RANGE + n]
+                most = _limit(rays, slabs)
+        while waiting and enter[waiting - 1] > most:
+            waiting -= 1
+        if not waiting:
+            return
+        waiting -= 1
+        code = codes[waiting]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _enter_alone(boxes, at, ox, oy, oz, ix, iy, iz, far):
+    """From where on a ray may be in a box; inf: nowhere."""
+    near, beyond = 0.0, far
+    for axis in range(3):
+        o, steep = (ox, ix) if axis == 0 else (oy, iy) if axis == 1 else (oz, iz)
+        low, high = boxes[at + axis] - o, boxes[at + 3 + axis] - o
+        low, high = (low - abs(low) * 4e-7 - 1e-9) * steep, (high + abs(high) * 4e-7 + 1e-9) * steep
+        near, beyond = max(near, min(low, high)), min(beyond, max(low, high))
+    return near if near <= beyond else math.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
+    """Range and slot of what one ray hits first of a subtree, if it is nearer than what is known."""
+    codes, enter = packet.alone_codes, packet.alone_enter
+    k = facing(dx, dy, dz) & 3
+    px, py, pz, qx, qy, qz = ox, oy, oz, dx, dy, dz
+    if k == 0:
+        px, py, pz, qx, qy, qz = oy, oz, ox, dy, dz, dx
+    elif k == 1:
+        px, py, pz, qx, qy, qz = oz, ox, oy, dz, dx, dy
+    i, j, sx, sy, sz = (k + 1) % 3, (k + 2) % 3, qx / qz, qy / qz, 1 / qz
+    ix, iy, iz = _steep(dx), _steep(dy), _steep(dz)
+    code, waiting = root, 0
+    while True:
+        if code >= 0:
+            far_m = range_m * (1 + 4e-7)
+            near = _enter_alone(tree.boxes, 12 * code, ox, oy, oz, ix, iy, iz, far_m)
+            far = _enter_alone(tree.boxes, 12 * code + 6, ox, oy, oz, ix, iy, iz, far_m)
+            first, second = tree.children[2 * code], tree.children[2 * code + 1]
+            if far < near:
+                near, far, first, second = far, near, second, first
+            if far < math.inf:
+                codes[waiting], enter[waiting] = second, far
+                waiting += 1
+            if near < math.inf:
+                code = first
+                continue
+        else:
+            leaf = ~code
+            for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
+                if tree.kind[s] == TRIANGLE:
+                    far = triangle(tree.shapes, s, i, j, k, px, py, pz, qx, qy, qz, sx, sy, sz)
+                else:
+                    far = _round(tree.shapes, tree.kind, s, ox, oy, oz, dx, dy, dz)
+                if far < range_m or (far == range_m and s < slot):
+                    range_m, slot = far, s
+        while waiting and enter[waiting - 1] > range_m * (1 + 4e-7):
+            waiting -= 1
+        if not waiting:
+            return range_m, slot
+        waiting -= 1
+        code = codes[waiting]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def normal_at(tree, s, x, y, z, dx, dy, dz, range_m):
+    """The unit normal, towards either side, of the shape in slot s where a ray from a point hits it."""
+    shapes, a = tree.shapes, 9 * s
+    if tree.kind[s] == TRIANGLE:
+        nx, ny, nz = normal(*(shapes[a], shapes[a + 1], shapes[a + 2], shapes[a + 3], shapes[a + 4], shapes[a + 5],
+                              shapes[a + 6], shapes[a + 7], shapes[a + 8]))  # fmt: skip
+    else:
+        ox, oy, oz = x - shapes[a], y - shapes[a + 1], z - shapes[a + 2]
+        nx, ny, nz = ox + dx * range_m, oy + dy * range_m, oz + dz * range_m
+        if tree.kind[s] != SPHERE:
+            side = cylinder(ox, oy, oz, shapes[a + 3], shapes[a + 4], dx, dy, dz)[1]
+            nx, ny, nz = (nx, ny, 0.0) if side else (0.0, 0.0, 1.0)
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    length = length if length > 0 else 1.0
+    return nx / length, ny / length, nz / length
+
+
+@njit(cache=True, nogil=True)
+def blocked(tree, packet, origins, directions, count, out):
+    """Which of the open segments (3, count) from origins along directions, to their ends, a tree blocks.
+
+    A shape that only touches an end does not block. Rows of targets seen from one origin go fastest.
+    """
+    first = 0
+    while first < count:
+        some, face = alike(directions, first, count)
+        load(packet, origins, directions, first, some, face)
+        for n in range(SIZE):
+            packet.rays[RANGE + n] = 1 - ENDS
+        trace(tree, packet, face, True)
+        for n in range(some):
+            out[first + n] = packet.rays[SLOT + n] >= 0
+        first += some
