@@ -1,5 +1,6 @@
 """Rays aimed at the very vertices and edges of convex bodies, and how far they get by half-spaces in float64."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ element face {m}
 property list uchar int vertex_indices
 end_header
 """
-GRAZED_M = 1e-3  # how deep a ray must go into a body, lest it only grazes its outline
+GRAZED_M = 1e-3  # how deep a ray must go into a body, so that it does not only graze its outline
 
 
 class Aimed(NamedTuple):
@@ -49,7 +50,7 @@ def ellipsoid(folder, points=600):
 def aimed(folder, name, place, inside, rng, count):
     """Of `count` rays aimed at a body at `place` (3,), from inside it or from afar, those that surely meet it."""
     ellipsoid(folder)
-    body = scene(folder, BODIES[name].format(at=[float(x) for x in place]))
+    body = faceted(scene(folder, BODIES[name].format(at=[float(x) for x in place])))
     vertices, triangles = body.vertices_m, body.triangles
     which, corner = rng.integers(len(triangles), size=count), rng.integers(3, size=count)
     share = rng.choice((0.0, 1 / 3, 0.5, 0.9), (count, 1))  # 0: a vertex
@@ -60,6 +61,14 @@ def aimed(folder, name, place, inside, rng, count):
     enter, leave, depth = through(half_spaces(vertices[triangles], middle), start, way)
     deep = depth > GRAZED_M
     return Aimed(body, start, way[deep], (leave if inside else enter)[deep])
+
+
+def faceted(body):
+    """The same scene with its sphere or cylinder as a mesh."""
+    vertices, triangles = body.mesh(0.001)
+    objects = np.zeros(len(triangles), np.int32)
+    file = body.file.model_copy(update={"spheres": (), "cylinders": ()})
+    return replace(body, file=file, vertices_m=vertices, triangles=triangles, triangle_object=objects)
 
 
 def half_spaces(corners, middle):

@@ -36,8 +36,8 @@ from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig, load_rig, save_rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.export import export, in_time_order
-from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
+from lidarcfg.world.tracer import Tracer
 from tests import oracle
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene
 from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays
@@ -414,83 +414,7 @@ def test_equal_bounds_leave_nothing_to_do(tmp_path):
         optimize(replace(study, upper=study.lower))
 
 
-# Rays
-
-CUBE = "boxes: [{name: b, center_m: [0, 0, 0], size_m: [2, 2, 2], reflectivity: 9}]"
-
-
-def test_rays_through_vertices_and_edges(tmp_path):
-    """What is met is met where it is, and nothing slips through a closed body at its very vertices and edges."""
-    ball = "spheres: [{name: s, center_m: [0, 0, 0], radius_m: 1, reflectivity: 9}]"
-    for text in (CUBE, ball):
-        body = scene(tmp_path, text)
-        corners = body.vertices_m[body.triangles]
-        aims = np.concatenate([corners.reshape(-1, 3), ((corners + np.roll(corners, 1, axis=1)) / 2).reshape(-1, 3)])
-        caster = Raycaster(body, np.zeros(3))
-        for start in (np.zeros(3), np.array([0.25, -0.5, 0.125])):
-            way = aims - start
-            range_m = np.linalg.norm(way, axis=1)
-            hit = caster.cast(np.tile(start, (len(aims), 1)), way / range_m[:, None])[0]
-            np.testing.assert_allclose(hit, range_m, atol=1e-12)
-        any_way = np.random.default_rng(9).normal(size=(200_000, 3))
-        any_way /= np.linalg.norm(any_way, axis=1)[:, None]
-        assert np.isfinite(caster.cast(np.zeros_like(any_way), any_way)[0]).all()
-    outside = np.array([[3.0, 4, 5]])
-    edge = np.array([[1.0, 1, z] for z in (-1, -0.5, 0, 0.5, 1)])
-    way = edge - outside
-    hit = Raycaster(scene(tmp_path, CUBE), np.zeros(3)).cast(
-        np.tile(outside, (5, 1)), way / np.linalg.norm(way, axis=1)[:, None]
-    )[0]
-    np.testing.assert_allclose(hit, np.linalg.norm(way, axis=1), atol=1e-12)
-
-
-def test_grazing_rays(tmp_path):
-    """Along a face, and 1e-5 on either side of it; at a thousandth of a degree on the ground."""
-    caster = Raycaster(scene(tmp_path, CUBE + "\nground: {z_m: -1.5, reflectivity: 9}"), np.zeros(3))
-    height = np.array([1 - 1e-5, 1.0, 1 + 1e-5])
-    origins = np.stack([np.full(3, -5.0), np.zeros(3), height], axis=1)
-    hit = caster.cast(origins, np.tile([1.0, 0, 0], (3, 1)))[0]
-    assert hit[0] == pytest.approx(4, abs=1e-6)
-    assert np.isinf(hit[2])
-    assert np.isinf(hit[1]) or 4 - 1e-6 <= hit[1] <= 6 + 1e-6  # in the face itself: either, but nowhere else
-    angle = np.radians([1e-3, 0.1, 0.0, -1e-3])
-    down = np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
-    hit = caster.cast(np.tile([0.0, 50, -1.499], (4, 1)), down)[0]
-    assert hit[:2] == pytest.approx(0.001 / np.sin(angle[:2]), rel=2e-3)
-    assert np.isinf(hit[2:]).all()
-
-
-def test_rays_that_start_on_a_surface(tmp_path):
-    """They meet it at once or what lies beyond it: never anything behind them, and nothing within the least range."""
-    caster = Raycaster(scene(tmp_path, CUBE), np.zeros(3))
-    rng = np.random.default_rng(8)
-    origins = np.concatenate([np.full((500, 1), 1.0), rng.uniform(-1, 1, (500, 2))], axis=1)
-    way = rng.normal(size=(500, 3))
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    hit = caster.cast(origins, way)[0]
-    assert not np.isnan(hit).any()
-    assert (hit >= 0).all()
-    out = way[:, 0] > 0
-    assert (np.isinf(hit[out]) | (hit[out] < 1e-5)).all()
-    with np.errstate(divide="ignore"):
-        through = np.where(way > 0, (1 - origins) / way, (-1 - origins) / way).min(axis=1)  # to the far wall
-    assert ((hit[~out] < 1e-5) | (abs(hit[~out] - through[~out]) < 1e-5)).all()
-
-
-def mesh_scene(tmp_path, body, n, m):
-    (tmp_path / "m.ply").write_text(PLY.format(n=n, m=m).replace("float", "double") + body)
-    return scene(tmp_path, "meshes: [{name: m, file: m.ply, position_m: [0, 0, 0], reflectivity: 7}]")
-
-
-def test_meshes_that_are_no_bodies(tmp_path):
-    """A lone triangle is seen from both sides; triangles without area, and vertices of none, are seen from none."""
-    vertices = "5 -1 -1\n5 1 -1\n5 0 1\n5 0 1\n7 0 0\n100 100 100\n"
-    mesh = mesh_scene(tmp_path, vertices + "3 0 1 2\n3 0 0 0\n3 4 4 2\n3 2 3 0\n3 0 1 1\n", 6, 5)
-    caster = Raycaster(mesh, np.zeros(3))
-    origins = np.array([[0.0, 0, 0], [10, 0, 0], [0, 3, 0], [7, 0, -5]])
-    way = np.array([[1.0, 0, 0], [-1, 0, 0], [1, 0, 0], [0, 0, 1]])
-    hit = caster.cast(origins, way)[0]
-    np.testing.assert_allclose(hit, [5, 5, np.inf, np.inf], atol=1e-6)
+# Meshes
 
 
 @pytest.mark.parametrize(
@@ -566,7 +490,7 @@ def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
     truth = walls(transform(T, origins), way @ T[:3, :3].T, centre)
     assert len(truth) == len(returns.range_m) == count * 384
     step = sensor.range.resolution_m
-    assert abs(returns.range_m - truth).max() <= step / 2 + 1e-4  # float32 in the ray caster, aslant
+    assert abs(returns.range_m - truth).max() <= step / 2 + 1e-4  # float32 in the ray tracer, aslant
     assert (abs(returns.range_m - truth) <= step / 2 + 2e-6).mean() > 0.99
     assert abs(returns.time_ns - fired.time_ns.ravel()).max() <= 1000
     error = np.degrees(abs((returns.azimuth_rad - fired.azimuth_rad.ravel() + np.pi) % (2 * np.pi) - np.pi))
@@ -685,7 +609,7 @@ def use_scene(path):
     loaded = load_scene(path)
     assert np.isfinite(loaded.vertices_m).all()
     way = np.array([[1.0, 0, 0], [0, 1, 0], [0, -1, 0], [-1, 0, 0], [0, 0, -1]])
-    hit = Raycaster(loaded, np.zeros(3)).cast(np.zeros((5, 3)), way)[0]
+    hit = Tracer(loaded, np.zeros(3)).cast(np.zeros((5, 3)), way)[0]
     assert (hit >= 0).all()
 
 

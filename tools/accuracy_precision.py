@@ -20,8 +20,8 @@ from lidarcfg.placement.rows import beam_gaps
 from lidarcfg.placement.study import load_study
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.sensor import load_sensor
-from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
+from lidarcfg.world.tracer import Tracer
 
 STREET = ROOT / "data/scenes/street.yaml"
 OURS, RELATIVE = "as captures are cast", "float32, relative"
@@ -115,8 +115,8 @@ def rays(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
         for away_m in AWAY_M:
             offset = np.array([away_m, away_m, 0.0])
             if name == OURS:
-                caster = Raycaster(moved(STREET, away_m, away_m), start + offset)
-                cast = partial(ours, caster, start + offset)
+                tracer = Tracer(moved(STREET, away_m, away_m), start + offset)
+                cast = partial(ours, tracer, start + offset)
             else:
                 base = start + offset if name == RELATIVE else np.zeros(3)
                 cast = partial(plain, open3d_scene(vertices + offset - base, triangles), start + offset - base)
@@ -166,9 +166,9 @@ def plain(scene: o3d.t.geometry.RaycastingScene, start: Array, towards: Array) -
     return hits["t_hit"].numpy().astype(np.float64), hits["primitive_ids"].numpy().astype(np.int64)
 
 
-def ours(caster: Raycaster, start: Array, towards: Array) -> tuple[Array, NDArray[np.int64]]:
+def ours(tracer: Tracer, start: Array, towards: Array) -> tuple[Array, NDArray[np.int64]]:
     """Ranges (N,) as a capture has them; it does not say of which triangle (−1)."""
-    return caster.cast(np.tile(start, (len(towards), 1)), towards).range_m, np.full(len(towards), -1)
+    return tracer.cast(np.tile(start, (len(towards), 1)), towards).range_m, np.full(len(towards), -1)
 
 
 def run(quick: bool, plots: Path) -> list[str]:

@@ -76,7 +76,8 @@ def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], 
     """What casts the capture's rays, chunk by chunk, by Open3D alone; and how many they are."""
     caster = o3d.t.geometry.RaycastingScene()
     tensor = o3d.core.Tensor.from_numpy
-    caster.add_triangles(tensor(scene.vertices_m.astype(np.float32)), tensor(scene.triangles.astype(np.uint32)))
+    vertices, triangles = scene.mesh(0.001)
+    caster.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
     chunks = []
     for mount in rig.mounts:
         maker = codec(mount.sensor)

@@ -30,7 +30,7 @@ from lidarcfg.placement.cones import gaps_at  # noqa: E402
 from lidarcfg.placement.evaluator import max_vsr  # noqa: E402
 from lidarcfg.placement.region import Region  # noqa: E402
 from lidarcfg.placement.subspace import segment  # noqa: E402
-from lidarcfg.world.raycast import Raycaster  # noqa: E402
+from lidarcfg.world.tracer import Tracer  # noqa: E402
 from tests import edges  # noqa: E402
 from tests import test_stress as loaders  # noqa: E402
 from tests.oracle import ANGLES, BAND, FANS, Line, Tally, along_a_cone, angles, sensor  # noqa: E402
@@ -158,7 +158,7 @@ def rays(size: float) -> Row:
                 for inside in (True, False):
                     aimed = edges.aimed(Path(folder), name, place, inside, rng, count)
                     origins = np.tile(aimed.start, (len(aimed.way), 1))
-                    error = abs(Raycaster(aimed.body, aimed.start).cast(origins, aimed.way)[0] - aimed.range_m)
+                    error = abs(Tracer(aimed.body, aimed.start).cast(origins, aimed.way)[0] - aimed.range_m)
                     cases, failures = cases + len(error), failures + int((error > RAYS_OFF_M).sum())
                     worst = max(worst, float(error.max()))
     return "rays aimed at vertices and edges of closed bodies", cases, failures, f"{1000 * worst:.2g} mm"

@@ -51,10 +51,9 @@ if TYPE_CHECKING:
     cloup.option("-o", "--output", type=FILE, required=True, help="The .pcap to write."),
     cloup.option("--split", is_flag=True, help="Write one file per sensor: NAME-SENSOR.pcap."),
     cloup.option("--truth", type=FILE, help="Write the ground truth of each return, as .npz: object, range, noise."),
-    cloup.option("--stats", is_flag=True, help="Print how many beams were fired and cast."),
+    cloup.option("--stats", is_flag=True, help="Print how many rays were traced and how many hit."),
     quiet_option,
 )
-@cloup.option("--no-skip", is_flag=True, help="Cast every beam, even those that cannot hit anything.")
 def export(
     rig: Path,
     scene: Path,
@@ -65,7 +64,6 @@ def export(
     start: str | None,
     trajectory: Path | None,
     truth: Path | None,
-    no_skip: bool,
     stats: bool,
     quiet: bool,
 ) -> None:
@@ -87,7 +85,7 @@ def export(
             raise click.BadParameter(f"{str(path)!r} does not end in {suffix}", param_hint=option)
     mounted, world = load_rig(rig), load_scene(scene)
     duration_ns, began = round(duration * SECOND_NS), time.monotonic()
-    total = [0, 0, 0]
+    total = [0, 0]
 
     def on_rays(counts: "Counts") -> None:
         total[:] = map(sum, zip(total, counts, strict=True))
@@ -110,7 +108,6 @@ def export(
             on_progress,
             on_truth=beside.add if beside else None,
             on_rays=on_rays,
-            skip=not no_skip,
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
@@ -124,15 +121,8 @@ def export(
         if truth:
             click.echo(f"{truth}: {records:,} returns")
     if stats:
-        _print_rays(*total)
-
-
-def _print_rays(rays: int, nothing: int, few: int) -> None:
-    some = max(rays, 1)  # a narrow field of view may fire none
-    click.echo(
-        f"{rays:,} rays: {nothing:,} ({nothing / some:.1%}) could hit nothing in range, "
-        f"{few:,} ({few / some:.1%}) were settled by a few triangles, {rays - nothing - few:,} were cast"
-    )
+        rays, hits = total
+        click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
 
 
 @cloup.command(

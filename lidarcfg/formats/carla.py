@@ -46,7 +46,7 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
         "lower_fov": float(elevation_deg[0]),
         "rotation_frequency": mount.rpm / 60,
         "noise_stddev": realism.range_noise_m if realism else 0.0,
-        "dropoff_general_rate": realism.dropout_share if realism else 0.0,  # CARLA's default drops 45 %
+        "dropoff_general_rate": realism.dropout_fraction if realism else 0.0,  # CARLA's default drops 45 %
         "dropoff_zero_intensity": 0.0,
     }
     if sensor.range:

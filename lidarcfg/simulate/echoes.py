@@ -1,4 +1,4 @@
-"""What a sensor makes of what its beams meet: echoes of a wide beam, noise, losses, rain and fog; all by a seed.
+"""What a sensor reports of what its beams hit: echoes of a wide beam, noise, dropouts, rain and fog; all from a seed.
 
 The power of an echo follows the LiDAR equation for extended Lambertian targets, P ~ ρ cos θ exp(-2 α r) / r²
 (Jelalian, Laser Radar Systems, 1992, ch. 1; Rasshofer, Spies and Spies, Adv. Radio Sci. 9, 2011, 49-60).
@@ -14,29 +14,29 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Sensor
-from lidarcfg.world.kernels import NOTHING
 from lidarcfg.world.scene import Weather
+from lidarcfg.world.world_kernels import NOTHING
 
 DIFFUSE_MAX = 100
 SEPARATION_M = 1.0  # nearer echoes run into one (VLP-16 and VLS-128 manuals: dual returns are 1 m apart or more)
 PULSE_M = 0.75  # half the length of a pulse of 5 ns: a guess, as no maker says it
-CELLS = 24  # of PULSE_M, from the sensor's least range on: where rain and fog can send an echo back
+CELLS = 24  # of PULSE_M, from the sensor's least range on, that rain and fog can send an echo from
 LIDAR_RATIO_SR = (
     18.8  # extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004)
 )
 KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), taken at 903 nm as in visible light
 RAIN_DB_KM, RAIN_EXPONENT = 1.076, 0.67  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
 DECIBEL = 10 / math.log(10)
-# A Gaussian beam by Gauss-Hermite quadrature of three nodes a direction; the divergence is the full angle at 1/e²
+# A Gaussian beam by Gauss-Hermite quadrature with three nodes per direction; the divergence is the full angle at 1/e²
 # of the intensity (a guess, as the makers do not say), which is four sigma.
 NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
-FAINTEST = 1e-30  # what is black, or met edge on, is still there where no budget says otherwise
+FAINTEST = 1e-30  # what is black, or hit edge on, still echoes where no detection limit says otherwise
 DROPOUT, NOISE, CELL = range(3)  # streams of random numbers
 
 
 @dataclass(frozen=True)
-class Met:
-    """What the K sub-rays of N firings met, (N, K)."""
+class SubRays:
+    """What the K rays of the beams of N firings hit, (N, K)."""
 
     range_m: Array  # inf: nothing
     reflectivity: NDArray[np.uint8]
@@ -46,9 +46,9 @@ class Met:
 
 @dataclass(frozen=True)
 class Echoes:
-    """Of N firings, (N, R): what is reported, or all three that there may be.
+    """Of N firings, (N, R): those reported, or the three that may be.
 
-    These are the strongest; it again, or the next strongest if it is the last; the last. Fewer are repeated.
+    The three: the strongest; the strongest again, or the second strongest if the strongest is the last; the last.
     """
 
     range_m: Array  # exact; inf: none
@@ -57,13 +57,13 @@ class Echoes:
     object: NDArray[np.int32]  # -1: none, or rain and fog
 
     def reported(self, return_mode: str) -> "Echoes":
-        """(N, 1), or for dual returns (N, 2): what the mode reports."""
+        """The echoes that a return mode reports: (N, 1), or for dual returns (N, 2)."""
         columns = {"strongest": [0], "last": [2], "dual": [1, 2]}[return_mode]
         return Echoes(*(values[:, columns] for values in vars(self).values()))
 
 
 def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
-    """Exact echoes of thin beams, (N, 1) or for dual returns (N, 2): there is only one, reported twice."""
+    """Exact echoes of thin beams, (N, 1) or for dual returns (N, 2): the only one, reported twice."""
     shape = len(range_m), 2 if return_mode == "dual" else 1
     return Echoes(
         range_m=np.broadcast_to(range_m, shape),
@@ -73,31 +73,13 @@ def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.
     )
 
 
-def wide(directions: Array, sensor: Sensor) -> tuple[Array, Array]:
-    """The sub-rays (N, K, 3) of beams along unit vectors (N, 3) of the sensor frame, and their shares (K,) of light."""
+def beam(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
+    """The K rays of a beam: tangents of the angles (K,) by which they leave its axis, across and up; weights (K,)."""
+    if not realism.divergence:
+        return np.zeros(1), np.zeros(1), np.ones(1)
     assert sensor.optics
-    side = np.stack([directions[:, 1], -directions[:, 0], 0 * directions[:, 0]], axis=1)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    above = np.cross(side, directions)
-    across_rad, up_rad = (np.array(sensor.optics.divergence_mrad) / 1000)[:, None] * NODES
-    rays = (
-        directions[:, None, None]
-        + across_rad[:, None, None] * side[:, None, None]
-        + up_rad[:, None] * above[:, None, None]
-    ).reshape(len(directions), len(NODES) ** 2, 3)
-    return rays / np.linalg.norm(rays, axis=2, keepdims=True), np.outer(WEIGHTS, WEIGHTS).ravel()
-
-
-def sub_rays(sensor: Sensor, realism: Realism) -> int:
-    """How many rays `wide` makes of a beam."""
-    return len(NODES) ** 2 if realism.divergence and sensor.optics else 1
-
-
-def spread_rad(sensor: Sensor, realism: Realism) -> float:
-    """How far the sub-rays leave the axis."""
-    if not realism.divergence or sensor.optics is None:
-        return 0.0
-    return math.hypot(*sensor.optics.divergence_mrad) / 1000 * float(NODES[-1])
+    across, above = (np.array(sensor.optics.divergence_mrad) / 1000)[:, None] * NODES
+    return np.repeat(across, len(NODES)), np.tile(above, len(NODES)), np.outer(WEIGHTS, WEIGHTS).ravel()
 
 
 def extinction_per_m(weather: Weather) -> float:
@@ -108,7 +90,7 @@ def extinction_per_m(weather: Weather) -> float:
 
 
 def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` and on of a stream, in (0, 1): the same in whatever pieces they are asked for.
+    """Random numbers `first` to `first` + count of a stream, in (0, 1), whatever pieces they are drawn in.
 
     `first` and `count` are multiples of four, as Philox makes four at a time.
     """
@@ -124,18 +106,18 @@ def echoes(
     weather: Weather,
     sensor_index: int,
     first: int,
-    shares: Array,
-    met: Met,
+    weights: Array,
+    hits: SubRays,
 ) -> Echoes:
-    """All three echoes (N, 3) of firings `first` to `first` + N whose sub-rays have the shares (K,) of the light."""
+    """All three echoes (N, 3) of firings `first` to `first` + N whose beams consist of rays with weights (K,)."""
     assert sensor.range
-    count, alpha, objects = len(met.range_m), extinction_per_m(weather), met.object
-    range_m = np.where(met.range_m <= sensor.range.max_m, met.range_m, np.inf)
-    albedo = met.reflectivity / 100
-    light = shares * np.where(met.reflectivity > DIFFUSE_MAX, albedo, albedo * met.cosine)
-    byte = shares * met.reflectivity.astype(np.float64)
+    count, alpha, objects = len(hits.range_m), extinction_per_m(weather), hits.object
+    range_m = np.where(hits.range_m <= sensor.range.max_m, hits.range_m, np.inf)
+    albedo = hits.reflectivity / 100
+    light = weights * np.where(hits.reflectivity > DIFFUSE_MAX, albedo, albedo * hits.cosine)
+    byte = weights * hits.reflectivity.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        tangent = np.sqrt(np.maximum(1 - met.cosine**2, 0)) / met.cosine
+        tangent = np.sqrt(np.maximum(1 - hits.cosine**2, 0)) / hits.cosine
         slant_m = np.nan_to_num(range_m * tangent * _step_rad(sensor), nan=0.0, posinf=0.0)
     if alpha:
         slant_m = np.column_stack([slant_m, np.zeros(count)])
@@ -151,8 +133,8 @@ def echoes(
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
     found = _clusters(range_m, power, byte, objects, slant_m, least)
-    if realism.dropout_share:
-        lost = uniforms(realism, sensor_index, DROPOUT, first, count) < realism.dropout_share
+    if realism.dropout_fraction:
+        lost = uniforms(realism, sensor_index, DROPOUT, first, count) < realism.dropout_fraction
         found.range_m[lost] = np.inf
     if realism.range_noise_m:
         from scipy.special import ndtri
@@ -164,29 +146,29 @@ def echoes(
 
 
 def _step_rad(sensor: Sensor) -> float:
-    """From one sub-ray to the next, at most."""
+    """The angle from one ray of a beam to the next, at most."""
     return max(sensor.optics.divergence_mrad) / 1000 * float(NODES[-1]) if sensor.optics else 0.0
 
 
 def _clusters(
     range_m: Array, power: Array, byte: Array, objects: NDArray[np.int32], slant_m: Array, least: float
 ) -> Echoes:
-    """Sub-rays whose ranges follow within the separation are one echo, at the mean range that their power weighs.
+    """Rays of a beam whose ranges are closer than the separation are one echo, at their mean range weighted by power.
 
-    So are neighbours on one object that lie no further apart than its slant has it: a surface met at a flat angle is
-    one echo, though its few sub-rays are far apart.
+    So are neighbours on one object that are no farther apart than its slant explains: a surface hit at a flat angle is
+    one echo, though the few rays are far apart.
     """
     order = np.argsort(range_m, axis=1)
     range_m, power, byte, slant_m = (
         np.take_along_axis(column, order, axis=1) for column in (range_m, power, byte, slant_m)
     )
     objects = np.take_along_axis(objects, order, axis=1)
-    met = np.isfinite(range_m)
-    near = np.where(met, range_m, 0)
-    starts = met.copy()
+    valid = np.isfinite(range_m)
+    near = np.where(valid, range_m, 0)
+    starts = valid.copy()
     slack_m = np.where(objects[:, 1:] == objects[:, :-1], np.maximum(slant_m[:, 1:], slant_m[:, :-1]), 0)
     starts[:, 1:] &= ~(np.diff(near, axis=1) <= SEPARATION_M + slack_m)
-    cluster = np.where(met, np.cumsum(starts, axis=1) - 1, -1)
+    cluster = np.where(valid, np.cumsum(starts, axis=1) - 1, -1)
     rows, kinds = len(range_m), range_m.shape[1]
     total, mean, shine, best = (np.zeros((rows, kinds)) for _ in range(4))
     owner = np.full((rows, kinds), NOTHING, np.int32)
@@ -225,7 +207,7 @@ def _picked(which: NDArray[np.intp], mean: Array, shine: Array, owner: NDArray[n
 def _droplets(
     sensor: Sensor, realism: Realism, sensor_index: int, first: int, count: int, alpha: float
 ) -> tuple[Array, Array]:
-    """The strongest echo of what hangs in the air: its range (N,) and the albedo (N,) of a target as bright.
+    """The strongest echo from rain and fog: its range (N,) and the albedo (N,) of an equally bright target.
 
     A cell of length PULSE_M sends back as much as a target of albedo π PULSE_M α / LIDAR_RATIO_SR (Rasshofer
     et al. 2011, soft targets), times an exponential number: the speckle of many droplets (Goodman, 1975).

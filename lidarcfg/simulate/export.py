@@ -13,22 +13,21 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.frames import Frames, frames
 from lidarcfg.capture.pcap import TIME_END_NS
+from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, codec
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.simulate.ground_truth import RECORD, records
-from lidarcfg.simulate.reach import Still
-from lidarcfg.simulate.simulator import Counts, Observer, Plan, Stage
+from lidarcfg.simulate.simulator import Counts, Simulator
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory, standing
-from lidarcfg.world.raycast import Raycaster
-from lidarcfg.world.scene import COORDINATE_MAX_M, GeoOrigin, Scene
+from lidarcfg.world.scene import GeoOrigin, Scene
+from lidarcfg.world.tracer import Tracer
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
 CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # cast at a time, at most: what is done once a chunk is not nothing
-CHUNK_M = 3.0  # how far a vehicle gets meanwhile: beyond that little is sure of what its beams may hit
 AHEAD = 1  # chunks of a sensor that are cast while others are written
 
 OnTruth = Callable[[NDArray[np.void]], None]
@@ -45,7 +44,6 @@ def export(
     chunk_ns: int = CHUNK_NS,
     on_truth: OnTruth | None = None,
     on_rays: OnRays = lambda counts: None,
-    skip: bool = True,
     threads: int | None = None,
 ) -> list[Iterator[Frames]]:
     """What each sensor of the rig sends, in the order of time. `in_time_order` merges them.
@@ -53,9 +51,8 @@ def export(
     `way` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     Sensor i of n starts i/n of a packet later than the first, so that the packets interleave.
     `on_progress` gets the simulated time that is done, of `duration_ns`; `on_truth` the records of `ground_truth`;
-    `on_rays` how many rays there were; all from the thread that reads. With `skip`, rays are not cast that cannot hit
-    anything in range, or only a few triangles, one of which is clearly first. Neither that, nor chunks, nor threads
-    (as many as there are cores) change anything in what is sent. Raises ConfigError.
+    `on_rays` how many rays there were; all from the thread that reads. Neither chunks nor threads (as many as there are
+    cores) change anything in what is sent. Raises ConfigError.
     """
     trajectory = way if isinstance(way, Trajectory) else standing(way)
     for mount in rig.mounts:
@@ -68,22 +65,16 @@ def export(
     end_ns = max(starts_ns) + duration_ns
     if start_ns < 0 or (end_ns + 500) // 1000 * 1000 >= TIME_END_NS:
         raise ConfigError("start and duration leave the time that a pcap can say, 1970 to 2106-02-07T06:28:16 UTC")
-    caster = Raycaster(scene, _checked_start(trajectory, start_ns, end_ns), start_ns)
-    for mover in caster.movers:
-        try:
-            mover.path.check_span(0, (end_ns - start_ns) / SECOND_NS)
-        except ConfigError as error:
-            raise ConfigError(f"{scene.names[mover.object]}: {error}") from None
-    stage = Stage(caster, trajectory, Still(caster) if skip else None)
-    if trajectory.path.speed_max_m_s:
-        chunk_ns = min(chunk_ns, int(CHUNK_M / trajectory.path.speed_max_m_s * SECOND_NS))
+    tracer = Tracer(scene, _checked_start(trajectory, start_ns, end_ns), start_ns)
+    tracer.check_span(0, (end_ns - start_ns) / SECOND_NS)
     workers = _Workers(threads or os.cpu_count() or 1)
     progress = _Progress(len(rig.mounts), on_progress)
     streams = []
     for i, (mount, first_ns) in enumerate(zip(rig.mounts, starts_ns, strict=True)):
-        task = _Task(i, mount, stage, first_ns, duration_ns, chunk_ns, on_truth is not None)
+        simulator = Simulator(i, mount, tracer, trajectory)
+        task = _Task(i, mount, simulator, first_ns, duration_ns, chunk_ns, on_truth is not None)
         data = _data_stream(task, workers, progress, on_truth, on_rays)
-        housekeeping = _housekeeping_stream(task, scene.file.geo_origin)
+        housekeeping = _housekeeping_stream(task, trajectory, scene.file.geo_origin)
         streams.append(in_time_order([data, housekeeping]))
     return streams
 
@@ -204,7 +195,7 @@ class _Task:
 
     index: int
     mount: Mount
-    stage: Stage
+    simulator: Simulator
     start_ns: int
     duration_ns: int
     chunk_ns: int
@@ -213,7 +204,7 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Chunk:
-    """What is known of a chunk once it is cast."""
+    """What is known of a chunk once it is traced."""
 
     frames: Frames
     truth: NDArray[np.void]  # empty if nobody asks
@@ -225,25 +216,24 @@ def _data_stream(
 ) -> Iterator[Frames]:
     """The data packets that are complete within the duration, each sent when it is complete."""
     maker, mount, duration_ns = codec(task.mount.sensor), task.mount, task.duration_ns
-    observer, pace = Observer(task.index, mount, task.stage), maker.pace(mount)
+    simulator, pace = task.simulator, maker.pace(mount)
     total = duration_ns // pace.period_ns
-    packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * observer.width)), 1)
+    packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
 
-    def work(plan: Plan, batch: Batch) -> _Chunk | None:
+    def work(batch: Batch, first: int) -> _Chunk | None:
         if not len(batch.sent_ns):
             return None
-        with task.stage.caster.turns.together():
-            found, counts = observer.report(plan)
-            payloads = maker.encode(mount, batch, found.range_m + found.noise_m, found.reflectivity)
-            truth = np.empty(0, RECORD)
-            if task.truth:
-                sent = maker.sent(mount, batch, payloads)
-                truth = records(task.index, mount.return_mode, batch.firings, found, sent)
-            return _Chunk(frames(mount.host, payloads), truth, counts)
+        found, counts = simulator.echoes(batch.firings, first)
+        payloads = maker.encode(mount, batch, found.range_m + found.noise_m, found.reflectivity)
+        truth = np.empty(0, RECORD)
+        if task.truth:
+            sent = maker.sent(mount, batch, payloads)
+            truth = records(task.index, mount.return_mode, batch.firings, found, sent)
+        return _Chunk(frames(mount.host, payloads), truth, counts)
 
     with workers.pool() as pool:
         batches = maker.schedule(mount, task.start_ns, total, packets)
-        jobs = (pool.submit(work, observer.plan(batch.firings), batch) for batch in batches)
+        jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
         for number, chunk in enumerate(_ahead(jobs), 1):
             if chunk:
                 if on_truth:
@@ -254,9 +244,17 @@ def _data_stream(
             progress.set(task.index, done_ns if number * packets < total else duration_ns)
 
 
-def _housekeeping_stream(task: _Task, origin: GeoOrigin) -> Iterator[Frames]:
+def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:
+    """Each with the number of its first firing."""
+    first = 0
+    for batch in batches:
+        yield batch, first
+        first += len(batch.firings.time_ns)
+
+
+def _housekeeping_stream(task: _Task, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[Frames]:
     """What the sensor sends besides."""
-    mount, trajectory = task.mount, task.stage.trajectory
+    mount = task.mount
     payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, task.duration_ns)
     for some in payloads:
         yield frames(mount.host, some)

@@ -1,156 +1,106 @@
-"""What the firings of one sensor report: its rays from the vehicle's pose at each firing, cast, and made echoes."""
+"""What the firings of one sensor report: its rays from the vehicle's pose at each firing, traced, and made echoes."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings, Times
+from lidarcfg.packets.codec import Firings
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
-from lidarcfg.simulate.echoes import (
-    CELLS,
-    NODES,
-    Echoes,
-    Met,
-    echoes,
-    extinction_per_m,
-    single,
-    spread_rad,
-    sub_rays,
-    wide,
-)
-from lidarcfg.simulate.reach import Known, Reach, Still
-from lidarcfg.world.kernels import beams, chained, may_meet
-from lidarcfg.world.motion import Trajectory, rotated
-from lidarcfg.world.raycast import Listed, Raycaster
+from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
+from lidarcfg.simulate.simulator_kernels import Frames, Lasers, trace_firings
+from lidarcfg.world.motion import Trajectory, packed
 from lidarcfg.world.scene import Weather
+from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.tracer_kernels import NONE
+from lidarcfg.world.world_kernels import Found, resolve
 
 EXACT, CLEAR = Realism(), Weather()
-NO_LISTS = np.empty((0, 0), np.int32)
-
-
-@dataclass(frozen=True)
-class Stage:
-    """What all sensors share."""
-
-    caster: Raycaster
-    trajectory: Trajectory
-    still: Still | None  # None: every ray is cast
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What must be known of firings before they are observed, in whatever order that is."""
-
-    fired: Firings
-    first: int  # the number of the first, by which random numbers are found
-    known: Known | None  # which beams may meet what; None: every ray is cast
+BEYOND_M = 1.0  # what is hit farther than this beyond a sensor's range is not looked for: nothing reports it
 
 
 class Counts(NamedTuple):
-    """Of rays: all, those that could meet nothing in range, and those that a few triangles settled without a cast."""
+    """Of rays: all that were traced, and those that hit something in range."""
 
     rays: int
-    nothing: int
-    few: int
+    hits: int
 
 
-class Observer:
-    """Sensor number `index` of a rig on its stage."""
+class Simulator:
+    """Sensor number `index` of a rig on a vehicle among what a tracer knows. Raises ConfigError."""
 
-    def __init__(self, index: int, mount: Mount, stage: Stage) -> None:
-        self._index, self._mount, self._stage = index, mount, stage
-        self._realism, self._weather = mount.realism or EXACT, stage.caster.scene.file.weather
+    def __init__(self, index: int, mount: Mount, tracer: Tracer, trajectory: Trajectory) -> None:
+        self._index, self._mount, self._tracer, self._trajectory = index, mount, tracer, trajectory
+        self._realism, self._weather = mount.realism or EXACT, tracer.scene.file.weather
+        if self._realism.divergence and not mount.sensor.optics:
+            raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
         self._exact = self._realism.model_copy(update={"seed": 0}) == EXACT and self._weather == CLEAR
-        self._reach = None
-        if stage.still:
-            spread = spread_rad(mount.sensor, self._realism)
-            self._reach = Reach(mount, stage.caster, stage.still, stage.trajectory, spread)
-        self._sub_rays = sub_rays(mount.sensor, self._realism)
+        across, above, self._weights = beam(mount.sensor, self._realism)
+        self._lasers, self._frames = _lasers(mount.sensor, across, above), _frames(mount, trajectory, tracer.origin_m)
         cells = CELLS if extinction_per_m(self._weather) else 0
-        self.width = 1 if self._exact else max(self._sub_rays + cells, len(NODES) ** 2)  # numbers a firing, at a time
-        self._fired = 0  # firings so far
+        self.width = len(across) + cells  # numbers a firing, at a time
 
-    def plan(self, fired: Firings) -> Plan:
-        """For the next firings: these are asked in the order of time."""
-        first, count = self._fired, len(fired.time_ns)
-        self._fired += count
-        known = None
-        if self._reach and count:
-            known = self._reach.known(int(fired.time_ns.min()), int(fired.time_ns.max()))
-        return Plan(fired, first, known)
+    def echoes(self, fired: Firings, first: int) -> tuple[Echoes, Counts]:
+        """What N firings report, (N, 1) or with dual returns (N, 2); they are numbered from `first` on.
 
-    def report(self, plan: Plan) -> tuple[Echoes, Counts]:
-        """What the N firings planned report, (N, 1) or with dual returns (N, 2); and of how many rays.
-
-        Changes nothing, so that threads may ask for several at a time. Raises ConfigError outside timed poses.
+        Changes nothing, so that threads may run it side by side. Raises ConfigError outside timed poses.
         """
-        fired, count, caster = plan.fired, len(plan.fired.time_ns), self._stage.caster
-        time_ns, what, listed = fired.time_ns, None, None
-        if plan.known is None:
-            rows = np.arange(count)
-        else:
-            tables, sights = plan.known
-            azimuth_rad = fired.encoder_rad.reshape(-1, self._mount.sensor.count)
-            rows, what, which = may_meet(azimuth_rad, tables, sights.which if sights else NO_LISTS)
-            listed = Listed(which, sights) if sights else None
-            time_ns = time_ns[rows] if caster.movers or not self._stage.trajectory.path.stands else time_ns[:0]
-        starts, along, shares = self._rays(fired, rows, time_ns)
-        width, at = len(shares), rows
-        if width > 1:
-            time_ns = np.repeat(time_ns, width)
-            what = None if what is None else np.repeat(what, width, axis=1)
-            listed = Listed(np.repeat(listed.which, width), listed.sights) if listed else None
-            at = (rows[:, None] * width + np.arange(width)).ravel()
-        hits = caster.cast(
-            starts, along, time_ns, what, normals=not self._exact, at=at, total=count * width, listed=listed
+        sensor, mount = self._mount.sensor, self._mount
+        assert sensor.range
+        count, width = len(fired.time_ns), len(self._weights)
+        found = Found(
+            range_m=np.full(count * width, np.inf),
+            slot=np.full(count * width, NONE, np.int32),
+            normal=np.empty((0, 3)),
+            cosine=np.ones(0 if self._exact else count * width),
         )
+        if count:
+            self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
+            columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), sensor.range.max_m + BEYOND_M
+            trace_firings(self._tracer.world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m, found)
+        counts = Counts(count * width, int(np.count_nonzero(found.range_m <= sensor.range.max_m)))
+        objects = np.empty((count, width), np.int32)
+        resolve(self._tracer.world, found.slot, objects.reshape(-1), np.empty(0, np.int32))
+        reflectivity = np.append(self._tracer.scene.reflectivity, np.uint8(0))[objects]  # nothing, -1, has 0
+        range_m = found.range_m.reshape(count, width)
         if self._exact:
-            columns = hits.range_m[:, None], hits.reflectivity[:, None], hits.object[:, None]
-            found = single(*columns, self._mount.return_mode)
-        else:
-            cosine = np.ones(count * width)
-            cosine[at] = abs(np.einsum("ij,ij->i", hits.normal[at], along))
-            shape = count, width
-            met = Met(
-                hits.range_m.reshape(shape),
-                hits.reflectivity.reshape(shape),
-                hits.object.reshape(shape),
-                cosine.reshape(shape),
-            )
-            all_three = echoes(self._mount.sensor, self._realism, self._weather, self._index, plan.first, shares, met)
-            found = all_three.reported(self._mount.return_mode)
-        return found, Counts(count * width, count * width - len(along), hits.settled)
+            return single(range_m, reflectivity, objects, mount.return_mode), counts
+        sub_rays = SubRays(range_m, reflectivity, objects, found.cosine.reshape(count, width))
+        all_three = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, sub_rays)
+        return all_three.reported(mount.return_mode), counts
 
-    def _rays(self, fired: Firings, rows: NDArray[np.int64], time_ns: Times) -> tuple[Array, Array, Array]:
-        """Origins and directions (M × K, 3) in the world of the K sub-rays of the firings `rows`; their shares (K,)."""
-        mount, trajectory = self._mount, self._stage.trajectory
-        outer, inner = trajectory.T_world_start, mount.T_vehicle_sensor
-        motion = trajectory.motion(time_ns)
-        R, t = chained(*_parted(outer), *motion, *_parted(inner))
-        if self._sub_rays == 1:
-            return *aimed(mount.sensor, fired, rows, R, t), np.ones(1)
-        origins, axes = aimed(mount.sensor, fired, rows, np.eye(3)[None], np.zeros((1, 3)))
-        directions, shares = wide(axes, mount.sensor)
-        starts = np.repeat(rotated(R, origins) + t, self._sub_rays, axis=0)
-        R = R if len(R) == 1 else np.repeat(R, self._sub_rays, axis=0)
-        return starts, rotated(R, directions.reshape(-1, 3)), shares
+    def _check_span(self, first_ns: int, last_ns: int) -> None:
+        """Raises ConfigError unless vehicle and dynamic objects have poses from the first time to the last."""
+        for zero_ns, check in (
+            (self._trajectory.zero_ns, self._trajectory.path.check_span),
+            (self._tracer.zero_ns, self._tracer.check_span),
+        ):
+            check((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9)
 
 
-def _parted(T: Array) -> tuple[Array, Array]:
-    """R (1, 3, 3) and t (3,) of a rigid motion (4, 4)."""
-    return np.ascontiguousarray(T[None, :3, :3]), np.ascontiguousarray(T[:3, 3])
+def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
+    return Lasers(
+        cos_elevation=np.cos(sensor.elevation_rad),
+        sin_elevation=np.sin(sensor.elevation_rad),
+        cos_offset=np.cos(sensor.azimuth_offset_rad),
+        sin_offset=np.sin(sensor.azimuth_offset_rad),
+        left_m=np.ascontiguousarray(sensor.lateral_offset_m),
+        up_m=np.ascontiguousarray(sensor.vertical_offset_m),
+        across=across,
+        above=above,
+    )
 
 
-def aimed(sensor: Sensor, fired: Firings, rows: NDArray[np.int64], R: Array, t: Array) -> tuple[Array, Array]:
-    """Origins and unit directions (M, 3) of the firings `rows` (M,), in the frame into which R and t lead.
-
-    These are (M or 1, 3, 3) and (M or 1, 3): one each or one for all. The lasers fire in the order of their numbers.
-    """
-    lasers = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, sensor.vertical_offset_m
-    origins, directions = beams(fired.encoder_rad.reshape(-1, sensor.count), rows, *lasers, R, t)
-    return origins, directions
+def _frames(mount: Mount, trajectory: Trajectory, origin_m: Array) -> Frames:
+    outer, inner = trajectory.T_world_start, mount.T_vehicle_sensor
+    return Frames(
+        R_world_start=np.ascontiguousarray(outer[:3, :3]),
+        t_world_start=outer[:3, 3] - origin_m,
+        paths=packed([trajectory.path]),
+        zero_ns=trajectory.zero_ns,
+        R_vehicle_sensor=np.ascontiguousarray(inner[:3, :3]),
+        t_vehicle_sensor=np.ascontiguousarray(inner[:3, 3]),
+    )

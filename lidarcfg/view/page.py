@@ -255,7 +255,8 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
 
 def _scene(stage: Stage, index: int) -> dict[str, Any]:
     scene = stage.scenes[index]
-    vertices, triangles = transform(stage.T_vehicle_world, scene.vertices_m), scene.triangles
+    vertices, triangles = scene.mesh()
+    vertices = transform(stage.T_vehicle_world, vertices)
     ground = None
     if scene.file.ground:
         x, y, z = transform(stage.T_vehicle_world, [[*stage.T_world_vehicle[:2, 3], scene.file.ground.z_m]])[0].tolist()

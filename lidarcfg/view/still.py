@@ -130,8 +130,8 @@ def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, w
     """Blend the translucent bodies into the image where they are in front of its points; how many pixels."""
     parts: list[tuple[Array, str, float]] = []  # triangles (T, 3, 3), colour, opacity
     for scene in stage.scenes:
-        vertices = transform(stage.T_vehicle_world, scene.vertices_m)
-        parts.append((vertices[scene.triangles], EXCLUDED, 0.13))
+        vertices, corners_of = scene.mesh()
+        parts.append((transform(stage.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
         if scene.file.ground:
             corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
             corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]

@@ -52,9 +52,10 @@ def parts(stage: Stage, by: By) -> list[Any]:
         for mount in rig.mounts
     ]
     for scene in stage.scenes:
+        vertices, triangles = scene.mesh()
         mesh = o3d.geometry.TriangleMesh(
-            o3d.utility.Vector3dVector(transform(stage.T_vehicle_world, scene.vertices_m)),
-            o3d.utility.Vector3iVector(scene.triangles),
+            o3d.utility.Vector3dVector(transform(stage.T_vehicle_world, vertices)),
+            o3d.utility.Vector3iVector(triangles),
         )
         found.append(mesh.compute_vertex_normals().paint_uniform_color(rgb([EXCLUDED])[0] / 255.0))
     if stage.study:

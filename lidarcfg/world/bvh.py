@@ -1,7 +1,7 @@
-"""Bounding volume hierarchies over triangles, spheres, cylinders and moving objects, built by the surface area heuristic.
+"""Bounding volume hierarchies over triangles, spheres, cylinders and dynamic objects.
 
-Binned as in Wald, On fast Construction of SAH-based Bounding Volume Hierarchies, 2007. A node holds the boxes of both
-children, in float32 and rounded outwards, relative to a local origin.
+They are built by the surface area heuristic, binned as in Wald, On fast Construction of SAH-based Bounding Volume
+Hierarchies, 2007. A node holds the boxes of both children, in float32 and rounded outwards, relative to a local origin.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -120,8 +120,9 @@ def _swap(box, order, i, j):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def split(box: NDArray[np.float32], order: Index, boxes: NDArray[np.float32], children: Index) -> tuple[int, int]:
-    """Build the nodes over boxes (S, 6), which are put in the order of the leaves with `order` (S,); the root's code and
-    how many nodes there are.
+    """Build the nodes over boxes (S, 6): the root's code, and how many nodes there are.
+
+    Boxes and `order` (S,) are put in the order of the leaves.
 
     `boxes` and `children` have room for S - 1 nodes.
     """
@@ -165,7 +166,7 @@ def split(box: NDArray[np.float32], order: Index, boxes: NDArray[np.float32], ch
                     else:
                         _swap(box, order, middle, j)
                         j -= 1
-            if middle == first or middle == last:
+            if middle in (first, last):
                 middle = (first + last) // 2
             code = nodes
             nodes += 1
@@ -193,12 +194,12 @@ def _gathered(shapes: Array, order: Index) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def corners(vertices_m: Array, triangles: NDArray[np.int64], origin_m: Array, out: Array) -> None:
-    """Write the corners of triangles (T, 3), relative to a point (3,), to shapes (9 T,)."""
-    for t in range(len(triangles)):
+def corners(vertices_m: Array, triangles: NDArray[np.int64], which: Index, origin_m: Array, out: Array) -> None:
+    """Write the corners of some triangles (T,), relative to a point (3,), to shapes (9 T,)."""
+    for t in range(len(which)):
         for c in range(3):
             for k in range(3):
-                out[9 * t + 3 * c + k] = vertices_m[triangles[t, c], k] - origin_m[k]
+                out[9 * t + 3 * c + k] = vertices_m[triangles[which[t], c], k] - origin_m[k]
 
 
 @njit(cache=True, nogil=True)

@@ -1,9 +1,9 @@
-"""Motion: where a thing that moves stands at each time, by a constant velocity, an arc, or timed poses."""
+"""Motion: where an object or a vehicle is at each time, by a constant velocity, an arc, or timed poses."""
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from lidarcfg.config import Model, Vec3, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, rotation, transform
 from lidarcfg.units import SECOND_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.world.motion_kernels import Paths
 
 TUM = ".tum"  # text lines of time_s x y z qx qy qz qw, as the TUM RGB-D benchmark defined and evo reads them
 STEP_NS = 1_000_000  # over which a velocity is taken
@@ -31,7 +34,7 @@ class Arc(Model):
 
 
 class TimedPose(Model):
-    """Where it stands at a time."""
+    """Where an object is at a time."""
 
     time_s: Annotated[float, Field(ge=-1e9, le=1e9)]
     position_m: tuple[Metres, Metres, Metres]
@@ -49,7 +52,7 @@ class TimedPose(Model):
 
 
 class Motion(Model):
-    """One of the three; the frame is the one in which the thing stands at time 0, times are seconds since the start.
+    """One of the three; the frame is that of the object at time 0, times are seconds since the start.
 
     Between timed poses the position moves in a straight line and the attitude turns about one axis, both evenly.
     """
@@ -74,73 +77,57 @@ STANDING = Motion(velocity_m_s=(0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
-class Path3:
+class MotionPath:
     """A motion made ready: rotations and positions at any times."""
 
     motion: Motion
     times_s: Array  # (K,) of the timed poses; empty for the other kinds
     positions_m: Array  # (K, 3)
     rotations: Array  # (K, 3, 3)
-    turns_rad: Array  # (K - 1, 3) from each pose to the next, as rotation vectors
+    turns_rad: Array  # (K, 3) from each pose to the next, as rotation vectors; 0 for the last
 
     def at(self, seconds: Array) -> tuple[Array, Array]:
-        """R (n, 3, 3) and t (n, 3) at the times (n,), with 1 for n where it does not turn, or not move.
+        """R (n, 3, 3) and t (n, 3) at the times (n,), with 1 for n where the rotation, or the position, is constant.
 
         Raises ConfigError outside the timed poses.
         """
-        if self.stands:
+        if self.is_static:
             return np.eye(3)[None], np.zeros((1, 3))
-        if self.motion.velocity_m_s is not None:
-            return np.eye(3)[None], seconds[:, None] * np.array(self.motion.velocity_m_s)
-        from lidarcfg.world import kernels as ray_kernels
+        from lidarcfg.world.motion_kernels import poses
 
-        if self.motion.arc is not None:
-            arc = self.motion.arc
-            turn_rad_s, heading_rad = math.radians(arc.yaw_rate_deg_s), math.radians(arc.heading_deg)
-            R, t = ray_kernels.arced(np.asarray(seconds, np.float64), arc.speed_m_s, turn_rad_s, heading_rad)
-            return R, t
-        if not len(seconds):
-            return np.empty((0, 3, 3)), np.empty((0, 3))
-        self.check_span(float(seconds.min()), float(seconds.max()))
-        R, t = ray_kernels.posed(
-            np.asarray(seconds, np.float64), self.times_s, self.positions_m, self.rotations, self.turns_rad
-        )
-        return R, t
+        seconds = np.asarray(seconds, np.float64)
+        if len(seconds):
+            self.check_span(float(seconds.min()), float(seconds.max()))
+        R, t = np.empty((9, len(seconds))), np.empty((3, len(seconds)))
+        poses(packed([self]), 0, seconds, 0, len(seconds), R, t)
+        upright = self.motion.velocity_m_s is not None
+        return np.eye(3)[None] if upright else R.T.reshape(-1, 3, 3), np.ascontiguousarray(t.T)
 
     @property
-    def stands(self) -> bool:
-        """Whether it never moves: it is the same at all times."""
+    def is_static(self) -> bool:
+        """Whether it never moves."""
         return self.motion == STANDING
 
-    def check_span(self, first_s: float, last_s: float) -> None:
+    def check_span(self, first_s: float, last_s: float, prefix: str = "") -> None:
         """Raises ConfigError unless the timed poses, if that is what they are, cover these times."""
         if len(self.times_s) and not self.times_s[0] <= first_s <= last_s <= self.times_s[-1]:
             span = f"{self.times_s[0]:g} to {self.times_s[-1]:g} s"
-            raise ConfigError(f"a pose is needed at {first_s:g} to {last_s:g} s; the timed poses cover {span}")
+            raise ConfigError(f"{prefix}a pose is needed at {first_s:g} to {last_s:g} s; the timed poses cover {span}")
 
     @property
     def speed_max_m_s(self) -> float:
-        """No point of the path is left faster than this."""
+        """The speed along the path is never above this."""
         if self.motion.velocity_m_s is not None:
             return float(np.linalg.norm(self.motion.velocity_m_s))
         if self.motion.arc is not None:
             return abs(self.motion.arc.speed_m_s)
         return float((np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1) / np.diff(self.times_s)).max())
 
-    @property
-    def turn_max_rad_s(self) -> float:
-        """It never turns faster than this."""
-        if self.motion.arc is not None:
-            return abs(math.radians(self.motion.arc.yaw_rate_deg_s))
-        if self.motion.velocity_m_s is not None:
-            return 0.0
-        return float((np.linalg.norm(self.turns_rad, axis=1) / np.diff(self.times_s)).max())
 
-
-def prepared(motion: Motion) -> Path3:
-    """The motion, ready to be asked."""
+def prepared(motion: Motion) -> MotionPath:
+    """The motion made ready."""
     poses = motion.poses or ()
-    rotations, turns_rad = np.zeros((len(poses), 3, 3)), np.zeros((0, 3))
+    rotations, turns_rad = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
     if poses:
         from scipy.spatial.transform import Rotation
 
@@ -150,8 +137,8 @@ def prepared(motion: Motion) -> Path3:
             else:
                 rotations[i] = rotation(np.radians(one.rpy_deg or (0.0, 0.0, 0.0)))
         turns = Rotation.from_matrix(rotations)
-        turns_rad = (turns[:-1].inv() * turns[1:]).as_rotvec()
-    return Path3(
+        turns_rad[:-1] = (turns[:-1].inv() * turns[1:]).as_rotvec()
+    return MotionPath(
         motion=motion,
         times_s=np.array([pose.time_s for pose in poses]),
         positions_m=np.array([pose.position_m for pose in poses]).reshape(-1, 3),
@@ -160,12 +147,38 @@ def prepared(motion: Motion) -> Path3:
     )
 
 
+def packed(paths: Sequence[MotionPath]) -> "Paths":
+    """Motions, as compiled loops take them."""
+    from lidarcfg.world.motion_kernels import ARC, POSES, STANDING, VELOCITY, Paths
+
+    kinds, values = [], np.zeros((len(paths), 3))
+    for i, path in enumerate(paths):
+        motion = path.motion
+        if motion.arc:
+            kinds.append(ARC)
+            values[i] = motion.arc.speed_m_s, *np.radians([motion.arc.yaw_rate_deg_s, motion.arc.heading_deg])
+        elif motion.velocity_m_s is not None:
+            kinds.append(STANDING if path.is_static else VELOCITY)
+            values[i] = motion.velocity_m_s
+        else:
+            kinds.append(POSES)
+    return Paths(
+        kind=np.array(kinds, np.uint8),
+        values=values,
+        first=np.cumsum([0, *(len(path.times_s) for path in paths)], dtype=np.int64),
+        times_s=np.concatenate([np.empty(0), *(path.times_s for path in paths)]),
+        positions_m=np.concatenate([np.empty((0, 3)), *(path.positions_m for path in paths)]),
+        rotations=np.concatenate([np.empty((0, 3, 3)), *(path.rotations for path in paths)]),
+        turns_rad=np.concatenate([np.empty((0, 3)), *(path.turns_rad for path in paths)]),
+    )
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """Where the vehicle is in the world at each time."""
 
-    T_world_start: Array  # (4, 4) the frame in which the motion is told
-    path: Path3
+    T_world_start: Array  # (4, 4) the frame in which the motion is described
+    path: MotionPath
     zero_ns: int  # the motion's time 0
 
     def world(self, points: Array, time_ns: NDArray[np.int64]) -> Array:
@@ -178,7 +191,7 @@ class Trajectory:
 
     def motion(self, time_ns: NDArray[np.int64]) -> tuple[Array, Array]:
         """R (n or 1, 3, 3) and t (n or 1, 3) from the vehicle's frame into the one where it started."""
-        return self.path.at(np.empty(0) if self.path.stands else (time_ns - self.zero_ns) / SECOND_NS)
+        return self.path.at(np.empty(0) if self.path.is_static else (time_ns - self.zero_ns) / SECOND_NS)
 
     def pose(self, time_ns: int) -> Array:
         """T_world_vehicle (4, 4) at one time."""
@@ -189,7 +202,7 @@ class Trajectory:
 
     def velocity_m_s(self, time_ns: NDArray[np.int64]) -> Array:
         """(n, 3) in the world: over the millisecond around the times (n,), or what of it the poses cover."""
-        if self.path.stands:
+        if self.path.is_static:
             return np.zeros((len(time_ns), 3))
         ends = np.stack([time_ns - STEP_NS // 2, time_ns + STEP_NS // 2])
         if len(self.path.times_s):
@@ -199,7 +212,7 @@ class Trajectory:
 
 
 def standing(T_world_vehicle: Array) -> Trajectory:
-    """A vehicle that does not move."""
+    """The trajectory of a vehicle that does not move."""
     return Trajectory(T_world_vehicle, prepared(STANDING), 0)
 
 

@@ -33,6 +33,12 @@ def matrix(R):
 
 
 @njit(cache=True, nogil=True)
+def column(R, n):
+    """Matrix n of R (9, N)."""
+    return R[0, n], R[1, n], R[2, n], R[3, n], R[4, n], R[5, n], R[6, n], R[7, n], R[8, n]
+
+
+@njit(cache=True, nogil=True)
 def times(m, x, y, z):
     """A matrix times a vector."""
     return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
@@ -64,43 +70,47 @@ def _arc(seconds, speed_m_s, rate_rad_s, heading_rad):
 
 
 @njit(cache=True, nogil=True)
-def _between(paths, k, seconds):
+def _between(times_s, positions_m, rotations, turns_rad, k, seconds):
     """Between pose k and the next: in a straight line, and about one axis, evenly."""
-    part = (seconds - paths.times_s[k]) / (paths.times_s[k + 1] - paths.times_s[k])
-    x, y, z = part * paths.turns_rad[k, 0], part * paths.turns_rad[k, 1], part * paths.turns_rad[k, 2]
+    part = (seconds - times_s[k]) / (times_s[k + 1] - times_s[k])
+    x, y, z = part * turns_rad[k, 0], part * turns_rad[k, 1], part * turns_rad[k, 2]
     angle = math.sqrt(x * x + y * y + z * z)
     a = math.sin(angle) / angle if angle > 0 else 1.0
     b = 2 * (math.sin(angle / 2) / angle) ** 2 if angle > 0 else 0.5
     above = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
     middle = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
     below = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
-    p, q = paths.positions_m[k], paths.positions_m[k + 1]
-    position = p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1]), p[2] + part * (q[2] - p[2])
-    return product(matrix(paths.rotations[k]), above + middle + below), position
+    x, y, z = positions_m[k, 0], positions_m[k, 1], positions_m[k, 2]
+    u, v, w = positions_m[k + 1, 0] - x, positions_m[k + 1, 1] - y, positions_m[k + 1, 2] - z
+    start = (
+        rotations[k, 0, 0], rotations[k, 0, 1], rotations[k, 0, 2], rotations[k, 1, 0], rotations[k, 1, 1],
+        rotations[k, 1, 2], rotations[k, 2, 0], rotations[k, 2, 1], rotations[k, 2, 2],
+    )  # fmt: skip
+    return product(start, above + middle + below), (x + part * u, y + part * v, z + part * w)
 
 
 @njit(cache=True, nogil=True)
-def pose_at(paths, p, seconds):
-    """Rotation (9 numbers) and position of motion p; before the first and after the last pose, as if it went on."""
+def poses(paths, p, seconds, first, count, R, t):
+    """Write rotations and positions of motion p at times `first` to `first` + count to R (9, n) and t (3, n).
+
+    Before the first and after the last timed pose it moves on as beside them.
+    """
     kind, u, v, w = paths.kind[p], paths.values[p, 0], paths.values[p, 1], paths.values[p, 2]
-    if kind == ARC:
-        return _arc(seconds, u, v, w)
-    if kind == POSES:
-        low, high = paths.first[p], paths.first[p + 1] - 2
-        while low < high:  # the last pose but one that is not later
-            k = (low + high + 1) // 2
-            if paths.times_s[k] <= seconds:
-                low = k
-            else:
-                high = k - 1
-        return _between(paths, low, seconds)
-    return UPRIGHT, (u * seconds, v * seconds, w * seconds)
-
-
-@njit(cache=True, nogil=True)
-def poses(paths, p, seconds, R, t):
-    """Write those at many times (n,) to R (n, 3, 3) and t (n, 3)."""
-    for i in range(len(seconds)):
-        m, place = pose_at(paths, p, seconds[i])
+    times_s, positions_m, rotations, turns_rad = paths.times_s, paths.positions_m, paths.rotations, paths.turns_rad
+    start, end = paths.first[p], paths.first[p + 1] - 2
+    for n in range(count):
+        now = seconds[first + n]
+        if kind == ARC:
+            m, place = _arc(now, u, v, w)
+        elif kind == POSES:
+            low, high = start, end
+            while low < high:  # the last pose but one that is not later
+                k = (low + high + 1) // 2
+                low, high = (k, high) if times_s[k] <= now else (low, k - 1)
+            m, place = _between(times_s, positions_m, rotations, turns_rad, low, now)
+        else:
+            m, place = UPRIGHT, (u * now, v * now, w * now)
+        for k in range(9):
+            R[k, n] = m[k]
         for k in range(3):
-            R[i, 0, k], R[i, 1, k], R[i, 2, k], t[i, k] = m[k], m[3 + k], m[6 + k], place[k]
+            t[k, n] = place[k]

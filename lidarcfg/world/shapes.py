@@ -31,11 +31,11 @@ def inside(ax, ay, bx, by, cx, cy):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def on_plane(nx, ny, nz, px, py, pz, dx, dy, dz, first, last):
-    """How far a plane is along a direction, by its normal and a point of it; within the range of the corners."""
+def on_plane(nx, ny, nz, px, py, pz, dx, dy, dz, az, bz, cz):
+    """How far a plane is along a direction, by its normal and a point of it; no nearer or farther than the corners."""
     along = nx * dx + ny * dy + nz * dz
     far = (nx * px + ny * py + nz * pz) / (TINY if along == 0 else along)
-    return min(max(far, first), last)
+    return min(max(far, min(min(az, bz), cz)), max(max(az, bz), cz))
 
 
 @njit(cache=True, nogil=True)
@@ -81,10 +81,8 @@ def triangle(shapes, s, i, j, k, ox, oy, oz, dx, dy, dz, sx, sy, sz):
         shapes[a + i], shapes[a + j], shapes[a + k], shapes[b + i], shapes[b + j], shapes[b + k],
         shapes[c + i], shapes[c + j], shapes[c + k],
     )  # fmt: skip
-    az, bz, cz = az * sz, bz * sz, cz * sz
-    first, last = min(min(az, bz), cz), max(max(az, bz), cz)
     px, py, pz = shapes[a + i] - ox, shapes[a + j] - oy, shapes[a + k] - oz
-    far = on_plane(nx, ny, nz, px, py, pz, dx, dy, dz, first, last)
+    far = on_plane(nx, ny, nz, px, py, pz, dx, dy, dz, az * sz, bz * sz, cz * sz)
     return far if far > 0 else math.inf
 
 

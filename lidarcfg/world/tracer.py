@@ -1,4 +1,6 @@
-"""What rays hit first in a scene, and how far away, in float64: ground, spheres and cylinders exactly, all else by triangles.
+"""What rays hit first in a scene, and how far away, in float64.
+
+Ground, spheres and cylinders are hit in closed form, everything else by its triangles.
 
 What is static is one bounding volume hierarchy, built once. Each dynamic object has one in its own frame, in which rays
 are traced at the time of each.
@@ -16,8 +18,8 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.bvh import CYLINDER, EMPTY, SPHERE, TRIANGLE, Tree, build, corners
 from lidarcfg.world.motion import MotionPath, packed, prepared
 from lidarcfg.world.scene import Cylinder, Scene, Sphere
-from lidarcfg.world.tracer_kernels import blocked, new_packet
-from lidarcfg.world.world_kernels import NOTHING, Dynamics, Found, World, cast
+from lidarcfg.world.tracer_kernels import NONE, blocked, new_packet
+from lidarcfg.world.world_kernels import NOTHING, Dynamics, Found, World, cast, resolve
 
 NO_SHAPES = np.empty(0), np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32)
 
@@ -40,7 +42,7 @@ class Dynamic:
 
 
 class Tracer:
-    """A scene to trace rays in, most exactly near `origin_m` (3,) of the world; motions have their time 0 at `zero_ns`."""
+    """A scene to trace rays in, fastest near `origin_m` (3,) of the world; motions have their time 0 at `zero_ns`."""
 
     def __init__(self, scene: Scene, origin_m: Array, zero_ns: int = 0) -> None:
         self.scene, self.zero_ns = scene, zero_ns
@@ -67,21 +69,18 @@ class Tracer:
         Without times everything stands where it does at time 0. Raises ConfigError outside timed poses.
         """
         count = len(directions)
-        hits = Hits(
-            range_m=np.full(count, np.inf),
-            object=np.full(count, NOTHING, np.int32),
-            triangle=np.full(count, NOTHING, np.int32),
-            normal=np.zeros((count, 3)),
-        )
+        found = Found(np.full(count, np.inf), np.full(count, NONE, np.int32), np.zeros((count, 3)), np.empty(0))
         if count:
             seconds = np.zeros(count) if time_ns is None else (time_ns - self.zero_ns) / SECOND_NS
             self.check_span(float(seconds.min()), float(seconds.max()))
-            columns = (np.ascontiguousarray(np.transpose(rows), np.float64) for rows in (origins_m - self.origin_m, directions))
-            cast(self.world, *columns, seconds, limit_m, Found(*hits))
-        return hits
+            origins, ways = (np.ascontiguousarray(rows.T) for rows in (origins_m - self.origin_m, directions))
+            cast(self.world, origins, ways, seconds, limit_m, found)
+        objects, triangles = np.empty(count, np.int32), np.empty(count, np.int32)
+        resolve(self.world, found.slot, objects, triangles)
+        return Hits(found.range_m, objects, triangles, found.normal)
 
     def blocked(self, origins_m: Array, targets_m: Array) -> NDArray[np.bool_]:
-        """(N,): whether anything static but the ground stands between points (N, 3) of the world; the ends do not count."""
+        """(N,): whether anything static, except the ground, is between points (N, 3) of the world, ends excluded."""
         origins = np.broadcast_to(origins_m, targets_m.shape).T
         starts = np.ascontiguousarray(origins - self.origin_m[:, None])
         out = np.empty(len(targets_m), np.bool_)
@@ -146,6 +145,9 @@ def _radius_m(part: Tree) -> float:
     """Of a sphere around the origin that holds a tree."""
     shapes = part.shapes.reshape(-1, 9)
     flat, heights = shapes[part.kind == TRIANGLE].reshape(-1, 3), shapes[part.kind == CYLINDER]
-    far = [np.linalg.norm(flat, axis=1), np.linalg.norm(shapes[part.kind == SPHERE][:, :3], axis=1) + shapes[part.kind == SPHERE][:, 3]]
+    far = [
+        np.linalg.norm(flat, axis=1),
+        np.linalg.norm(shapes[part.kind == SPHERE][:, :3], axis=1) + shapes[part.kind == SPHERE][:, 3],
+    ]
     far.append(np.hypot(np.hypot(heights[:, 0], heights[:, 1]) + heights[:, 3], abs(heights[:, 2]) + heights[:, 4]))
     return float(np.concatenate(far).max(initial=0.0))

@@ -82,31 +82,37 @@ def alike(directions, first, count):
     return end - first, face
 
 
+@njit(cache=True, nogil=True)
+def row(face, axis):
+    """Where a packet's rows have an axis: 0, SIZE or 2 SIZE further."""
+    return (axis - (face & 3) - 1) % 3 * SIZE
+
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def load(packet, origins, directions, first, count, face):
-    """Fill a packet with rays `first` to `first` + count of (3, N); the last one fills its rest. Nothing is hit yet."""
-    rays, slabs = packet.rays, packet.slabs
-    k = face & 3
-    i, j = (k + 1) % 3, (k + 2) % 3
+    """Fill a packet with rays `first` to `first` + count of (3, N); the last one fills its rest."""
+    rays, slabs, origin = packet.rays, packet.slabs, packet.origin
     for axis in range(3):
-        low, high, least = math.inf, -math.inf, STEEPEST
+        start, way = OX + row(face, axis), DX + row(face, axis)
+        low, high = origins[axis, first], origins[axis, first]
         for n in range(count):
-            low, high = min(low, origins[axis, first + n]), max(high, origins[axis, first + n])
-        for n in range(SIZE):
-            d = directions[axis, first + min(n, count - 1)]
-            steep = _steep(d)
-            least = min(least, abs(steep))
-            slabs[IX + axis * SIZE + n] = steep
-        slabs[LEAST + axis] = -least if face & (4 << axis) else least
+            rays[start + n], rays[way + n] = origins[axis, first + n], directions[axis, first + n]
+            low, high = min(low, rays[start + n]), max(high, rays[start + n])
+        for n in range(count, SIZE):
+            rays[start + n], rays[way + n] = rays[start + count - 1], rays[way + count - 1]
         below, above = np.float32(low), np.float32(high)
-        packet.origin[3 + axis] = packet.origin[9 + axis] = below - abs(below) * WIDER
-        packet.origin[axis] = packet.origin[6 + axis] = above + abs(above) * WIDER
+        origin[3 + axis] = origin[9 + axis] = below - abs(below) * WIDER
+        origin[axis] = origin[6 + axis] = above + abs(above) * WIDER
+        for n in range(SIZE):
+            slabs[IX + axis * SIZE + n] = _steep(rays[way + n])
+        least = abs(slabs[IX + axis * SIZE])
+        for n in range(SIZE):
+            least = min(least, abs(slabs[IX + axis * SIZE + n]))
+        slabs[LEAST + axis] = -least if face & (4 << axis) else least
     for n in range(SIZE):
-        m = first + min(n, count - 1)
-        rays[OX + n], rays[OY + n], rays[OZ + n] = origins[i, m], origins[j, m], origins[k, m]
-        dx, dy, dz = directions[i, m], directions[j, m], directions[k, m]
-        rays[DX + n], rays[DY + n], rays[DZ + n] = dx, dy, dz
-        rays[SX + n], rays[SY + n], rays[SZ + n] = dx / dz, dy / dz, 1 / dz
+        rays[SX + n] = rays[DX + n] / rays[DZ + n]
+        rays[SY + n] = rays[DY + n] / rays[DZ + n]
+        rays[SZ + n] = 1 / rays[DZ + n]
         rays[SLOT + n] = NONE
 
 
@@ -202,11 +208,11 @@ def ray_of(rays, n, face):
 
 
 @njit(cache=True, nogil=True)
-def _test_round(tree, s, face, rays, after):
+def _test_round(shapes, kind, s, face, rays, after):
     """Keep a sphere or a cylinder where it is hit first."""
     found = False
     for n in range(SIZE):
-        far = _round(tree.shapes, tree.kind, s, *ray_of(rays, n, face))
+        far = _round(shapes, kind, s, *ray_of(rays, n, face))
         nearest = rays[RANGE + n]
         if far > after and (far < nearest or (far == nearest and s < rays[SLOT + n])):
             rays[RANGE + n], rays[SLOT + n], found = far, s, True
@@ -217,16 +223,18 @@ def _test_round(tree, s, face, rays, after):
 def trace(tree, packet, face, any_hit):
     """Keep what a packet's rays hit first of a tree, where that is nearer than RANGE says.
 
-    Moving objects are only noted. With `any_hit`, directions reach as far as the targets: a ray is done with once something blocks it, and SLOT says so.
+    Dynamic objects are only listed, in `instances`. With `any_hit`, directions reach as far as their targets, and a ray
+    ends at the first shape found in between, whichever it is.
     """
-    rays, slabs, codes, enter = packet.rays, packet.slabs, packet.codes, packet.enter
+    rays, slabs, codes, enter, origin = packet.rays, packet.slabs, packet.codes, packet.enter, packet.origin
+    boxes, children, shapes, kind, instances = tree.boxes, tree.children, tree.shapes, tree.kind, packet.instances
     width, after = len(slabs) // 6, ENDS if any_hit else 0.0  # a width that the compiler does not know is not unrolled
     most = _limit(rays, slabs)
     code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            near, far = _enter(tree.boxes, code, slabs, packet.origin, face, width)
-            first, second = tree.children[2 * code], tree.children[2 * code + 1]
+            near, far = _enter(boxes, code, slabs, origin, face, width)
+            first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first
             if far < FARTHEST:
@@ -238,13 +246,13 @@ def trace(tree, packet, face, any_hit):
         else:
             leaf, found = ~code, False
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
-                if tree.kind[s] == TRIANGLE:
-                    found |= _test_triangle(tree.shapes, s, face, rays, after)
-                elif tree.kind[s] == INSTANCE:
-                    packet.instances[0] += 1
-                    packet.instances[packet.instances[0]] = tree.number[s]
+                if kind[s] == TRIANGLE:
+                    found |= _test_triangle(shapes, s, face, rays, after)
+                elif kind[s] == INSTANCE:
+                    instances[0] += 1
+                    instances[instances[0]] = tree.number[s]
                 else:
-                    found |= _test_round(tree, s, face, rays, after)
+                    found |= _test_round(shapes, kind, s, face, rays, after)
             if found:
                 for n in range(SIZE if any_hit else 0):
                     rays[RANGE + n] = -1.0 if rays[SLOT + n] >= 0 else rays[RANGE + n]
@@ -272,7 +280,8 @@ def _enter_alone(boxes, at, ox, oy, oz, ix, iy, iz, far):
 @njit(cache=True, nogil=True, error_model="numpy")
 def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
     """Range and slot of what one ray hits first of a subtree, if it is nearer than what is known."""
-    codes, enter = packet.alone_codes, packet.alone_enter
+    codes, enter, boxes, children = packet.alone_codes, packet.alone_enter, tree.boxes, tree.children
+    shapes, kind = tree.shapes, tree.kind
     k = facing(dx, dy, dz) & 3
     px, py, pz, qx, qy, qz = ox, oy, oz, dx, dy, dz
     if k == 0:
@@ -285,9 +294,9 @@ def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
     while True:
         if code >= 0:
             far_m = range_m * (1 + 4e-7)
-            near = _enter_alone(tree.boxes, 12 * code, ox, oy, oz, ix, iy, iz, far_m)
-            far = _enter_alone(tree.boxes, 12 * code + 6, ox, oy, oz, ix, iy, iz, far_m)
-            first, second = tree.children[2 * code], tree.children[2 * code + 1]
+            near = _enter_alone(boxes, 12 * code, ox, oy, oz, ix, iy, iz, far_m)
+            far = _enter_alone(boxes, 12 * code + 6, ox, oy, oz, ix, iy, iz, far_m)
+            first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first
             if far < math.inf:
@@ -299,10 +308,10 @@ def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
         else:
             leaf = ~code
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
-                if tree.kind[s] == TRIANGLE:
-                    far = triangle(tree.shapes, s, i, j, k, px, py, pz, qx, qy, qz, sx, sy, sz)
+                if kind[s] == TRIANGLE:
+                    far = triangle(shapes, s, i, j, k, px, py, pz, qx, qy, qz, sx, sy, sz)
                 else:
-                    far = _round(tree.shapes, tree.kind, s, ox, oy, oz, dx, dy, dz)
+                    far = _round(shapes, kind, s, ox, oy, oz, dx, dy, dz)
                 if far < range_m or (far == range_m and s < slot):
                     range_m, slot = far, s
         while waiting and enter[waiting - 1] > range_m * (1 + 4e-7):
@@ -314,16 +323,18 @@ def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def normal_at(tree, s, x, y, z, dx, dy, dz, range_m):
+def normal_at(shapes, kind, s, x, y, z, dx, dy, dz, range_m):
     """The unit normal, towards either side, of the shape in slot s where a ray from a point hits it."""
-    shapes, a = tree.shapes, 9 * s
-    if tree.kind[s] == TRIANGLE:
-        nx, ny, nz = normal(*(shapes[a], shapes[a + 1], shapes[a + 2], shapes[a + 3], shapes[a + 4], shapes[a + 5],
-                              shapes[a + 6], shapes[a + 7], shapes[a + 8]))  # fmt: skip
+    a = 9 * s
+    if kind[s] == TRIANGLE:
+        nx, ny, nz = normal(
+            shapes[a], shapes[a + 1], shapes[a + 2], shapes[a + 3], shapes[a + 4], shapes[a + 5],
+            shapes[a + 6], shapes[a + 7], shapes[a + 8],
+        )  # fmt: skip
     else:
         ox, oy, oz = x - shapes[a], y - shapes[a + 1], z - shapes[a + 2]
         nx, ny, nz = ox + dx * range_m, oy + dy * range_m, oz + dz * range_m
-        if tree.kind[s] != SPHERE:
+        if kind[s] != SPHERE:
             side = cylinder(ox, oy, oz, shapes[a + 3], shapes[a + 4], dx, dy, dz)[1]
             nx, ny, nz = (nx, ny, 0.0) if side else (0.0, 0.0, 1.0)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)

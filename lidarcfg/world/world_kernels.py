@@ -1,4 +1,4 @@
-"""First hits in a whole scene: the ground in closed form, what is static by one tree, dynamic objects in their frames."""
+"""First hits in a whole scene: the ground in closed form, static objects by one tree, dynamic ones in their frames."""
 
 # mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
 import math
@@ -9,12 +9,29 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
-from lidarcfg.world.bvh import INSTANCE, TRIANGLE, Tree, build
-from lidarcfg.world.motion_kernels import Paths, back, pose_at, times
-from lidarcfg.world.tracer_kernels import NONE, RANGE, SIZE, SLOT, alike, load, new_packet, normal_at, ray_of, trace, trace_alone
+from lidarcfg.world.bvh import INSTANCE, Tree, build
+from lidarcfg.world.motion_kernels import Paths, back, column, poses, times
+from lidarcfg.world.tracer_kernels import (
+    DX,
+    FARTHEST,
+    NONE,
+    OX,
+    RANGE,
+    SIZE,
+    SLOT,
+    alike,
+    load,
+    new_packet,
+    normal_at,
+    ray_of,
+    row,
+    trace,
+    trace_alone,
+)
 
 NOTHING = -1  # an object
 GROUND = -1.0  # a slot
+LARGER, SLACK_M = 1 + 1e-9, 1e-9  # by which spheres around objects are larger, for rounding
 
 
 class Dynamics(NamedTuple):
@@ -38,112 +55,159 @@ class World(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What N rays hit first, to be written."""
+    """What N rays hit first, to be written; columns that are not asked for have no rows."""
 
     range_m: Array  # (N,) inf: nothing
-    object: NDArray[np.int32]  # (N,)
-    triangle: NDArray[np.int32]  # (N,) or (0,) where it is not asked for; -1: nothing, or no triangle
-    normal: Array  # (N, 3) or (0, 3)
+    slot: NDArray[np.int32]  # (N,) in the static tree, and beyond that in the dynamic ones; or GROUND or NONE
+    normal: Array  # (N, 3) of the surface, towards either side
+    cosine: Array  # (N,) of the angle between ray and normal
+
+
+class Poses(NamedTuple):
+    """Working memory for where an object is when each ray of a packet starts."""
+
+    R: Array  # (9, SIZE)
+    t: Array  # (3, SIZE)
+
+
+@njit(cache=True, nogil=True)
+def new_poses():
+    """Working memory."""
+    return Poses(np.empty((9, SIZE)), np.empty((3, SIZE)))
 
 
 @njit(cache=True, nogil=True)
 def swept(dynamic, first_s, last_s):
     """The tree over spheres that hold the dynamic objects for a while."""
     count = len(dynamic.roots)
-    shapes, kind = np.zeros(9 * count), np.full(count, INSTANCE, np.uint8)
-    middle_s, half_s = (first_s + last_s) / 2, (last_s - first_s) / 2
+    shapes, kind, number = np.zeros(9 * count), np.full(count, INSTANCE, np.uint8), np.arange(count).astype(np.int32)
+    middle_s, half_s, moved = np.array([(first_s + last_s) / 2]), (last_s - first_s) / 2, new_poses()
     for p in range(count):
-        _, place = pose_at(dynamic.paths, p, middle_s)
+        poses(dynamic.paths, p, middle_s, 0, 1, moved.R, moved.t)
         for k in range(3):
-            shapes[9 * p + k] = dynamic.places_m[p, k] + place[k]
-        reach_m = dynamic.radius_m[p] + dynamic.speed_m_s[p] * half_s
-        shapes[9 * p + 3] = reach_m * (1 + 1e-9) + 1e-9
-    number = np.arange(count).astype(np.int32)
+            shapes[9 * p + k] = dynamic.places_m[p, k] + moved.t[k, 0]
+        shapes[9 * p + 3] = (dynamic.radius_m[p] + dynamic.speed_m_s[p] * half_s) * LARGER + SLACK_M
     return build(shapes, kind, number, number)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _test_instance(dynamic, p, n, face, packet, seconds, first_slot):
-    """Keep what ray n of a packet hits of dynamic object p at a time, if it is nearer."""
-    rays = packet.rays
-    ox, oy, oz, dx, dy, dz = ray_of(rays, n, face)
-    R, t = pose_at(dynamic.paths, p, seconds)
-    x, y, z = ox - dynamic.places_m[p, 0] - t[0], oy - dynamic.places_m[p, 1] - t[1], oz - dynamic.places_m[p, 2] - t[2]
-    ahead, radius_m = -(x * dx + y * dy + z * dz), dynamic.radius_m[p] * (1 + 1e-9) + 1e-9
-    u, v, w = x + ahead * dx, y + ahead * dy, z + ahead * dz
-    if u * u + v * v + w * w > radius_m * radius_m or ahead < -radius_m or ahead - radius_m > rays[RANGE + n]:
-        return
-    x, y, z = back(R, x, y, z)
-    dx, dy, dz = back(R, dx, dy, dz)
-    slot = int(rays[SLOT + n]) - first_slot
-    range_m, found = trace_alone(
-        dynamic.trees, dynamic.roots[p], packet, x, y, z, dx, dy, dz, rays[RANGE + n], slot
-    )
-    if found != slot:
-        rays[RANGE + n], rays[SLOT + n] = range_m, found + first_slot
+@njit(cache=True, nogil=True)
+def _brought(R, t, n, px, py, pz, x, y, z, dx, dy, dz):
+    """A ray in the frame of an object that is rotated and moved from its place as R and t say."""
+    m = column(R, n)
+    x, y, z = back(m, x - px - t[0, n], y - py - t[1, n], z - pz - t[2, n])
+    dx, dy, dz = back(m, dx, dy, dz)
+    return x, y, z, dx, dy, dz
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def hit(world, moving, packet, seconds, first, count, face, limit_m):
-    """Find what a loaded packet's rays hit within a limit, at times (N,) from `first` on; `moving` is their sweep."""
+def _test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot):
+    """Keep what a packet's rays hit of dynamic object p at times (N,) from `first` on, where it is nearer."""
+    rays, R, t = packet.rays, moved.R, moved.t
+    px, py, pz = dynamic.places_m[p, 0], dynamic.places_m[p, 1], dynamic.places_m[p, 2]
+    radius_m = dynamic.radius_m[p] * LARGER + SLACK_M
+    poses(dynamic.paths, p, seconds, first, count, R, t)
+    for n in range(count):
+        x, y, z, dx, dy, dz = ray_of(rays, n, face)
+        x, y, z, dx, dy, dz = _brought(R, t, n, px, py, pz, x, y, z, dx, dy, dz)
+        ahead = -(x * dx + y * dy + z * dz)
+        u, v, w = x + ahead * dx, y + ahead * dy, z + ahead * dz
+        beside = u * u + v * v + w * w > radius_m * radius_m
+        if not (beside or ahead < -radius_m or ahead - radius_m > rays[RANGE + n]):
+            slot = int(rays[SLOT + n]) - first_slot
+            range_m, found = trace_alone(
+                dynamic.trees, dynamic.roots[p], packet, x, y, z, dx, dy, dz, rays[RANGE + n], slot
+            )
+            rays[RANGE + n], rays[SLOT + n] = range_m, found + first_slot
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def hit(ground_m, static, packet, face, limit_m):
+    """Find what a loaded packet's rays hit of the ground and a tree within a limit."""
     rays = packet.rays
+    z, dz = OX + row(face, 2), DX + row(face, 2)
     for n in range(SIZE):
-        _, _, oz, _, _, dz = ray_of(rays, n, face)
-        far = (world.ground_m - oz) / dz
-        ground = 0 < far <= limit_m and far < math.inf
-        rays[RANGE + n], rays[SLOT + n] = (far, GROUND) if ground else (limit_m, NONE)
-    trace(world.static, packet, face, False)
-    if len(world.dynamic.roots):
-        packet.instances[0] = 0
-        trace(moving, packet, face, False)
-        for i in range(packet.instances[0]):
-            for n in range(count):
-                p = packet.instances[1 + i]
-                _test_instance(world.dynamic, p, n, face, packet, seconds[first + n], len(world.static.kind))
+        far = (ground_m - rays[z + n]) / rays[dz + n]
+        ground = (far > 0) & (far <= limit_m) & (far < FARTHEST)
+        rays[RANGE + n] = far if ground else limit_m
+        rays[SLOT + n] = GROUND if ground else NONE
+    trace(static, packet, face, False)
 
 
 @njit(cache=True, nogil=True)
-def keep(world, packet, n, face, seconds, found, at):
-    """Write what ray n of a packet hit at a time to row `at`."""
-    slot = packet.rays[SLOT + n]
-    if slot == NONE:
-        return
-    range_m = packet.rays[RANGE + n]
-    found.range_m[at] = range_m
-    if slot == GROUND:
-        found.object[at] = 0
-        if len(found.normal):
-            found.normal[at, 2] = 1.0
-        return
-    s, still = int(slot), slot < len(world.static.kind)
-    tree = world.static
-    if not still:
-        s, tree = s - len(world.static.kind), world.dynamic.trees
-    found.object[at] = tree.object[s]
-    if len(found.triangle) and tree.kind[s] == TRIANGLE:
-        found.triangle[at] = tree.number[s]
-    if len(found.normal):
-        x, y, z, dx, dy, dz = ray_of(packet.rays, n, face)
-        if still:
-            found.normal[at] = normal_at(tree, s, x, y, z, dx, dy, dz, range_m)
+def hit_dynamic(dynamic, moving, packet, moved, seconds, first, count, face, first_slot):
+    """The same of dynamic objects, where they are nearer, at times (N,) from `first` on.
+
+    `moving` is what `swept` says of these times; slots count from `first_slot`.
+    """
+    packet.instances[0] = 0
+    trace(moving, packet, face, False)
+    for i in range(packet.instances[0]):
+        p = packet.instances[1 + i]
+        _test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot)
+
+
+@njit(cache=True, nogil=True)
+def keep(rays, rows, first, count, range_m, slot):
+    """Write what a packet's rays hit to rows (N,) from `first` on."""
+    for n in range(count):
+        at, one = rows[first + n], rays[SLOT + n]
+        slot[at], range_m[at] = int(one), rays[RANGE + n] if one != NONE else math.inf
+
+
+@njit(cache=True, nogil=True)
+def keep_normals(world, packet, moved, seconds, first, count, face, rows, found):
+    """Write the normals of what a packet's rays hit, and the cosines of the angles to them, where there are rows."""
+    static, dynamic, rays, normal, cosine = world.static, world.dynamic, packet.rays, found.normal, found.cosine
+    for n in range(count):
+        slot, at, range_m = int(rays[SLOT + n]), rows[first + n], rays[RANGE + n]
+        x, y, z, dx, dy, dz = ray_of(rays, n, face)
+        nx, ny, nz = 0.0, 0.0, 1.0
+        if slot >= len(static.kind):
+            s = slot - len(static.kind)
+            p = dynamic.owner[s]
+            poses(dynamic.paths, p, seconds, first + n, 1, moved.R, moved.t)
+            px, py, pz = dynamic.places_m[p, 0], dynamic.places_m[p, 1], dynamic.places_m[p, 2]
+            x, y, z, u, v, w = _brought(moved.R, moved.t, 0, px, py, pz, x, y, z, dx, dy, dz)
+            nx, ny, nz = normal_at(dynamic.trees.shapes, dynamic.trees.kind, s, x, y, z, u, v, w, range_m)
+            nx, ny, nz = times(column(moved.R, 0), nx, ny, nz)
+        elif slot >= 0:
+            nx, ny, nz = normal_at(static.shapes, static.kind, slot, x, y, z, dx, dy, dz, range_m)
+        if slot != NONE and len(normal):
+            normal[at, 0], normal[at, 1], normal[at, 2] = nx, ny, nz
+        if slot != NONE and len(cosine):
+            cosine[at] = abs(nx * dx + ny * dy + nz * dz)
+
+
+@njit(cache=True, nogil=True)
+def resolve(world, slot, object_, triangle):
+    """Write which objects and triangles (N,) slots (N,) are; the latter where it has rows."""
+    static, trees = world.static, world.dynamic.trees
+    objects, numbers, moving, moving_numbers = static.object, static.number, trees.object, trees.number
+    for n in range(len(slot)):
+        s = slot[n]
+        if s >= len(objects):
+            object_[n] = moving[s - len(objects)]
+        elif s >= 0:
+            object_[n] = objects[s]
         else:
-            p = world.dynamic.owner[s]
-            R, t = pose_at(world.dynamic.paths, p, seconds)
-            place = world.dynamic.places_m[p]
-            x, y, z = back(R, x - place[0] - t[0], y - place[1] - t[1], z - place[2] - t[2])
-            found.normal[at] = times(R, *normal_at(tree, s, x, y, z, *back(R, dx, dy, dz), range_m))
+            object_[n] = 0 if s == GROUND else NOTHING
+        if len(triangle):
+            triangle[n] = NOTHING if s < 0 else numbers[s] if s < len(objects) else moving_numbers[s - len(objects)]
 
 
 @njit(cache=True, nogil=True)
 def cast(world, origins, directions, seconds, limit_m, found):
-    """What rays (3, N) at times (N,) hit first within a limit. They go fastest in an order that keeps neighbours near."""
-    packet = new_packet(len(world.dynamic.roots))
-    count, first = len(seconds), 0
-    moving = swept(world.dynamic, seconds.min() if count else 0.0, seconds.max() if count else 0.0)
+    """What rays (3, N) at times (N,) hit first within a limit; it is fastest for neighbours in succession."""
+    static, dynamic, ground_m, count, first = world.static, world.dynamic, world.ground_m, len(seconds), 0
+    packet, moved, rows = new_packet(len(dynamic.roots)), new_poses(), np.arange(len(seconds))
+    dynamics, slots, range_m, slot = len(dynamic.roots), len(static.kind), found.range_m, found.slot
+    moving = swept(dynamic, seconds.min(), seconds.max())
     while first < count:
         some, face = alike(directions, first, count)
         load(packet, origins, directions, first, some, face)
-        hit(world, moving, packet, seconds, first, some, face, limit_m)
-        for n in range(some):
-            keep(world, packet, n, face, seconds[first + n], found, first + n)
+        hit(ground_m, static, packet, face, limit_m)
+        if dynamics:
+            hit_dynamic(dynamic, moving, packet, moved, seconds, first, some, face, slots)
+        keep(packet.rays, rows, first, some, range_m, slot)
+        keep_normals(world, packet, moved, seconds, first, some, face, rows, found)
         first += some

@@ -174,7 +174,7 @@ def test_carla_by_hand(rpy_deg, axis, told, points):
 
 
 def test_carla_is_told_what_the_sensor_is():
-    vlp = turned(rpm=1200.0, realism=Realism(range_noise_m=0.02, dropout_share=0.1))
+    vlp = turned(rpm=1200.0, realism=Realism(range_noise_m=0.02, dropout_fraction=0.1))
     warnings = []
     (sensor,) = json.loads(carla(Rig("one", (vlp,)), no_warning))["sensors"]
     assert (sensor["type"], sensor["id"]) == ("sensor.lidar.ray_cast", "lidar")

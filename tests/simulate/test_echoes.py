@@ -4,27 +4,26 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidarcfg.geometry import directions
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.echoes import Met, echoes, extinction_per_m, single, sub_rays, uniforms, wide
+from lidarcfg.simulate.echoes import SubRays, beam, echoes, extinction_per_m, single, uniforms
 from lidarcfg.world.scene import Weather
 from tests.capture_fixtures import scene
 
 VLP16 = load_sensor("vlp-16")
-EDGE = np.array([1, 4, 1]) / 6  # shares of light of three sub-rays side by side
+EDGE = np.array([1, 4, 1]) / 6  # weights of three sub-rays side by side
 
 
-def made(range_m, reflectivity, shares=(1.0,), cosine=1.0, first=0, weather=None, objects=0, **realism):
+def made(range_m, reflectivity, weights=(1.0,), cosine=1.0, first=0, weather=None, objects=0, **realism):
     """The echoes of firings (N, K)."""
     range_m = np.array(range_m, np.float64)
-    met = Met(
+    hits = SubRays(
         range_m,
         np.broadcast_to(np.array(reflectivity, np.uint8), range_m.shape),
         np.broadcast_to(np.array(objects, np.int32), range_m.shape),
         np.broadcast_to(cosine, range_m.shape),
     )
-    return echoes(VLP16, Realism(**realism), weather or Weather(), 0, first, np.array(shares), met)
+    return echoes(VLP16, Realism(**realism), weather or Weather(), 0, first, np.array(weights), hits)
 
 
 def flat(range_m, count):
@@ -69,7 +68,7 @@ def test_range_by_reflectivity_and_incidence(reflectivity, cosine):
 
 
 def test_what_is_black_stays_without_a_budget():
-    assert made([[10]], 0, dropout_share=0.0).range_m.tolist() == [[10, 10, 10]]
+    assert made([[10]], 0, dropout_fraction=0.0).range_m.tolist() == [[10, 10, 10]]
 
 
 def test_noise_is_normal():
@@ -82,7 +81,7 @@ def test_noise_is_normal():
 
 
 def test_dropouts_are_binomial():
-    lost = (~np.isfinite(made(flat(10, 20_000), 50, dropout_share=0.1, seed=9).range_m[:, 0])).sum()
+    lost = (~np.isfinite(made(flat(10, 20_000), 50, dropout_fraction=0.1, seed=9).range_m[:, 0])).sum()
     assert stats.binomtest(int(lost), 20_000, 0.1).pvalue > 0.01
 
 
@@ -125,27 +124,20 @@ def test_fog_hides_and_shines():
 
 
 def test_nothing_met_is_nothing():
-    for options in ({}, {"range_noise_m": 0.1}, {"dropout_share": 0.5}, {"range_10_percent_m": 5.0}):
+    for options in ({}, {"range_noise_m": 0.1}, {"dropout_fraction": 0.5}, {"range_10_percent_m": 5.0}):
         assert np.isinf(made([[np.inf, np.inf, np.inf]] * 4, 50, EDGE, **options).range_m).all()
     assert np.isinf(made([[100.5]], 50).range_m).all()  # beyond what a VLP-16 measures
 
 
 def test_a_wide_beam():
-    """Nine unit vectors whose light has the beam's variance: a sixteenth of the squared full angle at 1/e²."""
-    axes = directions(np.radians([0, 77, 200]), np.radians([0, 15, -15]))
-    rays, shares = wide(axes, VLP16)
-    assert rays.shape == (3, 9, 3)
-    assert shares.sum() == pytest.approx(1)
-    np.testing.assert_allclose(np.linalg.norm(rays, axis=2), 1)
-    off = rays - axes[:, None]
-    up = np.cross(np.cross([0, 0, 1.0], axes), axes)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    vertical = np.einsum("nkd,nd->nk", off, up)
-    across = np.einsum("nkd,nd->nk", off, np.cross(up, axes))
-    np.testing.assert_allclose(vertical**2 @ shares, (1.5e-3 / 4) ** 2, rtol=1e-4)
-    np.testing.assert_allclose(across**2 @ shares, (3e-3 / 4) ** 2, rtol=1e-4)
-    assert sub_rays(VLP16, Realism(divergence=True)) == 9
-    assert sub_rays(VLP16, Realism()) == 1
+    """Nine rays whose light has the beam's variance: a sixteenth of the squared full angle at 1/e²."""
+    across, above, weights = beam(VLP16, Realism(divergence=True))
+    assert len(across) == len(above) == len(weights) == 9
+    assert len(set(zip(across, above, strict=True))) == 9
+    assert weights.sum() == pytest.approx(1)
+    assert above**2 @ weights == pytest.approx((1.5e-3 / 4) ** 2)
+    assert across**2 @ weights == pytest.approx((3e-3 / 4) ** 2)
+    assert [values.tolist() for values in beam(VLP16, Realism())] == [[0], [0], [1]]
 
 
 def test_thin_exact_beams_have_one_echo():

@@ -20,8 +20,8 @@ from lidarcfg.rig import Rig
 from lidarcfg.sensor import custom_sensor
 from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
+from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import (
     STREET,
     alone,
@@ -65,10 +65,9 @@ def truth(street, rig, index):
     fired = firings(sensor, rig.mounts[index].rpm, start, range(PACKETS))
     T = T_WORLD_VEHICLE @ rig.mounts[index].T_vehicle_sensor
     origins, directions = rays(sensor, fired)
-    caster = Raycaster(street, T_WORLD_VEHICLE[:3, 3])
-    range_m, reflectivity, *_ = caster.cast(
-        transform(T, origins.reshape(-1, 3)), directions.reshape(-1, 3) @ T[:3, :3].T
-    )
+    tracer = Tracer(street, T_WORLD_VEHICLE[:3, 3])
+    hits = tracer.cast(transform(T, origins.reshape(-1, 3)), directions.reshape(-1, 3) @ T[:3, :3].T)
+    range_m, reflectivity = hits.range_m, np.append(street.reflectivity, 0)[hits.object]
     seen = (range_m >= 0.5) & (range_m <= 100)
     laser = np.broadcast_to(np.arange(16), fired.time_ns.shape).ravel()
     packet = np.arange(len(laser)) // 384

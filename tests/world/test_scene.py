@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError, LidarcfgError, SceneError
-from lidarcfg.world.scene import load_scene, read_mesh
+from lidarcfg.world.meshes import read_mesh
+from lidarcfg.world.scene import load_scene
+from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import STREET, scene
 
 PLY = """ply
@@ -25,7 +27,8 @@ end_header
 
 def volume(scene):
     """By the divergence theorem: positive only if every facet looks outwards."""
-    a, b, c = scene.vertices_m[scene.triangles].transpose(1, 0, 2)
+    vertices, triangles = scene.mesh(0.001)
+    a, b, c = vertices[triangles].transpose(1, 0, 2)
     return np.einsum("ij,ij->", a, np.cross(b, c)) / 6
 
 
@@ -39,12 +42,21 @@ def test_volumes(tmp_path):
     assert volume(pole) == pytest.approx(math.pi * 0.25 * 2, rel=1e-2)
 
 
-def test_facets_stay_within_a_millimetre(tmp_path):
+@pytest.mark.parametrize("tolerance_m", [0.001, 0.01])
+def test_drawn_facets_stay_within_their_tolerance(tmp_path, tolerance_m):
     for radius in (0.05, 0.25, 2.0, 10.0, 26.0):
         ball = scene(tmp_path, f"spheres: [{{name: s, center_m: [0, 0, 0], radius_m: {radius}, reflectivity: 9}}]")
-        triangles = ball.vertices_m[ball.triangles]
+        vertices, triangles = ball.mesh(tolerance_m)
+        triangles = vertices[triangles]
         edges = (triangles + np.roll(triangles, 1, axis=1)) / 2
-        assert np.linalg.norm(edges, axis=2).min() > radius - 0.001
+        assert np.linalg.norm(edges, axis=2).min() > radius - tolerance_m
+
+
+def test_large_spheres_take_no_memory(tmp_path):
+    items = ", ".join(f"{{name: s{i}, center_m: [0, 0, {i}], radius_m: 1e7, reflectivity: 9}}" for i in range(100))
+    stage = scene(tmp_path, f"spheres: [{items}]")
+    assert len(stage.vertices_m) == len(stage.triangles) == 0
+    assert sum(values.nbytes for values in Tracer(stage, np.zeros(3)).world.static[1:]) < 20_000
 
 
 def test_yaw_turns_left(tmp_path):
@@ -153,12 +165,11 @@ def test_refused(tmp_path, text, message):
         (PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "a triangle names vertex 7; there are 3"),
     ],
 )
-def test_unsound_mesh(tmp_path, capfd, content, message):
+def test_unsound_mesh(tmp_path, content, message):
     (tmp_path / "m.ply").write_text(content)
     with pytest.raises(ConfigError, match=r"scene\.yaml:2:20: meshes\[0\]\.file: .*m\.ply: ") as error:
         scene(tmp_path, "meshes: [{name: m, file: m.ply, position_m: [0, 0, 0], reflectivity: 1}]")
     assert message in str(error.value)
-    assert capfd.readouterr() == ("", "")
 
 
 def test_mesh_without_permission(tmp_path, monkeypatch):

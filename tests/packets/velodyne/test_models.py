@@ -30,8 +30,8 @@ from lidarcfg.sensor import catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.export import START_NS, export
 from lidarcfg.simulate.ground_truth import records
-from lidarcfg.world.raycast import Raycaster
 from lidarcfg.world.scene import load_scene
+from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import AT_NS, STREET, hdl_64e, mount, no_warning, recording, scene
 from tests.capture_fixtures import write_datagrams as write_pcap
 from tests.packets.velodyne.shaped import (
@@ -525,7 +525,7 @@ def test_a_unit_through_the_commands(tmp_path):
     np.testing.assert_allclose(mine.xyz, transform(T, bare.xyz), rtol=0, atol=1e-12)
     fired = firings(unit, 600, START_NS, range(1_500_000_000 // packet_period_ns(unit)))
     origins, directions = (values.reshape(-1, 3) for values in rays(unit, fired))
-    hits = Raycaster(load_scene(STREET), np.zeros(3)).cast(transform(T, origins), directions @ T[:3, :3].T)
+    hits = Tracer(load_scene(STREET), np.zeros(3)).cast(transform(T, origins), directions @ T[:3, :3].T)
     met = np.flatnonzero((hits.range_m >= unit.range.min_m) & (hits.range_m <= unit.range.max_m))
     assert len(mine.xyz) == len(met) > 1_000_000
     assert abs(mine.time_ns - fired.time_ns.ravel()[met]).max() <= 1000

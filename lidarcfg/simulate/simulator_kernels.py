@@ -1,0 +1,191 @@
+"""The rays of firings, aimed and traced in one loop: from encoder angles to what is hit."""
+
+# mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
+from lidarcfg.world.motion_kernels import VELOCITY, Paths, column, matrix, poses, product, times
+from lidarcfg.world.shapes import FAST
+from lidarcfg.world.tracer_kernels import SIZE, alike, load, new_packet
+from lidarcfg.world.world_kernels import hit, hit_dynamic, keep, keep_normals, new_poses, swept
+
+BLOCK_NS = 50_000_000  # for which dynamic objects are held by the same spheres
+# pi / 2 in two parts, and the series of sin and cos up to pi / 4, as in fdlibm (k_sin.c, k_cos.c, Sun 1993)
+QUARTER, QUARTER_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
+SIN = (-1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04, 2.75573137070700676789e-06,
+       -2.50507602534068634195e-08, 1.58969099521155010221e-10)  # fmt: skip
+COS = (4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05, -2.75573143513906633035e-07,
+       2.08757232129817482790e-09, -1.13596475577881948265e-11)  # fmt: skip
+
+
+class Lasers(NamedTuple):
+    """The L lasers of a sensor, and the K rays of a beam of each."""
+
+    cos_elevation: Array  # (L,)
+    sin_elevation: Array
+    cos_offset: Array  # of the azimuth
+    sin_offset: Array
+    left_m: Array
+    up_m: Array
+    across: Array  # (K,) tangents of the angles by which the rays of a beam leave its axis
+    above: Array
+
+
+class Frames(NamedTuple):
+    """Where a sensor is: mounted in a vehicle that moves along a path in the world. All relative to a local origin."""
+
+    R_world_start: Array  # (3, 3)
+    t_world_start: Array  # (3,)
+    paths: Paths  # one
+    zero_ns: int  # the path's time 0
+    R_vehicle_sensor: Array  # (3, 3)
+    t_vehicle_sensor: Array  # (3,)
+
+
+@njit(cache=True, nogil=True)
+def grouped(laser, time_ns, lasers, block_ns):
+    """The group of each firing, by block of time (0: all is one) and laser; and their order by group.
+
+    Neighbours in that order point nearly the same way.
+    """
+    group, first_ns = np.empty(len(laser), np.int64), time_ns.min()
+    for n in range(len(laser)):
+        block = (time_ns[n] - first_ns) // block_ns if block_ns else 0
+        group[n] = block * lasers + laser[n]
+    begin, order = np.zeros(group.max() + 2, np.int64), np.empty(len(laser), np.int64)
+    for n in range(len(laser)):
+        begin[group[n] + 1] += 1
+    for k in range(len(begin) - 1):
+        begin[k + 1] += begin[k]
+    for n in range(len(laser)):
+        order[begin[group[n]]] = n
+        begin[group[n]] += 1
+    return group, order
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def cos_sin(angle):
+    """Both of an angle, without branches, so that loops vectorise; the error is some 2e-16 up to many revolutions."""
+    quarters = math.floor(angle * (2 / math.pi) + 0.5)
+    x = (angle - quarters * QUARTER) - quarters * QUARTER_LOW
+    z, q = x * x, np.int32(quarters)
+    s = x + x * z * (SIN[0] + z * (SIN[1] + z * (SIN[2] + z * (SIN[3] + z * (SIN[4] + z * SIN[5])))))
+    c = 1 - 0.5 * z + z * z * (COS[0] + z * (COS[1] + z * (COS[2] + z * (COS[3] + z * (COS[4] + z * COS[5])))))
+    even = (q & 1) == 0
+    cosine, sine = (c if even else s), (s if even else c)
+    return (-cosine if ((q + 1) & 2) != 0 else cosine), (-sine if (q & 2) != 0 else sine)
+
+
+@njit(cache=True, nogil=True)
+def _place(frames, seconds, count, moved, R, t):
+    """Write where the sensor is at times (count,), rotations to R (9, SIZE) and positions to t (3, SIZE)."""
+    mount, start = frames.t_vehicle_sensor, frames.t_world_start
+    outer, inner = matrix(frames.R_world_start), matrix(frames.R_vehicle_sensor)
+    poses(frames.paths, 0, seconds, 0, count, moved.R, moved.t)
+    for n in range(count):
+        m = product(outer, column(moved.R, n))
+        rotation, (x, y, z) = product(m, inner), times(m, mount[0], mount[1], mount[2])
+        u, v, w = times(outer, moved.t[0, n], moved.t[1, n], moved.t[2, n])
+        for k in range(9):
+            R[k, n] = rotation[k]
+        t[0, n], t[1, n], t[2, n] = x + (u + start[0]), y + (v + start[1]), z + (w + start[2])
+
+
+@njit(cache=True, nogil=True)
+def _drift(base, slope, seconds, t):
+    """The positions of a sensor whose rotation is constant: where it is at time 0, and its velocity (3,)."""
+    for k in range(3):
+        for n in range(SIZE):
+            t[k, n] = base[k] + slope[k] * seconds[n]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _aim(lasers, k, encoder, R, t, axes, origins):
+    """Write where the beams of laser k start, in the world, (3, SIZE), and where they point in the sensor's frame."""
+    cos_w, sin_w, cos_o, sin_o = (
+        lasers.cos_elevation[k],
+        lasers.sin_elevation[k],
+        lasers.cos_offset[k],
+        lasers.sin_offset[k],
+    )
+    left_m, up_m = lasers.left_m[k], lasers.up_m[k]
+    for n in range(SIZE):
+        cos_h, sin_h = cos_sin(encoder[n])
+        c, s = cos_h * cos_o - sin_h * sin_o, sin_h * cos_o + cos_h * sin_o
+        axes[0, n], axes[1, n], axes[2, n] = cos_w * c, -cos_w * s, sin_w
+        x, y = left_m * s, left_m * c
+        origins[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * up_m + t[0, n]
+        origins[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * up_m + t[1, n]
+        origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * up_m + t[2, n]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _spread(axes, across, above, R, directions):
+    """Write the directions in the world, (3, SIZE), of rays so far beside the axes, to the right and above."""
+    for n in range(SIZE):
+        x, y, z = axes[0, n], axes[1, n], axes[2, n]
+        if across != 0 or above != 0:
+            flat = math.sqrt(x * x + y * y)
+            u, v = y / flat, -x / flat  # to the right; above is that times the axis
+            x, y, z = x + across * u + above * (v * z), y + across * v - above * (u * z), z + above * (u * y - v * x)
+            length = math.sqrt(x * x + y * y + z * z)
+            x, y, z = x / length, y / length, z / length
+        directions[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * z
+        directions[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * z
+        directions[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z
+
+
+@njit(cache=True, nogil=True)
+def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
+    """Find what the K rays of each of N firings hit within a limit, and write it to N K rows, firing by firing.
+
+    Firings are times, lasers and encoder angles; dynamic objects have their time 0 at `zero_ns`.
+    """
+    time_ns, laser, encoder_rad = firings
+    static, dynamic, ground_m, range_m, slot = world.static, world.dynamic, world.ground_m, found.range_m, found.slot
+    dynamics, slots, cosines, rays = len(dynamic.roots), len(static.kind), len(found.cosine), len(lasers.across)
+    group, order = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
+    seconds, encoder, path_s, rows = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.empty(SIZE, np.int64)
+    packet, moved, R, t = new_packet(dynamics), new_poses(), np.empty((9, SIZE)), np.empty((3, SIZE))
+    axes, origins, directions = np.empty((3, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
+    turns, v = frames.paths.kind[0] > VELOCITY, frames.paths.values[0]
+    slope = times(matrix(frames.R_world_start), v[0], v[1], v[2])
+    _place(frames, path_s, SIZE, moved, R, t)
+    base, block, first = t[:, 0].copy(), -1, 0
+    moving = swept(dynamic, 0.0, 0.0)
+    while first < len(order):
+        here, count = group[order[first]], 0
+        while count < SIZE and first + count < len(order) and group[order[first + count]] == here:
+            n = order[first + count]
+            seconds[count], path_s[count] = (time_ns[n] - zero_ns) / 1e9, (time_ns[n] - frames.zero_ns) / 1e9
+            encoder[count] = encoder_rad[n]
+            count += 1
+        if dynamics and here // len(lasers.left_m) != block:
+            block = here // len(lasers.left_m)
+            begin_s = (time_ns.min() + block * BLOCK_NS - zero_ns) / 1e9
+            moving = swept(dynamic, begin_s, begin_s + BLOCK_NS / 1e9)
+        if turns:
+            _place(frames, path_s, count, moved, R, t)
+        else:
+            _drift(base, slope, path_s, t)
+        _aim(lasers, here % len(lasers.left_m), encoder, R, t, axes, origins)
+        for ray in range(rays):
+            _spread(axes, lasers.across[ray], lasers.above[ray], R, directions)
+            done = 0
+            while done < count:
+                some, face = alike(directions, done, count)
+                load(packet, origins, directions, done, some, face)
+                hit(ground_m, static, packet, face, limit_m)
+                if dynamics:
+                    hit_dynamic(dynamic, moving, packet, moved, seconds, done, some, face, slots)
+                for n in range(done, done + some):
+                    rows[n] = order[first + n] * rays + ray
+                keep(packet.rays, rows, done, some, range_m, slot)
+                if cosines:
+                    keep_normals(world, packet, moved, seconds, done, some, face, rows, found)
+                done += some
+        first += count

@@ -1,0 +1,111 @@
+"""Triangle meshes: of the shapes of a scene, and from files."""
+
+import math
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.config import COORDINATE_MAX_M, Vec3
+from lidarcfg.errors import SceneError
+from lidarcfg.geometry import Array, pose, transform
+
+if TYPE_CHECKING:
+    from lidarcfg.world.scene import Box, Cylinder, MeshFile, Plane, Sphere
+
+Mesh = tuple[Array, NDArray[np.int64]]  # vertices (V, 3) in metres, triangles (T, 3)
+
+
+def box_mesh(box: "Box") -> Mesh:
+    """Eight corners, twelve triangles."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = np.array([corner for a, b, c, d in faces for corner in ((a, b, c), (a, c, d))])
+    T_world_box = pose(box.center_m, (0.0, 0.0, math.radians(box.yaw_deg)))
+    return transform(T_world_box, corners * box.size_m), triangles
+
+
+def plane_mesh(plane: "Plane") -> Mesh:
+    """Four corners, two triangles."""
+    corners = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
+    T_world_plane = pose(plane.center_m, np.radians(plane.rpy_deg))
+    return transform(T_world_plane, corners * (*plane.size_m, 1.0)), np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def cylinder_mesh(cylinder: "Cylinder", tolerance_m: float) -> Mesh:
+    """Two rings and the centres of its ends, within a tolerance of the cylinder."""
+    radius, height = cylinder.radius_m, cylinder.height_m
+    profile = np.array([[0, 0], [radius, 0], [radius, height], [0, height]])
+    return lathe(profile, _facets(radius, tolerance_m), cylinder.base_m)
+
+
+def sphere_mesh(sphere: "Sphere", tolerance_m: float) -> Mesh:
+    """Rings from pole to pole, within a tolerance of the sphere."""
+    facets = _facets(sphere.radius_m, tolerance_m / 2)  # half along the rings, half across
+    angle = np.linspace(0, math.pi, facets // 2 + 1)
+    profile = sphere.radius_m * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    profile[[0, -1], 0] = 0.0  # sin(pi) is not, and would leave a hole of 1e-16 m
+    return lathe(profile, facets, sphere.center_m)
+
+
+def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
+    """The profile (N, 2) of radius and height turned about the vertical through `position_m`."""
+    turn = np.arange(facets) * (2 * math.pi / facets)
+    radius, height = profile[:, :1], profile[:, 1:]
+    rings = np.stack([radius * np.cos(turn), radius * np.sin(turn), height + 0 * turn], axis=-1)
+    index = np.arange(len(profile) * facets).reshape(len(profile), facets)
+    a, b = index[:-1].ravel(), np.roll(index, -1, axis=1)[:-1].ravel()
+    c, d = np.roll(index, -1, axis=1)[1:].ravel(), index[1:].ravel()
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return rings.reshape(-1, 3) + position_m, triangles
+
+
+def _facets(radius_m: float, tolerance_m: float) -> int:
+    """How many sides keep a polygon's chords that near to its circle; even, 16 to 512."""
+    half = math.acos(max(1 - tolerance_m / radius_m, 0.0))
+    return min(max(2 * math.ceil(math.pi / half / 2), 16), 512)
+
+
+def placed(mesh: Mesh, item: "MeshFile") -> Mesh:
+    """The mesh in the world frame. Raises SceneError if its scale makes it too large."""
+    vertices, triangles = mesh
+    far = np.flatnonzero((abs(vertices) > COORDINATE_MAX_M / item.scale).any(axis=1))
+    if len(far):
+        what = f"vertex {far[0]} is beyond {COORDINATE_MAX_M:g} m with the scale {item.scale:g}"
+        raise SceneError(f"{item.file}: {what}")
+    return transform(pose(item.position_m, np.radians(item.rpy_deg)), vertices * item.scale), triangles
+
+
+def read_mesh(path: Path) -> Mesh:
+    """The mesh in a file. Raises SceneError if there is none, or not a sound one."""
+    import open3d as o3d
+
+    _check_readable(path)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        mesh = o3d.io.read_triangle_mesh(path)
+    vertices = np.array(mesh.vertices, np.float64)
+    triangles = np.array(mesh.triangles, np.int64)
+    if not len(triangles):
+        raise SceneError(f"{path}: no triangles that Open3D can read")
+    if not np.isfinite(vertices).all():
+        raise SceneError(f"{path}: vertex {np.argwhere(~np.isfinite(vertices))[0][0]} is not finite")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        bad = triangles[(triangles < 0) | (triangles >= len(vertices))][0]
+        raise SceneError(f"{path}: a triangle names vertex {bad}; there are {len(vertices)}")
+    return vertices, triangles
+
+
+def _check_readable(path: Path) -> None:
+    """Raises SceneError, as Open3D does not tell a file that it cannot open from one without triangles."""
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            path.open("rb").close()
+    except OSError as error:
+        raise SceneError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    except ValueError as error:
+        raise SceneError(f"{str(path)!r}: {error}") from None
+    if not stat.S_ISREG(mode):
+        raise SceneError(f"{path}: is {'a directory' if stat.S_ISDIR(mode) else 'not a regular file'}")
