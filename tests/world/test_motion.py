@@ -142,7 +142,6 @@ def test_objects_that_move(tmp_path):
     origins = np.zeros((31, 3))
     range_m, objects, *_ = tracer.cast(origins, np.tile([0.0, 1, 0], (31, 1)), time_ns)
     np.testing.assert_allclose(range_m, 18 - 4 * seconds, atol=0.002)
-    assert set(reflectivity) == {9}
     assert {stage.names[i] for i in objects} == {"s"}
     turned = (np.radians(30 * seconds) + np.pi / 4) % (np.pi / 2) - np.pi / 4
     range_m, _, _, normal = tracer.cast(origins, np.tile([1.0, 0, 0], (31, 1)), time_ns)
@@ -204,5 +203,3 @@ def test_between_poses_scipy_agrees():
     np.testing.assert_allclose(R, Slerp(times, turns)(asked).as_matrix(), atol=1e-13)
     np.testing.assert_allclose(t, np.stack([np.interp(asked, times, c) for c in places.T], axis=1), atol=1e-11)
     np.testing.assert_allclose(t[1000:], places, atol=1e-12)
-    fastest = max((turns[:-1].inv() * turns[1:]).magnitude() / np.diff(times))
-    assert path.turn_max_rad_s == pytest.approx(fastest)
