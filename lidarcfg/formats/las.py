@@ -32,9 +32,12 @@ TIME_MAX_S = 9e9  # beyond it, nanoseconds since 1970 do not fit into int64
 DAY_NS = 86_400 * 10**9
 CHUNK = 1 << 20  # points
 CHUNK_BYTES = 1 << 26  # read at a time, whatever the size of a point
-# Places in the header, by LAS 1.4: where the points begin, how many VLRs there are, and the point format, with
-# its highest bit set in LAZ. Then the fewest bytes of a VLR and of a chunk.
-POINTS_AT, VLRS_AT, FORMAT_AT, COMPRESSED, VLR_HEAD, CHUNK_LEAST = 96, 100, 104, 0x80, 54, 20
+# Places in the header and in a VLR, by LAS 1.4 and the LASzip specification: the header's size, where the points begin,
+# the number of VLRs, the point format, with its highest bit set in LAZ, and a point's size; in a VLR its user, record
+# and length; in LASzip's VLR the number of items, each with two bytes of type, of size and of version.
+HEADER_AT, POINTS_AT, VLRS_AT, FORMAT_AT, SIZE_AT, COMPRESSED = 94, 96, 100, 104, 105, 0x80
+VLR_USER_AT, VLR_RECORD_AT, VLR_HEAD, LASZIP, LASZIP_ITEMS_AT = 2, 18, 54, b"laszip encoded", 32
+CHUNK_LEAST = 20  # bytes, fewer than any chunk has
 
 
 def save_las(path: Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
@@ -97,7 +100,7 @@ def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) 
     """
     laspy, lazrs = _libraries()
     try:
-        _check_counts(path)
+        _check_header(path)
         with laspy.open(path, read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
             columns, header = _read(laspy, reader, chunk), reader.header
         given = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == (VLR_USER, VLR_RECORD)]
@@ -144,23 +147,36 @@ def _time_ns(path: Path, gps_s: Array, week: bool) -> NDArray[np.int64]:
     return np.rint(gps_s * 1e9).astype(np.int64) if week else unix_ns(gps_s)
 
 
-def _check_counts(path: Path) -> None:
-    """Raises ValueError where the file announces more VLRs or chunks than it can hold.
+def _check_header(path: Path) -> None:
+    """Raises ValueError for numbers that laspy and lazrs would take at their word.
 
-    laspy would look for all the VLRs; lazrs would allocate memory for all the chunks, and end the process.
+    laspy would look for as many VLRs as are announced; lazrs would allocate memory for as many chunks, and end the
+    process, and panic where the items of a point do not add up to its size.
     """
     with open(path, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         vlrs, points_at = _unpacked(file, VLRS_AT, "<I")[0], _unpacked(file, POINTS_AT, "<I")[0]
         if vlrs * VLR_HEAD > size:
             raise ValueError(f"{vlrs} VLRs are announced, and not there")
-        if _unpacked(file, FORMAT_AT, "<B")[0] & COMPRESSED:
-            (table_at,) = _unpacked(file, points_at, "<q")
-            if table_at == -1:  # written as a stream: the last bytes say it
-                (table_at,) = _unpacked(file, size - 8, "<q")
-            chunks = _unpacked(file, table_at, "<II")[1]  # after its version
-            if chunks * CHUNK_LEAST > size:
-                raise ValueError(f"{chunks} chunks are announced, and not there")
+        if not _unpacked(file, FORMAT_AT, "<B")[0] & COMPRESSED:
+            return
+        (table_at,) = _unpacked(file, points_at, "<q")
+        if table_at == -1:  # written as a stream: it is at the end
+            (table_at,) = _unpacked(file, size - 8, "<q")
+        chunks = _unpacked(file, table_at, "<II")[1]  # after its version
+        if chunks * CHUNK_LEAST > size:
+            raise ValueError(f"{chunks} chunks are announced, and not there")
+        (at,) = _unpacked(file, HEADER_AT, "<H")
+        for _ in range(vlrs):
+            length = _unpacked(file, at + VLR_RECORD_AT, "<HH")[1]
+            file.seek(at + VLR_USER_AT)
+            if file.read(len(LASZIP)) == LASZIP:
+                items_at = at + VLR_HEAD + LASZIP_ITEMS_AT
+                (count,) = _unpacked(file, items_at, "<H")
+                items = _unpacked(file, items_at + 2, f"<{3 * count}H")
+                if not count or sum(items[1::3]) != _unpacked(file, SIZE_AT, "<H")[0]:
+                    raise ValueError("its LASzip items are not those of its points")
+            at += VLR_HEAD + length
 
 
 def _unpacked(file: IO[bytes], at: int, form: str) -> tuple[int, ...]:

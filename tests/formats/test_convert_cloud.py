@@ -272,6 +272,19 @@ def test_a_chunk_table_that_lies(tmp_path):
         load_las(tmp_path / "a.laz", no_warning)
 
 
+@pytest.mark.parametrize(("at", "value"), [(32, 0), (32, 999), (36, 29), (42, 6)])
+def test_laszip_items_that_lie(tmp_path, at, value):
+    """The number of items, and their sizes: where they do not make up a point, lazrs would panic."""
+    save_las(tmp_path / "a.laz", timed())
+    raw = bytearray((tmp_path / "a.laz").read_bytes())
+    data = raw.index(b"laszip encoded") - 2 + 54
+    assert raw[data + 32 : data + 44] == b"\2\0" + b"\x0a\0\x1e\0\3\0" + b"\x0e\0\4\0"  # 30 and 4 bytes
+    raw[data + at : data + at + 2] = value.to_bytes(2, "little")
+    (tmp_path / "a.laz").write_bytes(raw)
+    with pytest.raises(CloudError, match=r"not a whole laz file: (its LASzip items|it has no byte)"):
+        load_las(tmp_path / "a.laz", no_warning)
+
+
 def test_far_too_wide_for_las(tmp_path):
     wide = timed(2, xyz=np.array([[0, 0, 0], [0, 5e5, 0]]))
     with pytest.raises(CloudError, match=r"a\.las: the cloud is 500000 m wide; LAS in steps of 0\.1 mm has 429496"):
