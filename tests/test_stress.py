@@ -587,7 +587,7 @@ def use_study(path):
     assert (corners <= study.upper)[:, np.isnan(study.mirror)].all()
     assert np.isfinite(study.violation(corners)).all()
     with Evaluator(study.region, [slot.sensor.sin_elevation for slot in study.slots], threads=1) as evaluator:
-        cost = evaluator.max_vsr(corners, np.zeros(3, int), corners[:1], np.full(3, np.inf))
+        cost = evaluator.costs(corners, np.zeros(3, int), corners[:1], np.full(3, np.inf))
     assert (cost > 0).all()
     assert np.isfinite(cost).all()
     assert math.isfinite(study.cost(corners[1]))

@@ -46,7 +46,7 @@ def mealpy(study: Study, seed: int, evaluations: int) -> list[tuple[int, float]]
             poses = study.poses(np.asarray(x)[None])
             value = INFEASIBLE * (1.0 + float(study.violation(poses)[0]))
             if value == INFEASIBLE:
-                value = float(evaluator.max_vsr(poses, np.zeros(1, np.int64), poses, np.full(1, np.inf))[0])
+                value = float(evaluator.costs(poses, np.zeros(1, np.int64), poses, np.full(1, np.inf))[0])
             best[0] = min(best[0], value)
             asked.append((len(asked) + 1, best[0]))
             return value

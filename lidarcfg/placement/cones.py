@@ -73,13 +73,16 @@ def beam_gap(x: float, y: float, z: float, cone: Array) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _gaps(points: Array, cone: Array, out: NDArray[np.int64]) -> None:
+def beam_gap_table(points: Array, cones: Array) -> NDArray[np.int64]:
+    """(N, lidars) the beam gap index of points (N, 3) for each row of `cone_rows`."""
+    out = np.empty((len(points), len(cones)), np.int64)
     for n in range(len(points)):
-        out[n] = beam_gap(points[n, 0], points[n, 1], points[n, 2], cone)
+        for lidar in range(len(cones)):
+            out[n, lidar] = beam_gap(points[n, 0], points[n, 1], points[n, 2], cones[lidar])
+    return out
 
 
 def gaps_at(points_m: Array, lidar: Lidar) -> NDArray[np.int64]:
     """(N,) the beam gap index of points (N, 3) for a LiDAR."""
-    out = np.empty(len(points_m), np.int64)
-    _gaps(np.ascontiguousarray(points_m, np.float64), cone_rows([lidar])[0], out)
-    return out
+    table: NDArray[np.int64] = beam_gap_table(np.ascontiguousarray(points_m, np.float64), cone_rows([lidar]))
+    return table[:, 0]

@@ -20,6 +20,7 @@ from lidarcfg.placement.subspace import Subspaces
 Counts = NDArray[np.int64]
 
 REPLICATES = 16  # independent scramblings, whose spread gives the confidence interval
+ALL = 2**63 - 1  # no end to the places where an object may go undetected
 
 
 class DetectionObject(Model):
@@ -87,7 +88,49 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> tuple[Counts,
     """
     size = cuboids_needed(item.size_m, subspaces.region.cuboid_m)
     layers = 1 if item.on_ground else subspaces.region.shape[2]
-    return kernels.detected_positions(subspaces.label, size, item.threshold, layers)
+    return kernels.detected_positions(subspaces.label, size, item.threshold, layers, ALL)
+
+
+def free_places(region: Region, item: DetectionObject) -> list[int]:
+    """How many places of an object are free of exclusions: in all, or of each replicate that has any."""
+    check_fits(item, region)
+    label = np.where(region.included, np.int32(0), np.int32(-1))
+    none = np.empty(0, np.int64)
+    one = Subspaces(region, label, none, none.reshape(0, 3), none.reshape(0, 0), none)
+    if not item.samples:
+        return [int(counted_places(one, item)[1].sum())]
+    counts = [_detected_boxes(one, item, box)[1] for box in _drawn_boxes(region, item, item.samples)]
+    return [count for count in counts if count]
+
+
+def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], limit: float) -> float:
+    """1 − the rate of `detection`; or a number from `limit` up, once it is known to be no less than the limit.
+
+    free: what free_places returns. Raises ConfigError where an object has no place at all.
+    """
+    if sum(free) == 0 or (item.samples and len(free) < 2):
+        raise ConfigError(f"{item.name}: finds no free place in the region")
+    if not item.samples:
+        places = free[0]
+        enough = ALL if limit > 1.0 else max(int(limit * places) - 2, 0)
+        while enough < places and 1.0 - (places - enough) / places < limit:
+            enough += 1
+        size = cuboids_needed(item.size_m, subspaces.region.cuboid_m)
+        layers = 1 if item.on_ground else subspaces.region.shape[2]
+        label = subspaces.label
+        detected, seen = kernels.detected_positions(label, size, item.threshold, layers, max(enough, 1))
+        misses = int(seen.sum() - detected.sum())
+        return 1.0 - (places - misses) / places
+    rates = np.ones(len(free))
+    number = 0
+    for box in _drawn_boxes(subspaces.region, item, item.samples):
+        detected_boxes, places = _detected_boxes(subspaces, item, box)
+        if places:
+            rates[number] = detected_boxes / places
+            number += 1
+            if 1.0 - float(np.mean(rates)) >= limit:
+                break
+    return 1.0 - float(np.mean(rates))
 
 
 def detection_by_distance(subspaces: Subspaces, item: DetectionObject, middle_m: Array, edges_m: Array) -> Rings:

@@ -11,13 +11,13 @@ from lidarcfg.placement.rows import Counts
 
 @njit(cache=True, nogil=True)
 def detected_positions(
-    labels: Labels, size: tuple[int, int, int], threshold: int, layers: int
+    labels: Labels, size: tuple[int, int, int], threshold: int, layers: int, misses: int
 ) -> tuple[Counts, Counts]:
     """At how many places a box of cuboids touches more than `threshold` subspaces, and how many places there are.
 
     labels (nx, ny, nz), −1 for excluded cuboids; size in cuboids; the box's lowest layer is one of the first `layers`.
     A place counts when the whole box lies inside the grid and contains no excluded cuboid. Both (mx, my), by the
-    lowest cuboid of the box along x and y, summed over layers.
+    lowest cuboid of the box along x and y, summed over layers. Ends early after so many places without detection.
     """
     nx, ny, nz = labels.shape
     seen = np.empty(threshold + 1, np.int32)
@@ -47,6 +47,9 @@ def detected_positions(
                         break
                 places[i, j] += free
                 detected[i, j] += free and found > threshold
+                misses -= free and found <= threshold
+                if misses == 0:
+                    return detected, places
     return detected, places
 
 

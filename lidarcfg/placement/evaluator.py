@@ -1,13 +1,14 @@
-"""Max VSR of many trials at once: on threads, and without the work that cannot change the answer.
+"""The costs of many trials at once: on threads, and without the work that cannot change the answer.
 
-A trial is kept only if it beats the food source it was drawn around. So the subspaces around a few witness cuboids
-(the source's worst ones, and what last refuted a trial of it) are flooded first; one of them that is no better
-than the source settles the trial. Only the LiDARs that moved are computed anew. None of this changes a cost that
-is kept: a test runs searches with and without it.
+A trial is kept only if it beats the food source that it was drawn around. For max VSR the subspaces around a few
+witness cuboids (the source's worst ones, and those that refuted earlier trials of it) are flooded first; one that is
+no better than the source refutes the trial. Only the LiDARs that moved are computed anew. Other terms of an objective
+have their own ways to prove that they are too large, see objective.py. None of this changes a cost that is kept: tests
+run whole searches with and without it.
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -18,10 +19,12 @@ from lidarcfg.placement import evaluator_kernels as kernels
 from lidarcfg.placement import rows
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows
 from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.objective import Criterion
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.subspace import Subspaces, segment
 
-CACHE_BYTES = 256 * 2**20  # for the links of the food sources; where they would need more, none are kept
+CACHE_BYTES = 256 * 2**20
+RESTS = 10  # so many batches go without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 
 
@@ -33,23 +36,33 @@ def max_vsr(region: Region, lidars: Sequence[Lidar]) -> float:
 class Evaluator:
     """Evaluates poses (n, lidars, 6) of sensors with these sines of elevation; a context that owns its threads.
 
-    Results depend neither on the number of threads nor on `skip`, which turns the savings off.
+    Without a criterion the cost is max VSR. Results depend neither on the number of threads, nor on `skip`, which
+    turns the savings off, nor on cache_bytes: the links of the food sources are kept if they fit.
     """
 
-    def __init__(self, region: Region, sines: Sequence[Array], threads: int | None = None, skip: bool = True) -> None:
-        self._region, self._sines, self._skip = region, sines, skip
-        self._threads = threads or os.cpu_count() or 1
+    def __init__(
+        self,
+        region: Region,
+        sines: Sequence[Array],
+        threads: int | None = None,
+        skip: bool = True,
+        criterion: Criterion | None = None,
+        cache_bytes: int = CACHE_BYTES,
+    ) -> None:
+        self._region, self._sines, self._skip, self._criterion = region, sines, skip, criterion
+        self._threads, self._cache_bytes = threads or os.cpu_count() or 1, cache_bytes
         self._pool = ThreadPoolExecutor(self._threads)
         origin = np.zeros(3)
         self._square = cone_rows([Lidar(origin, origin, sine) for sine in sines])[:, FIRST:]
         self._grid = rows.Grid.of(region)
-        self._poses = np.empty((0, len(sines), 6))  # of the food sources, as _witness has them
-        self._linked = self._poses  # and as _links has them
+        self._poses = np.empty((0, len(sines), 6))  # of the food sources, for _witness
+        self._linked = self._poses  # and for _links
         self._links = np.empty((0, len(sines), *self._grid.links.shape), np.uint64)  # (sources, …), or none
         self._witness = np.empty((0, kernels.WITNESSES), np.int64)  # (sources, …)
-        self._told: tuple[Index, Array, Index] = (np.empty(0, np.int64), self._poses, self._witness)
+        self._last: tuple[Index, Array, Index] = (np.empty(0, np.int64), self._poses, self._witness)
+        self._rest = 0  # see RESTS
         self.full_evaluations = 0
-        self.cuboids = 0  # looked at
+        self.cuboids = 0  # evaluated
 
     def __enter__(self) -> "Evaluator":
         return self
@@ -57,20 +70,64 @@ class Evaluator:
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
 
-    def map(self, function: Callable[[Array], float], poses: Array) -> Array:
-        """`function` of each of the poses (n, lidars, 6), on the threads: (n,)."""
-        return np.array(list(self._pool.map(function, poses)), np.float64)
-
-    def max_vsr(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
-        """(n,) max VSR in metres, or inf where it is not below `to_beat` (n,).
+    def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
+        """(n,) the costs, or inf where one is not below `to_beat` (n,).
 
         poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn
         around, and matters for speed alone.
         """
-        cones = self._cones(poses)
-        moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
         if not self._skip:
             to_beat = np.full(len(poses), np.inf)
+        if self._criterion is None or self._criterion.is_max_vsr:
+            cost, full = self._max_vsr(poses, source, source_poses, to_beat)
+            self.full_evaluations += full
+            return cost
+        return self._weighted(self._criterion, poses, source, source_poses, to_beat)
+
+    def _weighted(
+        self, criterion: Criterion, poses: Array, source: Index, source_poses: Array, to_beat: Array
+    ) -> Array:
+        """The same for other terms: witnesses of max VSR first, then the subspaces of what they did not refute."""
+        out = np.full(len(poses), np.nan)
+        self._rest = max(self._rest - 1, 0)
+        if criterion.max_vsr is not None and not self._rest:
+            nothing = [0.0] * len(criterion.terms)
+            limit = [criterion.limit(nothing, criterion.max_vsr, value) for value in to_beat.tolist()]
+            out, _ = self._max_vsr(poses, source, source_poses, np.array(limit), in_full=False)
+            self._rest = RESTS if 4 * int((out == np.inf).sum()) < len(poses) else 0
+        trials = np.flatnonzero(np.isnan(out))
+
+        def one(trial: int) -> tuple[float, Index]:
+            subspaces = segment(self._region, self._lidars(poses[trial]))
+            return criterion.of(subspaces, float(to_beat[trial])), self._worst(subspaces)
+
+        refuter, fresh = np.full(len(poses), -1, np.int64), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
+        for trial, (cost, worst) in zip(trials.tolist(), self._pool.map(one, trials.tolist()), strict=True):
+            out[trial], fresh[trial, : len(worst)] = cost, worst
+            if cost == np.inf:
+                refuter[trial] = worst[0]
+            else:
+                self.full_evaluations += 1
+        if len(self._witness):
+            kernels.remember(self._witness, source, refuter)
+        self._last = source, poses, fresh
+        for term in criterion.terms:
+            term.learn()
+        self.cuboids += len(trials) * self._region.included.size
+        return out
+
+    def _worst(self, subspaces: Subspaces) -> Index:
+        """A cuboid in each of the worst subspaces."""
+        worst = np.argsort(-vsr_m(subspaces), kind="stable")[: kernels.WITNESSES]
+        i, j, k = np.unravel_index(subspaces.first[worst], self._region.shape)
+        return rows.cuboid_number(self._grid, (i, j, k))
+
+    def _max_vsr(
+        self, poses: Array, source: Index, source_poses: Array, to_beat: Array, in_full: bool = True
+    ) -> tuple[Array, int]:
+        """(n,) max VSR or inf, and how many were evaluated in full; NaN where that was needed, but not `in_full`."""
+        cones = self._cones(poses)
+        moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
         if np.isfinite(to_beat).any():
             self._follow(source_poses)
             witness = self._witness[source]
@@ -83,24 +140,28 @@ class Evaluator:
         )
 
         def run(trials: Index) -> tuple[int, int]:
-            return kernels.try_out(trials, batch, self._grid, verdicts)
+            return kernels.try_out(trials, batch, self._grid, in_full, verdicts)
 
         nx, ny, nz = self._region.shape
-        for full, cut in self._pool.map(run, self._parts(len(poses))):
-            self.full_evaluations += full
-            self.cuboids += full * nx * ny * nz + cut * min(nx, 64)
+        evaluated = 0
+        for full, compared in self._pool.map(run, self._parts(len(poses))):
+            evaluated += full
+            self.cuboids += full * nx * ny * nz + compared * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, verdicts.refuter)
-        self._told = source, poses, verdicts.fresh
-        return verdicts.cost
+        self._last = source, poses, verdicts.fresh
+        return verdicts.cost, evaluated
+
+    def _lidars(self, poses: Array) -> list[Lidar]:
+        return [Lidar(row[:3], up(row[3:]), sine) for row, sine in zip(poses, self._sines, strict=True)]
 
     def _cones(self, poses: Array) -> Array:
-        """(n, lidars, 6 + beams): position, axis, and what centres are compared with."""
+        """(n, lidars, 6 + beams): cone_rows of each of the poses."""
         square = np.broadcast_to(self._square, (len(poses), *self._square.shape))
         return np.concatenate([poses[..., :3], up(poses[..., 3:]), square], axis=-1)
 
     def _parts(self, count: int) -> list[Index]:
-        """Numbers 0 … count − 1, dealt out: enough parts that no thread waits long for another."""
+        """The numbers 0 … count − 1 in enough parts that no thread waits long for another."""
         parts = min(count, 8 * self._threads) if self._threads > 1 else 1
         return [np.arange(first, count, parts) for first in range(parts)]
 
@@ -110,10 +171,10 @@ class Evaluator:
             self._poses = np.full_like(source_poses, np.nan)
             self._linked = np.full_like(source_poses, np.nan)
             self._witness = np.full((len(source_poses), kernels.WITNESSES), -1, np.int64)
-            fits = len(source_poses) * len(self._sines) * self._grid.links.nbytes <= CACHE_BYTES
+            fits = len(source_poses) * len(self._sines) * self._grid.links.nbytes <= self._cache_bytes
             self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
         changed = (self._poses != source_poses).any(axis=(1, 2))
-        source, poses, fresh = (of[self._told[0] < len(source_poses)] for of in self._told)
+        source, poses, fresh = (of[self._last[0] < len(source_poses)] for of in self._last)
         self._witness[changed] = -1
         new = np.flatnonzero((poses == source_poses[source]).all(axis=(1, 2)) & changed[source])
         self._witness[source[new]] = fresh[new]

@@ -32,7 +32,7 @@ class Batch(NamedTuple):
 class Verdicts(NamedTuple):
     """What becomes of the trials."""
 
-    cost: Array  # (n,) max VSR, or inf where it is not below what had to be beaten
+    cost: Array  # (n,) max VSR, or inf where it is not below what had to be beaten; NaN where it was not computed
     refuter: Counts  # (n,) the cuboid whose subspace refuted a trial, or −1
     fresh: Counts  # (n, WITNESSES) cuboids of the worst subspaces of a trial that was not refuted
 
@@ -49,12 +49,12 @@ def _fixed_links(grid: Grid, batch: Batch, t: int, out: Words) -> None:
 
 
 @njit(cache=True, nogil=True)
-def try_out(trials: Counts, batch: Batch, grid: Grid, verdicts: Verdicts) -> tuple[int, int]:
+def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: Verdicts) -> tuple[int, int]:
     """Write the verdicts on some trials (t,) of a batch.
 
     First the subspaces of a trial's witnesses are flooded, and rows are compared with cones as the flood gets to them;
-    one whose VSR is no less than what has to be beaten refutes the trial. Only without one are all links computed.
-    Returns how many trials were evaluated in full, and how many rows were compared for the others.
+    one whose VSR is no less than what has to be beaten refutes the trial. Only without one are all links computed, and
+    only if `in_full`. Returns how many trials were evaluated in full, and how many rows were compared for the others.
     """
     lidars, beams = batch.cones.shape[1], batch.cones.shape[2] - FIRST
     work, floods, fixed = room(grid, lidars, beams), flood_room(grid, lidars), np.empty_like(grid.links)
@@ -77,7 +77,8 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, verdicts: Verdicts) -> tup
                     verdicts.refuter[t] = w
                     break
                 keep(value, inner_cuboid(floods), values, cuboids)
-        if verdicts.refuter[t] >= 0:
+        if verdicts.refuter[t] >= 0 or not in_full:
+            verdicts.cost[t] = np.inf if verdicts.refuter[t] >= 0 else np.nan
             compared += rows
             continue
         full += 1

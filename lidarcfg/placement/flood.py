@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
 from lidarcfg.placement.cones import FIRST, Lidar, beam_gap, cone_rows
-from lidarcfg.placement.region import Region
 from lidarcfg.placement.rows import (
     ALL,
     BIT,
@@ -330,14 +329,14 @@ def _label(grid: Grid, links: Words, label: Labels) -> tuple[Counts, Counts, Cou
     return first[:total].copy(), cuboids[:total].copy(), internal[:total].copy()
 
 
-def components(region: Region, links: Words) -> tuple[Labels, Counts, Counts, Counts]:
+def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[Labels, Counts, Counts, Counts]:
     """The connected components of the cuboids under some links (3, rows), in raster order.
 
     Returns label (nx, ny, nz), the number of each cuboid's component, −1 where excluded; cuboids (n,) in each;
     internal (n, 3), the faces inside each across x, y and z; and first (n,), its first cuboid as a flat index.
     """
-    out = np.empty(region.shape, np.int32)
-    first, cuboids, internal = _label(Grid.of(region), links, out)
+    out = np.empty(shape, np.int32)
+    first, cuboids, internal = _label(grid, links, out)
     return out, cuboids, internal, first
 
 

@@ -59,6 +59,14 @@ def _words(bits: NDArray[np.bool_]) -> Words:
     return words
 
 
+def cuboid_number(grid: Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
+    """The numbers of cuboids by their indices along x, y and z."""
+    i, j, k = index
+    chunks = grid.x.size // 64
+    number: Counts = (((k + 1) * (grid.y.size + 2) + j + 1) * chunks + (i >> 6)) << 6 | i & 63
+    return number
+
+
 class Work(NamedTuple):
     """Scratch memory of `link`; each thread has its own."""
 

@@ -26,6 +26,7 @@ from lidarcfg.placement.metric import (
     volume_m3,
     vsr_m,
 )
+from lidarcfg.placement.objective import Criterion, Objective
 from lidarcfg.placement.region import Region, RegionFile
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.rig import (
@@ -45,7 +46,6 @@ from lidarcfg.rig import (
 from lidarcfg.sensor import Elevations, Sensor
 
 WORST = 10  # so many of the worst subspaces are named
-Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
 BUDGETS = {"cycles", "evaluations", "seconds"}
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -88,19 +88,6 @@ class GroupFile(Model):
             if low > high:
                 raise fault(f"its {COORDINATES[i]} is below min's; allowed: at or above it", "max")
         return self
-
-
-class Objective(Model):
-    """What is minimised: the weighted mean of these. Without any, the paper's max VSR alone."""
-
-    max_vsr: Weight | None = None  # metres
-    inscribed_radius: Weight | None = None  # metres: the largest sphere that no beam touches
-    detection: dict[str, Weight] = Field(default_factory=dict)  # by object: 1 − its detection rate
-
-    @property
-    def is_max_vsr(self) -> bool:
-        """Whether it is the paper's alone."""
-        return self.inscribed_radius is None and not self.detection
 
 
 class Constraints(Model):
@@ -204,16 +191,13 @@ class Study:
             total += np.maximum(self.constraints.min_distance_m - apart, 0.0)
         return total
 
+    def criterion(self) -> Criterion:
+        """The objective, made ready for this region and these objects."""
+        return Criterion(self.objective, self.region, self.detection)
+
     def cost(self, poses: Array) -> float:
-        """The objective of one rig's poses (slots, 6), as it is defined."""
-        subspaces = segment(self.region, self.lidars(poses))
-        wanted = self.objective.detection
-        terms = [(wanted[o.name], 1.0 - detection(subspaces, o).rate) for o in self.detection if o.name in wanted]
-        if self.objective.max_vsr is not None or self.objective.is_max_vsr:
-            terms.append((self.objective.max_vsr or 1.0, float(vsr_m(subspaces).max())))
-        if self.objective.inscribed_radius is not None:
-            terms.append((self.objective.inscribed_radius, float(inscribed_radii_m(subspaces).max())))
-        return sum(weight * value for weight, value in terms) / sum(weight for weight, _ in terms)
+        """The objective of one rig's poses (slots, 6), computed in full: what a search minimises, by definition."""
+        return self.criterion().of(segment(self.region, self.lidars(poses)))
 
     def lidars(self, poses: Array) -> tuple[Lidar, ...]:
         """The cones of the sensors at these poses (slots, 6)."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement import flood, rows
-from lidarcfg.placement.cones import Lidar, gaps_at
+from lidarcfg.placement.cones import Lidar, beam_gap_table, cone_rows
 from lidarcfg.placement.region import Region
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ class Subspaces:
     cuboids: NDArray[np.int64]  # (n,) in each
     internal: NDArray[np.int64]  # (n, 3) faces inside each, across x, y and z
     gap: NDArray[np.int64]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it
+    first: NDArray[np.int64]  # (n,) the first cuboid of each, as an index into the flat region
 
     def __len__(self) -> int:
         return len(self.cuboids)
@@ -45,11 +46,8 @@ def segment(region: Region, lidars: Sequence[Lidar]) -> Subspaces:
     """Cut a region into its connected subspaces. Raises ConfigError where every cuboid is excluded."""
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
-    _, work = rows.linked(region, lidars)
-    label, cuboids, internal, first = flood.components(region, work.links)
-    points = np.stack(
-        [axis[n] for axis, n in zip(region.centres(), np.unravel_index(first, region.shape), strict=True)],
-        axis=1,
-    )
-    gap = np.stack([gaps_at(points, lidar) for lidar in lidars], axis=1) if lidars else np.zeros((len(first), 0), int)
-    return Subspaces(region, label, cuboids, internal, gap)
+    grid, work = rows.linked(region, lidars)
+    label, cuboids, internal, first = flood.components(grid, region.shape, work.links)
+    index = np.unravel_index(first, region.shape)
+    points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
+    return Subspaces(region, label, cuboids, internal, beam_gap_table(points, cone_rows(lidars)), first)

@@ -7,7 +7,7 @@ from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import load_study
+from lidarcfg.placement.study import load_study, with_solver
 
 STUDY = """
 region: {{min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{{min_m: [5, 3, 0], max_m: [7, 5, 3]}}]}}
@@ -53,13 +53,54 @@ def test_skipping_changes_nothing(tmp_path, count, beams, limit, seed):
         assert runs[1].cuboids < runs[0].cuboids
 
 
+OBJECTS = """
+detection:
+  - {name: box, size_m: [1, 0.5, 0.5]}
+  - {name: post, size_m: [0.3, 0.2, 1], on_ground: true, threshold: 2}
+  - {name: drawn, size_m: [1.2, 0.6, 0.7], samples: 512}
+"""
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        "{max_vsr: 1, inscribed_radius: 0.01}",
+        "{max_vsr: 2, inscribed_radius: 1, detection: {box: 0.1}}",
+        "{max_vsr: 1, detection: {box: 0.05, drawn: 0.05}}",
+        "{inscribed_radius: 3}",
+        "{detection: {box: 1, post: 2}}",
+        "{detection: {drawn: 0.7}}",
+    ],
+)
+@pytest.mark.parametrize("method", ["abc", "de"])
+def test_skipping_changes_nothing_for_any_objective(tmp_path, objective, method):
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        STUDY.format(beams="[-20, -8, 3, 12]", count=2, limit=9, seed=5) + OBJECTS + f"objective: {objective}\n"
+    )
+    study = load_study(path)
+    if method == "de":
+        study = with_solver(study, method="de", evaluations=600)
+    runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]
+    trials = runs[0].full_evaluations
+    assert trials == runs[0].evaluations + runs[0].first_evaluations + runs[0].scout_evaluations
+    for run in runs[1:]:
+        assert run.rig == runs[0].rig
+        assert run.objective == runs[0].objective
+        assert history(run) == history(runs[0])
+        assert (run.full_evaluations, run.cuboids) == (runs[1].full_evaluations, runs[1].cuboids)
+        assert run.full_evaluations < 0.7 * trials
+    poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
+    assert study.cost(poses) == runs[0].objective
+
+
 def random_poses(rng, count, lidars):
     return np.concatenate(
         [rng.uniform((0, 0, 0), (6, 4, 2), (count, lidars, 3)), rng.uniform(-3, 3, (count, lidars, 3))], axis=2
     )
 
 
-def costs(beams, lidars):
+def costs(beams, lidars, **settings):
     """Of 30 trials: the plain evaluations, what each is to beat, and the evaluator's costs, asked for twice."""
     rng = np.random.default_rng(beams + lidars)
     sine = np.sort(np.sin(rng.uniform(-0.6, 0.6, beams)))
@@ -68,9 +109,9 @@ def costs(beams, lidars):
     trials = sources[source].copy()
     trials[np.arange(30), rng.integers(lidars, size=30), rng.integers(5, size=30)] += rng.normal(0, 0.2, 30)
     plain = np.array([max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in trials])
-    with Evaluator(REGION, [sine] * lidars, threads=2) as evaluator:
-        to_beat = evaluator.max_vsr(sources, np.arange(6), sources, np.full(6, np.inf))[source]
-        found = [evaluator.max_vsr(trials, source, sources, to_beat) for _ in range(2)]
+    with Evaluator(REGION, [sine] * lidars, threads=2, **settings) as evaluator:
+        to_beat = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf))[source]
+        found = [evaluator.costs(trials, source, sources, to_beat) for _ in range(2)]
     own = [max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in sources]
     assert to_beat.tolist() == np.array(own)[source].tolist()
     return plain, to_beat, found
@@ -85,9 +126,8 @@ def test_costs_are_the_plain_evaluations(beams, lidars):
         assert np.array_equal(cost, expected)
 
 
-def test_nothing_is_kept_where_it_would_not_fit(monkeypatch):
-    monkeypatch.setattr("lidarcfg.placement.evaluator.CACHE_BYTES", 1000)
-    plain, to_beat, found = costs(16, 2)
+def test_nothing_is_kept_where_it_would_not_fit():
+    plain, to_beat, found = costs(16, 2, cache_bytes=1000)
     for cost in found:
         assert np.array_equal(cost, np.where(plain < to_beat, plain, np.inf))
 
@@ -99,5 +139,5 @@ def test_lidars_in_odd_places():
         for position in ((-50, 2, 1), (0.25, 0.25, 0.125), (2.5, 1.5, 0.5), (0, 0, 0)):
             pose = np.array([[[*position, 0.0, 0.0, 0.0]]])
             with Evaluator(region, [sine], threads=1) as evaluator:
-                cost = evaluator.max_vsr(pose, np.zeros(1, int), pose, np.full(1, np.inf))[0]
+                cost = evaluator.costs(pose, np.zeros(1, int), pose, np.full(1, np.inf))[0]
             assert cost == max_vsr(region, [lidar(position, (0, 0, 0), sine)])

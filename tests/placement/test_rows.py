@@ -57,8 +57,8 @@ def direct(centres, included, lidars):
 def check(region, lidars):
     """Rows give the direct result: labels, counts, gaps at points and on the grid, and the largest V / S."""
     label, cuboids, internal, first = direct(region.centres(), region.included, lidars)
-    _, work = rows.linked(region, lidars)
-    mine = flood.components(region, work.links)
+    grid, work = rows.linked(region, lidars)
+    mine = flood.components(grid, region.shape, work.links)
     for ours, theirs in zip(mine, (label, cuboids, internal, first), strict=True):
         assert np.array_equal(ours, theirs)
     assert mine[0].dtype == np.int32
@@ -69,7 +69,7 @@ def check(region, lidars):
         on_grid = rows.beam_gaps(region, one)
         assert np.array_equal(on_grid[region.included], gap[region.included])
     if len(first):
-        assert flood.max_vsr(rows.Grid.of(region), lidars) == vsr_m(segment(region, lidars)).max()
+        assert flood.max_vsr(grid, lidars) == vsr_m(segment(region, lidars)).max()
     return label
 
 
