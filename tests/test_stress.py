@@ -21,17 +21,17 @@ from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
-from lidarcfg.placement import optimize as optimize_module
 from lidarcfg.placement import region as region_module
 from lidarcfg.placement import rows
 from lidarcfg.placement.cones import Lidar, gaps_at, rig_lidars
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.objective import Criterion
+from lidarcfg.placement.optimize import costs, optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.solvers.auto import Auto
+from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.lshade import Lshade
-from lidarcfg.placement.study import Study, load_study
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig, load_rig, save_rig
 from lidarcfg.sensor import load_sensor
@@ -331,16 +331,9 @@ solver: {{method: {method}, evaluations: 500, bees: 10, limit: 5, seed: 3}}
     ]
 
 
-def test_skipping_changes_nothing_in_lshade(tmp_path, monkeypatch):
+def test_skipping_changes_nothing_in_lshade(tmp_path):
     study = study_at(tmp_path, 0, 0)
-
-    def start(solver, dimensions):
-        search = Auto(dimensions, 1)
-        search._run = Lshade(dimensions, np.random.default_rng(1), 900)
-        return search
-
-    monkeypatch.setattr(optimize_module, "start_search", start)
-    study = replace(study, solver=study.solver.model_copy(update={"cycles": None, "evaluations": 900}))
+    study = replace(study, solver=study.solver.model_copy(update={"method": "de", "cycles": None, "evaluations": 900}))
     with_it, without = (optimize(study, threads=1, skip=skip) for skip in (True, False))
     assert with_it.rig == without.rig
     assert with_it.full_evaluations < without.full_evaluations
@@ -364,12 +357,22 @@ def test_what_is_no_cost_is_an_error(name, wrong):
 
 
 @pytest.mark.parametrize("objective", ["max_vsr: 1, inscribed_radius: 1", "inscribed_radius: 2"])
-def test_nan_from_an_objective_is_no_result(tmp_path, monkeypatch, objective):
+def test_nan_from_an_objective_is_no_result(tmp_path, objective):
+    class Broken(Criterion):
+        def of(self, subspaces, to_beat=math.inf):
+            return math.nan
+
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(x=0, x2=6, y=0, y2=4, a=3, b=2) + f"objective: {{{objective}}}\n")
-    monkeypatch.setattr(Study, "cost", lambda self, poses: math.nan if poses[0, 2] > 1.5 else 1.0)
-    with pytest.raises(LidarcfgError, match="is nan; allowed: numbers, and inf"):
-        optimize(load_study(path), threads=1)
+    study = load_study(path)
+    broken = Broken(study.objective, study.region, study.detection)
+    trials = BeeColony(int(study.free.sum()), 5, 100, 1).ask()
+    sines = [slot.sensor.sin_elevation for slot in study.slots]
+    with (
+        Evaluator(study.region, sines, threads=1, criterion=broken) as evaluator,
+        pytest.raises(LidarcfgError, match="is nan; allowed: numbers, and inf"),
+    ):
+        costs(study, evaluator, trials.x, trials, 5, math.inf)
 
 
 @pytest.mark.parametrize("name", [*SOLVERS, "lshade"])
