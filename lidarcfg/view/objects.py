@@ -11,7 +11,7 @@ from lidarcfg.errors import CloudError
 from lidarcfg.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
-LATEST_NS = 2**42  # of a truth file's span: 73 minutes; with sensor, ring and return it makes one int64
+LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
 RETURN_LAST = 1
 NAMES = ("sensor_names", "object_names")
 COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")

@@ -241,7 +241,7 @@ def test_ground_truth_that_lies(tmp_path, other, message):
         load_objects(tmp_path / "t.npz", cloud([[1, 2, 3]], ("lidar_0",)), tilted_rig())
 
 
-def test_files_are_told_apart(tmp_path):
+def test_files_are_recognised(tmp_path):
     save_clouds(tmp_path / "c.npz", [cloud([[1, 2, 3]])])
     np.savez(tmp_path / "t.npz", object_names=["a"])
     (tmp_path / "raw").write_bytes(bytes.fromhex("d4c3b2a1") + bytes(20))
@@ -308,7 +308,7 @@ def test_a_cloud_of_nan_is_refused(tmp_path):
         load_stage([tmp_path / "n.ply"], None, None, np.eye(4), no_warning)
 
 
-def test_a_scene_stands_where_at_says():
+def test_at_places_the_vehicle_in_the_scene():
     """The vehicle at x = 20 with its nose to the north sees the world's origin 20 m to its left."""
     staged = load_stage([STREET], None, None, pose((20, 0, 0), (0, 0, np.pi / 2)), no_warning)
     assert transform(staged.T_vehicle_world, [[0, 0, 1]]) == pytest.approx(np.array([[0, 20, 1]]))
