@@ -77,9 +77,7 @@ def frames(host: str, payloads: Payloads) -> Frames:
     """The payloads as a host sends them. Datagrams above the MTU leave as fragments, all at the same time."""
     count, size = payloads.data.shape
     header = payloads.header
-    body = np.zeros((count, UDP.itemsize + size), np.uint8)
-    body[:, UDP.itemsize :] = payloads.data
-    udp = body[:, : UDP.itemsize].view(UDP)[:, 0]
+    udp = np.zeros(count, UDP)
     udp["source_port"], udp["port"] = header.source_port or payloads.port, payloads.port
     udp["length"] = UDP.itemsize + size
     if header.checksum:
@@ -87,26 +85,31 @@ def frames(host: str, payloads: Payloads) -> Frames:
             np.frombuffer(socket.inet_aton(one), np.uint8)[None] for one in (host, payloads.network.destination_ip)
         ]
         pseudo = _sum(hosts[0]) + _sum(hosts[1]) + socket.IPPROTO_UDP + UDP.itemsize + size
-        found = _checksum(pseudo + _sum(body))
+        found = _checksum(pseudo + _sum(udp) + _sum(payloads.data))
         udp["checksum"] = np.where(found == 0, 0xFFFF, found)  # 0 would say that there is none
     ids = (payloads.first + np.arange(count)) % 65536
     most = MTU - IP.itemsize
-    if body.shape[1] <= most:
+    if UDP.itemsize + size <= most:
         flags = DONT_FRAGMENT if header.dont_fragment else 0
-        return Frames(payloads.time_ns, _records(host, payloads, body, flags, ids if header.numbered else 0 * ids))
+        ids = ids if header.numbered else 0 * ids
+        return Frames(payloads.time_ns, _records(host, payloads, flags, ids, udp, payloads.data))
     records = []
+    body = np.concatenate([udp.view(np.uint8).reshape(count, -1), payloads.data], axis=1)
     for at in range(0, body.shape[1], most):
         flags = at // 8 | (MORE_FRAGMENTS if at + most < body.shape[1] else 0)
-        records.append(_records(host, payloads, body[:, at : at + most], flags, ids))
+        records.append(_records(host, payloads, flags, ids, udp[:, None][:, :0], body[:, at : at + most]))
     together = [record for row in zip(*records, strict=True) for record in row]
     return Frames(np.repeat(payloads.time_ns, len(records)), together)
 
 
-def _records(host: str, payloads: Payloads, body: Octets, flags: int, ids: NDArray[np.int64]) -> list[bytes]:
-    """Each body (n, m) behind an IP and an Ethernet header, as a record of a pcap."""
-    count, size = body.shape
-    out = np.zeros(count, [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("body", "u1", (size,))])
-    out["body"] = body
+def _records(
+    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], octets: Octets
+) -> list[bytes]:
+    """The octets (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
+    count, size = octets.shape
+    parts = [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP, udp.shape[1:])]
+    out = np.zeros(count, [*parts, ("octets", "u1", (size,))])
+    out["udp"], out["octets"] = udp, octets
     record, ethernet, ip = (out[key] for key in ("record", "ethernet", "ip"))
     record["seconds"], record["microseconds"] = np.divmod(payloads.time_ns // 1000, 10**6)
     record["captured"] = record["length"] = out.itemsize - RECORD.itemsize
@@ -115,7 +118,8 @@ def _records(host: str, payloads: Payloads, body: Octets, flags: int, ids: NDArr
     ethernet["source"] = _octets(payloads.network.mac_prefix) + list(address[1:])
     ethernet["kind"] = IPV4
     ip["version"], ip["ttl"], ip["protocol"] = 0x45, payloads.header.ttl, socket.IPPROTO_UDP
-    ip["length"], ip["flags"], ip["id"] = IP.itemsize + size, flags, ids
+    ip["flags"], ip["id"] = flags, ids
+    ip["length"] = out.itemsize - RECORD.itemsize - ETHERNET_HEADER.itemsize
     ip["source"], ip["destination"] = list(address), list(socket.inet_aton(payloads.network.destination_ip))
     ip["checksum"] = _checksum(_sum(ip))
     return list(out.view(f"V{out.itemsize}").tolist())

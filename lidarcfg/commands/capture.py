@@ -112,8 +112,11 @@ def export(
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
             counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
+            for path, mount in zip(paths, mounted.mounts, strict=True):
+                capture.save_companions(path, [mount])
         else:
             paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
+            capture.save_companions(output, mounted.mounts)
         records = beside.save() if beside else 0
     if not quiet:
         for path, count in zip(paths, counts, strict=True):

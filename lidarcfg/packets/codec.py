@@ -1,7 +1,7 @@
 """What every family of packets offers to the rest, and which families there are.
 
-A family is a class with the methods of `Codec`, entered in `FAMILIES`. Outside `packets/` nobody knows its bytes: the
-simulator sees `Firings`, capture files see `Payloads`, readers see `Returns`.
+A family is a subclass of `Codec`, entered in `FAMILIES`. Outside `packets/` nobody knows its bytes: the simulator sees
+`Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a small one.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -105,9 +105,7 @@ class Tally:
 class Decoder(Protocol):
     """Packets of one source, (P, size) octets at a time."""
 
-    @property
-    def period_ns(self) -> int:
-        """From one packet to the next, at most."""
+    period_ns: int  # from one packet to the next, at most
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """(P,) device time of each, by which they are put in order."""
@@ -117,6 +115,7 @@ class Decoder(Protocol):
 
     def check(self, packets: Octets) -> None:
         """Raises PacketError for packets of another model than the first ones."""
+        return
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """Count what is wanted (P,) of successive packets, together with what went before it."""
@@ -140,6 +139,7 @@ class Codec(Protocol):
 
     def check(self, mount: "Mount") -> None:
         """Raises ConfigError if the mount cannot be exported: its mode, its settings, its sensor."""
+        return
 
     def pace(self, mount: "Mount") -> Pace:
         """How the mount sends."""
@@ -161,9 +161,11 @@ class Codec(Protocol):
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
         """What the sensor sends besides: position, state, calibration, inertial measurements."""
+        return iter(())
 
     def companions(self, mount: "Mount") -> Mapping[str, bytes]:
         """The files that a reader needs beside the capture, by the end of their names."""
+        return {}
 
     # reading
 

@@ -1,13 +1,26 @@
 """Velodyne's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Known, Octets, Pace, Payloads, Returns, Source, Tally, Times
+from lidarcfg.packets.codec import (
+    Batch,
+    Codec,
+    Decoder,
+    Flags,
+    Known,
+    Octets,
+    Pace,
+    Payloads,
+    Returns,
+    Source,
+    Tally,
+    Times,
+)
 from lidarcfg.packets.velodyne.decode import decode
 from lidarcfg.packets.velodyne.facts import Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.layout import (
@@ -30,7 +43,7 @@ if TYPE_CHECKING:
 CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
 
 
-class Velodyne:
+class Velodyne(Codec):
     """The packets of one Velodyne sensor."""
 
     def __init__(self, sensor: Sensor) -> None:
@@ -80,10 +93,6 @@ class Velodyne:
 
         return position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
 
-    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
-        """None: packets and the model say all."""
-        return {}
-
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
         """By the size alone: whose they are, `recognise` says, or why not."""
@@ -112,19 +121,15 @@ class Velodyne:
         return np.array(self.unit.firing.offset_ns, np.int64)
 
 
-class VelodyneDecoder:
+class VelodyneDecoder(Decoder):
     """Packets of one Velodyne sensor. What status bytes carry stands in for the catalogue's example unit."""
 
     def __init__(self, where: str, unit: Unit, found: Carried | None, known: Known, trusted: bool) -> None:
         self._where, self._known, self._trusted = where, known, trusted
         self._unit = found.unit(unit) if found else unit
+        self.period_ns = self._unit.period_ns()
         self._last_only = found is not None and found.return_mode == "last"
         self._losses = Losses(self._unit, self._last_only)
-
-    @property
-    def period_ns(self) -> int:
-        """See `Decoder`."""
-        return self._unit.period_ns()
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """See `Decoder`."""

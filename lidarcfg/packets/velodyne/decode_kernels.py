@@ -284,7 +284,7 @@ class Each(NamedTuple):
     focal: Array
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _by_slot(lasers: Lasers, laser: Counts) -> Each:
     return Each(
         np.cos(lasers.elevation)[laser],
@@ -301,7 +301,7 @@ def _by_slot(lasers: Lasers, laser: Counts) -> Each:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _group(width: int) -> Group:
     return Group(
         np.empty(width, np.int64),
@@ -321,7 +321,7 @@ def _group(width: int) -> Group:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _read(wire: Wire, p: int, g: int, group: Group) -> None:
     """Raw distances and intensities of group g of packet p."""
     blocks = len(group.raw) // SLOTS
@@ -331,7 +331,7 @@ def _read(wire: Wire, p: int, g: int, group: Group) -> None:
             group.strength[b * SLOTS + i] = wire.intensity[p, g * blocks + b, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _place(azimuth: int, cos_t: Array, sin_t: Array, each: Each, unit_m: float, group: Group) -> None:
     """The points of all slots, with a return or without; cos and sin are those of what the head turned since `azimuth`.
 
@@ -359,7 +359,7 @@ def _place(azimuth: int, cos_t: Array, sin_t: Array, each: Each, unit_m: float, 
         group.z[k] = (ahead[k] + side[k]) / 2 * each.sin_w[k] + each.up[k]
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _select(last: bool, return_type: Counts, paired: bool, other: NDArray[np.uint64], group: Group) -> None:
     """Which slots are returns of their own, and of which kind: an identical pair is one, the strongest."""
     raw, strength, kept, kind = group.raw, group.strength, group.kept, group.kind
@@ -377,7 +377,7 @@ def _select(last: bool, return_type: Counts, paired: bool, other: NDArray[np.uin
             kind[k] = return_type[k] + SECOND_STRONGEST * ((return_type[k] == 0) & differs & second)
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _write(began_ns: int, offset_ns: Counts, laser: Bytes, ring: Bytes, found: int, group: Group, out: Columns) -> None:
     """Fill in the returns found."""
     for j in range(found):
@@ -388,7 +388,7 @@ def _write(began_ns: int, offset_ns: Counts, laser: Bytes, ring: Bytes, found: i
         out.intensity[j], out.return_type[j] = group.strength[k], group.kind[k]
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _write_polar(
     azimuth: int, step: float, fraction: Array, each: Each, unit_m: float, found: int, group: Group, out: Columns
 ) -> None:

@@ -1,0 +1,105 @@
+"""A family of packets that is registered and nothing more: exported, written, read and identified by the commands."""
+
+import numpy as np
+import pytest
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.pcap import read_datagrams
+from lidarcfg.cli import cli
+from lidarcfg.cloud import concatenate, load_cloud
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import inverse, transform
+from lidarcfg.packets.codec import FAMILIES
+from lidarcfg.rig import load_rig
+from lidarcfg.simulate.export import export
+from lidarcfg.world.scene import load_scene
+from tests.capture_fixtures import no_warning, write_datagrams
+
+SENSOR = """
+name: toy-4
+beams: {{elevation_deg: [-20, -10, -5, 2]}}
+rotation: {{source: made up, rpm_min: 60, rpm_max: 1200, rpm_step: 60}}
+range: {{source: made up, min_m: 0.1, max_m: 200, resolution_m: 0.005, accuracy_m: 0.01}}
+codec: toy
+toy: {{columns: {columns}}}
+"""
+RIG = """
+name: two
+sensors:
+  - {name: left, model: toy.yaml, position_m: [0, 1, 2], rpy_deg: [2, 3, 20], data_port: 4000}
+  - {name: right, model: vlp-16, position_m: [0, -1, 2]}
+"""
+SCENE = """
+name: field
+ground: {reflectivity: 12}
+boxes: [{name: wall, center_m: [12, 0, 2], size_m: [1, 30, 4], reflectivity: 80}]
+"""
+
+
+def run(*words):
+    assert not cli.main([*map(str, words), "--quiet"], prog_name="lidarcfg", standalone_mode=False)
+
+
+@pytest.fixture(params=[11, 100])
+def columns(request, tmp_path, monkeypatch):
+    """Packets of 200 bytes, and of 1624, which leave as fragments."""
+    monkeypatch.setitem(FAMILIES, "toy", "tests.packets.toy:Toy")
+    (tmp_path / "toy.yaml").write_text(SENSOR.format(columns=request.param))
+    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return request.param
+
+
+def test_there_and_back(tmp_path, columns):
+    """Beside a VLP-16: every return is that of the ground truth, with the rig's poses or identified by its companion."""
+    rig, out = tmp_path / "rig.yaml", tmp_path / "a.pcap"
+    run("export", rig, "--scene", tmp_path / "scene.yaml", "--duration", 0.3, "-o", out, "--truth", tmp_path / "t.npz")
+    assert (tmp_path / "a-left.toy.yaml").is_file()
+    assert not (tmp_path / "a-right.toy.yaml").exists()
+    run("decode", out, "--rig", rig, "-o", tmp_path / "rig.npz")
+    run("decode", out, "-o", tmp_path / "bare.npz")
+    cloud, bare = (load_cloud(tmp_path / f"{name}.npz", no_warning) for name in ("rig", "bare"))
+    mount = load_rig(rig).mounts[0]
+    mine, alone = cloud.sensor == 0, bare.sensor == bare.sensor_names.index("192.168.1.201:4000")
+    xyz = transform(inverse(mount.T_vehicle_sensor), cloud.xyz[mine])
+    np.testing.assert_allclose(xyz, bare.xyz[alone], rtol=0, atol=1e-12)
+    with np.load(tmp_path / "t.npz") as truth:
+        here = truth["sensor"] == 0
+        assert here.sum() == mine.sum() > 6000
+        assert (truth["time_ns"][here] == cloud.time_ns[mine]).all()
+        assert (mount.sensor.ring[truth["laser"][here]] == cloud.ring[mine]).all()
+        assert abs(np.linalg.norm(xyz, axis=1) - truth["range_m"][here]).max() <= 0.0025 + 1e-9
+    sizes = {datagram.port: len(datagram.payload) for datagram in read_datagrams(out, no_warning)}
+    assert sizes == {4000: 24 + 16 * columns, 2368: 1206, 8308: 512}
+
+
+def test_lost_duplicate_and_overtaking_packets(tmp_path, columns):
+    (tmp_path / "rig.yaml").write_text(RIG.rsplit("\n  -", 1)[0])
+    run("export", tmp_path / "rig.yaml", "--scene", tmp_path / "scene.yaml", "--duration", 1, "-o", tmp_path / "a.pcap")
+    sent = list(read_datagrams(tmp_path / "a.pcap", no_warning))
+    kept = [one for i, one in enumerate(sent) if i not in (20, 30, 31)]
+    kept[10], kept[11] = kept[11], kept[10]
+    kept.insert(40, kept[39])
+    write_datagrams(tmp_path / "b.pcap", kept)
+    (tmp_path / "b.toy.yaml").write_bytes((tmp_path / "a.toy.yaml").read_bytes())
+    stats = []
+    found = concatenate(list(decode_pcap(tmp_path / "b.pcap", no_warning, on_stats=stats.append)))
+    assert (np.diff(found.time_ns) >= 0).all()
+    (one,) = stats
+    assert (one.models, one.packets, one.lost) == (("toy-4",), len(sent) - 3, 3)
+    assert (one.duplicates, one.reordered) == (1, 1)
+
+
+def test_what_the_family_refuses(tmp_path, columns):
+    text = RIG.replace("data_port: 4000", "return_mode: dual")
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(ConfigError, match="left: sensor 'toy-4' has no dual returns"):
+        export(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
+    (tmp_path / "toy.yaml").write_text(SENSOR.format(columns="many"))
+    with pytest.raises(ConfigError, match=r"toy\.yaml:7:7: toy\.columns: 'many'"):
+        export(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
+    (tmp_path / "toy.yaml").write_text(
+        SENSOR.format(columns=11).replace("toy:", "tyo:").replace("codec: toy", "codec: tyo")
+    )
+    with pytest.raises(ConfigError, match="no codec is called 'tyo'; allowed: toy, velodyne"):
+        export(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
