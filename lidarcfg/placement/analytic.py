@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
-from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.cones import Lidar, beam_gap, cone_rows
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces, segment
@@ -75,23 +75,6 @@ def crossings(u: float, v: float, cones: Array, low: float, high: float, at: Arr
 
 
 @njit(cache=True, nogil=True)
-def _digits(s: float, u: float, v: float, cones: Array, beams: Counts, digits: Counts) -> None:
-    """Write the digit of each LiDAR at a point of a line."""
-    for m in range(len(cones)):
-        cone = cones[m]
-        ds, du, dv = s - cone[0], u - cone[1], v - cone[2]
-        height, distance = ds * cone[3] + du * cone[4] + dv * cone[5], np.sqrt(ds * ds + du * du + dv * dv)
-        low, high = 6, 6 + beams[m]
-        while low < high:
-            middle = (low + high) // 2
-            if height >= cone[middle] * distance:
-                low = middle + 1
-            else:
-                high = middle
-        digits[m] = low - 6
-
-
-@njit(cache=True, nogil=True)
 def _joined(owner: int, one: int, gap: Counts, digits: Counts, parent: Counts) -> int:
     """The owner of a piece of these digits that touches subspace `one`; both are one from now on if both own it."""
     if one < 0 or one == owner:
@@ -125,20 +108,31 @@ def _owner(label: Labels, gap: Counts, digits: Counts, first: int, last: int, j:
     return owner
 
 
+class Sums(NamedTuple):
+    """What lines along one axis add up, by subspace."""
+
+    volume: Array  # (n,)
+    shadow: Array  # (n,)
+    surface: Array  # (n,)
+    parent: Counts  # (n,) the union-find of subspaces that are one
+
+
+class Sheaf(NamedTuple):
+    """A grid as lines along one axis see it: arrays with that axis first, then the other two in cyclic order."""
+
+    axis: int
+    label: Labels
+    low: Array  # (3,)
+    edge: Array  # (3,)
+    cones: Array  # (lidars, 6 + beams) position, axis and sines; NaN where a LiDAR has fewer beams
+
+
 @njit(cache=True, nogil=True)
-def _sweep(
-    label: Labels,
-    gap: Counts,
-    low: Array,
-    edge: Array,
-    cones: Array,
-    beams: Counts,
-    volume: Array,
-    shadow: Array,
-    surface: Array,
-    parent: Counts,
-) -> None:
-    """Add what the lines along the first axis see to volume, surface and parent (n,)."""
+def _sweep(sheaf: Sheaf, gap: Counts, rows: Array, sums: Sums) -> None:
+    """Add what the lines see of subspaces whose beam gaps are `gap` (n, lidars); rows: cone_rows."""
+    label, low, edge, cones = sheaf.label, sheaf.low, sheaf.edge, sheaf.cones
+    volume, shadow, surface, parent = sums
+    point = np.empty(3)
     n, nu, nv = label.shape
     at, weight = np.empty(2 * cones.size), np.empty(2 * cones.size)
     digits = np.empty(len(cones), np.int64)
@@ -158,7 +152,13 @@ def _sweep(
             for c in range(count + 1):
                 there, other = (at[c], weight[c]) if c < count else (wall, 1.0)
                 if there - here > SLIVER * edge[0]:
-                    _digits(0.5 * (here + there), u, v, cones, beams, digits)
+                    point[sheaf.axis], point[(sheaf.axis + 1) % 3], point[(sheaf.axis + 2) % 3] = (
+                        0.5 * (here + there),
+                        u,
+                        v,
+                    )
+                    for m in range(len(rows)):
+                        digits[m] = beam_gap(point[0], point[1], point[2], rows[m])
                     first = max(int((here - low[0]) / edge[0]), start)
                     last = min(int((there - low[0]) / edge[0]), end - 1)
                     owner = _owner(label, gap, digits, first, last, j, k, parent)
@@ -214,7 +214,8 @@ def integrate(subspaces: Subspaces, lidars: Sequence[Lidar]) -> Seen:
             cones[m, :3], cones[m, 3:6] = lidar.position_m[order], lidar.axis[order]
             cones[m, 6 : 6 + beams[m]] = lidar.sin_elevation
         label, low, edge = subspaces.label.transpose(order), region.min_m[order], region.cuboid_m[order]
-        _sweep(label, subspaces.gap, low, edge, cones, beams, volume[axis], shadow[axis], surface, whole)
+        sheaf = Sheaf(axis, label, low, edge, cones)
+        _sweep(sheaf, subspaces.gap, cone_rows(lidars), Sums(volume[axis], shadow[axis], surface, whole))
     for j in range(n):  # a part's number is above its whole's
         whole[j] = whole[whole[j]]
     return Seen(volume, shadow, surface, whole)
@@ -262,18 +263,18 @@ class Analytic:
         return self.error_m <= self.tolerance * self.max_vsr_m
 
 
-def analytic(region: Region, lidars: Sequence[Lidar], tolerance: float) -> Analytic:
+def analytic(region: Region, lidars: Sequence[Lidar], tolerance: float, cuboids_max: int = CUBOIDS_MAX) -> Analytic:
     """Max VSR to a relative tolerance: the edges are halved until the error bar is within it, or no grid is left.
 
     The region is the union of its cuboids on every grid. Raises ConfigError where the first halving makes more
-    than CUBOIDS_MAX cuboids already.
+    than cuboids_max cuboids already.
     """
     if not tolerance > 0.0:
         raise ConfigError(f"tolerance {tolerance:g}; allowed: above 0")
-    if 8 * region.included.size > CUBOIDS_MAX:
+    if 8 * region.included.size > cuboids_max:
         raise ConfigError(
             f"a tolerance wants half the region's edges, and {8 * region.included.size:,} cuboids; "
-            f"allowed: at most {CUBOIDS_MAX:,}"
+            f"allowed: at most {cuboids_max:,}"
         )
     started = time.perf_counter()
     coarse = level(region, lidars)
@@ -288,7 +289,7 @@ def analytic(region: Region, lidars: Sequence[Lidar], tolerance: float) -> Analy
             region.included.size,
             time.perf_counter() - started,
         )
-        if found.reached or 8 * region.included.size > CUBOIDS_MAX:
+        if found.reached or 8 * region.included.size > cuboids_max:
             return found
         coarse = fine
 

@@ -397,17 +397,15 @@ def test_a_larger_region_has_a_larger_vsr(scale):
     assert found.error_m == pytest.approx(scale * unit.error_m, rel=1e-3)
 
 
-def test_refines_only_as_far_as_needed(monkeypatch):
+def test_refines_only_as_far_as_needed():
     region = Region.from_boxes((0, 0, 0), (1.5, 1, 0.5), (0.125, 0.125, 0.125))
     sizes = [analytic(region, RIG, tolerance).cuboids for tolerance in (0.5, 0.002)]
     assert sizes[0] == 8 * 12 * 8 * 4 < sizes[1]
-    monkeypatch.setattr(module, "CUBOIDS_MAX", 10_000)
-    found = analytic(region, RIG, 1e-6)
+    found = analytic(region, RIG, 1e-6, cuboids_max=10_000)
     assert not found.reached
     assert found.cuboids == 8 * 12 * 8 * 4
-    monkeypatch.setattr(module, "CUBOIDS_MAX", 3_000)
     with pytest.raises(ConfigError, match="half the region's edges, and 3,072 cuboids; allowed: at most 3,000"):
-        analytic(region, RIG, 0.01)
+        analytic(region, RIG, 0.01, cuboids_max=3_000)
     for wrong in (0.0, -1.0, math.nan):
         with pytest.raises(ConfigError, match="allowed: above 0"):
             analytic(region, RIG, wrong)
