@@ -227,17 +227,20 @@ class Section:
         try:
             return model.model_validate(dict(self.values))
         except ValidationError as error:
-            raise _first_error(self._document(), error, model, self.at) from None
+            raise self._placed(_first_error(self._document(), error, model, self.at)) from None
 
     def error(self, key: Key, what: object) -> ConfigError:
         """The error `what` at a key of the section."""
-        return self._document().error((*self.at, *key), str(what))
+        return self._placed(self._document().error((*self.at, *key), str(what)))
+
+    def _placed(self, error: ConfigError) -> ConfigError:
+        return error if self.path else ConfigError(str(error).removeprefix(":1:1: "))
 
     def _document(self) -> "_Document":
         try:
             return _Document(_read(self.path), self.path)
         except ConfigError:  # made in Python, or gone since
-            return _Document("{}", self.path or "in Python")
+            return _Document("{}", self.path)
 
 
 def _read(path: str | Path) -> str:

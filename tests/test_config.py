@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, ValidationError
 
-from lidarcfg.config import SENTENCES, Model, load, loads, nested_models
+from lidarcfg.config import SENTENCES, Model, Section, load, loads, nested_models
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.study import StudyFile
@@ -199,3 +199,18 @@ def test_a_renamed_key_names_the_new_one(text, message):
     with pytest.raises(ConfigError) as caught:
         loads(text, Outer, "f.yaml")
     assert str(caught.value).startswith(message)
+
+
+def test_a_section_is_checked_by_its_owner(tmp_path):
+    """With file, line and column as the rest of the file; made in Python, by its key alone."""
+
+    class Part(Model):
+        size_m: float
+
+    (tmp_path / "a.yaml").write_text("name: x\npart:\n  size_m: wide\n")
+    values = {"size_m": "wide"}
+    for path, where in ((str(tmp_path / "a.yaml"), f"{tmp_path}/a.yaml:3:3: "), ("", "")):
+        with pytest.raises(ConfigError) as error:
+            Section(values, path, ("part",)).checked(Part)
+        assert str(error.value).startswith(f"{where}part.size_m: 'wide'")
+    assert Section({"size_m": 2.0}, "", ("part",)).checked(Part).size_m == 2

@@ -102,7 +102,7 @@ class _Capture:
         return [stream for stream in self._streams.values() if stream]
 
     def jobs(self, chunk_packets: int) -> Iterator[Job]:
-        """What is to be done of each so many packets. What goes wrong before one comes in its turn, as the last."""
+        """What is to be done of each so many packets. An error is raised in the place of its job, as the last."""
         try:
             waiting = 0
             for batch in around(self._path, self._on_warning, self._window_ns):

@@ -144,7 +144,7 @@ def _checksum(total: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def gathered(data: Octets, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """(N,) of a dtype, whose bytes start at these places."""
+    """(N,) of a dtype, from the bytes that start at these places."""
     kind = np.dtype((np.void, dtype.itemsize))  # copied whole, not field by field
     everywhere = np.ndarray(max(len(data) - dtype.itemsize + 1, 0), kind, data, strides=(1,))
     return everywhere[start].view(dtype)

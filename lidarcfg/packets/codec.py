@@ -82,12 +82,12 @@ class Returns:
 
 @dataclass(frozen=True)
 class Source:
-    """One endpoint of a capture: what a family may look at besides the packets to say whose they are."""
+    """One endpoint of a capture: where its packets come from, and what else helps to identify them."""
 
     where: str  # file and endpoint, for errors
     host: str  # the address that sends
     port: int  # the port that it sends to
-    companions: Callable[[str], Mapping[str, bytes]]  # the files beside the capture whose names end so
+    companions: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
     payloads: Callable[[int, int], Iterator[Octets]]  # of the host to a port, of one size, from the capture's start
     on_warning: Callable[[str], None]
 

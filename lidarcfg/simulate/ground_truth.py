@@ -54,7 +54,7 @@ class TruthFile:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         for body in self._bodies:
-            with suppress(OSError):  # of a full disk, which `add` has told
+            with suppress(OSError):  # of a full disk, which `add` has raised
                 body.close()
 
     def add(self, found: NDArray[np.void]) -> None:

@@ -67,10 +67,10 @@ def fill_near(range_m, reflectivity, azimuth, number, laser, tables, limits, dis
         for b in range(number.shape[0]):
             for i in range(number.shape[1]):
                 n, k = number[b, i], laser[b, i]
-                met_m = range_m[p, n]
-                if least_m <= met_m <= most_m and np.rint((met_m - offset[k]) / unit_m) <= last:
+                hit_m = range_m[p, n]
+                if least_m <= hit_m <= most_m and np.rint((hit_m - offset[k]) / unit_m) <= last:
                     angle = azimuth[p, n // each] + azimuth_offset[k]
-                    units = _near_units(met_m, angle, cos_w[k], sin_w[k], left[k], offset[k], near[k], unit_m, last)
+                    units = _near_units(hit_m, angle, cos_w[k], sin_w[k], left[k], offset[k], near[k], unit_m, last)
                     sent = 0 < units <= units_max
                     distance[p, b, i] = np.uint16(units) if sent else 0
                     intensity[p, b, i] = reflectivity[p, n] if sent else 0
