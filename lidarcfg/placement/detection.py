@@ -1,4 +1,4 @@
-"""Object detection rate: the share of places where an object reaches into enough subspaces (paper, II-C)."""
+"""Object detection rate: the fraction of places where an object touches enough subspaces (paper, II-C)."""
 
 import math
 from collections.abc import Iterator
@@ -24,10 +24,10 @@ ALL = 2**63 - 1  # no end to the places where an object may go undetected
 
 
 class DetectionObject(Model):
-    """A box that is detected where it lies in more than `threshold` subspaces.
+    """A box that is detected where it touches more than `threshold` subspaces.
 
     Without `samples` it is parallel to the axes, rounded up to whole cuboids, and every place on the grid counts
-    once. With them it stands anywhere, at any heading, and so many places are drawn quasi-randomly.
+    once. With `samples` it stands anywhere, at any heading, and that many places are drawn quasi-randomly.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -48,7 +48,7 @@ class Detection:
 
 @dataclass(frozen=True)
 class Rings:
-    """How often an object is detected, by its middle's horizontal distance from a point."""
+    """How often an object is detected, by the horizontal distance of its centre from a point."""
 
     edges_m: Array  # (n + 1,) ascending; a ring holds its inner edge
     detected: Counts  # (n,)
@@ -73,7 +73,7 @@ def check_fits(item: DetectionObject, region: Region) -> None:
 
 
 def detection(subspaces: Subspaces, item: DetectionObject) -> Detection:
-    """The share of an object's places where it is detected. Raises ConfigError where it has no place at all."""
+    """The fraction of an object's places where it is detected. Raises ConfigError if it has no place at all."""
     check_fits(item, subspaces.region)
     found = _drawn(subspaces, item, item.samples) if item.samples else _counted(subspaces, item)
     if found.places == 0:

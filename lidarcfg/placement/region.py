@@ -1,4 +1,4 @@
-"""The region of interest: a box cut into equal cuboids, some of them left out."""
+"""The region of interest: a box cut into equal cuboids, some of them excluded."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import open3d
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
-NEAREST_M, NEAREST = 1e-9, 1e-12  # centres are at least so far apart; the second relative to the coordinates
+NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
 AXES = "xyz"
@@ -38,7 +38,7 @@ class BoxFile(Model):
 
 
 class RegionFile(BoxFile):
-    """A study's region, as its file says it."""
+    """The region in a study file."""
 
     cuboid_m: Edges
     exclude: tuple[BoxFile, ...] = ()
@@ -81,7 +81,7 @@ class Region:
         cuboid_m: ArrayLike,
         exclude: tuple[tuple[ArrayLike, ArrayLike], ...] = (),
     ) -> "Region":
-        """The box from min to max cut into cuboids; those with a centre in an excluded box are left out.
+        """The box from min to max cut into cuboids; those whose centre is in an excluded box are excluded.
 
         A centre c lies in an excluded box when min <= c < max on every axis.
         """
@@ -98,7 +98,7 @@ class Region:
 
     @classmethod
     def from_file(cls, file: RegionFile) -> "Region":
-        """The region that a study's file describes."""
+        """The region that a study file describes."""
         boxes = tuple((box.min_m, box.max_m) for box in file.exclude)
         return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
 

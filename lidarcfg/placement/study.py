@@ -1,4 +1,4 @@
-"""A study: which sensors may sit where, what is asked of them, and how the answer is looked for."""
+"""A study: which sensors may be placed where, what is minimised, and how to search."""
 
 import math
 import time
@@ -45,7 +45,7 @@ from lidarcfg.rig import (
 )
 from lidarcfg.sensor import Elevations, Sensor
 
-WORST = 10  # so many of the worst subspaces are named
+WORST = 10  # how many of the worst subspaces an evaluation lists
 BUDGETS = {"cycles", "evaluations", "seconds"}
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -91,14 +91,14 @@ class GroupFile(Model):
 
 
 class Constraints(Model):
-    """What a rig must keep."""
+    """What a rig must satisfy."""
 
     max_tilt_deg: Annotated[float, Field(ge=0, le=180)] = 180.0  # of every sensor's axis from the vertical
     min_distance_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)] = 0.0  # between any two sensors' origins
 
 
 class Solver(Model):
-    """How the answer is looked for. The first budget that is reached ends the run.
+    """How to search. The first budget that is reached ends the run.
 
     Without a budget: 800 cycles of `abc`, as in the paper, or 100,000 evaluations of another method.
     """
@@ -120,7 +120,7 @@ class Solver(Model):
 
 
 class StudyFile(Model):
-    """A study, as its file says it."""
+    """A study file."""
 
     region: RegionFile
     sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1)]
@@ -148,7 +148,7 @@ class Slot:
 
     name: str
     sensor: Sensor
-    model: str | None  # what a file calls the sensor; None: its beams stand inline
+    model: str | None  # its name in files; None: its beams are given inline
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class Study:
     slots: tuple[Slot, ...]
     lower: Array  # (slots, 6)
     upper: Array  # (slots, 6); equal to lower: a fixed value
-    mirror: Array  # (slots,) the y of the plane in which a sensor is the image of the one before; else NaN
+    mirror: Array  # (slots,) the y of the plane that mirrors the sensor before into this one; else NaN
     solver: Solver
     objective: Objective = field(default_factory=Objective)
     constraints: Constraints = field(default_factory=Constraints)
@@ -169,7 +169,7 @@ class Study:
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """(slots, 6) which coordinates vary by themselves."""
+        """(slots, 6) which coordinates vary independently."""
         return (self.lower < self.upper) & np.isnan(self.mirror)[:, None]
 
     def poses(self, unit: Array) -> Array:
@@ -183,7 +183,7 @@ class Study:
         return out
 
     def violation(self, poses: Array) -> Array:
-        """(n,) by how much poses (n, slots, 6) break the constraints, radians and metres added up; 0 is fine."""
+        """(n,) by how much poses (n, slots, 6) violate the constraints, radians and metres summed; 0 if they do not."""
         tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
         total: Array = np.maximum(tilt - math.radians(self.constraints.max_tilt_deg) - 1e-12, 0.0).sum(axis=1)
         for i, j in combinations(range(len(self.slots)), 2):
@@ -237,13 +237,13 @@ class Worst:
     centroid_m: list[float]
     min_m: list[float]
     max_m: list[float]
-    gap: list[int]  # by sensor: so many of its beams pass below
+    gap: list[int]  # by sensor: how many of its beams pass below
     between_deg: list[list[float | None]]  # by sensor: the elevations of the beams below and above; None: no beam
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a rig is worth in a study."""
+    """How well a rig does in a study."""
 
     subspaces: Subspaces
     vsr_m: Array  # (n,) by subspace
@@ -302,7 +302,7 @@ def load_study(path: str | Path) -> Study:
 
 
 def _resolved(file: StudyFile, slots: list[Slot]) -> dict[str, Any]:
-    """The file with its defaults filled in and its models' paths made whole."""
+    """The file with its defaults filled in and the paths of its models resolved."""
     values = file.model_dump(mode="json", exclude_none=True)
     models = iter(slots)
     for group in values["sensors"]:
@@ -312,7 +312,7 @@ def _resolved(file: StudyFile, slots: list[Slot]) -> dict[str, Any]:
     return values
 
 
-def evaluate(study: Study, rig: Rig, tolerance: float | None = None) -> Evaluation:
+def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count: int = WORST) -> Evaluation:
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
 
     With a relative tolerance also the analytic max VSR, to that tolerance. Raises ConfigError where it is not
@@ -324,7 +324,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None) -> Evaluati
     vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
     radius = inscribed_radii_m(subspaces)
     worst = []
-    for number in np.argsort(-vsr, kind="stable")[:WORST].tolist():
+    for number in np.argsort(-vsr, kind="stable")[:worst_count].tolist():
         low, high = bounds_m(subspaces, number)
         worst.append(
             Worst(
