@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +24,8 @@ import open3d as o3d
 import lidarcfg
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.geometry import directions, pose, transform
-from lidarcfg.packets.codec import codec
+from lidarcfg.geometry import Array, directions, pose, transform
+from lidarcfg.packets.codec import Firings, codec
 from lidarcfg.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.export import CHUNK_RAYS, START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
@@ -72,26 +72,30 @@ def seconds(function: Callable[[], object]) -> tuple[float, float]:
     return time.perf_counter() - began, time.process_time() - spent
 
 
+def rays_of(mount: Mount, duration_ns: int) -> Iterator[tuple[Firings, Array, Array]]:
+    """Chunks of a mount's firings, with the origins and directions (N, 3) of their rays in the vehicle frame."""
+    maker, sensor, T = codec(mount.sensor), mount.sensor, mount.T_vehicle_sensor
+    pace = maker.pace(mount)
+    for batch in maker.schedule(mount, START_NS, duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings):
+        fired = batch.firings
+        azimuth_rad = fired.encoder_rad + sensor.azimuth_offset_rad[fired.laser]
+        axes = directions(azimuth_rad, sensor.elevation_rad[fired.laser])
+        origins = np.zeros_like(axes)
+        origins[:, 2] = sensor.vertical_offset_m[fired.laser]
+        yield fired, transform(T, origins), axes @ T[:3, :3].T
+
+
 def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], int]:
     """What casts the capture's rays, chunk by chunk, by Open3D alone; and how many they are."""
     caster = o3d.t.geometry.RaycastingScene()
     tensor = o3d.core.Tensor.from_numpy
     vertices, triangles = scene.mesh(0.001)
     caster.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
-    chunks = []
-    for mount in rig.mounts:
-        maker = codec(mount.sensor)
-        pace = maker.pace(mount)
-        packets, chunk = duration_ns // pace.period_ns, CHUNK_RAYS // pace.firings
-        for batch in maker.schedule(mount, START_NS, packets, chunk):
-            fired, sensor = batch.firings, mount.sensor
-            azimuth_rad = fired.encoder_rad + sensor.azimuth_offset_rad[fired.laser]
-            axes = directions(azimuth_rad, sensor.elevation_rad[fired.laser])
-            origins = np.zeros_like(axes)
-            origins[:, 2] = sensor.vertical_offset_m[fired.laser]
-            T = mount.T_vehicle_sensor
-            both = np.concatenate([transform(T, origins), axes @ T[:3, :3].T], axis=1)
-            chunks.append(tensor(both.astype(np.float32)))
+    chunks = [
+        tensor(np.concatenate([origins, axes], axis=1).astype(np.float32))
+        for mount in rig.mounts
+        for _, origins, axes in rays_of(mount, duration_ns)
+    ]
 
     def cast() -> None:
         for chunk in chunks:

@@ -348,13 +348,13 @@ def blocked(tree, packet, origins, directions, count, out):
 
     A shape that only touches an end does not block. Rows of targets seen from one origin go fastest.
     """
-    first = 0
+    first, rays = 0, packet.rays
     while first < count:
         some, face = alike(directions, first, count)
         load(packet, origins, directions, first, some, face)
         for n in range(SIZE):
-            packet.rays[RANGE + n] = 1 - ENDS
+            rays[RANGE + n] = 1 - ENDS
         trace(tree, packet, face, True)
         for n in range(some):
-            out[first + n] = packet.rays[SLOT + n] >= 0
+            out[first + n] = rays[SLOT + n] >= 0
         first += some

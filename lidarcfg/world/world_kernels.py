@@ -201,7 +201,7 @@ def cast(world, origins, directions, seconds, limit_m, found):
     static, dynamic, ground_m, count, first = world.static, world.dynamic, world.ground_m, len(seconds), 0
     packet, moved, rows = new_packet(len(dynamic.roots)), new_poses(), np.arange(len(seconds))
     dynamics, slots, range_m, slot = len(dynamic.roots), len(static.kind), found.range_m, found.slot
-    moving = swept(dynamic, seconds.min(), seconds.max())
+    normals, moving = len(found.normal) > 0, swept(dynamic, seconds.min(), seconds.max())
     while first < count:
         some, face = alike(directions, first, count)
         load(packet, origins, directions, first, some, face)
@@ -209,5 +209,6 @@ def cast(world, origins, directions, seconds, limit_m, found):
         if dynamics:
             hit_dynamic(dynamic, moving, packet, moved, seconds, first, some, face, slots)
         keep(packet.rays, rows, first, some, range_m, slot)
-        keep_normals(world, packet, moved, seconds, first, some, face, rows, found)
+        if normals:
+            keep_normals(world, packet, moved, seconds, first, some, face, rows, found)
         first += some

@@ -1,0 +1,174 @@
+#!/usr/bin/env python3
+"""Our tracer beside Open3D's, the same rays in the same run, as medians of several runs by processor time.
+
+.venv/bin/python tools/bench_tracer.py             # prints the table of docs/benchmarks.md
+"""
+
+import os
+import platform
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+from bench_capture import pave, rays_of
+
+import lidarcfg
+from lidarcfg.geometry import Array
+from lidarcfg.rig import load_rig
+from lidarcfg.world.bvh import TRIANGLE, build, corners
+from lidarcfg.world.scene import load_scene
+from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.tracer_kernels import NONE, blocked, new_packet
+from lidarcfg.world.world_kernels import Found, cast
+
+RUNS = 9
+SIMULATED_NS = 2_000_000_000
+CELLS = (40, 40, 30)  # cuboids of a region around the vehicle, 48,000 targets
+BODY = (50, 50)  # quads of a body of some 4,900 triangles
+MILLION = 708  # quads a side of a mesh of a million triangles
+
+
+def measured(functions: dict[str, Callable[[], object]]) -> dict[str, Array]:
+    """Seconds of the processor (RUNS,) of each, in turn; the first run does not count."""
+    seconds: dict[str, list[float]] = {name: [] for name in functions}
+    for run in range(RUNS + 1):
+        for name, function in functions.items():
+            began = time.process_time()
+            function()
+            if run:
+                seconds[name].append(time.process_time() - began)
+    return {name: np.array(values) for name, values in seconds.items()}
+
+
+def raycasting(vertices: Array, triangles: Array) -> o3d.t.geometry.RaycastingScene:
+    """Open3D's, of a mesh."""
+    scene, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor.from_numpy
+    scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
+    return scene
+
+
+def sheet(columns: int, rows: int) -> tuple[Array, Array]:
+    """A closed wavy body around the origin, as vertices and triangles."""
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, columns), np.linspace(0.02, np.pi - 0.02, rows), indexing="ij")
+    size = 1 + 0.03 * np.sin(9 * u) * np.sin(7 * v)
+    vertices = np.stack(
+        [2.2 * size * np.cos(u) * np.sin(v), 0.9 * size * np.sin(u) * np.sin(v), 0.7 * size * np.cos(v)], -1
+    )
+    number = np.arange(columns * rows).reshape(columns, rows)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    return vertices.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def row(name: str, ours: Array, theirs: Array, count: int, required: str) -> None:
+    """A line: rates in millions a second, and how many times as fast."""
+    ratio = theirs / ours
+    rates = f"{count / np.median(ours) / 1e6:.1f} | {count / np.median(theirs) / 1e6:.1f}"
+    print(f"| {name} | {rates} | {np.median(ratio):.2f} | {ratio.min():.2f} to {ratio.max():.2f} | {required} |")
+
+
+def first_hits(folder: Path) -> None:
+    """Four VLP-16 in the paved street, laser by laser; and two threads beside one, by the clock."""
+    scene, rig = load_scene(pave(folder)), load_rig(folder / "rig.yaml")
+    vertices, triangles = scene.mesh(0.001)
+    chunks = [chunk for mount in rig.mounts for chunk in rays_of(mount, SIMULATED_NS)]
+    orders = [np.argsort(fired.laser, kind="stable") for fired, _, _ in chunks]
+    origins, ways = (
+        np.concatenate([chunk[k][order] for chunk, order in zip(chunks, orders, strict=True)]) for k in (1, 2)
+    )
+    count, tracer = len(origins), Tracer(scene, np.zeros(3))
+    world = tracer.world._replace(ground_m=np.inf)
+    half = count // 2
+    pieces = [
+        [np.ascontiguousarray(rows[part].T) for rows in (origins, ways)] for part in (slice(half), slice(half, None))
+    ]
+    whole = [np.ascontiguousarray(rows.T) for rows in (origins, ways)]
+    theirs, both = raycasting(vertices, triangles), np.concatenate([origins, ways], 1).astype(np.float32)
+    given = o3d.core.Tensor.from_numpy(both)
+
+    def trace(rays: list[Array]) -> None:
+        n = rays[0].shape[1]
+        found = Found(np.empty(n), np.full(n, int(NONE), np.int32), np.empty((0, 3)), np.empty(0))
+        cast(world, *rays, np.zeros(n), np.inf, found)
+
+    seconds = measured({"ours": lambda: trace(whole), "theirs": lambda: theirs.cast_rays(given, nthreads=1)})
+    row(
+        f"first hit, four VLP-16, {len(triangles):,} triangles", seconds["ours"], seconds["theirs"], count, "1.0 to 1.2"
+    )
+    gain = []
+    with ThreadPoolExecutor(2) as pool:
+        for run in range(RUNS + 1):
+            began = time.perf_counter()
+            trace(pieces[0])
+            trace(pieces[1])
+            middle = time.perf_counter()
+            list(pool.map(trace, pieces))
+            if run:
+                gain.append((middle - began) / (time.perf_counter() - middle))
+    spread = f"{min(gain):.2f} to {max(gain):.2f}"
+    print(f"| two threads against one, by the clock | | | {np.median(gain):.2f} | {spread} | 1.8 |")
+
+
+def any_hits() -> None:
+    """48,000 centres of cuboids from one sensor beside a body."""
+    vertices, triangles = sheet(*BODY)
+    axes = [np.linspace(-low, low, n) for low, n in zip((20, 20, 3), CELLS, strict=True)]
+    targets = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    origin = np.array([0.4, 0.3, 0.95])
+    shapes = np.empty(9 * len(triangles))
+    corners(vertices, triangles, np.arange(len(triangles), dtype=np.int32), np.zeros(3), shapes)
+    kind, number = np.full(len(triangles), TRIANGLE, np.uint8), np.arange(len(triangles), dtype=np.int32)
+    tree, packet = build(shapes, kind, number, number), new_packet(0)
+    starts, ways = np.tile(origin[:, None], (1, len(targets))), np.ascontiguousarray((targets - origin).T)
+    out = np.empty(len(targets), np.bool_)
+    theirs = raycasting(vertices, triangles)
+    given = o3d.core.Tensor.from_numpy(np.concatenate([starts.T, ways.T], 1).astype(np.float32))
+    seconds = measured(
+        {
+            "ours": lambda: blocked(tree, packet, starts, ways, len(out), out),
+            "theirs": lambda: theirs.test_occlusions(given, 0.0, 1.0, nthreads=1),
+        }
+    )
+    same = (theirs.test_occlusions(given, 0.0, 1.0).numpy() == out).mean()
+    row(
+        f"any hit, {len(out):,} targets, {len(triangles):,} triangles ({same:.3%} agree)",
+        *seconds.values(),
+        len(out),
+        "2",
+    )
+
+
+def building() -> None:
+    """A million triangles: seconds, and how much the process grew at its peak."""
+    vertices, triangles = sheet(MILLION, MILLION)
+    which, kind = np.arange(len(triangles), dtype=np.int32), np.full(len(triangles), TRIANGLE, np.uint8)
+    seconds = []
+    before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    for _ in range(3):
+        began = time.process_time()
+        shapes = np.empty(9 * len(triangles))
+        corners(vertices, triangles, which, np.zeros(3), shapes)
+        build(shapes, kind, which, which)
+        seconds.append(time.process_time() - began)
+    grown_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before_mb
+    spread = f"{min(seconds):.2f} to {max(seconds):.2f}"
+    print(f"| build, {len(triangles):,} triangles, s | {np.median(seconds):.2f} | | | {spread} | 3 |")
+    print(f"| the same, growth of the process, MB | {grown_mb:.0f} | | | | 300 |")
+
+
+def main() -> None:
+    cpu = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+    print(f"lidarcfg {lidarcfg.__version__}, {cpu}, Open3D {o3d.__version__} with one thread, medians of {RUNS} runs\n")
+    print("| million a second | ours | Open3D | ratio | spread | required |\n|---|---|---|---|---|---|")
+    building()
+    with tempfile.TemporaryDirectory() as folder:
+        first_hits(Path(folder))
+    any_hits()
+
+
+if __name__ == "__main__":
+    main()
