@@ -1,0 +1,37 @@
+"""Searches that version 0.1.0 made, bit for bit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.solvers.lshade import Lshade
+from lidarcfg.placement.study import load_study, with_solver
+
+STUDIES = Path(__file__).parents[2] / "data/studies"
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "objective", "x"),
+    [
+        ("liu2018-2x8", 1, "0x1.4310572620ae5p-2", "0x1.e4047b2930f39p+4"),
+        ("liu2018-4x16", 2, "0x1.abbf309b8b578p-3", "0x1.c52988c9d5b9ep+4"),
+        ("sedan", 3, "0x1.17a75f83717a8p-2", "-0x1.3333333333333p-1"),
+    ],
+)
+def test_bees_find_the_same_rig(name, seed, objective, x):
+    study = load_study(STUDIES / f"{name}.yaml")
+    found = optimize(with_solver(study, method="abc", seed=seed, bees=20, evaluations=400))
+    assert found.objective.hex() == objective
+    assert found.rig.mounts[0].position_m[0].hex() == x
+
+
+def test_lshade_takes_the_same_path():
+    solver, best = Lshade(3, np.random.default_rng(7), 500), np.inf
+    while not solver.over:
+        cost = ((solver.ask().x - 0.3) ** 2).sum(axis=1)
+        best = min(best, cost.min())
+        solver.tell(cost)
+    assert float(best).hex() == "0x1.7880903a8b624p-20"
+    assert float(solver.sources[0, 0]).hex() == "0x1.400c8353e3ca9p-1"
