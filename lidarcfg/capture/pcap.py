@@ -31,6 +31,7 @@ PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
 HEADER = 24  # bytes of a classic pcap before its records
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 20  # bytes of a pcap, read at once
+SCANNED = 1 << 26  # bytes of a pcap whose headers are looked at together
 RECORDS = 1000  # of a pcapng, read at once
 RECORDS_ALIKE = 64  # of a pcap, looked at together
 
@@ -71,8 +72,8 @@ def read_batches(
 ) -> Iterator[Datagrams]:
     """The UDP datagrams of a pcap (µs or ns, either byte order) or pcapng, in pieces of the file.
 
-    With `from_ns`, pieces of the file that are wholly before that host time are passed over, but for the file's last:
-    of their records only the headers are looked at. What is not UDP over IPv4 is passed over. Where the file is cut off
+    With `from_ns`, what is before the first record of that host time is passed over: in a classic pcap only the headers
+    of its records are looked at. What is not UDP over IPv4 is passed over. Where the file is cut off
     in mid-record, the records before it are read; `on_warning` is told that, and of datagrams that miss fragments.
     Raises PacketError.
     """
@@ -84,7 +85,7 @@ def read_batches(
                 raise PacketError(f"{path}: the file is empty")
             file.seek(0)
             if magic in PCAP_MAGIC:
-                pieces = _pcap_pieces(file, str(path), on_warning, buffer)
+                pieces = _pcap_pieces(file, str(path), on_warning, from_ns, buffer)
             else:
                 pieces = _other_pieces(file, str(path), on_warning)
             early = None
@@ -103,7 +104,7 @@ def read_batches(
 
 
 def _pcap_pieces(
-    file: "BufferedReader[FileIO]", name: str, on_warning: Callable[[str], None], buffer: int
+    file: "BufferedReader[FileIO]", name: str, on_warning: Callable[[str], None], from_ns: int | None, buffer: int
 ) -> Iterator[Piece]:
     """The frames of a classic pcap."""
     header = file.read(HEADER)
@@ -113,6 +114,9 @@ def _pcap_pieces(
     link = _checked_link(struct.unpack_from(order + "I", header, 20)[0] & 0xFFFF, name)  # the rest says of checksums
     record = RECORD if order == "<" else RECORD.newbyteorder()
     count, left = 0, np.empty(0, np.uint8)
+    if from_ns is not None:
+        place, count = _place(name, record, unit_ns, from_ns)
+        file.seek(place)
     while True:
         data = np.empty(len(left) + buffer, np.uint8)
         data[: len(left)] = left
@@ -122,12 +126,29 @@ def _pcap_pieces(
         data = data[: len(left) + read]
         start, at, size = _records(data, record)
         heads = gathered(data, start, record)
-        time_ns = heads["seconds"].astype(np.int64) * SECOND_NS + heads["microseconds"].astype(np.int64) * unit_ns
-        yield Piece(link, time_ns, start + record.itemsize, heads["captured"].astype(np.int64), data)
+        yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data)
         _check_size(size, name)
         count, left = count + len(start), data[at:]
     if len(left):
         on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
+
+
+def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tuple[int, int]:
+    """Where the first record of this time or later begins, or else the last one; and how many are before it.
+
+    Only the records' headers are looked at, in the file mapped to memory.
+    """
+    data = np.memmap(name, np.uint8, "r")
+    at, count, last = HEADER, 0, (HEADER, 0)
+    while at < len(data):
+        start, end, _ = _records(data[at : at + SCANNED], record)
+        if not len(start):
+            break
+        late = np.flatnonzero(_time_ns(gathered(data[at : at + SCANNED], start, record), unit_ns) >= from_ns)
+        if len(late):
+            return at + int(start[late[0]]), count + int(late[0])
+        at, count, last = at + end, count + len(start), (at + int(start[-1]), count + len(start) - 1)
+    return last
 
 
 def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np.int64], int, int]:
