@@ -56,7 +56,9 @@ class PointCloud:
     time_ns: NDArray[np.int64]  # (N,) device time since 1970
     sensor: NDArray[np.uint16]  # (N,) index into sensor_names
     sensor_names: tuple[str, ...]
-    return_type: NDArray[np.uint8]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest
+    return_type: NDArray[
+        np.uint8
+    ]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
 
     @classmethod
     def none(cls, sensor_names: tuple[str, ...]) -> "PointCloud":

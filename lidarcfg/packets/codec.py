@@ -77,7 +77,7 @@ class Returns:
     laser: Octets  # (N,)
     ring: Octets  # (N,) 0 is the lowest beam
     intensity: Octets  # (N,)
-    return_type: Octets  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest
+    return_type: Octets  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,10 @@ class Codec(Protocol):
         """(L,) when each laser fires after the first, in one firing of all."""
 
 
-FAMILIES = {"velodyne": "lidarcfg.packets.velodyne.codec:Velodyne"}  # module and class, loaded when they are needed
+FAMILIES = {  # module and class, loaded when they are needed
+    "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
+    "hesai": "lidarcfg.packets.hesai.codec:Hesai",
+}
 
 
 def family(name: str) -> type[Codec]:

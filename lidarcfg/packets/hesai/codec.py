@@ -1,0 +1,139 @@
+"""Hesai's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidarcfg.errors import PacketError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Flags, Known, Octets, Pace, Payloads, Returns, Source, Tally, Times
+from lidarcfg.packets.hesai import corrections
+from lidarcfg.packets.hesai.decode import check, decode, device_time_ns
+from lidarcfg.packets.hesai.facts import Settings, Unit, unit
+from lidarcfg.packets.hesai.layout import encoder_rad, octets_of
+from lidarcfg.packets.hesai.losses import Losses
+from lidarcfg.packets.hesai.recognise import check_size, claims, identify
+from lidarcfg.sensor import Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+    from lidarcfg.world.motion import Trajectory
+    from lidarcfg.world.scene import GeoOrigin
+
+
+class Hesai:
+    """The packets of one Hesai sensor."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.unit = unit(sensor)
+
+    def check(self, mount: "Mount") -> None:
+        """See `Codec`."""
+        mount.settings.checked(Settings)
+        assert self.unit.unit_mm
+
+    def pace(self, mount: "Mount") -> Pace:
+        """See `Codec`."""
+        dual = mount.return_mode == "dual"
+        return Pace(self.unit.period_ns(dual), self.unit.groups(dual) * self.unit.count)
+
+    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+        """See `Codec`."""
+        from lidarcfg.packets.hesai.schedule import batches
+
+        return batches(self.unit, mount, start_ns, packets, chunk)
+
+    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
+        """See `Codec`."""
+        from lidarcfg.packets.hesai.encode import encode
+
+        packets = encode(self.unit, mount, batch, range_m, reflectivity)
+        first = int(batch.number[0]) if len(batch.number) else 0
+        headers = self.unit.facts.headers
+        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.data, first)
+
+    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
+        """See `Codec`."""
+        from lidarcfg.packets.hesai.encode import sent
+
+        return sent(self.unit.packets_of(payloads.data), mount.return_mode == "dual")
+
+    def housekeeping(
+        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    ) -> Iterator[Payloads]:
+        """Nothing: the clock is taken as set by PTP, with which no GPS packets are sent."""
+        return iter(())
+
+    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
+        """The angle correction file."""
+        return corrections.written(self.unit, mount)
+
+    @classmethod
+    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
+        """By how it begins: which model it is, `recognise` says, or why not."""
+        return claims(size, payload)
+
+    @classmethod
+    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+        """See `Codec`."""
+        return identify(source.where, packets, _units(known)).sensor
+
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> "HesaiDecoder":
+        """See `Codec`."""
+        check_size(source.where, self.unit, packets)
+        beams = corrections.found(source, self.unit.count)
+        if beams is None:
+            what = f"no *{corrections.SUFFIX} beside it; the nominal angles of {self.unit.name} are taken"
+            source.on_warning(f"{source.where}: {what}")
+            return HesaiDecoder(source.where, self.unit)
+        sensor = self.unit.sensor.model_copy(update={"beams": beams})
+        return HesaiDecoder(source.where, Unit(sensor, self.unit.facts))
+
+    def firing_ns(self) -> Times:
+        """See `Codec`; of a laser that rests in the first loop, in the second."""
+        fires, offset_ns = self.unit.fires, self.unit.offset_ns
+        return np.asarray(np.where(fires[0], offset_ns[0], offset_ns[-1]))
+
+
+class HesaiDecoder:
+    """Packets of one Hesai sensor."""
+
+    def __init__(self, where: str, unit: Unit) -> None:
+        self._where, self._unit, self._losses = where, unit, Losses(unit)
+
+    @property
+    def period_ns(self) -> int:
+        """See `Decoder`."""
+        return self._unit.period_ns()
+
+    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+        """See `Decoder`."""
+        return device_time_ns(self._unit.packets_of(packets))
+
+    def heading_rad(self, packets: Octets) -> Array:
+        """See `Decoder`."""
+        return encoder_rad(self._unit.packets_of(packets)["blocks"]["azimuth"][:, 0])
+
+    def check(self, packets: Octets) -> None:
+        """See `Decoder`."""
+        try:
+            check(self._unit, self._unit.packets_of(packets))
+        except PacketError as error:
+            raise PacketError(f"{self._where}: {error}") from None
+
+    def count(self, packets: Octets, wanted: Flags) -> None:
+        """See `Decoder`."""
+        self._losses.add(self._unit.packets_of(packets), wanted)
+
+    def tally(self) -> Tally:
+        """See `Decoder`."""
+        return Tally((self._unit.name,), self._losses.return_modes, self._losses.lost, self._losses.rpm)
+
+    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+        """See `Decoder`."""
+        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
+
+
+def _units(known: Known) -> Sequence[Unit]:
+    return [unit(sensor) for sensor in known()]

@@ -1,0 +1,149 @@
+"""What a sensor's file says under `hesai`."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from lidarcfg.config import Model, fault
+from lidarcfg.errors import ConfigError
+from lidarcfg.packets.codec import Flags, Octets, Times
+from lidarcfg.packets.hesai.layout import Packets, Protocol, packet
+from lidarcfg.packets.network import Header, Network
+from lidarcfg.sensor import Byte, Range, Sensor
+
+Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
+Loop = tuple[Nanoseconds | None, ...]
+
+
+class Firing(Model):
+    """When each laser fires."""
+
+    source: str
+    period_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one firing of all lasers to the next
+    stamp_ns: Nanoseconds  # from the packet's stamp to the start of its last firing of all lasers
+    loops: Annotated[tuple[Loop, ...], Field(min_length=1, max_length=2)]  # by laser, after that start; none: it rests
+
+    @model_validator(mode="after")
+    def _check(self) -> "Firing":
+        for i, loop in enumerate(self.loops):
+            if max((offset for offset in loop if offset is not None), default=0) >= self.period_ns:
+                raise fault(f"a firing lies beyond the period's {self.period_ns} ns", "loops", i)
+        return self
+
+
+class Packet(Model):
+    """The facts of the data packet."""
+
+    source: str
+    protocol: Protocol
+    blocks: Annotated[int, Field(ge=2, le=64, multiple_of=2)]
+    confidence: Byte  # the fourth byte of each return
+
+
+class Headers(Network):
+    """What stands before the sensor's datagrams."""
+
+    source: str
+    data: Header
+
+
+class Facts(Model):
+    """All that a sensor's file says under `hesai`."""
+
+    firing: Firing
+    packet: Packet
+    headers: Headers
+
+
+class Settings(Model):
+    """All that a rig's file says of a mount under `hesai`: nothing yet."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A sensor with the facts of its packets."""
+
+    sensor: Sensor
+    facts: Facts
+
+    @property
+    def name(self) -> str:
+        """The model's."""
+        return self.sensor.name
+
+    @property
+    def count(self) -> int:
+        """The number of lasers."""
+        return self.sensor.count
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Its packet."""
+        return packet(self.facts.packet.protocol, self.count, self.facts.packet.blocks)
+
+    @property
+    def range(self) -> Range:
+        """Limits and resolution. Raises ConfigError if they are not known."""
+        if self.sensor.range is None:
+            raise ConfigError(f"sensor {self.name!r} is for placement only: it has no range facts")
+        return self.sensor.range
+
+    @property
+    def unit_mm(self) -> int:
+        """What the header says of distances. Raises ConfigError if it cannot."""
+        unit_mm = round(self.range.resolution_m * 1000)
+        if not 1 <= unit_mm <= 255 or abs(unit_mm - self.range.resolution_m * 1000) > 1e-9:
+            what = f"{self.range.resolution_m:g} m is not in whole millimetres, 1 to 255"
+            raise ConfigError(f"sensor {self.name!r}: range.resolution_m: {what}")
+        return unit_mm
+
+    def groups(self, dual: bool) -> int:
+        """How often all lasers fire in a packet."""
+        return self.facts.packet.blocks // (1 + dual)
+
+    def period_ns(self, dual: bool = False) -> int:
+        """From one packet to the next."""
+        return self.groups(dual) * self.facts.firing.period_ns
+
+    @property
+    def fires(self) -> Flags:
+        """(loops, L): whether each laser fires."""
+        return np.array([[offset is not None for offset in loop] for loop in self.facts.firing.loops])
+
+    @property
+    def offset_ns(self) -> Times:
+        """(loops, L): when, after the start; 0 where it rests."""
+        return np.array([[offset or 0 for offset in loop] for loop in self.facts.firing.loops], np.int64)
+
+    def group_ns(self, dual: bool) -> Times:
+        """(G,): when each firing of all lasers starts, after the packet's stamp."""
+        before = np.arange(1 - self.groups(dual), 1)
+        return before * self.facts.firing.period_ns + self.facts.firing.stamp_ns
+
+    def packets_of(self, octets: Octets) -> Packets:
+        """(P,) packets of (P, size) octets, in the same memory."""
+        return np.ascontiguousarray(octets).view(self.dtype)[:, 0]
+
+
+@lru_cache(64)
+def unit(sensor: Sensor) -> Unit:
+    """The sensor with what its file says under `hesai`. Raises ConfigError with file, line and key."""
+    section = sensor.section
+    facts = section.checked(Facts)
+    for i, loop in enumerate(facts.firing.loops):
+        if len(loop) != sensor.count:
+            raise section.error(("firing", "loops", i), f"has {len(loop)} values; allowed: {sensor.count}, one a beam")
+    if sensor.count > 255:
+        raise ConfigError(f"sensor {sensor.name!r} has {sensor.count} beams; a header says 255 at most")
+    return Unit(sensor, facts)
+
+
+def read_only(values: NDArray[Any]) -> NDArray[Any]:
+    """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
+    view = values.view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,56 @@
+"""Plain-loop twins for Hesai's packets, written from the user manuals (PandarXT, QT128C2X: section 3.1, appendix B)."""
+
+import calendar
+import csv
+import math
+import struct
+
+SHAPES = {1080: (32, 8), 568: (16, 8), 820: (32, 6), 1127: (128, 2)}  # lasers and blocks by size
+
+
+def angles(text: str) -> list[tuple[float, float]]:
+    """Elevation and azimuth offset by channel."""
+    rows = [row for row in csv.reader(text.splitlines()) if len(row) >= 3 and row[0].strip().isdigit()]
+    return [(float(row[1]), float(row[2])) for row in rows]
+
+
+def crc32_mpeg2(data: bytes) -> int:
+    """Bit by bit."""
+    value = 0xFFFFFFFF
+    for byte in data:
+        for bit in range(7, -1, -1):
+            top = value >> 31 ^ byte >> bit & 1
+            value = (value << 1 & 0xFFFFFFFF) ^ (0x04C11DB7 if top else 0)
+    return value
+
+
+def stamp_us(payload: bytes) -> int:
+    """UTC in microseconds."""
+    at = 1076 if len(payload) == 1127 else len(payload) - 15
+    year, month, day, hour, minute, second = payload[at : at + 6]
+    whole = calendar.timegm((1900 + year, month, day, hour, minute, second))
+    return whole * 10**6 + struct.unpack_from("<I", payload, at + 6)[0]
+
+
+def points(payload: bytes, table: list[tuple[float, float]]) -> list[tuple[float, float, float, int, int, int]]:
+    """x, y, z, reflectivity, channel and block of each return, but for the second of two that are alike."""
+    lasers, blocks = SHAPES[len(payload)]
+    assert payload[:2] == b"\xee\xff"
+    assert (payload[6], payload[7]) == (lasers, blocks)
+    unit_m = payload[9] / 1000
+    found = []
+    for block in range(blocks):
+        at = 12 + block * (2 + 4 * lasers)
+        azimuth = struct.unpack_from("<H", payload, at)[0] / 100
+        for channel in range(lasers):
+            here = at + 2 + 4 * channel
+            distance, reflectivity = struct.unpack_from("<HB", payload, here)
+            twin = here - (2 + 4 * lasers)
+            if not distance or (block % 2 and payload[10] > 1 and payload[here : here + 3] == payload[twin : twin + 3]):
+                continue
+            elevation, offset = table[channel]
+            flat = distance * unit_m * math.cos(math.radians(elevation))
+            angle = math.radians(azimuth + offset)
+            z = distance * unit_m * math.sin(math.radians(elevation))
+            found.append((flat * math.sin(angle), flat * math.cos(angle), z, reflectivity, channel, block))
+    return found

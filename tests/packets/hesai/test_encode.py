@@ -1,0 +1,354 @@
+"""What is written: read again by this package, by hydra4, and by a plain loop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hydra4.decoders.pandar_xt32 import PandarXT32
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.frames import frames
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.cloud import concatenate
+from lidarcfg.errors import ConfigError, PacketError
+from lidarcfg.packets.codec import Payloads, codec
+from lidarcfg.rig import Rig
+from lidarcfg.simulate.export import START_NS, export, in_time_order, save_companions
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.scene import load_scene
+from tests.capture_fixtures import STREET, datagrams_of, no_warning
+from tests.naive import hesai as naive
+from tests.packets.hesai.recorded import mount
+
+MODELS = {"pandar-xt32": 400_000, "pandar-xt16": 400_000, "xt32m2x": 300_000, "qt128": 222_220}  # ns, a packet
+CHUNK = 64
+
+
+def sensed(of, packets, seed=1):
+    """Batches of a mount's packets, with ranges and reflectivities out of a hat; a tenth measures nothing."""
+    rng, maker = np.random.default_rng(seed), codec(of.sensor)
+    columns = 2 if of.return_mode == "dual" else 1
+    for batch in maker.schedule(of, START_NS, packets, CHUNK):
+        shape = len(batch.firings.time_ns), columns
+        range_m = np.sort(rng.uniform(of.sensor.range.min_m, of.sensor.range.max_m, shape), axis=1)
+        range_m[rng.random(len(range_m)) < 0.1] = np.inf
+        same = rng.random(len(range_m)) < 0.5
+        range_m[same] = range_m[same][:, :1]
+        reflectivity = rng.integers(0, 256, shape, np.uint8)
+        reflectivity[same] = reflectivity[same][:, :1]
+        if shape[0]:
+            yield batch, range_m, reflectivity, maker.encode(of, batch, range_m, reflectivity)
+
+
+def capture(of, path, packets, keep=lambda payloads: slice(None)):
+    """A capture of that with the angles beside it: batches, ranges, reflectivities and payloads, each as one."""
+    parts = list(sensed(of, packets))
+    some = [(part[3], keep(part[3])) for part in parts]
+    kept = [replace(one, time_ns=one.time_ns[rows], data=one.data[rows]) for one, rows in some]
+    write_pcap(path, (frames(of.host, one) for one in kept))
+    save_companions(path, [of])
+    columns = [np.concatenate([part[i] for part in parts]) for i in (1, 2)]
+    firings = [np.concatenate([getattr(part[0].firings, key) for part in parts]) for key in ("time_ns", "encoder_rad")]
+    laser = np.concatenate([part[0].firings.laser for part in parts])
+    sent = np.concatenate([codec(of.sensor).sent(of, part[0], part[3]) for part in parts])
+    payload = np.concatenate([part[3].data for part in parts])
+    return (*firings, laser, *columns, sent, payload)
+
+
+@pytest.mark.parametrize("mode", ["strongest", "last", "dual"])
+@pytest.mark.parametrize("model", MODELS)
+def test_each_return_comes_back(model, mode, tmp_path):
+    """Range within half a unit, direction within half a hundredth of a degree, the rest exactly."""
+    of, path = mount(model, mode), tmp_path / "drive.pcap"
+    time_ns, encoder, laser, range_m, reflectivity, sent, _ = capture(of, path, 300)
+    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    n, column = np.nonzero(sent)
+    assert len(cloud.xyz) == len(n) > 0.4 * len(time_ns)
+    order = np.lexsort((column, laser[n], time_ns[n]))
+    ring, kinds = of.sensor.ring[laser[n]], column if mode == "dual" else np.full(len(n), mode == "last")
+    theirs = np.lexsort((cloud.return_type == 1, np.argsort(of.sensor.ring)[cloud.ring], cloud.time_ns))
+    np.testing.assert_allclose(cloud.time_ns[theirs], time_ns[n][order], atol=500)
+    np.testing.assert_array_equal(cloud.ring[theirs], ring[order])
+    np.testing.assert_array_equal(cloud.return_type[theirs] == 1, kinds[order])
+    np.testing.assert_array_equal(cloud.intensity[theirs], reflectivity[n, column][order])
+    truth_m = range_m[n, column][order]
+    found_m = np.linalg.norm(cloud.xyz[theirs], axis=1)
+    assert abs(found_m - truth_m).max() <= of.sensor.range.resolution_m / 2 + 1e-9
+    azimuth = (encoder + of.sensor.azimuth_offset_rad[laser])[n][order]  # clockwise from x: see docs/hesai.md
+    elevation = of.sensor.elevation_rad[laser][n][order]
+    along = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), -np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+    )
+    apart = np.linalg.norm(cloud.xyz[theirs] / found_m[:, None] - along, axis=1)
+    assert apart.max() <= np.radians(0.005) + 1e-9
+
+
+@pytest.mark.parametrize("mode", ["strongest", "dual"])
+@pytest.mark.parametrize("model", MODELS)
+def test_stamps_sequence_speed_and_times(model, mode, tmp_path):
+    """Bytes by the manuals; firing times by Nebula's formulas (and for the QT128's table by Hesai's file)."""
+    of = mount(model, mode, rpm=600.0)
+    time_ns, *_, payload = capture(of, tmp_path / "drive.pcap", 200)
+    period_ns = MODELS[model] // (1 + (mode == "dual"))
+    assert codec(of.sensor).pace(of).period_ns == period_ns
+    stamps = np.array([naive.stamp_us(one.tobytes()) for one in payload])
+    assert set(np.diff(stamps).tolist()) <= {period_ns // 1000, -(-period_ns // 1000)}
+    tail = 1073 if model == "qt128" else payload.shape[1] - 18
+    assert set(payload[:, tail].tolist()) == {0x39 if mode == "dual" else 0x37}
+    assert (payload[:, tail + 1 : tail + 3].copy().view("<u2") == 600).all()
+    sequence = payload[:, tail + 14 : tail + 18].copy().view("<u4")[:, 0]
+    np.testing.assert_array_equal(sequence, np.arange(200))
+    blocks = payload[0, 7]
+    lasers, groups = of.sensor.count, blocks // (1 + (mode == "dual"))
+    fired_us = (time_ns.reshape(200, groups, lasers) - stamps[:, None, None] * 1000) / 1000
+    last = groups - 1 - np.arange(groups)
+    if model == "qt128":
+        loop = np.arange(200) % 2 if mode == "dual" else np.ones(200, int)
+        assert abs(fired_us[:, -1, 98] - 9 - np.array([0.6, 1.456])[loop]).max() <= 0.501
+        if mode != "dual":
+            assert abs(fired_us[:, 1, 98] - fired_us[:, 0, 98] - 111.11 - 0.856).max() < 1e-3
+        else:
+            flags = payload[:, 1066].tolist()
+            assert flags == [1, 0] * 100
+    else:
+        step_us, rows = {"pandar-xt32": (1.512, 32), "pandar-xt16": (3.024, 16), "xt32m2x": (2.888, 16)}[model]
+        wanted = 5.632 - 50 * last[:, None] + 0.368 + step_us * (np.arange(lasers) % rows)
+        assert abs(fired_us - wanted).max() < 1e-3
+
+
+def test_checksums_and_the_rolling_counter(tmp_path):
+    payload = capture(mount("qt128", "dual"), tmp_path / "drive.pcap", 400)[-1]
+    for one in payload[::57]:
+        octets = one.tobytes()
+        for first, last in ((12, 1040), (1045, 1057), (1061, 1091)):
+            assert naive.crc32_mpeg2(octets[first:last]) == int.from_bytes(octets[last : last + 4], "little")
+    counter = payload[:, 1045].astype(int)
+    steps = np.flatnonzero(np.diff(counter))
+    assert set(counter.tolist()) == set(range(6))
+    assert set((np.diff(counter)[steps] % 6).tolist()) == {1}
+    assert set(np.diff(steps).tolist()) <= {45, 46, 47}
+
+
+@pytest.mark.parametrize("mode", ["strongest", "dual"])
+def test_hydra4_places_the_points_of_an_xt32(mode, tmp_path):
+    """By the angles written beside the capture. With dual returns it reads even blocks only, the last returns."""
+    of, path = mount("pandar-xt32", mode), tmp_path / "drive.pcap"
+    payload = capture(of, path, 40)[-1]
+    theirs = PandarXT32(tmp_path / "drive-192.168.1.201-2368-angles.csv", 0.0, 1000.0)
+
+    class Packet:
+        pass
+
+    points = []
+    for one in payload:
+        packet = Packet()
+        packet.data = one.tobytes()
+        points += [point for block in theirs(packet) for point in block.points]
+    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    if mode == "dual":
+        pair = np.stack([cloud.time_ns, cloud.ring], axis=1)
+        _, inverse, count = np.unique(pair, axis=0, return_inverse=True, return_counts=True)
+        xyz = cloud.xyz[(cloud.return_type == 1) | (count[inverse.ravel()] == 1)]
+    else:
+        xyz = cloud.xyz
+    assert len(points) == len(xyz) > 3000
+    np.testing.assert_allclose(xyz, np.array([point[:3] for point in points]), atol=1e-9)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_losses_by_the_sequence(model, tmp_path):
+    """Every tenth packet is gone, and a run of five; a field of view loses none."""
+    keep = {"all": 0}
+
+    def some(payloads: Payloads):
+        number = keep["all"] + np.arange(len(payloads.data))
+        keep["all"] += len(number)
+        return (number % 10 != 4) & ~((number >= 100) & (number < 105))
+
+    capture(mount(model), tmp_path / "drive.pcap", 200, some)
+    stats = []
+    list(decode_pcap(tmp_path / "drive.pcap", no_warning, on_stats=stats.append))
+    assert stats[0].lost == 20 + 4
+    capture(mount(model, azimuth_fov_deg=(10.0, 50.0)), tmp_path / "narrow.pcap", 1000)
+    list(decode_pcap(tmp_path / "narrow.pcap", no_warning, on_stats=stats.append))
+    assert stats[1].lost == 0
+    assert 50 < stats[1].packets < 250
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_azimuth_windows(model, tmp_path):
+    """Nothing outside, and all inside that is sent without a window: degrees clockwise from x, over 360 too."""
+    everywhere = mount(model, "dual")
+    narrow = mount(model, "dual", azimuth_fov_deg=(340.0, 30.0))
+    time_ns, encoder, *_ = capture(everywhere, tmp_path / "all.pcap", 1200)
+    some_ns, some_encoder, *_, sent, _ = capture(narrow, tmp_path / "some.pcap", 1200)
+    inside = (np.degrees(some_encoder) - 340) % 360 <= 50
+    assert not sent[~inside].any()
+    assert sent[inside].any()
+    wanted = (np.degrees(encoder) - 340) % 360 <= 50
+    assert set(time_ns[wanted].tolist()) <= set(some_ns.tolist())
+    cloud = concatenate(list(decode_pcap(tmp_path / "some.pcap", no_warning)))
+    spread = np.degrees(abs(everywhere.sensor.azimuth_offset_rad).max()) + 0.01
+    heading = np.degrees(np.arctan2(-cloud.xyz[:, 1], cloud.xyz[:, 0]))
+    assert -20 - spread <= heading.min() <= heading.max() <= 30 + spread
+
+
+def test_chunks_do_not_matter():
+    of = mount("qt128", "dual", azimuth_fov_deg=(10.0, 90.0), phase_deg=30.0)
+    maker = codec(of.sensor)
+    whole, parts = (list(maker.schedule(of, START_NS + 777, 500, chunk)) for chunk in (500, 33))
+    for key in ("number", "sent_ns"):
+        np.testing.assert_array_equal(getattr(whole[0], key), np.concatenate([getattr(one, key) for one in parts]))
+    for key in ("time_ns", "laser", "encoder_rad"):
+        together = np.concatenate([getattr(one.firings, key) for one in parts])
+        np.testing.assert_array_equal(getattr(whole[0].firings, key), together)
+
+
+def test_the_phase_lock():
+    """At a whole second the head points there, clockwise from the x axis."""
+    of = mount("pandar-xt32", phase_deg=123.0)
+    batch = next(codec(of.sensor).schedule(of, START_NS, 2500, 2500))
+    for second in (0, 1):
+        nearest = np.argmin(abs(batch.firings.time_ns - START_NS - second * SECOND_NS))
+        assert abs(np.degrees(batch.firings.encoder_rad[nearest]) - 123.0) < 0.2
+
+
+def test_a_rig_of_two_in_the_street(tmp_path):
+    """Through the simulator: in one capture, each with its own angles, told apart, as the ground truth has them."""
+    mounts = (
+        replace(mount("pandar-xt32", "dual"), name="left", position_m=(0.3, 0.5, 2.0), rpy_rad=(0.1, -0.05, 0.3)),
+        replace(mount("qt128", host="192.168.1.202"), name="right", position_m=(0.3, -0.5, 1.9)),
+    )
+    rig, path, truth = Rig("two", mounts), tmp_path / "two.pcap", []
+    streams = export(rig, load_scene(STREET), np.eye(4), SECOND_NS // 10, on_truth=truth.append)
+    write_pcap(path, in_time_order(streams))
+    names = {one.name for one in save_companions(path, mounts)}
+    assert names == {"two-left-192.168.1.201-2368-angles.csv", "two-right-192.168.1.202-2368-angles.csv"}
+    stats = []
+    cloud = concatenate(list(decode_pcap(path, no_warning, rig=rig, on_stats=stats.append)))
+    assert sorted(one.models for one in stats) == [("pandar-xt32",), ("qt128",)]
+    assert all(one.lost == 0 for one in stats)
+    records = np.concatenate(truth)
+    assert len(records) == len(cloud.xyz) > 20_000
+    assert set(cloud.sensor.tolist()) == {0, 1}
+    for i, one in enumerate(mounts):
+        mine, theirs = np.flatnonzero(cloud.sensor == i), records[records["sensor"] == i]
+        ring = one.sensor.ring[theirs["laser"]]
+        found = mine[np.lexsort((cloud.return_type[mine], cloud.time_ns[mine], cloud.ring[mine]))]
+        order = np.lexsort((theirs["return_type"], theirs["time_ns"], ring))
+        np.testing.assert_allclose(cloud.time_ns[found], theirs["time_ns"][order], atol=500)
+        range_m = np.linalg.norm(cloud.xyz[found] - one.position_m, axis=1)
+        unit_m = one.sensor.range.resolution_m
+        assert abs(range_m - theirs["range_m"][order]).max() <= unit_m / 2 + 1e-6
+
+
+def test_rewritten_angles_are_read(tmp_path):
+    """Whoever writes other angles beside the capture gets other points."""
+    of, path = mount("pandar-xt16"), tmp_path / "drive.pcap"
+    capture(of, path, 50)
+    own = tmp_path / "drive-192.168.1.201-2368-angles.csv"
+    before = concatenate(list(decode_pcap(path, no_warning))).xyz
+    rows = [line.split(",") for line in own.read_text().splitlines()[1:]]
+    text = "".join(f"{k},{float(elevation) + 1},{float(azimuth) + 90}\n" for k, elevation, azimuth in rows)
+    own.write_text("Channel,Elevation,Azimuth\n" + text)
+    after = concatenate(list(decode_pcap(path, no_warning))).xyz
+    flat = [np.hypot(xyz[:, 0], xyz[:, 1]) for xyz in (before, after)]
+    elevation = [np.degrees(np.arctan2(xyz[:, 2], r)) for xyz, r in zip((before, after), flat, strict=True)]
+    np.testing.assert_allclose(elevation[1] - elevation[0], 1, atol=1e-6)
+    turned = np.degrees(np.arctan2(before[:, 1], before[:, 0]) - np.arctan2(after[:, 1], after[:, 0])) % 360
+    np.testing.assert_allclose(turned, 90, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("files", "what"),
+    [
+        (
+            {"drive-angles.csv": "Channel,Elevation,Azimuth\n1,2,3\n"},
+            "drive-angles.csv has 1 channels; the packets have 16",
+        ),
+        (
+            {"drive-angles.csv": "Channel,Elevation,Azimuth\n1,2,3\n2,x,4\n"},
+            "drive-angles.csv:3: '2,x,4' is not channel",
+        ),
+        (
+            {"drive-angles.csv": "Channel,Elevation,Azimuth\n1,2,3\n1,4,3\n"},
+            "drive-angles.csv:3: channel 1 stands there",
+        ),
+        ({"drive-angles.csv": "\n"}, "drive-angles.csv: its channels are not 1, 2 and on"),
+        ({"drive-angles.csv": "2,1,0\n3,2,0\n"}, "drive-angles.csv: its channels are not 1, 2 and on"),
+        ({"drive-angles.csv": "1,91,0\n"}, "drive-angles.csv: elevation_deg"),
+        ({"drive-angles.csv": "1,1e999,0\n"}, "drive-angles.csv: elevation_deg"),
+    ],
+)
+def test_angles_that_make_no_sense(files, what, tmp_path):
+    path = tmp_path / "drive.pcap"
+    capture(mount("pandar-xt16"), path, 20)
+    (tmp_path / "drive-192.168.1.201-2368-angles.csv").unlink()
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(PacketError, match=f"drive.pcap: 192.168.1.201:2368|{what[:20]}") as error:
+        list(decode_pcap(path, no_warning))
+    assert what in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_two_files_that_may_be_meant(tmp_path):
+    path = tmp_path / "drive.pcap"
+    capture(mount("pandar-xt16"), path, 20)
+    own = tmp_path / "drive-192.168.1.201-2368-angles.csv"
+    text = own.read_text()
+    own.unlink()
+    for name in ("drive-one-angles.csv", "drive-two-angles.csv"):
+        (tmp_path / name).write_text(text)
+    with pytest.raises(PacketError, match=r"may belong to drive-one-angles.csv or drive-two-angles.csv; name one of"):
+        list(decode_pcap(path, no_warning))
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "what"),
+    [
+        (6, 64, "sends Hesai's protocol 6.1, 64 lasers, 8 blocks, 568 bytes; read are pandar-xt16 (6.1, 16, 8, 568)"),
+        (9, 0, "a distance unit of 0 mm"),
+        (550, 0x3D, "return mode 0x3D; read are 0x33 first"),
+    ],
+)
+def test_packets_that_make_no_sense(at, value, what, tmp_path):
+    path = tmp_path / "drive.pcap"
+    of = mount("pandar-xt16")
+    ((_, _, _, payloads),) = sensed(of, 20)
+    payloads.data[:, at] = value
+    write_pcap(path, [frames(of.host, payloads)])
+    save_companions(path, [of])
+    with pytest.raises(PacketError) as error:
+        list(decode_pcap(path, no_warning))
+    assert what in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_seconds_since_1970_most_significant_first(tmp_path):
+    """A date whose year is 0 holds them in its last four bytes, as Hesai's SDK reads it."""
+    path, of = tmp_path / "drive.pcap", mount("pandar-xt16")
+    ((_, _, _, payloads),) = sensed(of, 20)
+    second = START_NS // SECOND_NS + 5
+    payloads.data[:, 553:559] = np.frombuffer(b"\0\0" + second.to_bytes(4), np.uint8)
+    write_pcap(path, [frames(of.host, payloads)])
+    save_companions(path, [of])
+    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    assert set((cloud.time_ns // SECOND_NS).tolist()) == {second}
+
+
+def test_a_unit_of_half_millimetres_is_an_error(tmp_path):
+    of = mount("pandar-xt16")
+    odd = of.sensor.model_copy(update={"range": of.sensor.range.model_copy(update={"resolution_m": 0.0005})})
+    with pytest.raises(ConfigError, match=r"range.resolution_m: 0.0005 m is not in whole millimetres, 1 to 255"):
+        codec(odd).check(replace(of, sensor=odd))
+
+
+def test_the_capture_has_one_datagram_a_packet(tmp_path):
+    """To the sensor's data port, from the manual's source port 10000, each sent when its last laser has fired."""
+    of, path = mount("qt128", data_port=2370), tmp_path / "drive.pcap"
+    time_ns, *_ = capture(of, path, 50)
+    ends_ns = time_ns.reshape(50, -1).max(axis=1)
+    for datagram, end_ns in zip(datagrams_of(path), ends_ns.tolist(), strict=True):
+        assert (datagram.host, datagram.port, len(datagram.payload)) == (of.host, 2370, 1127)
+        assert 0 <= datagram.time_ns - end_ns < 1000 + 100_000
