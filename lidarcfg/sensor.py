@@ -49,6 +49,7 @@ class Beams(Model):
     azimuth_offset_deg: tuple[Angle, ...] = ()  # added to the head's azimuth
     vertical_offset_mm: tuple[Millimetres, ...] = ()  # of the beam's start, up: added to z after r sin(elevation)
     lateral_offset_mm: tuple[Millimetres, ...] = ()  # of the beam's start, to the left
+    forward_offset_mm: tuple[Millimetres, ...] = ()  # of the beam's start, to where the head points
 
     @model_validator(mode="after")
     def _check_lengths(self) -> "Beams":
@@ -174,6 +175,11 @@ class Sensor(Model):
     def lateral_offset_m(self) -> Array:
         """(count,) by laser id: and this far to the left of where it points."""
         return self._table("lateral_offset_mm") / 1000
+
+    @property
+    def forward_offset_m(self) -> Array:
+        """(count,) by laser id: and this far ahead, in the direction of the head's azimuth."""
+        return self._table("forward_offset_mm") / 1000
 
     def _table(self, key: str) -> Array:
         return np.array(getattr(self.beams, key) or (0.0,) * self.count, np.float64)

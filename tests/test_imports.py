@@ -55,11 +55,14 @@ def test_the_ground_stands_alone():
 
 
 def test_only_packets_knows_a_family():
-    """Nothing outside imports what is below packets/velodyne; within packets/, the registry names it and nobody else."""
+    """Nothing outside a family's folder imports what is in it; within packets/, the registry names it and nobody else."""
+    families = {path.name for path in (PACKAGE / "packets").iterdir() if (path / "codec.py").is_file()}
+    assert {"robosense", "velodyne"} <= families
     found = [
         f"{one} imports {other}"
         for one, other in imports()
-        if other.startswith("packets.velodyne") and not one.startswith("packets.velodyne")
+        for family in families
+        if other.startswith(f"packets.{family}.") and not one.startswith(f"packets.{family}.")
     ]
     assert found == []
 

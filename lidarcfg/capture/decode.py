@@ -258,8 +258,9 @@ def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
         raise PacketError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
 
 
-def _payloads(path: Path, host: str, port: int, size: int) -> Iterator[Octets]:
-    """The payloads of one size that a host sends to a port, from the capture's start."""
+def _payloads(path: Path, host: str, port: int | None, size: int) -> Iterator[Octets]:
+    """The payloads of one size that a host sends to a port, or to any, from the capture's start."""
     number = int.from_bytes(socket.inet_aton(host))
     for batch in read_batches(path, lambda warning: None):
-        yield batch[(batch.host == number) & (batch.port == port) & (batch.size == size)].payloads(size)
+        mine = (batch.host == number) & (batch.size == size)
+        yield batch[mine if port is None else mine & (batch.port == port)].payloads(size)

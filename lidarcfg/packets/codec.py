@@ -88,7 +88,7 @@ class Source:
     host: str  # the address that sends
     port: int  # the port that it sends to
     companions: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
-    payloads: Callable[[int, int], Iterator[Octets]]  # of the host to a port, of one size, from the capture's start
+    payloads: Callable[[int | None, int], Iterator[Octets]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
 
 
@@ -192,6 +192,7 @@ class Codec(Protocol):
 FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
     "hesai": "lidarcfg.packets.hesai.codec:Hesai",
+    "robosense": "lidarcfg.packets.robosense.codec:Robosense",
 }
 
 

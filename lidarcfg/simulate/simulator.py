@@ -87,6 +87,7 @@ def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
         sin_elevation=np.sin(sensor.elevation_rad),
         cos_offset=np.cos(sensor.azimuth_offset_rad),
         sin_offset=np.sin(sensor.azimuth_offset_rad),
+        forward_m=np.ascontiguousarray(sensor.forward_offset_m),
         left_m=np.ascontiguousarray(sensor.lateral_offset_m),
         up_m=np.ascontiguousarray(sensor.vertical_offset_m),
         across=across,

@@ -29,6 +29,7 @@ class Lasers(NamedTuple):
     sin_elevation: Array
     cos_offset: Array  # of the azimuth
     sin_offset: Array
+    forward_m: Array
     left_m: Array
     up_m: Array
     across: Array  # (K,) tangents of the angles by which the rays of a beam leave its axis
@@ -112,12 +113,12 @@ def _aim(lasers, k, encoder, R, t, axes, origins):
         lasers.cos_offset[k],
         lasers.sin_offset[k],
     )
-    left_m, up_m = lasers.left_m[k], lasers.up_m[k]
+    forward_m, left_m, up_m = lasers.forward_m[k], lasers.left_m[k], lasers.up_m[k]
     for n in range(SIZE):
         cos_h, sin_h = cos_sin(encoder[n])
         c, s = cos_h * cos_o - sin_h * sin_o, sin_h * cos_o + cos_h * sin_o
         axes[0, n], axes[1, n], axes[2, n] = cos_w * c, -cos_w * s, sin_w
-        x, y = left_m * s, left_m * c
+        x, y = left_m * s + forward_m * cos_h, left_m * c - forward_m * sin_h
         origins[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * up_m + t[0, n]
         origins[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * up_m + t[1, n]
         origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * up_m + t[2, n]

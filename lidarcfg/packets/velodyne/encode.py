@@ -44,7 +44,7 @@ def encode(
     packets = np.zeros(len(stamped_ns), PACKET)
     blocks = packets["blocks"][:, : len(number)]
     blocks["flag"] = np.tile(block_flags(unit.packet, dual), len(number) // span)
-    blocks["azimuth"] = np.repeat(_block_azimuths(unit, fired, len(packets)), span, axis=1)
+    blocks["azimuth"] = np.repeat(_block_azimuths(unit, fired, dual), span, axis=1)
     laser, limits = number // (1 + dual) % unit.count, _limits(unit)
     measured = _flat(range_m, len(packets)), _flat(reflectivity, len(packets))
     returns = blocks["returns"]["distance"], blocks["returns"]["intensity"]
@@ -97,10 +97,9 @@ def check_encodable(unit: Unit, return_mode: str) -> None:
         calibration(unit, unit.packet.status, return_mode)
 
 
-def _block_azimuths(unit: Unit, fired: Firings, packets: int) -> NDArray[np.int64]:
+def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]:
     """(P, blocks' times) in hundredths of a degree: where the head points at the first firing of each."""
-    encoder_rad = fired.encoder_rad.reshape(packets, -1, unit.count)
-    head_rad = encoder_rad[:, :: unit.packet.sequences_per_block, int(np.argmin(unit.firing.offset_ns))]
+    head_rad = unit.spin(dual).head_rad(fired)
     return np.asarray(np.rint(head_rad / RADIANS).astype(np.int64) % REVOLUTION)
 
 

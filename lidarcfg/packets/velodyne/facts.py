@@ -13,6 +13,7 @@ from lidarcfg.config import Model, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.network import Header, Network
+from lidarcfg.packets.spin import Spin
 from lidarcfg.sensor import Byte, Millimetres, Range, Sensor, check_lengths
 
 BLOCKS = 12  # in a data packet
@@ -201,12 +202,17 @@ class Unit:
 
     def offsets_ns(self, dual: bool = False) -> NDArray[np.int64]:
         """(S, L): when each laser fires in a packet's S sequences, after its stamp. With dual returns S is smaller."""
-        sequences = BLOCKS // self.span(dual) * self.packet.sequences_per_block
-        return np.arange(sequences)[:, None] * self.firing.sequence_ns + np.array(self.firing.offset_ns, np.int64)
+        return self.spin(dual).offsets_ns
 
     def period_ns(self, dual: bool = False) -> int:
         """From one packet's stamp to the next one's."""
-        return len(self.offsets_ns(dual)) * self.firing.sequence_ns
+        return self.spin(dual).period_ns
+
+    def spin(self, dual: bool) -> Spin:
+        """The firing pattern of a packet."""
+        per_block = self.packet.sequences_per_block
+        offset_ns = np.array(self.firing.offset_ns, np.int64)
+        return Spin(offset_ns, self.firing.sequence_ns, BLOCKS // self.span(dual) * per_block, per_block)
 
     def span(self, dual: bool) -> int:
         """How many blocks hold one block's time of all lasers."""

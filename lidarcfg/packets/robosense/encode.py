@@ -1,0 +1,63 @@
+"""MSOP packets of firings and what they measured."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Flags, Octets
+from lidarcfg.packets.robosense.facts import Unit
+from lidarcfg.packets.robosense.layout import (
+    BLOCK_ID,
+    DISTANCE_MAX,
+    HELIOS,
+    MSOP,
+    MSOP_ID,
+    MSOP_TAIL,
+    RADIANS,
+    RESOLUTION,
+    REVOLUTION,
+    Packets,
+    octets_of,
+    write_time,
+)
+from lidarcfg.packets.robosense.slots import places
+
+
+def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
+    """Packets (P,) of N firings and what they measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
+    from lidarcfg.packets.robosense import encode_kernels  # decoding needs none of them
+
+    spin, fired = unit.spin(dual), batch.firings
+    stamped_ns, _ = spin.stamps_ns(fired)
+    packets: Packets = np.zeros(len(stamped_ns), MSOP)
+    packets["id"], packets["version"], packets["tail"] = MSOP_ID, 1, MSOP_TAIL
+    packets["count"], packets["resolution"] = batch.number % 2**32, RESOLUTION
+    packets["type"], packets["model"] = HELIOS, unit.facts.packet.model
+    write_time(packets, stamped_ns)
+    blocks = packets["blocks"]
+    blocks["id"] = BLOCK_ID
+    azimuth = np.rint(spin.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
+    blocks["azimuth"] = np.repeat(azimuth, blocks.shape[1] // azimuth.shape[1], axis=1)
+    limits = unit.range.min_m, unit.range.max_m, unit.range.resolution_m, float(DISTANCE_MAX)
+    measured = _rows(range_m, len(packets)), _rows(reflectivity, len(packets))
+    encode_kernels.fill(*measured, places(unit, dual), limits, octets_of(packets))
+    return packets
+
+
+def sent(unit: Unit, dual: bool, octets: Octets) -> Flags:
+    """(N, 1) or (N, 2): which are returns in the packets; of two that are alike there, the first."""
+    at = places(unit, dual)
+    high, low, intensity = (octets[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
+    found: Flags = (high | low) != 0
+    if dual:
+        found[:, 1] &= (high[:, 0] != high[:, 1]) | (low[:, 0] != low[:, 1]) | (intensity[:, 0] != intensity[:, 1])
+    return found
+
+
+def _rows(values: NDArray[Any], rows: int) -> NDArray[Any]:
+    """As a matrix of so many rows that is not written to: kernels are compiled for each kind of array."""
+    view = np.ascontiguousarray(values).reshape(rows, -1).view()
+    view.flags.writeable = False
+    return view

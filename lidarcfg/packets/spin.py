@@ -1,0 +1,95 @@
+"""When and where each laser fires: a sensor fires on its own clock while its head turns."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidarcfg.packets.codec import Batch, Firings, Times
+from lidarcfg.units import MINUTE_NS, SECOND_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+
+
+@dataclass(frozen=True)
+class Spin:
+    """The firing pattern of a packet: all lasers fire in a sequence, which is repeated."""
+
+    offset_ns: Times  # (L,) when each laser fires, after its sequence's stamp
+    sequence_ns: int  # from one sequence to the next
+    sequences: int  # in a packet
+    per_azimuth: int  # sequences that share an azimuth in the packet
+
+    @property
+    def offsets_ns(self) -> Times:
+        """(S, L): when each laser fires, after the packet's stamp."""
+        return np.arange(self.sequences)[:, None] * self.sequence_ns + self.offset_ns
+
+    @property
+    def period_ns(self) -> int:
+        """From one packet's stamp to the next one's."""
+        return self.sequences * self.sequence_ns
+
+    def stamps_ns(self, fired: Firings) -> tuple[Times, Times]:
+        """(P,) when each packet is stamped and when it is complete, a sequence after its last one began."""
+        time_ns = fired.time_ns.reshape(-1, self.sequences * len(self.offset_ns))
+        first, last = (time_ns[:, at] - self.offset_ns[0] for at in (0, -len(self.offset_ns)))
+        return first, last + self.sequence_ns
+
+    def head_rad(self, fired: Firings) -> np.ndarray:
+        """(P, azimuths): where the head points when the first laser of the sequences that share an azimuth fires."""
+        encoder_rad = fired.encoder_rad.reshape(-1, self.sequences, len(self.offset_ns))
+        return np.asarray(encoder_rad[:, :: self.per_azimuth, int(np.argmin(self.offset_ns))])
+
+
+def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: float | None = None) -> Firings:
+    """The firings of the packets with these numbers; packet 0 starts at `start_ns` with azimuth 0.
+
+    With a phase lock the head points to `phase_deg` at each whole second instead, for which `rpm` must be whole
+    revolutions a second. The revolutions up to each packet are counted in whole numbers, so an hour adds no drift.
+    """
+    from lidarcfg.packets.spin_kernels import turned  # decoding needs none of them
+
+    revolution_ns = MINUTE_NS / Fraction(rpm)
+    whole, part = revolution_ns.numerator, revolution_ns.denominator
+    into_ns, ahead = (0, 0.0) if phase_deg is None else (start_ns % SECOND_NS, phase_deg / 360)
+    begun = np.array([(into_ns + n * spin.period_ns) * part % whole / whole for n in packets], np.float64)
+    first_ns = start_ns + np.array(packets, np.int64) * spin.period_ns
+    time_ns, encoder_rad = turned(begun + ahead, spin.offsets_ns.ravel(), rpm / MINUTE_NS, first_ns)
+    laser = np.tile(np.arange(len(spin.offset_ns), dtype=np.uint8), len(time_ns) // len(spin.offset_ns))
+    return Firings(time_ns, laser, encoder_rad)
+
+
+def batches(spin: Spin, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+    """The firings of so many packets' time, `chunk` packets at a time. Without a field of view each chunk is full.
+
+    With one, only the sequences whose azimuth is within it are fired, and packets are filled with them across the gap,
+    as a VLP-32C's are in a recording; what does not fill a packet is not sent.
+    """
+    lasers = len(spin.offset_ns)
+    together = spin.per_azimuth * lasers  # firings that share an azimuth
+    rest = firings(spin, mount.rpm, start_ns, range(0))
+    sent = 0
+    for first in range(0, packets, chunk):
+        numbers = range(first, min(first + chunk, packets))
+        fired = firings(spin, mount.rpm, start_ns, numbers, mount.phase_deg)
+        if mount.azimuth_fov_deg is not None:
+            low, high = mount.azimuth_fov_deg
+            inside = (np.degrees(spin.head_rad(fired)) - low) % 360 <= (high - low) % 360
+            fired = _joined(rest, _some(fired, np.repeat(inside.ravel(), together)))
+            full = len(fired.time_ns) // (spin.sequences * lasers) * spin.sequences * lasers
+            fired, rest = _some(fired, slice(full)), _some(fired, slice(full, None))
+        ends_ns = spin.stamps_ns(fired)[1]
+        yield Batch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000)
+        sent += len(ends_ns)
+
+
+def _some(fired: Firings, which: slice | np.ndarray) -> Firings:
+    return Firings(fired.time_ns[which], fired.laser[which], fired.encoder_rad[which])
+
+
+def _joined(one: Firings, other: Firings) -> Firings:
+    return Firings(*(np.concatenate([getattr(one, key), getattr(other, key)]) for key in vars(one)))

@@ -1,0 +1,254 @@
+"""What a Helios sends and how it is read back: simulated captures against the ground truth and the manuals' bytes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.pcap import Datagram, write_pcap
+from lidarcfg.cloud import concatenate
+from lidarcfg.errors import ConfigError, PacketError
+from lidarcfg.packets.codec import codec
+from lidarcfg.rig import Rig
+from lidarcfg.sensor import load_sensor
+from lidarcfg.simulate.export import START_NS, check_exportable, export, in_time_order
+from tests.capture_fixtures import datagrams_of, no_warning, scene, write_datagrams
+from tests.naive import robosense as naive
+from tests.packets.robosense.fixtures import mount
+
+MODELS = {"helios-16p": 16, "helios-32": 32}
+SCENE = """
+ground: {reflectivity: 12}
+boxes:
+  - {name: wall, center_m: [9, 0, 2], size_m: [0.5, 30, 6], reflectivity: 80}
+  - {name: post, center_m: [-4, 1, 1.5], size_m: [0.4, 0.4, 3], reflectivity: 0}
+"""
+
+
+def exported(tmp_path, mounts, duration_s=0.25, start_ns=START_NS):
+    path, truth = tmp_path / "a.pcap", []
+    rig, way = Rig("rig", tuple(mounts)), np.eye(4)
+    streams = export(rig, scene(tmp_path, SCENE), way, round(duration_s * 1e9), start_ns, on_truth=truth.append)
+    write_pcap(path, in_time_order(streams))
+    return path, rig, np.concatenate(truth)
+
+
+def decoded(path, on_warning=no_warning, **options):
+    stats = []
+    cloud = concatenate(list(decode_pcap(path, on_warning, on_stats=stats.append, **options)))
+    return cloud, stats[0]
+
+
+def msop(path):
+    return [one.payload for one in datagrams_of(path) if one.port == 6699]
+
+
+def changed(path, change):
+    """The capture with its datagrams changed; those that become None are left out."""
+    path_ = path.with_name("changed.pcap")
+    write_datagrams(path_, [new for one in datagrams_of(path) if (new := change(one))])
+    return path_
+
+
+def patched(one, *patches):
+    data = bytearray(one.payload)
+    for at, new in patches:
+        data[at : at + len(new)] = new
+    return Datagram(one.time_ns, one.host, one.source_port, one.port, bytes(data))
+
+
+@pytest.mark.parametrize("mode", ["strongest", "last", "dual"])
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("fov", [None, (300, 60)])
+def test_there_and_back(tmp_path, model, mode, fov):
+    """Every return of the ground truth, at its time, within half a unit and half a hundredth of azimuth a block."""
+    mounted = mount(model, return_mode=mode, rpy_rad=(0.03, 0.05, 0.4), azimuth_fov_deg=fov)
+    path, rig, truth = exported(tmp_path, [mounted])
+    cloud, stats = decoded(path, rig=rig)
+    assert (stats.models, stats.return_modes, stats.lost) == ((model,), (mode,), 0)
+    assert stats.rpm == pytest.approx(600, abs=1)
+    assert len(cloud.xyz) == len(truth) > 2000
+    assert (cloud.ring == mounted.sensor.ring[truth["laser"]]).all()
+    assert (cloud.return_type == truth["return_type"]).all()
+    assert abs(cloud.time_ns - truth["time_ns"]).max() <= (1000 if fov is None else 10_000)
+    bare, _ = decoded(path)
+    lens_m = np.hypot(bare.xyz[:, 0], bare.xyz[:, 1])
+    up_m = bare.xyz[:, 2]
+    found_m = np.hypot((lens_m - 0.03498), up_m)  # the azimuth offset turns the beam by 5 degrees: 0.1 mm
+    assert abs(found_m - truth["range_m"]).max() < 0.00125 + 0.0003
+    # where the ray of the truth ends, by the manual's formula
+    since_ns = truth["time_ns"] - START_NS
+    head_deg = since_ns * 6 * 600 / 1e9 % 360
+    beams = mounted.sensor.beams
+    offset = np.array(beams.azimuth_offset_deg or [0.0] * MODELS[model])[truth["laser"]]
+    ends = [
+        naive.point(range_m / 0.0025, head, beams.elevation_deg[laser], off)
+        for range_m, head, laser, off in zip(truth["range_m"], head_deg, truth["laser"], offset, strict=True)
+    ]
+    off_m = np.linalg.norm(bare.xyz - ends, axis=1)
+    assert (off_m < 0.00126 + np.radians(0.0101) * truth["range_m"]).all()
+
+
+@pytest.mark.parametrize(("model", "lasers"), MODELS.items())
+def test_the_twin_reads_single_returns(tmp_path, model, lasers):
+    path, _, _ = exported(tmp_path, [mount(model)], 0.1)
+    cloud, _ = decoded(path)
+    beams = load_sensor(model).beams
+    first_us = 27.68 if lasers == 16 else 0
+    offset = beams.azimuth_offset_deg or (0.0,) * 16
+    expected = np.array(list(naive.single(msop(path), lasers, beams.elevation_deg, offset, first_us)))
+    assert abs(cloud.xyz - expected[:, 3:]).max() < 1e-6
+    assert (cloud.intensity == expected[:, 1]).all()
+    assert abs(cloud.time_ns - expected[:, 2]).max() < 600
+
+
+@pytest.mark.parametrize(("model", "lasers"), MODELS.items())
+def test_dual_returns_stand_where_the_manual_says(tmp_path, model, lasers):
+    """In halves of a block (16 lasers), or in odd and even blocks (32): of one azimuth, which is the next firing's."""
+    mounted, maker = mount(model, return_mode="dual"), codec(load_sensor(model))
+    (batch,) = maker.schedule(mounted, 0, 3, 3)
+    count, rng = len(batch.firings.laser), np.random.default_rng(1)
+    units, intensity = rng.integers(80, 60_000, (count, 2)), rng.integers(0, 256, (count, 2), np.uint8)
+    data = maker.encode(mounted, batch, units * 0.0025, intensity).data
+    found = [cell for packet in data for cell in naive.dual_cells(packet.tobytes(), lasers)]
+    assert len(found) == count
+    for n, (azimuth, laser, first, second) in enumerate(found):
+        assert laser == batch.firings.laser[n]
+        assert [*first, *second] == [units[n, 0], intensity[n, 0], units[n, 1], intensity[n, 1]]
+        begun = n - laser  # the sequence's first firing
+        assert azimuth == round(np.degrees(batch.firings.encoder_rad[begun]) * 100) % 36000
+
+
+def test_headers_are_the_manuals(tmp_path):
+    """Tables 11 and 14, byte by byte; a DIFOP first and every second."""
+    mounted = mount("helios-32", azimuth_fov_deg=(240, 80), phase_deg=100, rpm=1200, return_mode="last")
+    path, _, _ = exported(tmp_path, [mounted], 1.1, START_NS + 250_000_000)
+    datagrams = datagrams_of(path)
+    difops = [one for one in datagrams if one.port == 7788]
+    assert datagrams[0] is difops[0]
+    assert [one.time_ns - START_NS for one in difops] == [250_000_000, 1_250_000_000]
+    said = difops[0].payload
+    assert len(said) == 1248
+    assert said[:10].hex() == "a5ff005a11115555" + "04b0"
+    assert said[10:18] == bytes([192, 168, 1, 200, 192, 168, 1, 102])
+    assert said[18:24].hex(":") == "40:2c:76:a8:01:c8"
+    assert said[24:32].hex() == "1a2b1a2b1e6c1e6c"
+    assert said[32:36].hex() == "5dc01f40"  # the manual's example, C.3
+    assert said[38:40].hex() == "0064"  # and C.4
+    assert said[300] == 0x05
+    assert naive.seconds_us(said, 303) * 1000 == START_NS + 250_000_000
+    beams = mounted.sensor.beams
+    assert naive.difop_angles(said) == (list(beams.elevation_deg), list(beams.azimuth_offset_deg))
+    assert said[1246:].hex() == "0ff0"
+    packets = msop(path)
+    assert {one[:8].hex() + one[30:38].hex() for one in packets} == {"55aa055a00010000" + "0006010000000000"}
+    assert {one[1242:].hex() for one in packets} == {"0000000000ff"}
+    assert [int.from_bytes(one[12:16]) for one in packets] == list(range(len(packets)))
+    for one in packets:  # where the head points at the whole second
+        since_s = naive.seconds_us(one, 20) / 1e6 % 1
+        assert (naive.azimuths(one)[0] / 100 - 100 - since_s * 7200 + 180) % 360 - 180 == pytest.approx(0, abs=0.02)
+    inside = [(azimuth - 24000) % 36000 <= 20000 for one in packets for azimuth in naive.azimuths(one)]
+    assert all(inside)
+
+
+def test_losses_are_counted(tmp_path):
+    """By the counter; without one by the stamps, if the sensor fires all around."""
+    path, _, _ = exported(tmp_path, [mount("helios-32")])
+    numbers = {10, 11, 200}
+
+    def fewer(one, *patches):
+        mine = one.port == 6699
+        if mine and int.from_bytes(one.payload[12:16]) in numbers:
+            return None
+        return patched(one, *patches) if mine else one
+
+    assert decoded(changed(path, fewer))[1].lost == 3
+    assert decoded(changed(path, lambda one: fewer(one, (12, bytes(4)))))[1].lost == 3
+
+
+def test_sensors_are_told_apart(tmp_path):
+    """One capture of three families and ports, with no rig."""
+    vlp = replace(mount("vlp-16"), name="vlp", host="192.168.1.201", data_port=2368, telemetry_port=8308)
+    small = mount("helios-16p", name="small", data_port=6700, telemetry_port=7789)  # the same host, other ports
+    path, _, truth = exported(tmp_path, [mount("helios-32"), small, vlp], 0.1)
+    stats = []
+    cloud = concatenate(list(decode_pcap(path, no_warning, on_stats=stats.append)))
+    assert {one.name: one.models[0] for one in stats} == {
+        "192.168.1.200:6699": "helios-32",
+        "192.168.1.200:6700": "helios-16p",
+        "192.168.1.201:2368": "vlp-16",
+    }
+    assert len(cloud.xyz) == len(truth)
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "found"),
+    [
+        ("helios-16p", "strongest", "helios-16p"),
+        ("helios-32", "dual", "helios-32"),
+        ("helios-32", "strongest", None),
+        ("helios-16p", "dual", None),
+    ],
+)
+def test_early_firmware_without_difop(tmp_path, model, mode, found):
+    """It says no model: pairs of blocks and the period tell, where they can."""
+    path, _, _ = exported(tmp_path, [mount(model, return_mode=mode)], 0.1)
+
+    def early(one):
+        return patched(one, (30, b"\x06\x00\x00")) if one.port == 6699 else None
+
+    if found:
+        said = []
+        _, stats = decoded(changed(path, early), said.append)
+        assert (stats.models, stats.return_modes) == ((found,), (mode,))
+        assert len(said) == 1
+    else:
+        with pytest.raises(PacketError, match="may be helios-16p or helios-32: its packets say no model, and no DIFOP"):
+            decoded(changed(path, early))
+
+
+@pytest.mark.parametrize(
+    ("patches", "difop", "what"),
+    [
+        (
+            [(32, b"\x09")],
+            True,
+            "sends the unknown model 0x09; known: 0x03 helios-16p, 0x01 helios-32; or give --model",
+        ),
+        ([(31, b"\x31")], True, "sends the LiDAR type 0x31; known: 0x06 Helios"),
+        ([(32, b"\x02")], False, "no DIFOP near its start, and those of model 0x02 are not helios-32's"),
+        ([(42, b"\xff\xdd")], True, "not a packet of helios-32: block flag 0xFFDD"),
+    ],
+)
+def test_what_cannot_be_read_says_why(tmp_path, patches, difop, what):
+    path, _, _ = exported(tmp_path, [mount("helios-32")], 0.05)
+    wrong = changed(path, lambda one: patched(one, *patches) if one.port == 6699 else one if difop else None)
+    with pytest.raises(PacketError, match=what):
+        decoded(wrong)
+
+
+def test_a_rig_of_another_sensor(tmp_path):
+    path, _, _ = exported(tmp_path, [mount("helios-32")], 0.05)
+    other = Rig("other", (mount("helios-16p"),))
+    with pytest.raises(PacketError, match="sends model 0x01, not helios-16p's 0x03; --model says"):
+        decoded(path, rig=other)
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"telemetry_port": 6699}, "telemetry_port is 6699, the data_port"),
+        ({"phase_deg": 10.5}, "phase_deg is 10.5; DIFOP packets say whole degrees"),
+    ],
+)
+def test_mounts_that_cannot_be_exported(options, what):
+    with pytest.raises(ConfigError, match=what):
+        check_exportable(mount("helios-32", **options), 10**9)
+
+
+def test_angles_that_difop_cannot_say():
+    sensor = load_sensor("helios-32")
+    beams = sensor.beams.model_copy(update={"elevation_deg": (15.001, *sensor.beams.elevation_deg[1:])})
+    with pytest.raises(ConfigError, match=r"beams.elevation_deg\[0\]: DIFOP packets cannot say 15.001; allowed: -90"):
+        check_exportable(mount("helios-32", sensor=sensor.model_copy(update={"beams": beams})), 10**9)
