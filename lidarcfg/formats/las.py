@@ -26,7 +26,7 @@ VLR_USER, VLR_RECORD, VLR_MAX = "lidarcfg", 1, 65_535
 EXTRA = {
     "ring": (np.uint8, "0 is the lowest beam"),
     "sensor": (np.uint16, "index into the names in the VLR"),
-    "return_type": (np.uint8, "0 strongest 1 last 2 2nd str."),
+    "return_type": (np.uint8, "0 strong. 1 last 2 2nd 3 first"),
 }
 TIME_MAX_S = 9e9  # beyond it, nanoseconds since 1970 do not fit into int64
 DAY_NS = 86_400 * 10**9
