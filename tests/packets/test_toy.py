@@ -101,5 +101,5 @@ def test_what_the_family_refuses(tmp_path, columns):
     (tmp_path / "toy.yaml").write_text(
         SENSOR.format(columns=11).replace("toy:", "tyo:").replace("codec: toy", "codec: tyo")
     )
-    with pytest.raises(ConfigError, match="no codec is called 'tyo'; allowed: .*toy, velodyne"):
+    with pytest.raises(ConfigError, match=r"no codec is called 'tyo'; allowed: .*toy, velodyne"):
         export(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
