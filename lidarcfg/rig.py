@@ -15,15 +15,14 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism
-from lidarcfg.sensor import Elevations, Sensor, catalogue, custom_sensor, load_sensor
+from lidarcfg.sensor import Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 
 Azimuth = Annotated[float, Field(ge=0, le=360)]
-Port = Annotated[int, Field(ge=1, le=65535)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest", "last", "dual"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
-DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0
+DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # where neither rig nor sensor says others
 RETURN_MODE: ReturnMode = "strongest"
 
 
@@ -39,8 +38,8 @@ class MountFile(Model):
     rpy_rad: Angles | None = None
     rpy_deg: Angles | None = None
     host: str | None = None
-    data_port: Port = DATA_PORT
-    telemetry_port: Port = TELEMETRY_PORT
+    data_port: Port | None = None  # none: as the sensor's file says
+    telemetry_port: Port | None = None
     rpm: Positive = RPM
     return_mode: ReturnMode = RETURN_MODE
     azimuth_fov_deg: tuple[Azimuth, Azimuth] | None = None
@@ -152,6 +151,11 @@ def resolve_sensor(
         raise error_at(path, ("sensors", index, "model"), error) from None
 
 
+def ports(sensor: Sensor) -> tuple[int, int]:
+    """Where data and telemetry of a sensor go unless its rig says otherwise."""
+    return (sensor.ports.data, sensor.ports.telemetry) if sensor.ports else (DATA_PORT, TELEMETRY_PORT)
+
+
 def default_host(index: int) -> str | None:
     """The address of the rig's sensor number `index` where its file gives none: 192.168.1.201 and on."""
     host = FIRST_HOST + index
@@ -176,9 +180,11 @@ def load_rig(path: str | Path) -> Rig:
         for key in sections:
             if key != sensor.codec:
                 raise error_at(path, ("sensors", i, key), unknown_key(key, MountFile))
+        data_port, telemetry_port = ports(sensor)
+        data_port, telemetry_port = mount.data_port or data_port, mount.telemetry_port or telemetry_port
         for other in mounts:
-            if (host, mount.data_port) == (other.host, other.data_port):
-                what = f"{host}:{mount.data_port} is {other.name!r}'s; give each sensor its own"
+            if (host, data_port) == (other.host, other.data_port):
+                what = f"{host}:{data_port} is {other.name!r}'s; give each sensor its own"
                 raise error_at(path, ("sensors", i), what)
         mounts.append(
             Mount(
@@ -188,8 +194,8 @@ def load_rig(path: str | Path) -> Rig:
                 rpy_rad=angles_rad(mount.rpy_rad, mount.rpy_deg),
                 model=model,
                 host=host,
-                data_port=mount.data_port,
-                telemetry_port=mount.telemetry_port,
+                data_port=data_port,
+                telemetry_port=telemetry_port,
                 rpm=mount.rpm,
                 return_mode=mount.return_mode,
                 azimuth_fov_deg=mount.azimuth_fov_deg,

@@ -18,6 +18,7 @@ from lidarcfg.files import shipped
 from lidarcfg.geometry import Array
 
 Byte = Annotated[int, Field(ge=0, le=255)]
+Port = Annotated[int, Field(ge=1, le=65535)]
 Metres = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 
@@ -84,6 +85,14 @@ class Range(Model):
     accuracy_m: Metres  # typical
 
 
+class Ports(Model):
+    """To which UDP ports the sensor sends unless a rig says otherwise."""
+
+    source: str
+    data: Port
+    telemetry: Port
+
+
 class Optics(Model):
     """The laser light."""
 
@@ -117,6 +126,7 @@ class Sensor(Model):
     rotation: Rotation | None = None
     range: Range | None = None
     optics: Optics | None = None
+    ports: Ports | None = None
     codec: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")] | None = None
     _file: "File" = PrivateAttr(default_factory=lambda: File(""))
 

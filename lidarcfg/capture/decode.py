@@ -249,9 +249,9 @@ def _name(key: int) -> str:
 
 
 def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
-    """The files beside a capture that are called as it, or as it and `-` and something, and end in `suffix`."""
+    """The files beside a capture that are called as it, or as it and `-` or `.` and something, and end in `suffix`."""
     stem, end = escape(path.stem), escape(suffix)
-    found = {*path.parent.glob(stem + end), *path.parent.glob(f"{stem}-*{end}")}
+    found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
     try:
         return {one.name: one.read_bytes() for one in sorted(found)}
     except OSError as error:

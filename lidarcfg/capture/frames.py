@@ -20,6 +20,7 @@ LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP heade
 VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
 TAGS_MAX = 4  # VLAN tags in a frame: two are in use
 MTU = 1500  # bytes of an IP packet that Ethernet carries
+IP_MAX = 65535  # and that its header can say
 WORD = np.dtype(">u2")
 DONT_FRAGMENT, MORE_FRAGMENTS, FRAGMENT_OFFSET = 0x4000, 0x2000, 0x1FFF
 RECORD = np.dtype([(key, "<u4") for key in ("seconds", "microseconds", "captured", "length")])
@@ -74,7 +75,7 @@ class Piece:
 
 
 def frames(host: str, payloads: Payloads) -> Frames:
-    """The payloads as a host sends them. Datagrams above the MTU leave as fragments, all at the same time."""
+    """The payloads as a host sends them. Datagrams above the MTU leave as fragments at the same time."""
     count, size = payloads.data.shape
     header = payloads.header
     udp = np.zeros(count, UDP)
@@ -88,7 +89,7 @@ def frames(host: str, payloads: Payloads) -> Frames:
         found = _checksum(pseudo + _sum(udp) + _sum(payloads.data))
         udp["checksum"] = np.where(found == 0, 0xFFFF, found)  # 0 would say that there is none
     ids = (payloads.first + np.arange(count)) % 65536
-    most = MTU - IP.itemsize
+    most = (MTU if payloads.fragments else IP_MAX) - IP.itemsize
     if UDP.itemsize + size <= most:
         flags = DONT_FRAGMENT if header.dont_fragment else 0
         ids = ids if header.numbered else 0 * ids

@@ -64,6 +64,7 @@ class Payloads:
     network: Network
     header: Header
     first: int = 0  # how many went to this port before: IP ids count on
+    fragments: bool = True  # above the MTU they leave as IP fragments, else whole
 
 
 @dataclass(frozen=True)
@@ -193,6 +194,7 @@ FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
     "hesai": "lidarcfg.packets.hesai.codec:Hesai",
     "robosense": "lidarcfg.packets.robosense.codec:Robosense",
+    "ouster": "lidarcfg.packets.ouster.codec:Ouster",
 }
 
 

@@ -30,17 +30,16 @@ from lidarcfg.placement.objective import Criterion, Objective
 from lidarcfg.placement.region import Region, RegionFile
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.rig import (
-    DATA_PORT,
     FIRST_HOST,
     HOSTS,
     RETURN_MODE,
     RPM,
-    TELEMETRY_PORT,
     Mount,
     MountName,
     Rig,
     angles_rad,
     one_of,
+    ports,
     resolve_sensor,
 )
 from lidarcfg.sensor import Elevations, Sensor
@@ -209,6 +208,7 @@ class Study:
         """The rig at these poses (slots, 6); every sensor with an address and ports of its own."""
         mounts = []
         for i, (row, slot) in enumerate(zip(poses.tolist(), self.slots, strict=True)):
+            data_port, telemetry_port = ports(slot.sensor)
             mounts.append(
                 Mount(
                     name=slot.name,
@@ -217,8 +217,8 @@ class Study:
                     rpy_rad=(row[3], row[4], row[5]),
                     model=slot.model,
                     host=str(FIRST_HOST + i),
-                    data_port=DATA_PORT + i,
-                    telemetry_port=TELEMETRY_PORT + i,
+                    data_port=data_port + i,
+                    telemetry_port=telemetry_port + i,
                     rpm=RPM,
                     return_mode=RETURN_MODE,
                 )

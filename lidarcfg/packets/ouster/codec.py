@@ -1,0 +1,169 @@
+"""Ouster's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidarcfg.errors import PacketError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Flags, Known, Octets, Pace, Payloads, Source, Times
+from lidarcfg.packets.ouster.decode import OusterDecoder
+from lidarcfg.packets.ouster.facts import mode, unit
+from lidarcfg.packets.ouster.layout import PROFILES, TICKS, Layout, heads
+from lidarcfg.packets.ouster.metadata import Metadata, read, written
+from lidarcfg.sensor import Beams, Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+    from lidarcfg.world.motion import Trajectory
+    from lidarcfg.world.scene import GeoOrigin
+
+SUFFIX = ".json"
+PIXELS = (16, 32, 64, 128)
+USUAL = {(name, Layout(name, pixels, 1024).size) for name in PROFILES for pixels in PIXELS}  # profiles and sizes
+
+
+class Ouster:
+    """The packets of one Ouster."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.unit = unit(sensor)
+
+    def check(self, mount: "Mount") -> None:
+        """See `Codec`."""
+        mode(self.unit.sensor, mount)
+
+    def pace(self, mount: "Mount") -> Pace:
+        """See `Codec`."""
+        how = mode(self.unit.sensor, mount)
+        return Pace(how.period_ns, how.layout.columns_per_packet * how.layout.pixels)
+
+    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+        """See `Codec`."""
+        from lidarcfg.packets.ouster.schedule import batches
+
+        return batches(mode(self.unit.sensor, mount), start_ns, packets, chunk, mount.phase_deg)
+
+    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
+        """See `Codec`."""
+        from lidarcfg.packets.ouster.encode import encode
+
+        how, headers = mode(self.unit.sensor, mount), self.unit.facts.headers
+        packets = encode(self.unit, how, batch, range_m, reflectivity)
+        first = int(batch.number[0]) if len(batch.number) else 0
+        fragments = how.settings.fragments
+        return Payloads(batch.sent_ns, packets, mount.data_port, headers, headers.data, first, fragments)
+
+    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
+        """See `Codec`."""
+        from lidarcfg.packets.ouster.encode import sent
+
+        return sent(mode(self.unit.sensor, mount), payloads.data)
+
+    def housekeeping(
+        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    ) -> Iterator[Payloads]:
+        """Inertial measurements."""
+        from lidarcfg.packets.ouster.imu import imu_payloads
+
+        settings = mode(self.unit.sensor, mount).settings
+        if settings.imu:
+            yield from imu_payloads(self.unit, mount, trajectory, start_ns, duration_ns, settings.fragments)
+
+    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
+        """The metadata."""
+        return {SUFFIX: written(self.unit, mode(self.unit.sensor, mount), mount)}
+
+    @classmethod
+    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
+        """By metadata beside the capture, or, so that its lack is told, by a usual size and a header that fits."""
+        names = [name for name, usual in USUAL if usual == size and _fits(name, payload)]
+        return bool(names) or any(_fits(one.layout.name, payload) for one in _metadata(source, size))
+
+    @classmethod
+    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+        """See `Codec`: the metadata says it."""
+        found = _of(source, packets)
+        for sensor in known():
+            if sensor.name == found.model:
+                return sensor
+        return _unknown(found, known()[0])
+
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> OusterDecoder:
+        """See `Codec`. Beams are those that the metadata says."""
+        found, sensor = _of(source, packets), self.unit.sensor
+        if found.layout.pixels != sensor.count:
+            what = f"{found.name} is of {found.line} with {found.layout.pixels} beams"
+            raise PacketError(f"{source.where}: {what}, not of {sensor.name} with {sensor.count}")
+        return OusterDecoder(source.where, found, sensor.name)
+
+    def firing_ns(self) -> Times:
+        """See `Codec`: all fire at once."""
+        return np.zeros(self.unit.sensor.count, np.int64)
+
+
+def _fits(profile: str, payload: bytes) -> bool:
+    """Whether the first bytes are a lidar packet's."""
+    header = PROFILES[profile].header
+    if header == "legacy":
+        measurement, ticks = int.from_bytes(payload[8:10], "little"), int.from_bytes(payload[12:16], "little")
+        return ticks < TICKS and measurement <= ticks
+    return payload[:2] == b"\x01\0" if header == "standard" else payload[:1] == b"\x01"
+
+
+def _metadata(source: Source, size: int) -> list[Metadata]:
+    """The metadata beside the capture that is of packets of this size."""
+    found = [read(name, content) for name, content in source.companions(SUFFIX).items()]
+    return [one for one in found if one and one.layout.size == size]
+
+
+def _of(source: Source, packets: Octets) -> Metadata:
+    """The metadata of the source's packets. Raises PacketError if there is none, or none that fits them alone."""
+    size, payload = packets.shape[1], packets[0].tobytes()
+    beside = _metadata(source, size)
+    if not beside:
+        what = f"an Ouster's packets of {size} bytes need the sensor's metadata in a .json beside the capture"
+        raise PacketError(f"{source.where}: {what}, called as it")
+    fit = [one for one in beside if _fits(one.layout.name, payload)]
+    same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
+    if not same:
+        serials = ", ".join(f"{one.name} is of {one.line} {one.serial}" for one in beside)
+        told = f"{_serial(fit[0], packets)}" if fit else "another profile"
+        raise PacketError(f"{source.where}: its packets are of {told}; {serials}")
+    first = same[0]
+    if any(not _alike(first, one) for one in same[1:]):
+        names = ", ".join(one.name for one in same)
+        raise PacketError(f"{source.where}: several metadata fit its packets: {names}")
+    return first
+
+
+def _serial(one: Metadata, packets: Octets) -> int:
+    return heads(one.layout, packets[:1]).serial
+
+
+def _alike(one: Metadata, other: Metadata) -> bool:
+    """Whether both make the same points."""
+    return (
+        (one.layout, one.start_m, one.window) == (other.layout, other.start_m, other.window)
+        and np.array_equal(one.elevation_rad, other.elevation_rad)
+        and np.array_equal(one.azimuth_rad, other.azimuth_rad)
+        and np.array_equal(one.T_sensor_lidar, other.T_sensor_lidar)
+    )
+
+
+def _unknown(found: Metadata, like: Sensor) -> Sensor:
+    """A sensor that no catalogue has, for decoding alone: its beams are the metadata's, the rest is of another."""
+    facts = unit(like).facts
+    origin = facts.geometry.model_copy(
+        update={"lidar_origin_to_beam_origin_mm": 0.0, "lidar_height_mm": 0.0, "source": found.name}
+    )
+    beams = Beams(
+        source=found.name,
+        elevation_deg=tuple(np.degrees(found.elevation_rad).tolist()),
+        azimuth_offset_deg=tuple(np.degrees(found.azimuth_rad).tolist()),
+    )
+    section = facts.model_copy(update={"geometry": origin}).model_dump()
+    return Sensor.model_validate(
+        {"name": found.model, "maker": "Ouster", "beams": beams, "codec": "ouster", "ouster": section}
+    )

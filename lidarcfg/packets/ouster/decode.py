@@ -1,0 +1,118 @@
+"""Points of an Ouster's packets, by the metadata beside them."""
+
+import numpy as np
+
+from lidarcfg.errors import PacketError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Flags, Octets, Returns, Tally, Times
+from lidarcfg.packets.ouster import kernels
+from lidarcfg.packets.ouster.layout import columns, heads
+from lidarcfg.packets.ouster.metadata import Metadata
+from lidarcfg.packets.ouster.pixels import place, words_of
+
+STRONGEST, LAST, SECOND = 0, 1, 2
+
+
+class OusterDecoder:
+    """Packets of one source."""
+
+    def __init__(self, where: str, metadata: Metadata, model: str) -> None:
+        self._where, self._metadata, self._model = where, metadata, model
+        self._layout = metadata.layout
+        self._in_frame = _packets_in_window(metadata)
+        self._place_before: tuple[int, int] | None = None  # in the sequence of packets, and device time
+        self._lost = self._steps = self._stepped_ns = 0
+
+    @property
+    def period_ns(self) -> int:
+        """See `Decoder`: as at 10 Hz."""
+        return 100_000_000 * self._layout.columns_per_packet // self._layout.columns_per_frame
+
+    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+        """See `Decoder`. Columns outside a window may say no time."""
+        return np.asarray(columns(self._layout, packets).time_ns.max(axis=1, initial=0))
+
+    def heading_rad(self, packets: Octets) -> Array:
+        """See `Decoder`; 0 where revolutions begin, which is the sensor's back."""
+        measurement = columns(self._layout, packets).measurement[:, :1].max(axis=1, initial=0)
+        return np.asarray(measurement * (2 * np.pi / self._layout.columns_per_frame) % (2 * np.pi))
+
+    def check(self, packets: Octets) -> None:
+        """See `Decoder`."""
+        serial = self._metadata.serial
+        if not len(packets) or self._layout.legacy or not serial:
+            return
+        found = heads(self._layout, packets)
+        if found.serial != serial:
+            what = f"packets are of sensor {found.serial}, its metadata {self._metadata.name} of {serial}"
+            raise PacketError(f"{self._where}: {what}")
+
+    def count(self, packets: Octets, wanted: Flags) -> None:
+        """See `Decoder`."""
+        times_ns = self.time_ns(packets, np.empty(0, np.int64))
+        layout, cycle = self._layout, self._layout.frames * len(self._in_frame)
+        first = columns(layout, packets).measurement[:, 0] // layout.columns_per_packet
+        inside = np.searchsorted(self._in_frame, first).clip(max=len(self._in_frame) - 1)
+        index = heads(layout, packets).frame * len(self._in_frame) + inside if len(packets) else first
+        for i in np.flatnonzero(wanted).tolist():
+            at = int(index[i]), int(times_ns[i])
+            if self._place_before:
+                step = (at[0] - self._place_before[0]) % cycle
+                if 0 < step < cycle // 2 and at[1] > self._place_before[1]:
+                    self._lost += step - 1
+                    self._steps += step
+                    self._stepped_ns += at[1] - self._place_before[1]
+            self._place_before = at
+
+    def tally(self) -> Tally:
+        """See `Decoder`."""
+        rpm = float("nan")
+        if self._stepped_ns:
+            rpm = self._steps / len(self._in_frame) / (self._stepped_ns / 60e9)
+        modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
+        return Tally((self._model,), modes, self._lost, rpm)
+
+    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+        """See `Decoder`."""
+        layout, metadata = self._layout, self._metadata
+        packets = np.ascontiguousarray(packets[wanted])
+        said, words = columns(layout, packets), words_of(packets)
+        names = list(layout.profile.fields)
+        pairs = [("range", "reflectivity"), ("range2", "reflectivity2")][: layout.profile.returns]
+        ranges, bright = (layout.bits[[names.index(pair[k]) for pair in pairs]] for k in range(2))
+        count = kernels.count_returns(words, said.valid, ranges, *place(layout), layout.pixels)
+        laser, ring, intensity, kind = (np.empty(count, np.uint8) for _ in range(4))
+        xyz, time_ns = np.empty((count, 3)), np.empty(count, np.int64)
+        kernels.points(
+            words,
+            said.valid,
+            said.measurement,
+            said.time_ns,
+            ranges,
+            bright,
+            place(layout),
+            (beams(metadata), rings(metadata)),
+            (layout.columns_per_frame, metadata.start_m, metadata.T_sensor_lidar),
+            np.array([STRONGEST, LAST if metadata.nearest_first else SECOND], np.uint8),
+            (xyz, time_ns, laser, ring, intensity, kind),
+        )
+        return Returns(xyz, np.empty(0), np.empty(0), time_ns, laser, ring, intensity, kind)
+
+
+def beams(metadata: Metadata) -> Array:
+    """(L, 3) where beams point at encoder angle 0, in the lidar frame."""
+    flat, azimuth = np.cos(metadata.elevation_rad), metadata.azimuth_rad
+    return np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(metadata.elevation_rad)], axis=-1)
+
+
+def rings(metadata: Metadata) -> Octets:
+    """(L,) 0 is the lowest beam."""
+    return np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8)
+
+
+def _packets_in_window(metadata: Metadata) -> Times:
+    """The packets of a revolution, by number, that hold columns of the azimuth window."""
+    layout, (first, last) = metadata.layout, metadata.window
+    column = np.arange(layout.columns_per_frame)
+    inside = (column - first) % layout.columns_per_frame <= (last - first) % layout.columns_per_frame
+    return np.unique(column[inside] // layout.columns_per_packet)

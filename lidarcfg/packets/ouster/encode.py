@@ -1,0 +1,53 @@
+"""An Ouster's packets of firings and what they measured."""
+
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Flags, Octets
+from lidarcfg.packets.ouster import kernels
+from lidarcfg.packets.ouster.facts import Mode, Unit
+from lidarcfg.packets.ouster.layout import Columns, Heads
+from lidarcfg.packets.ouster.pixels import Footer, assembled, fields
+from lidarcfg.packets.ouster.schedule import in_window, measurements
+
+ALERTS = 0x90  # as two recordings of firmware 3.2 have it in normal operation
+MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
+
+
+def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Octets) -> Octets:
+    """(P, size): as `Codec.encode` says. The nearer of two returns comes first; near-infrared light is none."""
+    layout, width = mode.layout, mode.layout.profile.returns
+    names = list(layout.profile.fields)
+    least_m, most_m = unit.range.min_m, unit.range.max_m
+    _, _, most, dropped = layout.bits[names.index("range")].tolist()
+    raw = np.empty((3 * width, len(range_m)), np.uint32)
+    limits = least_m, most_m, (1 << dropped) / 1000, float(most)
+    kernels.measured(
+        np.ascontiguousarray(range_m),
+        np.ascontiguousarray(reflectivity),
+        unit.extra_m,
+        limits,
+        unit.facts.signal.scale,
+        raw,
+    )
+    measurement = measurements(mode, batch.number)
+    valid = in_window(mode, measurement)
+    if not valid.all():
+        raw[:, np.repeat(~valid.ravel(), layout.pixels)] = 0
+    time_ns = batch.firings.time_ns[:: layout.pixels].reshape(measurement.shape)
+    said = Heads(
+        frame=batch.number // layout.packets_per_frame,
+        init=mode.init,
+        serial=mode.serial,
+        alerts=ALERTS if mode.modern else 0,
+    )
+    rows = [names.index(name) if name in names else kernels.NO_FIELD for name in MEASURED[: 3 * width]]
+    footer: Footer = "crc" if mode.modern else "constant"
+    return assembled(layout, said, Columns(time_ns, measurement, valid), raw, np.array(rows, np.int64), footer)
+
+
+def sent(mode: Mode, packets: Octets) -> Flags:
+    """(N, R): which of the firings' returns are in the packets."""
+    found = fields(mode.layout, packets)
+    ranges = [name for name in ("range", "range2") if name in found]
+    return np.stack([found[name].ravel() > 0 for name in ranges], axis=-1)

@@ -1,0 +1,208 @@
+"""What a sensor's file says under `ouster`, and what a rig's file says there of a mount."""
+
+import zlib
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from lidarcfg.config import Model
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.network import Header, Network
+from lidarcfg.packets.ouster.layout import PROFILES, Layout
+from lidarcfg.sensor import Millimetres, Range, Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+
+ProfileName = Literal[
+    "LEGACY",
+    "RNG19_RFL8_SIG16_NIR16",
+    "RNG19_RFL8_SIG16_NIR16_DUAL",
+    "RNG15_RFL8_NIR8",
+    "RNG15_RFL8_NIR8_DUAL",
+    "FUSA_RNG15_RFL8_NIR8_DUAL",
+]
+SINGLE, DUAL = "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL"
+SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
+RPM = (600.0, 1200.0)
+OFFSET_TOLERANCE_MM = 1e-3
+SERIAL_FIRST, SERIALS = 122_000_000_000, 10**9
+LASERS_MAX = 128
+
+
+class Geometry(Model):
+    """Where beams start, and where the inertial unit is, in the sensor's frame."""
+
+    source: str
+    lidar_origin_to_beam_origin_mm: Annotated[float, Field(ge=0, le=1000)]  # from the axis, ahead of the head
+    lidar_height_mm: Millimetres  # of the plane in which beams start
+    imu_position_mm: tuple[Millimetres, Millimetres, Millimetres]
+
+
+class Signal(Model):
+    """How many photons the sensor counts."""
+
+    source: str
+    scale: Annotated[float, Field(gt=0, le=1e9)]  # × reflectivity byte / range² in metres: what the packets say
+
+
+class Product(Model):
+    """What metadata calls the sensor."""
+
+    source: str
+    line: Annotated[str, Field(min_length=1)]
+    number: Annotated[str, Field(min_length=1)]
+
+
+class Headers(Network):
+    """What stands before the sensor's datagrams."""
+
+    data: Header
+    imu: Header
+
+
+class Facts(Model):
+    """All that a sensor's file says under `ouster`."""
+
+    geometry: Geometry
+    signal: Signal
+    product: Product
+    headers: Headers
+
+
+class Settings(Model):
+    """All that a rig's file says of a mount under `ouster`."""
+
+    profile: ProfileName | None = None  # none: the single or the dual one of 19 bits, by return_mode
+    columns: Literal[512, 1024, 2048] = 1024
+    firmware: Literal["2.3", "3.2"] = "2.3"
+    fragments: bool = True  # whether datagrams above the MTU leave as IP fragments, as a sensor sends them
+    imu: bool = True
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A sensor with the facts of its packets."""
+
+    sensor: Sensor
+    facts: Facts
+
+    @property
+    def range(self) -> Range:
+        """Limits. Raises ConfigError if they are not known."""
+        if self.sensor.range is None:
+            raise ConfigError(f"sensor {self.sensor.name!r} is for placement only: it has no range facts")
+        return self.sensor.range
+
+    @property
+    def extra_m(self) -> Array:
+        """(L,): the beams' lengths from where the sensor's file lets them start, less what packets call range.
+
+        The file's start is on the beam's line beside the axis; a packet's range is the length from the true start, at
+        some millimetres from the axis, and these.
+        """
+        origin_m = self.facts.geometry.lidar_origin_to_beam_origin_mm / 1000
+        along = np.cos(self.sensor.azimuth_offset_rad) / np.cos(self.sensor.elevation_rad)
+        return np.asarray(origin_m * (along - 1))
+
+
+@dataclass(frozen=True)
+class Mode:
+    """How a mount's sensor sends."""
+
+    layout: Layout
+    settings: Settings
+    rpm: float
+    window: tuple[int, int]  # first and last column that is measured, clockwise
+    serial: int
+    init: int
+
+    @property
+    def revolution_ns(self) -> int:
+        """Of the head."""
+        return round(60e9 / self.rpm)
+
+    @property
+    def period_ns(self) -> int:
+        """From one packet to the next."""
+        return self.revolution_ns // self.layout.packets_per_frame
+
+    @property
+    def modern(self) -> bool:
+        """Whether packets carry checksums and alerts."""
+        return self.settings.firmware == "3.2"
+
+
+@lru_cache(64)
+def unit(sensor: Sensor) -> Unit:
+    """The sensor with what its file says under `ouster`. Raises ConfigError with file, line and key."""
+    facts = sensor.section.checked(Facts)
+    if sensor.count > LASERS_MAX:
+        raise ConfigError(
+            f"sensor {sensor.name!r} has {sensor.count} beams; allowed with Ouster's packets: {LASERS_MAX}"
+        )
+    up, left = offsets_mm(sensor, facts.geometry)
+    for key, meant, found in (
+        ("vertical_offset_mm", up, sensor.vertical_offset_m * 1000),
+        ("lateral_offset_mm", left, sensor.lateral_offset_m * 1000),
+    ):
+        wrong = np.flatnonzero(abs(meant - found) > OFFSET_TOLERANCE_MM)
+        if len(wrong):
+            k = int(wrong[0])
+            what = f"does not fit beams.{key}[{k}]: that is {found[k]:g}, and should be {meant[k]:.4f}"
+            raise sensor.section.error(("geometry", "lidar_origin_to_beam_origin_mm"), what)
+    return Unit(sensor, facts)
+
+
+def offsets_mm(sensor: Sensor, geometry: Geometry) -> tuple[Array, Array]:
+    """(L,) up and left: where the beams' lines pass beside the axis, for beams that start ahead of the head.
+
+    A start so far ahead along the encoder's angle lies on the line of one above the axis and to the left of the beam.
+    """
+    origin, azimuth = geometry.lidar_origin_to_beam_origin_mm, sensor.azimuth_offset_rad
+    up = geometry.lidar_height_mm - origin * np.cos(azimuth) * np.tan(sensor.elevation_rad)
+    return up, origin * np.sin(azimuth)
+
+
+def mode(sensor: Sensor, mount: "Mount") -> Mode:
+    """How a mount's sensor sends. Raises ConfigError for what it cannot."""
+    settings = mount.settings.checked(Settings)
+    if mount.return_mode == "last":
+        raise ConfigError("return_mode: 'last' is not allowed; an Ouster sends the strongest, or dual")
+    dual = mount.return_mode == "dual"
+    name = settings.profile or (DUAL if dual else SINGLE)
+    if (PROFILES[name].returns == 2) != dual:
+        needed = "strongest" if dual else "dual"
+        raise mount.settings.error(("profile",), f"{name} needs return_mode: {needed}")
+    if name in SINCE_3 and settings.firmware != "3.2":
+        raise mount.settings.error(("profile",), f'{name} needs firmware: "3.2"')
+    if mount.rpm not in RPM:
+        raise ConfigError(f"rpm: {mount.rpm:g} is not allowed; an Ouster turns at 600 or 1200")
+    if settings.columns == 2048 and mount.rpm != 600:
+        raise mount.settings.error(("columns",), "2048 needs rpm: 600")
+    identity = zlib.crc32(mount.name.encode())
+    return Mode(
+        layout=Layout(name, sensor.count, settings.columns),
+        settings=settings,
+        rpm=mount.rpm,
+        window=_window(mount.azimuth_fov_deg, settings.columns),
+        serial=SERIAL_FIRST + identity % SERIALS,
+        init=identity % (1 << 24),
+    )
+
+
+def _window(fov_deg: tuple[float, float] | None, count: int) -> tuple[int, int]:
+    """First and last of the columns that point into a field of view. Raises ConfigError if none does."""
+    if fov_deg is None or abs(fov_deg[1] - fov_deg[0]) == 360:
+        return 0, count - 1
+    low, high = (((angle - 180) / 360 * count) for angle in fov_deg)
+    width = (high - low) % count
+    first = int(np.ceil(round(low, 9)))
+    last = int(np.floor(round(low + width, 9)))
+    if last < first:
+        raise ConfigError(f"azimuth_fov_deg: no column is within {fov_deg[0]:g} to {fov_deg[1]:g}")
+    return first % count, last % count

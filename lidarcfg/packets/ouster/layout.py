@@ -1,0 +1,243 @@
+"""Where an Ouster's packets hold what, as ouster-sdk's parsing.cpp has it: little endian, bits from the lowest."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.packets.codec import Flags, Octets, Times
+
+PACKET_COLUMNS = 16
+TICKS = 90112  # of the encoder in a revolution, which LEGACY columns say
+LEGACY_VALID = 0xFFFFFFFF
+
+
+@dataclass(frozen=True)
+class Field:
+    """Bits of a pixel. Of its value the lowest `dropped` bits are not sent."""
+
+    bit: int
+    bits: int
+    dropped: int = 0
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A layout of the lidar packet. Fields of the second return end in 2."""
+
+    pixel: int  # bytes
+    fields: dict[str, Field]
+    header: str = "standard"  # or fusa, legacy
+
+    @property
+    def returns(self) -> int:
+        """How many a pixel holds."""
+        return 1 + ("range2" in self.fields)
+
+
+def _fields(**places: tuple[int, ...]) -> dict[str, Field]:
+    return {name: Field(*place) for name, place in places.items()}
+
+
+_LOW_DUAL = _fields(
+    range=(0, 15, 3),
+    flags=(15, 1),
+    reflectivity=(16, 8),
+    near_ir=(24, 8, 4),
+    range2=(32, 15, 3),
+    flags2=(47, 1),
+    reflectivity2=(48, 8),
+    window=(56, 8),
+)
+PROFILES = {
+    "LEGACY": Profile(
+        12,
+        _fields(range=(0, 20), flags=(28, 4), reflectivity=(32, 8), signal=(48, 16), near_ir=(64, 16)),
+        "legacy",
+    ),
+    "RNG19_RFL8_SIG16_NIR16": Profile(
+        12,
+        _fields(
+            range=(0, 19),
+            flags=(19, 5),
+            reflectivity=(32, 8),
+            signal=(48, 16),
+            near_ir=(64, 16),
+            window=(88, 8),
+        ),
+    ),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": Profile(
+        16,
+        _fields(
+            range=(0, 19),
+            flags=(19, 5),
+            reflectivity=(24, 8),
+            range2=(32, 19),
+            flags2=(51, 5),
+            reflectivity2=(56, 8),
+            signal=(64, 16),
+            signal2=(80, 16),
+            near_ir=(96, 16),
+            window=(120, 8),
+        ),
+    ),
+    "RNG15_RFL8_NIR8": Profile(4, _fields(range=(0, 15, 3), flags=(15, 1), reflectivity=(16, 8), near_ir=(24, 8, 4))),
+    "RNG15_RFL8_NIR8_DUAL": Profile(8, _LOW_DUAL),
+    "FUSA_RNG15_RFL8_NIR8_DUAL": Profile(8, _LOW_DUAL, "fusa"),
+}
+
+
+@dataclass(frozen=True)
+class Heads:
+    """The headers of P packets."""
+
+    frame: Times  # (P,) revolutions, as far as the packet counts them
+    init: int
+    serial: int
+    alerts: int = 0
+    thermal_countdown: int = 0
+    shot_countdown: int = 0
+    thermal: int = 0
+    shot: int = 0
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What C columns of each of P packets say besides their pixels."""
+
+    time_ns: Times  # (P, C)
+    measurement: Times  # (P, C)
+    valid: Flags  # (P, C)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the packets of a sensor's mode hold what."""
+
+    name: str  # the profile's
+    pixels: int  # of a column: the sensor's beams
+    columns_per_frame: int
+    columns_per_packet: int = PACKET_COLUMNS
+
+    @property
+    def profile(self) -> Profile:
+        """Of the pixels."""
+        return PROFILES[self.name]
+
+    @property
+    def legacy(self) -> bool:
+        """Whether packets have no header, and frame numbers stand in the columns."""
+        return self.profile.header == "legacy"
+
+    @property
+    def head(self) -> int:
+        """Bytes before the columns."""
+        return 0 if self.legacy else 32
+
+    @property
+    def column_head(self) -> int:
+        """Bytes before a column's pixels."""
+        return 16 if self.legacy else 12
+
+    @property
+    def column(self) -> int:
+        """Bytes of a column."""
+        return self.column_head + self.pixels * self.profile.pixel + 4 * self.legacy
+
+    @property
+    def size(self) -> int:
+        """Bytes of a packet."""
+        return self.head + self.columns_per_packet * self.column + (0 if self.legacy else 32)
+
+    @property
+    def frames(self) -> int:
+        """How far frames are counted before they begin again."""
+        return 1 << 32 if self.profile.header == "fusa" else 1 << 16
+
+    @property
+    def packets_per_frame(self) -> int:
+        """Without an azimuth window."""
+        return self.columns_per_frame // self.columns_per_packet
+
+    @cached_property
+    def bits(self) -> NDArray[np.int64]:
+        """(F, 4) of the profile's fields: the pixel's 32-bit word, shift in it, mask, number of dropped bits."""
+        return np.array(
+            [
+                (field.bit // 32, field.bit % 32, (1 << field.bits) - 1, field.dropped)
+                for field in self.profile.fields.values()
+            ],
+            np.int64,
+        )
+
+
+def values(packets: Octets, dtype: str, at: int) -> NDArray[Any]:
+    """(P,) numbers that stand at a byte of each packet; a view."""
+    return np.ndarray((len(packets),), np.dtype(dtype), packets, at, packets.strides[:1])
+
+
+def column_values(layout: Layout, packets: Octets, dtype: str, at: int) -> NDArray[Any]:
+    """(P, C) numbers that stand at a byte of each column; a view."""
+    shape, strides = (len(packets), layout.columns_per_packet), (packets.strides[0], layout.column)
+    return np.ndarray(shape, np.dtype(dtype), packets, layout.head + at, strides)
+
+
+def columns(layout: Layout, packets: Octets) -> Columns:
+    """What the columns say."""
+    if layout.legacy:
+        valid = column_values(layout, packets, "<u4", layout.column - 4) == LEGACY_VALID
+    else:
+        valid = (column_values(layout, packets, "<u2", 10) & 1).astype(np.bool_)
+    measurement = column_values(layout, packets, "<u2", 8).astype(np.int64)
+    return Columns(
+        time_ns=column_values(layout, packets, "<u8", 0).astype(np.int64),
+        measurement=measurement,
+        valid=np.asarray(valid & (measurement < layout.columns_per_frame)),
+    )
+
+
+def heads(layout: Layout, packets: Octets) -> Heads:
+    """What the headers say; of serial, states and countdowns the first packet's."""
+    if layout.legacy:
+        return Heads(values(packets, "<u2", 10).astype(np.int64), 0, 0)
+    fusa = layout.profile.header == "fusa"
+    first = packets[0].tobytes()
+    init, alerts, serial = (1, 8, 11) if fusa else (4, 12, 7)
+    return Heads(
+        frame=values(packets, "<u4" if fusa else "<u2", 4 if fusa else 2).astype(np.int64),
+        init=int.from_bytes(first[init : init + 3], "little"),
+        serial=int.from_bytes(first[serial : serial + 5], "little"),
+        alerts=first[alerts],
+        thermal_countdown=first[16],
+        shot_countdown=first[17],
+        thermal=first[18] & 15,
+        shot=first[19] & 15,
+    )
+
+
+def write_heads(layout: Layout, packets: Octets, said: Heads) -> None:
+    """Write the headers of packets (P, size). LEGACY columns hold the frame's number."""
+    if layout.legacy:
+        column_values(layout, packets, "<u2", 10)[:] = said.frame[:, None] % layout.frames
+        return
+    fusa = layout.profile.header == "fusa"
+    values(packets, "u1", 0)[:] = 1  # a lidar packet
+    values(packets, "<u4" if fusa else "<u2", 4 if fusa else 2)[:] = said.frame % layout.frames
+    init, alerts, serial = (1, 8, 11) if fusa else (4, 12, 7)
+    packets[:, init : init + 3] = np.frombuffer(said.init.to_bytes(3, "little"), np.uint8)
+    packets[:, serial : serial + 5] = np.frombuffer(said.serial.to_bytes(5, "little"), np.uint8)
+    packets[:, alerts] = said.alerts
+    packets[:, 16:20] = said.thermal_countdown, said.shot_countdown, said.thermal, said.shot
+
+
+def write_columns(layout: Layout, packets: Octets, said: Columns) -> None:
+    """Write the columns' stamps, numbers and states."""
+    column_values(layout, packets, "<u8", 0)[:] = said.time_ns
+    column_values(layout, packets, "<u2", 8)[:] = said.measurement
+    if layout.legacy:
+        column_values(layout, packets, "<u4", 12)[:] = said.measurement * (TICKS // layout.columns_per_frame)
+        column_values(layout, packets, "<u4", layout.column - 4)[:] = np.where(said.valid, LEGACY_VALID, 0)
+    else:
+        column_values(layout, packets, "<u2", 10)[:] = said.valid

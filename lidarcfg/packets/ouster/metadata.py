@@ -1,0 +1,212 @@
+"""The sensor's metadata, a JSON file beside the capture: without it nobody can read an Ouster's packets."""
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lidarcfg.errors import PacketError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.ouster.facts import LASERS_MAX, Mode, Unit
+from lidarcfg.packets.ouster.layout import PROFILES, Layout
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+
+COLUMNS_MAX, PACKET_COLUMNS_MAX = 8192, 64
+IMAGES = {"2.3": "ousteros-image-prod-aries-v2.3.0", "3.2": "ousteros-image-prod-bootes-v3.2.0"}
+FIXED_CONFIG = {  # what a sensor says that nobody has configured, as recordings have it
+    "multipurpose_io_mode": "OFF",
+    "nmea_baud_rate": "BAUD_9600",
+    "nmea_ignore_valid_char": 0,
+    "nmea_in_polarity": "ACTIVE_HIGH",
+    "nmea_leap_seconds": 0,
+    "operating_mode": "NORMAL",
+    "signal_multiplier": 1,
+    "sync_pulse_in_polarity": "ACTIVE_HIGH",
+    "sync_pulse_out_angle": 360,
+    "sync_pulse_out_frequency": 1,
+    "sync_pulse_out_polarity": "ACTIVE_HIGH",
+    "sync_pulse_out_pulse_width": 10,
+}
+BUILT = "2026-01-01T00:00:00Z"
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What a metadata file says, as far as decoding needs it."""
+
+    name: str  # the file's
+    layout: Layout
+    window: tuple[int, int]  # first and last column
+    elevation_rad: Array  # (L,)
+    azimuth_rad: Array  # (L,) clockwise from the encoder's angle
+    start_m: tuple[float, float]  # of the beams: ahead of the axis, and up
+    T_sensor_lidar: Array  # (4, 4)
+    line: str  # the product's: OS-1-128
+    serial: int  # 0: not known
+    init: int  # 0: not known
+    port: int | None
+    nearest_first: bool  # the order of two returns
+
+    @property
+    def model(self) -> str:
+        """As the catalogue would call it: os1-128."""
+        found = re.match(r"OS-([0-9])-([0-9]+)", self.line)
+        return f"os{found[1]}-{found[2]}" if found else self.line.lower() or "ouster"
+
+
+def read(name: str, content: bytes) -> Metadata | None:
+    """The metadata in a file called `name`; None if it is another kind of JSON. Raises PacketError if it is damaged."""
+    try:
+        said = json.loads(content)
+    except (ValueError, RecursionError):
+        said = None
+    if not isinstance(said, dict) or not ({"beam_intrinsics", "beam_altitude_angles"} & said.keys()):
+        return None
+    try:
+        return _read(name, _flat(said))
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+        raise PacketError(f"{name}: no metadata of an Ouster: {what}") from None
+
+
+def _flat(said: dict[str, Any]) -> dict[str, Any]:
+    """The keys of all parts in one; firmware before 3 wrote them so."""
+    flat = dict(said)
+    for part in ("beam_intrinsics", "lidar_intrinsics", "sensor_info", "config_params"):
+        flat |= said.get(part, {})
+    flat["data_format"] = said["data_format"] if "data_format" in said else said["lidar_data_format"]
+    return flat
+
+
+def _read(name: str, said: dict[str, Any]) -> Metadata:
+    form = said["data_format"]
+    elevation, azimuth = (_numbers(said, key) for key in ("beam_altitude_angles", "beam_azimuth_angles"))
+    pixels = _whole(form, "pixels_per_column", 1, LASERS_MAX)
+    if not len(elevation) == len(azimuth) == pixels:
+        raise ValueError(f"{pixels} pixels a column, {len(elevation)} altitude and {len(azimuth)} azimuth angles")
+    profile = form.get("udp_profile_lidar", "LEGACY")
+    if profile not in PROFILES:
+        raise ValueError(f"profile {profile!r} cannot be read; allowed: {', '.join(PROFILES)}")
+    count = _whole(form, "columns_per_frame", 1, COLUMNS_MAX)
+    per_packet = _whole(form, "columns_per_packet", 1, PACKET_COLUMNS_MAX)
+    if count % per_packet:
+        raise ValueError(f"{count} columns are no whole packets of {per_packet}")
+    first, last = (int(column) for column in form.get("column_window", (0, count - 1)))
+    if not (0 <= first < count and 0 <= last < count):
+        raise ValueError(f"column_window {first}, {last} is outside of {count} columns")
+    if "beam_to_lidar_transform" in said:
+        to_lidar = _matrix(said, "beam_to_lidar_transform")
+        start_mm = float(to_lidar[0, 3]), float(to_lidar[2, 3])
+    else:
+        start_mm = float(said["lidar_origin_to_beam_origin_mm"]), 0.0
+    to_sensor = _matrix(said, "lidar_to_sensor_transform")
+    to_sensor[:3, 3] /= 1000
+    if not (np.isfinite(start_mm).all() and math.hypot(*start_mm) < 1e6):
+        raise ValueError(f"beams start at {start_mm} mm")
+    port = said.get("udp_port_lidar")
+    return Metadata(
+        name=name,
+        layout=Layout(profile, pixels, count, per_packet),
+        window=(first, last),
+        elevation_rad=np.radians(elevation),
+        azimuth_rad=np.radians(azimuth),
+        start_m=(start_mm[0] / 1000, start_mm[1] / 1000),
+        T_sensor_lidar=to_sensor,
+        line=str(said.get("prod_line", "")),
+        serial=int(said.get("prod_sn") or 0),
+        init=int(said.get("initialization_id") or 0),
+        port=int(port) if port else None,
+        nearest_first=said.get("return_order") == "NEAREST_TO_FARTHEST",
+    )
+
+
+def _numbers(said: dict[str, Any], key: str) -> Array:
+    found = np.array(said[key], np.float64)
+    if found.ndim != 1 or not (abs(found) <= 360).all():
+        raise ValueError(f"{key} is no list of angles")
+    return found
+
+
+def _matrix(said: dict[str, Any], key: str) -> Array:
+    found = np.array(said[key], np.float64)
+    if found.size != 16 or not (abs(found) < 1e9).all():
+        raise ValueError(f"{key} is no 4 x 4 matrix")
+    return found.reshape(4, 4)
+
+
+def _whole(said: dict[str, Any], key: str, least: int, most: int) -> int:
+    value = said[key]
+    if not isinstance(value, int) or not least <= value <= most:
+        raise ValueError(f"{key} is {value!r}; allowed: {least} to {most}")
+    return value
+
+
+def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
+    """The metadata of a mount's sensor, in the parts that firmware 3 has and ouster-sdk needs."""
+    geometry, layout = unit.facts.geometry, mode.layout
+    beams, firmware = unit.sensor.beams, mode.settings.firmware
+    origin_mm = geometry.lidar_origin_to_beam_origin_mm
+    azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
+    first, last = mode.window
+    step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
+    whole = (last + 1) % layout.columns_per_frame == first
+    edges = [0, 360_000] if whole else [round(360_000 - last * step) % 360_000, round(360_000 - first * step) % 360_000]
+    config = FIXED_CONFIG | {
+        "azimuth_window": edges,
+        "columns_per_packet": layout.columns_per_packet,
+        "lidar_mode": f"{layout.columns_per_frame}x{round(mode.rpm / 60)}",
+        "phase_lock_enable": mount.phase_deg is not None,
+        "phase_lock_offset": round((180 - (mount.phase_deg or 180)) % 360 * 1000),
+        "timestamp_mode": "TIME_FROM_PTP_1588",
+        "udp_dest": unit.facts.headers.destination_ip,
+        "udp_port_imu": mount.telemetry_port,
+        "udp_port_lidar": mount.data_port,
+        "udp_profile_imu": "LEGACY",
+        "udp_profile_lidar": layout.name,
+    }
+    if mode.modern:
+        config["return_order"] = "NEAREST_TO_FARTHEST"
+        config["min_range_threshold_cm"] = round(unit.range.min_m * 100)
+    said = {
+        "beam_intrinsics": {
+            "beam_altitude_angles": list(beams.elevation_deg),
+            "beam_azimuth_angles": list(azimuth_deg),
+            "beam_to_lidar_transform": _moved(origin_mm, 0, 0),
+            "lidar_origin_to_beam_origin_mm": origin_mm,
+        },
+        "calibration_status": {"reflectivity": {"timestamp": BUILT[:-1], "valid": True}},
+        "config_params": config,
+        "imu_intrinsics": {"imu_to_sensor_transform": _moved(*geometry.imu_position_mm)},
+        "lidar_data_format": {
+            "column_window": [first, last],
+            "columns_per_frame": layout.columns_per_frame,
+            "columns_per_packet": layout.columns_per_packet,
+            "pixel_shift_by_row": [round(angle / 360 * layout.columns_per_frame) for angle in azimuth_deg],
+            "pixels_per_column": layout.pixels,
+            "udp_profile_imu": "LEGACY",
+            "udp_profile_lidar": layout.name,
+        },
+        "lidar_intrinsics": {
+            "lidar_to_sensor_transform": [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, geometry.lidar_height_mm, 0, 0, 0, 1]
+        },
+        "sensor_info": {
+            "build_date": BUILT,
+            "build_rev": f"v{firmware}.0",
+            "image_rev": IMAGES[firmware],
+            "initialization_id": mode.init,
+            "prod_line": unit.facts.product.line,
+            "prod_pn": unit.facts.product.number,
+            "prod_sn": str(mode.serial),
+            "status": "RUNNING",
+        },
+    }
+    return (json.dumps(said, indent=2) + "\n").encode()
+
+
+def _moved(x: float, y: float, z: float) -> list[float]:
+    return [1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, z, 0, 0, 0, 1]

@@ -1,0 +1,141 @@
+"""Recordings with metadata beside them: points, fields and stamps are those of ouster-sdk; and they encode again."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.cloud import concatenate
+from lidarcfg.errors import PacketError
+from lidarcfg.packets.ouster.layout import columns, heads
+from lidarcfg.packets.ouster.metadata import read
+from lidarcfg.packets.ouster.pixels import fields, packed
+from tests.capture_fixtures import no_warning, recording
+from tests.packets.ouster.judge import judged
+
+SINGLE, DUAL, LOW = "OS-2-128-U1_v2.3.0_1024x10", "OS-0-32-U1_v2.2.0_1024x10", "crc_test"
+LEGACY, FUSA = "OS-2-32-U0_v2.0.0_1024x10", "OS-1-128_767798045_1024x10_20230712_120049"
+RECORDINGS = {  # points, and the footer that the firmware writes
+    SINGLE: (119_682, "constant"),
+    DUAL: (21_803, "zero"),
+    LOW: (29_692, "crc"),
+    LEGACY: (28_541, "zero"),
+    FUSA: (17_462, "zero"),
+}
+UNDOCUMENTED = {  # pixel bits that no field of the profile has, and the packets' bytes that differ but for them: none
+    SINGLE: {28},
+    LEGACY: {*range(40, 48)},
+}
+
+
+def files(name):
+    return recording(f"ouster/{name}.pcap"), recording(f"ouster/{name}.json")
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_points_fields_and_stamps_are_those_of_ouster_sdk(name):
+    pcap, metadata = files(name)
+    theirs = judged(pcap, metadata)
+    layout = read(metadata.name, metadata.read_bytes()).layout
+    ours, said = fields(layout, theirs.packets), columns(layout, theirs.packets)
+    assert set(theirs.fields) - {"window"} <= set(ours)
+    for key, values in theirs.fields.items():
+        np.testing.assert_array_equal(ours[key], values, err_msg=key)
+    np.testing.assert_array_equal(said.time_ns, theirs.time_ns)
+    np.testing.assert_array_equal(said.measurement, theirs.measurement)
+    np.testing.assert_array_equal(heads(layout, theirs.packets).frame, theirs.frame)
+    cloud = concatenate(list(decode_pcap(pcap, no_warning)))
+    both = [theirs.points(key) for key in ("range", "range2") if key in theirs.fields]
+    points = np.stack(both, axis=3)
+    found = ~np.isnan(points[..., 0])
+    assert len(cloud.xyz) == found.sum() == RECORDINGS[name][0]
+    np.testing.assert_allclose(cloud.xyz, points[found], rtol=0, atol=1e-4)
+    column, pixel, which = np.nonzero(found.reshape(-1, *found.shape[2:]))
+    np.testing.assert_array_equal(cloud.time_ns, theirs.time_ns.ravel()[column])
+    np.testing.assert_array_equal(cloud.return_type, np.where(which == 0, 0, 2))
+    bright = np.stack([theirs.fields[key] for key in ("reflectivity", "reflectivity2") if key in theirs.fields], 3)
+    np.testing.assert_array_equal(cloud.intensity, bright[found])
+    elevation = theirs.info.beam_altitude_angles
+    np.testing.assert_array_equal(cloud.ring, len(elevation) - 1 - pixel)  # altitudes descend
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_recordings_encode_again_but_for_undocumented_bits(name):
+    pcap, metadata = files(name)
+    packets = judged(pcap, metadata).packets
+    layout = read(metadata.name, metadata.read_bytes()).layout
+    again = packed(
+        layout,
+        heads(layout, packets),
+        columns(layout, packets),
+        fields(layout, packets),
+        RECORDINGS[name][1],
+    )
+    if name not in UNDOCUMENTED:
+        np.testing.assert_array_equal(again, packets)
+        return
+    start = layout.head + layout.column_head
+    rows = (again ^ packets)[:, layout.head : layout.head + 16 * layout.column].reshape(-1, layout.column)
+    pixels = rows[:, layout.column_head : layout.column_head + layout.pixels * layout.profile.pixel]
+    bits = np.unpackbits(pixels.reshape(-1, layout.profile.pixel), axis=1, bitorder="little").any(axis=0)
+    assert set(np.flatnonzero(bits)) <= UNDOCUMENTED[name]
+    assert bits.any()
+    assert (again != packets).sum() == (pixels > 0).sum()  # nothing outside of the pixels
+    assert start < layout.size
+
+
+def test_fragments_of_two_sensors_behind_one_port():
+    pcap = recording("ouster/same_ports_legacy.pcap")
+    cloud = concatenate(list(decode_pcap(pcap, no_warning)))
+    for name, host in (("1", "169.254.92.158"), ("2", "169.254.238.111")):
+        theirs = judged(pcap, pcap.with_name(f"same_ports_legacy.{name}.json"))
+        points = theirs.points()
+        mine = cloud.xyz[cloud.sensor == cloud.sensor_names.index(f"{host}:7502")]
+        np.testing.assert_allclose(mine, points[~np.isnan(points[..., 0])], rtol=0, atol=1e-4)
+
+
+def test_without_metadata_it_says_what_is_missing(tmp_path):
+    pcap, _ = files(LOW)
+    alone = shutil.copy(pcap, tmp_path / "alone.pcap")
+    with pytest.raises(PacketError, match=r"packets of 8448 bytes need the sensor's metadata in a \.json beside"):
+        list(decode_pcap(alone, no_warning))
+
+
+def test_metadata_of_another_sensor(tmp_path):
+    pcap, metadata = files(LOW)
+    shutil.copy(pcap, tmp_path / "a.pcap")
+    (tmp_path / "a.json").write_text(metadata.read_text().replace("122247000785", "122247000786"))
+    with pytest.raises(PacketError, match=r"its packets are of 122247000785; a\.json is of OS-0-128 122247000786"):
+        list(decode_pcap(tmp_path / "a.pcap", no_warning))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"columns_per_frame"', '"columns"', "'columns_per_frame' is missing"),
+        ("45.16,", "", "128 pixels a column, 127 altitude"),
+        ("45.16,", "NaN,", "beam_altitude_angles is no list of angles"),
+        ('"RNG15_RFL8_NIR8"', '"RNG15"', "profile 'RNG15' cannot be read"),
+        ('"columns_per_frame": 512', '"columns_per_frame": 0', "columns_per_frame is 0; allowed: 1 to 8192"),
+    ],
+)
+def test_damaged_metadata(tmp_path, old, new, message):
+    pcap, metadata = files(LOW)
+    shutil.copy(pcap, tmp_path / "a.pcap")
+    text = metadata.read_text()
+    assert old in text
+    (tmp_path / "a.json").write_text(text.replace(old, new))
+    with pytest.raises(PacketError, match=rf"a\.json: no metadata of an Ouster: .*{message}"):
+        list(decode_pcap(tmp_path / "a.pcap", no_warning))
+
+
+def test_headers_that_say_more_encode_again():
+    pcap, metadata = files(LOW)
+    packets = judged(pcap, metadata).packets
+    layout = read(metadata.name, metadata.read_bytes()).layout
+    limiting = replace(heads(layout, packets), shot_countdown=5, shot=1, thermal_countdown=7, thermal=2)
+    again = packed(layout, limiting, columns(layout, packets), fields(layout, packets), "crc")
+    found = heads(layout, again)
+    assert (found.shot_countdown, found.shot, found.thermal_countdown, found.thermal) == (5, 1, 7, 2)
