@@ -9,6 +9,7 @@ from lidarcfg.packets.ouster import kernels
 from lidarcfg.packets.ouster.layout import columns, heads
 from lidarcfg.packets.ouster.metadata import Metadata
 from lidarcfg.packets.ouster.pixels import place, words_of
+from lidarcfg.units import MINUTE_NS
 
 STRONGEST, LAST, SECOND = 0, 1, 2
 
@@ -20,8 +21,8 @@ class OusterDecoder:
         self._where, self._metadata, self._model = where, metadata, model
         self._layout = metadata.layout
         self._in_frame = _packets_in_window(metadata)
-        self._place_before: tuple[int, int] | None = None  # in the sequence of packets, and device time
-        self._lost = self._steps = self._stepped_ns = 0
+        self._before: tuple[int, int, int] | None = None  # in the sequence of packets, of columns; device time
+        self._lost = self._columns = self._time_ns = 0
 
     @property
     def period_ns(self) -> int:
@@ -49,26 +50,28 @@ class OusterDecoder:
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
+        if not wanted.any():
+            return
+        packets, layout = packets[wanted], self._layout
+        frame, column = heads(layout, packets).frame, columns(layout, packets).measurement[:, 0]
+        inside = np.searchsorted(self._in_frame, column // layout.columns_per_packet).clip(max=len(self._in_frame) - 1)
+        place = frame * len(self._in_frame) + inside
         times_ns = self.time_ns(packets, np.empty(0, np.int64))
-        layout, cycle = self._layout, self._layout.frames * len(self._in_frame)
-        first = columns(layout, packets).measurement[:, 0] // layout.columns_per_packet
-        inside = np.searchsorted(self._in_frame, first).clip(max=len(self._in_frame) - 1)
-        index = heads(layout, packets).frame * len(self._in_frame) + inside if len(packets) else first
-        for i in np.flatnonzero(wanted).tolist():
-            at = int(index[i]), int(times_ns[i])
-            if self._place_before:
-                step = (at[0] - self._place_before[0]) % cycle
-                if 0 < step < cycle // 2 and at[1] > self._place_before[1]:
+        turned = frame * layout.columns_per_frame + column
+        cycle = layout.frames * len(self._in_frame)
+        for at in zip(place.tolist(), turned.tolist(), times_ns.tolist(), strict=True):
+            if self._before:
+                step = (at[0] - self._before[0]) % cycle
+                if 0 < step < cycle // 2 and at[2] > self._before[2]:
                     self._lost += step - 1
-                    self._steps += step
-                    self._stepped_ns += at[1] - self._place_before[1]
-            self._place_before = at
+                    self._columns += (at[1] - self._before[1]) % (layout.frames * layout.columns_per_frame)
+                    self._time_ns += at[2] - self._before[2]
+            self._before = at
 
     def tally(self) -> Tally:
         """See `Decoder`."""
-        rpm = float("nan")
-        if self._stepped_ns:
-            rpm = self._steps / len(self._in_frame) / (self._stepped_ns / 60e9)
+        revolutions = self._columns / self._layout.columns_per_frame
+        rpm = revolutions * MINUTE_NS / self._time_ns if self._time_ns else float("nan")
         modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
         return Tally((self._model,), modes, self._lost, rpm)
 

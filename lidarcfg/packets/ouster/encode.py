@@ -43,6 +43,8 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
     )
     rows = [names.index(name) if name in names else kernels.NO_FIELD for name in MEASURED[: 3 * width]]
     footer: Footer = "crc" if mode.modern else "constant"
+    if layout.profile.header == "fusa":
+        footer = "zero"  # as the one recording has it; ouster-sdk reads no checksum there
     return assembled(layout, said, Columns(time_ns, measurement, valid), raw, np.array(rows, np.int64), footer)
 
 
