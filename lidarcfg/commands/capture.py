@@ -112,15 +112,17 @@ def export(
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
             counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
-            for path, mount in zip(paths, mounted.mounts, strict=True):
-                capture.save_companions(path, [mount])
+            pairs = zip(paths, mounted.mounts, strict=True)
+            beside_each = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
         else:
             paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
-            capture.save_companions(output, mounted.mounts)
+            beside_each = capture.save_companions(output, mounted.mounts)
         records = beside.save() if beside else 0
     if not quiet:
         for path, count in zip(paths, counts, strict=True):
             click.echo(f"{path}: {count:,} packets, {duration:g} s")
+        for path in beside_each:
+            click.echo(f"{path}: what readers of the capture need besides")
         if truth:
             click.echo(f"{truth}: {records:,} returns")
     if stats:

@@ -63,7 +63,7 @@ def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
     truth, path = [], folder / "a.pcap"
     streams = export(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
-    (metadata,) = save_companions(path, [one], alone=True)
+    (metadata,) = save_companions(path, [one])
     assert metadata == folder / "a.json"
     return path, metadata, np.concatenate(truth)
 
@@ -309,7 +309,8 @@ def test_a_rig_of_two_makers(tmp_path):
         text=True,
         check=True,
     )
-    assert "mixed-a.json" in run.stdout
+    assert {"mixed-a.json", "mixed-c.json"} == {one.name for one in tmp_path.glob("*.json")}
+    assert run.stdout
     ports = {(one.host[-3:], one.port) for one in datagrams_of(out)}
     assert {("201", 7502), ("201", 7503), ("202", 2368), ("203", 7502)} <= ports
     cloud = concatenate(list(decode_pcap(out, no_warning, load_rig(rig))))
