@@ -154,16 +154,12 @@ def _alike(one: Metadata, other: Metadata) -> bool:
 
 def _unknown(found: Metadata, like: Sensor) -> Sensor:
     """A sensor that no catalogue has, for decoding alone: its beams are the metadata's, the rest is of another."""
-    facts = unit(like).facts
-    origin = facts.geometry.model_copy(
-        update={"lidar_origin_to_beam_origin_mm": 0.0, "lidar_height_mm": 0.0, "source": found.name}
-    )
     beams = Beams(
         source=found.name,
         elevation_deg=tuple(np.degrees(found.elevation_rad).tolist()),
         azimuth_offset_deg=tuple(np.degrees(found.azimuth_rad).tolist()),
     )
-    section = facts.model_copy(update={"geometry": origin}).model_dump()
+    section = unit(like).facts.model_dump()
     return Sensor.model_validate(
         {"name": found.model, "maker": "Ouster", "beams": beams, "codec": "ouster", "ouster": section}
     )

@@ -21,11 +21,10 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
     least_m, most_m = unit.range.min_m, unit.range.max_m
     _, _, most, dropped = layout.bits[names.index("range")].tolist()
     raw = np.empty((3 * width, len(range_m)), np.uint32)
-    limits = least_m, most_m, (1 << dropped) / 1000, float(most)
+    limits = least_m, most_m, unit.start_mm[0] / 1000, (1 << dropped) / 1000, float(most)
     kernels.measured(
         np.ascontiguousarray(range_m),
         np.ascontiguousarray(reflectivity),
-        unit.extra_m,
         limits,
         unit.facts.signal.scale,
         raw,

@@ -10,7 +10,6 @@ from pydantic import Field
 
 from lidarcfg.config import Model
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
 from lidarcfg.sensor import Millimetres, Range, Sensor
@@ -29,18 +28,15 @@ ProfileName = Literal[
 SINGLE, DUAL = "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL"
 SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
 RPM = (600.0, 1200.0)
-OFFSET_TOLERANCE_MM = 1e-3
 SERIAL_FIRST, SERIALS = 122_000_000_000, 10**9
 LASERS_MAX = 128
 
 
-class Geometry(Model):
-    """Where beams start, and where the inertial unit is, in the sensor's frame."""
+class Imu(Model):
+    """The inertial unit."""
 
     source: str
-    lidar_origin_to_beam_origin_mm: Annotated[float, Field(ge=0, le=1000)]  # from the axis, ahead of the head
-    lidar_height_mm: Millimetres  # of the plane in which beams start
-    imu_position_mm: tuple[Millimetres, Millimetres, Millimetres]
+    position_mm: tuple[Millimetres, Millimetres, Millimetres]  # in the sensor's frame
 
 
 class Signal(Model):
@@ -68,7 +64,7 @@ class Headers(Network):
 class Facts(Model):
     """All that a sensor's file says under `ouster`."""
 
-    geometry: Geometry
+    imu: Imu
     signal: Signal
     product: Product
     headers: Headers
@@ -99,15 +95,10 @@ class Unit:
         return self.sensor.range
 
     @property
-    def extra_m(self) -> Array:
-        """(L,): the beams' lengths from where the sensor's file lets them start, less what packets call range.
-
-        The file's start is on the beam's line beside the axis; a packet's range is the length from the true start, at
-        some millimetres from the axis, and these.
-        """
-        origin_m = self.facts.geometry.lidar_origin_to_beam_origin_mm / 1000
-        along = np.cos(self.sensor.azimuth_offset_rad) / np.cos(self.sensor.elevation_rad)
-        return np.asarray(origin_m * (along - 1))
+    def start_mm(self) -> tuple[float, float]:
+        """Where all beams start: ahead of the axis, and above the sensor's origin."""
+        beams = self.sensor.beams
+        return (beams.forward_offset_mm or (0.0,))[0], (beams.vertical_offset_mm or (0.0,))[0]
 
 
 @dataclass(frozen=True)
@@ -145,27 +136,12 @@ def unit(sensor: Sensor) -> Unit:
         raise ConfigError(
             f"sensor {sensor.name!r} has {sensor.count} beams; allowed with Ouster's packets: {LASERS_MAX}"
         )
-    up, left = offsets_mm(sensor, facts.geometry)
-    for key, meant, found in (
-        ("vertical_offset_mm", up, sensor.vertical_offset_m * 1000),
-        ("lateral_offset_mm", left, sensor.lateral_offset_m * 1000),
-    ):
-        wrong = np.flatnonzero(abs(meant - found) > OFFSET_TOLERANCE_MM)
-        if len(wrong):
-            k = int(wrong[0])
-            what = f"does not fit beams.{key}[{k}]: that is {found[k]:g}, and should be {meant[k]:.4f}"
-            raise sensor.section.error(("geometry", "lidar_origin_to_beam_origin_mm"), what)
+    for key in ("forward_offset_mm", "vertical_offset_mm", "lateral_offset_mm"):
+        values = set(getattr(sensor.beams, key)) or {0.0}
+        if len(values) > 1 or (key == "lateral_offset_mm" and values != {0.0}):
+            allowed = "none" if key == "lateral_offset_mm" else "the same of all beams"
+            raise ConfigError(f"sensor {sensor.name!r}: beams.{key}: allowed with Ouster's packets: {allowed}")
     return Unit(sensor, facts)
-
-
-def offsets_mm(sensor: Sensor, geometry: Geometry) -> tuple[Array, Array]:
-    """(L,) up and left: where the beams' lines pass beside the axis, for beams that start ahead of the head.
-
-    A start so far ahead along the encoder's angle lies on the line of one above the axis and to the left of the beam.
-    """
-    origin, azimuth = geometry.lidar_origin_to_beam_origin_mm, sensor.azimuth_offset_rad
-    up = geometry.lidar_height_mm - origin * np.cos(azimuth) * np.tan(sensor.elevation_rad)
-    return up, origin * np.sin(azimuth)
 
 
 def mode(sensor: Sensor, mount: "Mount") -> Mode:

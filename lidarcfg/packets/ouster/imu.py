@@ -49,7 +49,7 @@ def measured(unit: Unit, mount: "Mount", trajectory: "Trajectory", time_ns: Time
         ends_ns = trajectory.zero_ns + np.round(span[[0, -1]] * SECOND_NS).astype(np.int64)
         middle_ns = np.clip(time_ns, ends_ns[0] + STEP_NS, ends_ns[1] - STEP_NS)
     mounted = mount.T_vehicle_sensor
-    imu_m = mounted[:3, :3] @ np.array(unit.facts.geometry.imu_position_mm) / 1000 + mounted[:3, 3]
+    imu_m = mounted[:3, :3] @ np.array(unit.facts.imu.position_mm) / 1000 + mounted[:3, 3]
     arm = np.tile(imu_m, (len(time_ns), 1))
     before, here, after = (trajectory.world(arm, middle_ns + step) for step in (-STEP_NS, 0, STEP_NS))
     step_s = STEP_NS / SECOND_NS

@@ -10,20 +10,19 @@ NO_FIELD = -1
 
 
 @njit(cache=True, nogil=True)
-def measured(range_m, reflectivity, extra_m, limits, signal_scale, out):
+def measured(range_m, reflectivity, limits, signal_scale, out):
     """Fields of N firings from what they measured (N, R): `out` (3 R, N) gets range, reflectivity and signal of each.
 
-    What is measured is written in the packet's unit, by laser k `extra_m[k]` less than the beam's length; limits are
-    least and greatest length, unit and how many of it there may be. Of two returns that are alike, the second is none.
+    What is measured, and the beam's start ahead of the axis, is written in the packet's unit. Limits are least and
+    greatest length, that start, unit and how many of it there may be. Of two returns that are alike the second is none.
     """
-    least_m, most_m, unit_m, most = limits
-    count = len(extra_m)
+    least_m, most_m, start_m, unit_m, most = limits
     for n in range(len(range_m)):
         for r in range(range_m.shape[1]):
             length_m = range_m[n, r]
             units, bright, photons = 0.0, 0, 0.0
             if least_m <= length_m <= most_m:
-                units = np.rint((length_m - extra_m[n % count]) / unit_m)
+                units = np.rint((length_m + start_m) / unit_m)
                 if not 0 < units <= most:
                     units = 0.0
             if units > 0:

@@ -92,6 +92,8 @@ def _read(name: str, said: dict[str, Any]) -> Metadata:
     profile = form.get("udp_profile_lidar", "LEGACY")
     if profile not in PROFILES:
         raise ValueError(f"profile {profile!r} cannot be read; allowed: {', '.join(PROFILES)}")
+    if (abs(elevation) > 90).any() or len(np.unique(elevation)) < pixels:
+        raise ValueError("beam_altitude_angles are not within -90 to 90, each once")
     count = _whole(form, "columns_per_frame", 1, COLUMNS_MAX)
     per_packet = _whole(form, "columns_per_packet", 1, PACKET_COLUMNS_MAX)
     if count % per_packet:
@@ -148,9 +150,8 @@ def _whole(said: dict[str, Any], key: str, least: int, most: int) -> int:
 
 def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
     """The metadata of a mount's sensor, in the parts that firmware 3 has and ouster-sdk needs."""
-    geometry, layout = unit.facts.geometry, mode.layout
-    beams, firmware = unit.sensor.beams, mode.settings.firmware
-    origin_mm = geometry.lidar_origin_to_beam_origin_mm
+    layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
+    ahead_mm, up_mm = unit.start_mm
     azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
     first, last = mode.window
     step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
@@ -176,12 +177,12 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
         "beam_intrinsics": {
             "beam_altitude_angles": list(beams.elevation_deg),
             "beam_azimuth_angles": list(azimuth_deg),
-            "beam_to_lidar_transform": _moved(origin_mm, 0, 0),
-            "lidar_origin_to_beam_origin_mm": origin_mm,
+            "beam_to_lidar_transform": _moved(ahead_mm, 0, 0),
+            "lidar_origin_to_beam_origin_mm": ahead_mm,
         },
         "calibration_status": {"reflectivity": {"timestamp": BUILT[:-1], "valid": True}},
         "config_params": config,
-        "imu_intrinsics": {"imu_to_sensor_transform": _moved(*geometry.imu_position_mm)},
+        "imu_intrinsics": {"imu_to_sensor_transform": _moved(*unit.facts.imu.position_mm)},
         "lidar_data_format": {
             "column_window": [first, last],
             "columns_per_frame": layout.columns_per_frame,
@@ -191,9 +192,7 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
             "udp_profile_imu": "LEGACY",
             "udp_profile_lidar": layout.name,
         },
-        "lidar_intrinsics": {
-            "lidar_to_sensor_transform": [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, geometry.lidar_height_mm, 0, 0, 0, 1]
-        },
+        "lidar_intrinsics": {"lidar_to_sensor_transform": [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, up_mm, 0, 0, 0, 1]},
         "sensor_info": {
             "build_date": BUILT,
             "build_rev": f"v{firmware}.0",

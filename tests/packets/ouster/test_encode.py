@@ -69,13 +69,8 @@ def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
 
 
 def true_points(sensor, truth, measurement, columns):
-    """(N, 3) in the sensor frame, and the beams' directions: from the sensor's file, by Ouster's own formula.
-
-    The file lets beams start beside the axis; the formula lets them start ahead of it, on the same line.
-    """
-    origin, height = (
-        sensor.section.values["geometry"][key] / 1000 for key in ("lidar_origin_to_beam_origin_mm", "lidar_height_mm")
-    )
+    """(N, 3) in the sensor frame, and the beams' directions: by Ouster's own formula."""
+    origin, height = sensor.beams.forward_offset_mm[0] / 1000, sensor.beams.vertical_offset_mm[0] / 1000
     points, directions = [], []
     for record, column in zip(truth, measurement, strict=True):
         laser = int(record["laser"])
@@ -86,9 +81,8 @@ def true_points(sensor, truth, measurement, columns):
             [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
         )
         start = np.array([math.cos(encoder), math.sin(encoder), 0.0]) * origin
-        before = origin * math.cos(math.radians(sensor.beams.azimuth_offset_deg[laser])) / math.cos(elevation)
         turned = np.array([-1.0, -1.0, 1.0])  # to the sensor frame
-        points.append((start + d * (record["range_m"] - before)) * turned + [0, 0, height])
+        points.append((start + d * record["range_m"]) * turned + [0, 0, height])
         directions.append(d * turned)
     return np.array(points), np.array(directions)
 
@@ -264,7 +258,7 @@ def test_inertial_measurements_on_an_arc(tmp_path, street):
     one = replace(mount(columns=512), position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0))
     path, _, _ = exported(tmp_path, street, one, way=way)
     said, rate = imu(path), math.radians(rate_deg)
-    x, y, _ = (v / 1000 for v in one.sensor.section.values["geometry"]["imu_position_mm"])
+    x, y, _ = (v / 1000 for v in one.sensor.section.values["imu"]["position_mm"])
     expected = np.array([-(rate**2) * x, speed * rate - rate**2 * y, 9.80665]) / 9.80665
     np.testing.assert_allclose(said["acceleration"], np.tile(expected, (len(said), 1)), atol=1e-4)
     np.testing.assert_allclose(said["rate"], np.tile([0, 0, rate_deg], (len(said), 1)), atol=1e-3)
