@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 CHUNK_PACKETS = 1024
 
 Job = Callable[[], PointCloud]
+OnSource = Callable[[str, str], None]
 
 
 def decode_pcap(
@@ -39,16 +40,19 @@ def decode_pcap(
     on_stats: Callable[[SourceStats], None] | None = None,
     selection: Selection = ALL,
     on_heads: OnHeads | None = None,
+    on_source: OnSource | None = None,
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig they are in the vehicle frame and the sensors are its mounts; without, each source (called
     host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
-    what the packets say. `on_warning` is told of a file that is cut off, `on_stats` at the end of each source, and
-    `on_heads` before each cloud where the heads pointed. What is selected comes as it does in the whole capture.
+    what the packets say. `on_warning` is told of a file that is cut off, `on_stats` at the end of each source,
+    `on_heads` before each cloud where the heads pointed, and `on_source` of each source, before its first cloud, the
+    name and the family. What is selected comes as it does in the whole capture.
     Raises PacketError and ConfigError.
     """
-    capture = _Capture(path, on_warning, rig, load_sensor(model) if model else None, selection, on_heads)
+    override = load_sensor(model) if model else None
+    capture = _Capture(path, on_warning, rig, override, selection, on_heads, on_source)
     yield from _ahead(capture.jobs(chunk_packets))
     if on_stats:
         for stream in capture.streams:
@@ -81,8 +85,10 @@ class _Capture:
         override: Sensor | None,
         selection: Selection,
         on_heads: OnHeads | None,
+        on_source: OnSource | None,
     ) -> None:
         self._path, self._on_warning, self._selection, self._on_heads = Path(path), on_warning, selection, on_heads
+        self._on_source = on_source
         self._rig, self._override = rig, override
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
         self._catalogue = cache(lambda: [load_sensor(name) for name in catalogue()])
@@ -194,6 +200,8 @@ class _Capture:
         )
         found = self._families[key]
         assert found
+        if self._on_source:
+            self._on_source(place.name, next(one for one in FAMILIES if family(one) is found))
         known = partial(_known, self._catalogue, found)
         opened = partial(_decoder, self._source(key), found, sensor, known, self._override is None)
         return Stream(place, opened, self._on_heads)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import CHUNK_PACKETS, decode_pcap
+from lidarcfg.capture.decode import CHUNK_PACKETS, OnSource, decode_pcap
 from lidarcfg.cloud import FIELDS, PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
@@ -27,12 +27,13 @@ def scans(
     rig: Rig | None = None,
     model: str | None = None,
     chunk_packets: int = CHUNK_PACKETS,
+    on_source: OnSource | None = None,
 ) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, as they end; memory does not grow with the length.
 
     A revolution begins with the first packet whose azimuth has passed 0, as velodyne_driver has it (a VLS-128's lasers
     that fire up to 8.7 us before the packet's stamp end the one before), and is no longer than a second.
-    Raises what `decode_pcap` does.
+    `on_source` and errors are those of `decode_pcap`.
     """
     if rig:
         own = tuple(replace(mount, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0)) for mount in rig.mounts)
@@ -44,7 +45,7 @@ def scans(
 
     begun: dict[int, list[PointCloud]] = {}
     numbers: dict[int, int] = {}
-    for cloud in decode_pcap(path, on_warning, rig, model, chunk_packets, on_heads=on_heads):
+    for cloud in decode_pcap(path, on_warning, rig, model, chunk_packets, on_heads=on_heads, on_source=on_source):
         for i in np.unique(cloud.sensor).tolist():
             mine = _rows(cloud, cloud.sensor == i, cloud.sensor_names[i])
             number = np.searchsorted(np.unique(heads[i].starts_ns), mine.time_ns, side="right")

@@ -1,7 +1,8 @@
 """ROS 2 bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses.
 
-Points are laid out as velodyne_driver's PointXYZIRT: 22 bytes, nothing between the fields; `time` is in seconds
-after the message's stamp, which is the scan's first point.
+Points are laid out as the maker's driver has them, with nothing between the fields. Velodyne's: PointXYZIRT, whose
+`time` is in seconds after the message's stamp, which is the scan's first point. Hesai's and RoboSense's: `timestamp` is
+in seconds since 1970.
 """
 
 import sqlite3
@@ -21,7 +22,9 @@ from lidarcfg.rig import Rig
 from lidarcfg.units import SECOND_NS
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
-FIELD_TYPES = {np.dtype("<f4"): 7, np.dtype("<u2"): 4}  # sensor_msgs/PointField: FLOAT32, UINT16
+STAMPED = np.dtype([*((key, POINT[key]) for key in ("x", "y", "z", "intensity", "ring")), ("timestamp", "<f8")])
+POINTS = {"hesai": STAMPED, "robosense": STAMPED}  # by family; else POINT
+FIELD_TYPES = {np.dtype(kind): code for kind, code in (("<f4", 7), ("<u2", 4), ("<f8", 8))}  # of sensor_msgs/PointField
 TIME_END_NS = 2**31 * SECOND_NS  # builtin_interfaces/Time counts its seconds in an int32
 BAG_VERSION: Final = 8  # of metadata.yaml: QoS as text, as rosbag2 had it before Jazzy
 TF_STATIC = "/tf_static"
@@ -86,7 +89,8 @@ def _messages(
     """Topic, message, and the time at which a driver would have sent it: at the end of the scan."""
     names = ros_names(rig, on_warning) if rig else {}
     seen: set[str] = set()
-    for scan in scans(source, on_warning, rig, model):
+    families: dict[str, str] = {}
+    for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__):
         first_ns, last_ns = int(scan.time_ns.min()), int(scan.time_ns.max())
         if last_ns >= TIME_END_NS:
             raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2")
@@ -97,16 +101,20 @@ def _messages(
             names[name] = ros_name(name)
             on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
         seen.add(name)
-        yield f"/{names[name]}/points", _points(types, scan, names[name], first_ns), last_ns
+        layout = POINTS.get(families[name], POINT)
+        yield f"/{names[name]}/points", _points(types, scan, layout, names[name], first_ns), last_ns
     if absent := [name for name in names if name not in seen]:
         on_warning(f"{source}: holds nothing of {', '.join(absent)}")
 
 
-def _points(types: Any, scan: PointCloud, frame: str, stamp_ns: int) -> Any:
-    rows = np.empty(len(scan.xyz), POINT)
+def _points(types: Any, scan: PointCloud, layout: np.dtype[np.void], frame: str, stamp_ns: int) -> Any:
+    rows = np.empty(len(scan.xyz), layout)
     rows["x"], rows["y"], rows["z"] = scan.xyz.T
     rows["intensity"], rows["ring"] = scan.intensity, scan.ring
-    rows["time"] = (scan.time_ns - stamp_ns) / SECOND_NS
+    if layout is POINT:
+        rows["time"] = (scan.time_ns - stamp_ns) / SECOND_NS
+    else:
+        rows["timestamp"] = scan.time_ns / SECOND_NS
     field = types["sensor_msgs/msg/PointField"]
     return types["sensor_msgs/msg/PointCloud2"](
         header=_header(types, frame, stamp_ns),
@@ -114,10 +122,10 @@ def _points(types: Any, scan: PointCloud, frame: str, stamp_ns: int) -> Any:
         width=len(rows),
         fields=[
             field(name=name, offset=offset, datatype=FIELD_TYPES[kind], count=1)
-            for name, (kind, offset, *_) in (POINT.fields or {}).items()
+            for name, (kind, offset, *_) in (layout.fields or {}).items()
         ],
         is_bigendian=False,
-        point_step=POINT.itemsize,
+        point_step=layout.itemsize,
         row_step=rows.nbytes,
         data=rows.view(np.uint8),
         is_dense=True,

@@ -1,0 +1,45 @@
+"""A capture of Hesai's and Velodyne's sensors as a ROS 2 bag: each with the fields of its maker's driver."""
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.capture.scans import scans
+from lidarcfg.formats.bag import save_bag
+from lidarcfg.rig import Rig
+from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.world.scene import load_scene
+from tests.capture_fixtures import STREET, mount, no_warning
+from tests.packets.hesai.recorded import mount as hesai
+
+FIELDS = [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("intensity", 12, 7), ("ring", 16, 4)]  # HesaiLidar_ROS_2.0
+STAMPED = np.dtype([("xyz", "<f4", 3), ("intensity", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")])
+
+
+def test_fields_as_the_makers_drivers_publish_them(tmp_path):
+    mounts = (hesai("pandar-xt16"), mount(1))
+    path = tmp_path / "two.pcap"
+    streams = export(Rig("two", mounts), load_scene(STREET), np.eye(4), 50_000_000)
+    write_pcap(path, in_time_order(streams))
+    save_companions(path, mounts)
+    save_bag(tmp_path / "bag", path, "sqlite3", Rig("two", mounts), None, lambda warning: None)
+    store = get_typestore(Stores.LATEST)
+    with Reader(tmp_path / "bag") as reader:
+        messages = {c.topic: store.deserialize_cdr(raw, c.msgtype) for c, _, raw in reader.messages()}
+    fields = {
+        topic: [(field.name, field.offset, field.datatype) for field in message.fields]
+        for topic, message in messages.items()
+        if topic.endswith("/points")
+    }
+    assert fields["/lidar_1/points"] == [*FIELDS, ("time", 18, 7)]
+    assert fields["/pandar_xt16/points"] == [*FIELDS, ("timestamp", 18, 8)]
+    message = messages["/pandar_xt16/points"]
+    assert message.point_step == 26
+    rows = np.frombuffer(bytes(message.data), STAMPED)
+    (scan,) = (scan for scan in scans(path, no_warning, Rig("two", mounts)) if scan.sensor_names == ("pandar-xt16",))
+    np.testing.assert_array_equal(rows["xyz"], scan.xyz.astype("<f4"))
+    np.testing.assert_array_equal(rows["ring"], scan.ring)
+    np.testing.assert_array_equal(rows["intensity"], scan.intensity)
+    assert abs(rows["timestamp"] - scan.time_ns / 1e9).max() < 1e-6
+    assert 0 < message.header.stamp.sec <= rows["timestamp"].min()
