@@ -176,6 +176,9 @@ def load_rig(path: str | Path) -> Rig:
             allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
             what = f"{mount.rpm:g} is outside {sensor.name}'s {allowed}"
             raise error_at(path, ("sensors", i, "rpm"), what)
+        if mount.realism and mount.realism.divergence and not sensor.optics:
+            what = f"sensor {sensor.name!r} has no optics facts"
+            raise error_at(path, ("sensors", i, "realism", "divergence"), what)
         sections = mount.model_extra or {}
         for key in sections:
             if key != sensor.codec:

@@ -44,6 +44,10 @@ def test_defaults(tmp_path):
         ),
         (MINIMAL.replace("]}", "], rpm: -1}"), "sensors[0].rpm: -1 is too small; allowed: above 0"),
         (
+            "name: r\nsensors:\n  - {name: a, elevation_deg: [0, 1], position_m: [0, 0, 1], realism: {divergence: true}}\n",
+            "rig.yaml:3:71: sensors[0].realism.divergence: sensor 'custom' has no optics facts",
+        ),
+        (
             MINIMAL.replace("]}", "], data_port: 70000}"),
             "data_port: 70000 is too large; allowed: at most 65535",
         ),

@@ -1,8 +1,8 @@
-"""What a sensor reports of what its beams hit: echoes of a wide beam, noise, dropouts, rain and fog; all from a seed.
+"""What a sensor reports of its hits: echoes of a wide beam, noise, dropouts, rain and fog, repeatable from a seed.
 
 The power of an echo follows the LiDAR equation for extended Lambertian targets, P ~ ρ cos θ exp(-2 α r) / r²
 (Jelalian, Laser Radar Systems, 1992, ch. 1; Rasshofer, Spies and Spies, Adv. Radio Sci. 9, 2011, 49-60).
-A retro-reflector (byte above 100) sends the light back whatever the angle; its ρ is taken as byte / 100.
+A retro-reflector (byte above 100) reflects independently of the angle; its ρ is taken as byte / 100.
 """
 
 import math
@@ -18,19 +18,19 @@ from lidarcfg.world.scene import Weather
 from lidarcfg.world.world_kernels import NOTHING
 
 DIFFUSE_MAX = 100
-SEPARATION_M = 1.0  # nearer echoes run into one (VLP-16 and VLS-128 manuals: dual returns are 1 m apart or more)
-PULSE_M = 0.75  # half the length of a pulse of 5 ns: a guess, as no maker says it
-CELLS = 24  # of PULSE_M, from the sensor's least range on, that rain and fog can send an echo from
+SEPARATION_M = 1.0  # closer echoes merge (VLP-16 and VLS-128 manuals: dual returns are at least 1 m apart)
+PULSE_M = 0.75  # half the length of a 5 ns pulse: a guess, no maker states it
+CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog can send an echo from
 LIDAR_RATIO_SR = (
     18.8  # extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004)
 )
-KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), taken at 903 nm as in visible light
+KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), at 903 nm as in visible light
 RAIN_DB_KM, RAIN_EXPONENT = 1.076, 0.67  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
 DECIBEL = 10 / math.log(10)
 # A Gaussian beam by Gauss-Hermite quadrature with three nodes per direction; the divergence is the full angle at 1/e²
-# of the intensity (a guess, as the makers do not say), which is four sigma.
+# of the intensity (a guess, the makers do not say), which is four sigma.
 NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
-FAINTEST = 1e-30  # what is black, or hit edge on, still echoes where no detection limit says otherwise
+FAINTEST = 1e-30  # power of an echo from a black or edge-on surface: detected unless there is a detection limit
 DROPOUT, NOISE, CELL = range(3)  # streams of random numbers
 
 
@@ -46,9 +46,9 @@ class SubRays:
 
 @dataclass(frozen=True)
 class Echoes:
-    """Of N firings, (N, R): those reported, or the three that may be.
+    """Echoes of N firings, (N, R): the reported ones, or the three candidates.
 
-    The three: the strongest; the strongest again, or the second strongest if the strongest is the last; the last.
+    The candidates: the strongest; the strongest again, or the second strongest if the strongest is the last; the last.
     """
 
     range_m: Array  # exact; inf: none
@@ -63,7 +63,7 @@ class Echoes:
 
 
 def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
-    """Exact echoes of thin beams, (N, 1) or for dual returns (N, 2): the only one, reported twice."""
+    """Exact echoes of thin beams, (N, 1), or (N, 2) for dual returns: the only echo, twice."""
     shape = len(range_m), 2 if return_mode == "dual" else 1
     return Echoes(
         range_m=np.broadcast_to(range_m, shape),
@@ -74,7 +74,7 @@ def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.
 
 
 def beam(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
-    """The K rays of a beam: tangents of the angles (K,) by which they leave its axis, across and up; weights (K,)."""
+    """The K rays of a beam: tangents of their angles to its axis (K,), across and up; weights (K,)."""
     if not realism.divergence:
         return np.zeros(1), np.zeros(1), np.ones(1)
     assert sensor.optics
@@ -90,9 +90,9 @@ def extinction_per_m(weather: Weather) -> float:
 
 
 def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` to `first` + count of a stream, in (0, 1), whatever pieces they are drawn in.
+    """Random numbers `first` to `first` + count of a stream, in (0, 1), the same in whatever pieces they are drawn.
 
-    `first` and `count` are multiples of four, as Philox makes four at a time.
+    `first` and `count` are multiples of four: Philox generates four at a time.
     """
     assert first % 4 == 0
     assert count % 4 == 0
@@ -109,7 +109,7 @@ def echoes(
     weights: Array,
     hits: SubRays,
 ) -> Echoes:
-    """All three echoes (N, 3) of firings `first` to `first` + N whose beams consist of rays with weights (K,)."""
+    """All three candidates (N, 3) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
     count, alpha, objects = len(hits.range_m), extinction_per_m(weather), hits.object
     range_m = np.where(hits.range_m <= sensor.range.max_m, hits.range_m, np.inf)
@@ -146,17 +146,17 @@ def echoes(
 
 
 def _step_rad(sensor: Sensor) -> float:
-    """The angle from one ray of a beam to the next, at most."""
+    """The largest angle between neighbouring rays of a beam."""
     return max(sensor.optics.divergence_mrad) / 1000 * float(NODES[-1]) if sensor.optics else 0.0
 
 
 def _clusters(
     range_m: Array, power: Array, byte: Array, objects: NDArray[np.int32], slant_m: Array, least: float
 ) -> Echoes:
-    """Rays of a beam whose ranges are closer than the separation are one echo, at their mean range weighted by power.
+    """Merge rays whose ranges are closer than the separation into one echo at their mean range, weighted by power.
 
-    So are neighbours on one object that are no farther apart than its slant explains: a surface hit at a flat angle is
-    one echo, though the few rays are far apart.
+    Neighbours on one object also merge if its slant explains the distance between them: a surface hit at a grazing
+    angle is one echo, even though its few rays are far apart.
     """
     order = np.argsort(range_m, axis=1)
     range_m, power, byte, slant_m = (
@@ -209,8 +209,8 @@ def _droplets(
 ) -> tuple[Array, Array]:
     """The strongest echo from rain and fog: its range (N,) and the albedo (N,) of an equally bright target.
 
-    A cell of length PULSE_M sends back as much as a target of albedo π PULSE_M α / LIDAR_RATIO_SR (Rasshofer
-    et al. 2011, soft targets), times an exponential number: the speckle of many droplets (Goodman, 1975).
+    A cell of length PULSE_M reflects as much as a target of albedo π PULSE_M α / LIDAR_RATIO_SR (Rasshofer
+    et al. 2011, soft targets), times an exponentially distributed number: the speckle of many droplets (Goodman, 1975).
     """
     assert sensor.range
     middle = sensor.range.min_m + (np.arange(CELLS) + 0.5) * PULSE_M

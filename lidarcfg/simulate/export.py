@@ -1,4 +1,4 @@
-"""What a rig's sensors send while the vehicle stands or moves in a scene."""
+"""The packets of a rig's sensors on a vehicle that stands or drives in a scene."""
 
 import os
 from collections import deque
@@ -27,8 +27,8 @@ from lidarcfg.world.scene import GeoOrigin, Scene
 from lidarcfg.world.tracer import Tracer
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
-CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # cast at a time, at most: what is done once a chunk is not nothing
-AHEAD = 1  # chunks of a sensor that are cast while others are written
+CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # at most, traced at a time: each chunk has a fixed cost
+AHEAD = 1  # chunks of a sensor that are traced while others are written
 
 OnTruth = Callable[[NDArray[np.void]], None]
 OnRays = Callable[[Counts], None]
@@ -37,7 +37,7 @@ OnRays = Callable[[Counts], None]
 def export(
     rig: Rig,
     scene: Scene,
-    way: Array | Trajectory,
+    at: Array | Trajectory,
     duration_ns: int,
     start_ns: int = START_NS,
     on_progress: Callable[[int], None] = lambda done_ns: None,
@@ -46,15 +46,15 @@ def export(
     on_rays: OnRays = lambda counts: None,
     threads: int | None = None,
 ) -> list[Iterator[Frames]]:
-    """What each sensor of the rig sends, in the order of time. `in_time_order` merges them.
+    """What each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
-    `way` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
-    Sensor i of n starts i/n of a packet later than the first, so that the packets interleave.
-    `on_progress` gets the simulated time that is done, of `duration_ns`; `on_truth` the records of `ground_truth`;
-    `on_rays` how many rays there were; all from the thread that reads. Neither chunks nor threads (as many as there are
-    cores) change anything in what is sent. Raises ConfigError.
+    `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
+    Sensor i of n starts i/n of a packet after the first, so that packets interleave.
+    `on_progress` gets the simulated time so far, of `duration_ns`; `on_truth` the records of `ground_truth`; `on_rays`
+    the numbers of rays; all in the thread that reads. Neither the chunks nor the number of threads (by default that of
+    the cores) change the bytes. Raises ConfigError.
     """
-    trajectory = way if isinstance(way, Trajectory) else standing(way)
+    trajectory = at if isinstance(at, Trajectory) else standing(at)
     for mount in rig.mounts:
         check_exportable(mount, duration_ns)
         check_place(mount.name, mount.position_m)
@@ -111,7 +111,7 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
 
 
 def check_place(name: str, position_m: Sequence[float] | Array) -> None:
-    """Raises ConfigError unless what is called `name` stands where a scene can be."""
+    """Raises ConfigError if the position of what is called `name` is beyond the largest coordinate."""
     for axis, value in zip("xyz", position_m, strict=True):
         if not abs(value) <= COORDINATE_MAX_M:
             allowed = f"{-COORDINATE_MAX_M:g} to {COORDINATE_MAX_M:g}"
@@ -132,7 +132,7 @@ def _checked_start(trajectory: Trajectory, start_ns: int, end_ns: int) -> Array:
 
 
 def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
-    """Streams that are each in the order of time, as one; where times are the same, the first stream's come first."""
+    """Merge streams that are each in time order; at equal times, in the order of the streams."""
     sources = list(streams)
     heads: dict[int, Frames] = {}
     while True:
@@ -157,7 +157,7 @@ def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
 
 
 class _Workers:
-    """Threads that the streams share: there are some while a stream is being read, and none after."""
+    """Threads that the streams share, started when the first is read and stopped after the last."""
 
     def __init__(self, threads: int) -> None:
         self._threads, self._readers = threads, 0
@@ -165,7 +165,7 @@ class _Workers:
 
     @contextmanager
     def pool(self) -> Iterator[Executor]:
-        """The threads, until all readers are done, stop early or are interrupted."""
+        """The threads; they stop once all readers are done, have stopped early or were interrupted."""
         self._pool = self._pool or ThreadPoolExecutor(self._threads)
         self._readers += 1
         try:
@@ -178,20 +178,20 @@ class _Workers:
 
 
 class _Progress:
-    """How much all streams together have done."""
+    """The progress of all streams together."""
 
     def __init__(self, streams: int, on_progress: Callable[[int], None]) -> None:
         self._done_ns, self._on_progress = [0] * streams, on_progress
 
     def set(self, stream: int, done_ns: int) -> None:
-        """A stream has come so far."""
+        """Record how far a stream has come."""
         self._done_ns[stream] = done_ns
         self._on_progress(sum(self._done_ns) // len(self._done_ns))
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What one sensor is to send."""
+    """The export of one sensor."""
 
     index: int
     mount: Mount
@@ -199,22 +199,22 @@ class _Task:
     start_ns: int
     duration_ns: int
     chunk_ns: int
-    truth: bool  # whether it is asked for
+    truth: bool  # whether records are wanted
 
 
 @dataclass(frozen=True)
 class _Chunk:
-    """What is known of a chunk once it is traced."""
+    """A traced chunk."""
 
     frames: Frames
-    truth: NDArray[np.void]  # empty if nobody asks
+    truth: NDArray[np.void]  # empty if not wanted
     counts: Counts
 
 
 def _data_stream(
     task: _Task, workers: _Workers, progress: _Progress, on_truth: OnTruth | None, on_rays: OnRays
 ) -> Iterator[Frames]:
-    """The data packets that are complete within the duration, each sent when it is complete."""
+    """The data packets completed within the duration, each sent when complete."""
     maker, mount, duration_ns = codec(task.mount.sensor), task.mount, task.duration_ns
     simulator, pace = task.simulator, maker.pace(mount)
     total = duration_ns // pace.period_ns
@@ -253,7 +253,7 @@ def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:
 
 
 def _housekeeping_stream(task: _Task, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[Frames]:
-    """What the sensor sends besides."""
+    """The sensor's other packets."""
     mount = task.mount
     payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, task.duration_ns)
     for some in payloads:
@@ -261,7 +261,7 @@ def _housekeeping_stream(task: _Task, trajectory: Trajectory, origin: GeoOrigin)
 
 
 def _ahead(jobs: Iterator[Future[_Chunk | None]]) -> Iterator[_Chunk | None]:
-    """What the jobs make, in their order, while a few more are begun."""
+    """The results of jobs in order, while a few more run."""
     waiting: deque[Future[_Chunk | None]] = deque()
     for job in jobs:
         waiting.append(job)

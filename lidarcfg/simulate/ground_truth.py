@@ -1,4 +1,4 @@
-"""What is true of a capture's returns, written beside it: object, exact range and noise, one record a return."""
+"""The ground truth of a capture's returns: object, exact range and noise, one record per return."""
 
 import tempfile
 import zipfile
@@ -43,7 +43,7 @@ def records(sensor_index: int, return_mode: str, fired: Firings, found: Echoes, 
 
 
 class TruthFile:
-    """Records of all sensors as they come, sensor by sensor in the .npz once `save` is called; memory stays flat."""
+    """Collects records in any order of sensors; `save` writes them sensor by sensor to a .npz. Memory stays constant."""
 
     def __init__(self, path: Path, sensor_names: Sequence[str], object_names: Sequence[str]) -> None:
         self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}
@@ -54,11 +54,11 @@ class TruthFile:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         for body in self._bodies:
-            with suppress(OSError):  # of a full disk, which `add` has raised
+            with suppress(OSError):  # of a full disk: `add` has raised it
                 body.close()
 
     def add(self, found: NDArray[np.void]) -> None:
-        """Records of one sensor, later than those before. Raises OSError, which names the file to be."""
+        """Append records of one sensor. Raises OSError with the name of the .npz."""
         if len(found):
             try:
                 self._bodies[found["sensor"][0]].write(found.tobytes())
@@ -66,7 +66,7 @@ class TruthFile:
                 raise OSError(error.errno, error.strerror, str(self._path)) from None
 
     def save(self) -> int:
-        """Write the file, whole or not at all, and return how many records."""
+        """Write the file, whole or not at all, and return the number of records."""
         counts = [body.tell() // RECORD.itemsize for body in self._bodies]
         with replacing(self._path, "wb") as file, zipfile.ZipFile(file, "w") as archive:
             for key, names in self._names.items():

@@ -1,4 +1,4 @@
-"""What the firings of one sensor report: its rays from the vehicle's pose at each firing, traced, and made echoes."""
+"""The echoes of one sensor's firings: rays from the vehicle's pose at each firing, traced and turned into echoes."""
 
 from typing import NamedTuple
 
@@ -19,18 +19,18 @@ from lidarcfg.world.tracer_kernels import NONE
 from lidarcfg.world.world_kernels import Found, resolve
 
 EXACT, CLEAR = Realism(), Weather()
-BEYOND_M = 1.0  # what is hit farther than this beyond a sensor's range is not looked for: nothing reports it
+BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
 
 class Counts(NamedTuple):
-    """Of rays: all that were traced, and those that hit something in range."""
+    """Numbers of rays: all that were traced, and those that hit something within range."""
 
     rays: int
     hits: int
 
 
 class Simulator:
-    """Sensor number `index` of a rig on a vehicle among what a tracer knows. Raises ConfigError."""
+    """Sensor number `index` of a rig on a vehicle in a tracer's scene. Raises ConfigError."""
 
     def __init__(self, index: int, mount: Mount, tracer: Tracer, trajectory: Trajectory) -> None:
         self._index, self._mount, self._tracer, self._trajectory = index, mount, tracer, trajectory
@@ -41,12 +41,12 @@ class Simulator:
         across, above, self._weights = beam(mount.sensor, self._realism)
         self._lasers, self._frames = _lasers(mount.sensor, across, above), _frames(mount, trajectory, tracer.origin_m)
         cells = CELLS if extinction_per_m(self._weather) else 0
-        self.width = len(across) + cells  # numbers a firing, at a time
+        self.width = len(across) + cells  # rays and cells per firing
 
     def echoes(self, fired: Firings, first: int) -> tuple[Echoes, Counts]:
-        """What N firings report, (N, 1) or with dual returns (N, 2); they are numbered from `first` on.
+        """The echoes of N firings, (N, 1), or (N, 2) for dual returns; firings are numbered from `first` on.
 
-        Changes nothing, so that threads may run it side by side. Raises ConfigError outside timed poses.
+        Has no side effects, so threads may call it concurrently. Raises ConfigError outside timed poses.
         """
         sensor, mount = self._mount.sensor, self._mount
         assert sensor.range

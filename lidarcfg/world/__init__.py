@@ -1,1 +1,1 @@
-"""What stands around the vehicle, what travels along, and where rays hit it."""
+"""Scenes, motion, and a ray tracer: static and dynamic objects around a vehicle, and what rays hit of them."""

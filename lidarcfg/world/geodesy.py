@@ -1,4 +1,4 @@
-"""Where on Earth the points of the world frame are: WGS 84, by pymap3d."""
+"""Latitude and longitude of points in the world frame: WGS 84, by pymap3d."""
 
 from typing import TYPE_CHECKING
 

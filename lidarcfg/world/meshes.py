@@ -51,10 +51,10 @@ def sphere_mesh(sphere: "Sphere", tolerance_m: float) -> Mesh:
 
 
 def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
-    """The profile (N, 2) of radius and height turned about the vertical through `position_m`."""
-    turn = np.arange(facets) * (2 * math.pi / facets)
+    """The surface of revolution of a profile (N, 2) of radius and height about the vertical through `position_m`."""
+    azimuth = np.arange(facets) * (2 * math.pi / facets)
     radius, height = profile[:, :1], profile[:, 1:]
-    rings = np.stack([radius * np.cos(turn), radius * np.sin(turn), height + 0 * turn], axis=-1)
+    rings = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height + 0 * azimuth], axis=-1)
     index = np.arange(len(profile) * facets).reshape(len(profile), facets)
     a, b = index[:-1].ravel(), np.roll(index, -1, axis=1)[:-1].ravel()
     c, d = np.roll(index, -1, axis=1)[1:].ravel(), index[1:].ravel()
@@ -63,7 +63,7 @@ def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
 
 
 def _facets(radius_m: float, tolerance_m: float) -> int:
-    """How many sides keep a polygon's chords that near to its circle; even, 16 to 512."""
+    """The number of sides of a polygon within a tolerance of its circle; even, 16 to 512."""
     half = math.acos(max(1 - tolerance_m / radius_m, 0.0))
     return min(max(2 * math.ceil(math.pi / half / 2), 16), 512)
 
@@ -79,7 +79,7 @@ def placed(mesh: Mesh, item: "MeshFile") -> Mesh:
 
 
 def read_mesh(path: Path) -> Mesh:
-    """The mesh in a file. Raises SceneError if there is none, or not a sound one."""
+    """The mesh in a file. Raises SceneError if there is none or it is invalid."""
     import open3d as o3d
 
     _check_readable(path)

@@ -54,7 +54,8 @@ class TimedPose(Model):
 class Motion(Model):
     """One of the three; the frame is that of the object at time 0, times are seconds since the start.
 
-    Between timed poses the position moves in a straight line and the attitude turns about one axis, both evenly.
+    Between timed poses the position moves along a straight line and the attitude rotates about one axis, both at a
+    constant rate.
     """
 
     velocity_m_s: tuple[Speed, Speed, Speed] | None = None
@@ -78,13 +79,13 @@ STANDING = Motion(velocity_m_s=(0.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class MotionPath:
-    """A motion made ready: rotations and positions at any times."""
+    """A motion in a form that gives poses at any times."""
 
     motion: Motion
     times_s: Array  # (K,) of the timed poses; empty for the other kinds
     positions_m: Array  # (K, 3)
     rotations: Array  # (K, 3, 3)
-    turns_rad: Array  # (K, 3) from each pose to the next, as rotation vectors; 0 for the last
+    rotation_vectors_rad: Array  # (K, 3) from each pose to the next; 0 for the last
 
     def at(self, seconds: Array) -> tuple[Array, Array]:
         """R (n, 3, 3) and t (n, 3) at the times (n,), with 1 for n where the rotation, or the position, is constant.
@@ -105,18 +106,18 @@ class MotionPath:
 
     @property
     def is_static(self) -> bool:
-        """Whether it never moves."""
+        """Whether the motion is none: a velocity of zero."""
         return self.motion == STANDING
 
     def check_span(self, first_s: float, last_s: float, prefix: str = "") -> None:
-        """Raises ConfigError unless the timed poses, if that is what they are, cover these times."""
+        """Raises ConfigError if the motion is timed poses and they do not cover these times."""
         if len(self.times_s) and not self.times_s[0] <= first_s <= last_s <= self.times_s[-1]:
             span = f"{self.times_s[0]:g} to {self.times_s[-1]:g} s"
             raise ConfigError(f"{prefix}a pose is needed at {first_s:g} to {last_s:g} s; the timed poses cover {span}")
 
     @property
     def speed_max_m_s(self) -> float:
-        """The speed along the path is never above this."""
+        """An upper bound of the speed along the path."""
         if self.motion.velocity_m_s is not None:
             return float(np.linalg.norm(self.motion.velocity_m_s))
         if self.motion.arc is not None:
@@ -125,9 +126,9 @@ class MotionPath:
 
 
 def prepared(motion: Motion) -> MotionPath:
-    """The motion made ready."""
+    """The path of a motion."""
     poses = motion.poses or ()
-    rotations, turns_rad = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
+    rotations, rotation_vectors_rad = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
     if poses:
         from scipy.spatial.transform import Rotation
 
@@ -136,19 +137,19 @@ def prepared(motion: Motion) -> MotionPath:
                 rotations[i] = Rotation.from_quat(one.quaternion_xyzw).as_matrix()
             else:
                 rotations[i] = rotation(np.radians(one.rpy_deg or (0.0, 0.0, 0.0)))
-        turns = Rotation.from_matrix(rotations)
-        turns_rad[:-1] = (turns[:-1].inv() * turns[1:]).as_rotvec()
+        attitudes = Rotation.from_matrix(rotations)
+        rotation_vectors_rad[:-1] = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
     return MotionPath(
         motion=motion,
         times_s=np.array([pose.time_s for pose in poses]),
         positions_m=np.array([pose.position_m for pose in poses]).reshape(-1, 3),
         rotations=rotations,
-        turns_rad=turns_rad,
+        rotation_vectors_rad=rotation_vectors_rad,
     )
 
 
 def packed(paths: Sequence[MotionPath]) -> "Paths":
-    """Motions, as compiled loops take them."""
+    """Motions in one table, for compiled loops."""
     from lidarcfg.world.motion_kernels import ARC, POSES, STANDING, VELOCITY, Paths
 
     kinds, values = [], np.zeros((len(paths), 3))
@@ -169,7 +170,7 @@ def packed(paths: Sequence[MotionPath]) -> "Paths":
         times_s=np.concatenate([np.empty(0), *(path.times_s for path in paths)]),
         positions_m=np.concatenate([np.empty((0, 3)), *(path.positions_m for path in paths)]),
         rotations=np.concatenate([np.empty((0, 3, 3)), *(path.rotations for path in paths)]),
-        turns_rad=np.concatenate([np.empty((0, 3)), *(path.turns_rad for path in paths)]),
+        rotation_vectors_rad=np.concatenate([np.empty((0, 3)), *(path.rotation_vectors_rad for path in paths)]),
     )
 
 
@@ -182,7 +183,7 @@ class Trajectory:
     zero_ns: int  # the motion's time 0
 
     def world(self, points: Array, time_ns: NDArray[np.int64]) -> Array:
-        """Points (n, 3) of the vehicle frame, each seen at its time (n,), in the world: the motion taken out.
+        """Points (n, 3) of the vehicle frame, each seen at its time (n,), in the world: deskewed.
 
         Raises ConfigError outside the timed poses.
         """
@@ -190,7 +191,7 @@ class Trajectory:
         return transform(self.T_world_start, rotated(R, points) + t)
 
     def motion(self, time_ns: NDArray[np.int64]) -> tuple[Array, Array]:
-        """R (n or 1, 3, 3) and t (n or 1, 3) from the vehicle's frame into the one where it started."""
+        """R (n or 1, 3, 3) and t (n or 1, 3) from the vehicle frame into the frame in which the motion is described."""
         return self.path.at(np.empty(0) if self.path.is_static else (time_ns - self.zero_ns) / SECOND_NS)
 
     def pose(self, time_ns: int) -> Array:
@@ -201,7 +202,7 @@ class Trajectory:
         return np.asarray(self.T_world_start @ T)
 
     def velocity_m_s(self, time_ns: NDArray[np.int64]) -> Array:
-        """(n, 3) in the world: over the millisecond around the times (n,), or what of it the poses cover."""
+        """(n, 3) in the world: the mean over the millisecond around each time (n,), as far as the poses cover it."""
         if self.path.is_static:
             return np.zeros((len(time_ns), 3))
         ends = np.stack([time_ns - STEP_NS // 2, time_ns + STEP_NS // 2])
@@ -217,9 +218,9 @@ def standing(T_world_vehicle: Array) -> Trajectory:
 
 
 def rotated(R: Array, vectors: Array) -> Array:
-    """Vectors (n, 3) turned by R, one each (n, 3, 3) or one for all (1, 3, 3)."""
-    turned: Array = vectors @ R[0].T if len(R) == 1 else np.einsum("nij,nj->ni", R, vectors)
-    return turned
+    """Vectors (n, 3) rotated by R: one matrix each (n, 3, 3), or one for all (1, 3, 3)."""
+    out: Array = vectors @ R[0].T if len(R) == 1 else np.einsum("nij,nj->ni", R, vectors)
+    return out
 
 
 def load_motion(path: str | Path) -> Motion:

@@ -1,4 +1,4 @@
-"""Where things that move are at each time, in compiled loops: a rotation, row by row, and a position."""
+"""Poses of whatever moves, at any time, in compiled loops: a rotation, row by row, and a position."""
 
 # mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
 import math
@@ -23,12 +23,12 @@ class Paths(NamedTuple):
     times_s: Array  # (K,)
     positions_m: Array  # (K, 3)
     rotations: Array  # (K, 3, 3)
-    turns_rad: Array  # (K, 3) from each pose to the next, as a rotation vector in the frame that turns
+    rotation_vectors_rad: Array  # (K, 3) from each pose to the next, in the rotating frame
 
 
 @njit(cache=True, nogil=True)
 def matrix(R):
-    """A matrix (3, 3), row by row: nine numbers stay in registers where an array does not."""
+    """A matrix (3, 3) as nine numbers, row by row: they stay in registers, an array does not."""
     return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
 
 
@@ -64,16 +64,16 @@ def _arc(seconds, speed_m_s, rate_rad_s, heading_rad):
     c, s = math.cos(half), math.sin(half)
     chord_m = speed_m_s * seconds * (s / half if half != 0 else 1.0)
     cos_0, sin_0 = math.cos(heading_rad), math.sin(heading_rad)
-    turned, up = 1 - 2 * s * s, 1.0
+    yawed, up = 1 - 2 * s * s, 1.0
     x, y = chord_m * (c * cos_0 - s * sin_0), chord_m * (s * cos_0 + c * sin_0)
-    return (turned, -2 * s * c, 0.0, 2 * s * c, turned, 0.0, 0.0, 0.0, up), (x, y, 0.0)
+    return (yawed, -2 * s * c, 0.0, 2 * s * c, yawed, 0.0, 0.0, 0.0, up), (x, y, 0.0)
 
 
 @njit(cache=True, nogil=True)
-def _between(times_s, positions_m, rotations, turns_rad, k, seconds):
-    """Between pose k and the next: in a straight line, and about one axis, evenly."""
+def _between(times_s, positions_m, rotations, rotation_vectors_rad, k, seconds):
+    """Between pose k and the next: along a straight line and about one axis, both at a constant rate."""
     part = (seconds - times_s[k]) / (times_s[k + 1] - times_s[k])
-    x, y, z = part * turns_rad[k, 0], part * turns_rad[k, 1], part * turns_rad[k, 2]
+    x, y, z = part * rotation_vectors_rad[k, 0], part * rotation_vectors_rad[k, 1], part * rotation_vectors_rad[k, 2]
     angle = math.sqrt(x * x + y * y + z * z)
     a = math.sin(angle) / angle if angle > 0 else 1.0
     b = 2 * (math.sin(angle / 2) / angle) ** 2 if angle > 0 else 0.5
@@ -93,10 +93,15 @@ def _between(times_s, positions_m, rotations, turns_rad, k, seconds):
 def poses(paths, p, seconds, first, count, R, t):
     """Write rotations and positions of motion p at times `first` to `first` + count to R (9, n) and t (3, n).
 
-    Before the first and after the last timed pose it moves on as beside them.
+    Before the first and after the last timed pose, the first and last segments are extrapolated.
     """
     kind, u, v, w = paths.kind[p], paths.values[p, 0], paths.values[p, 1], paths.values[p, 2]
-    times_s, positions_m, rotations, turns_rad = paths.times_s, paths.positions_m, paths.rotations, paths.turns_rad
+    times_s, positions_m, rotations, rotation_vectors_rad = (
+        paths.times_s,
+        paths.positions_m,
+        paths.rotations,
+        paths.rotation_vectors_rad,
+    )
     start, end = paths.first[p], paths.first[p + 1] - 2
     for n in range(count):
         now = seconds[first + n]
@@ -107,7 +112,7 @@ def poses(paths, p, seconds, first, count, R, t):
             while low < high:  # the last pose but one that is not later
                 k = (low + high + 1) // 2
                 low, high = (k, high) if times_s[k] <= now else (low, k - 1)
-            m, place = _between(times_s, positions_m, rotations, turns_rad, low, now)
+            m, place = _between(times_s, positions_m, rotations, paths.rotation_vectors_rad, low, now)
         else:
             m, place = UPRIGHT, (u * now, v * now, w * now)
         for k in range(9):

@@ -1,4 +1,4 @@
-"""A scene: what is around the vehicle, from a YAML file, in the world frame."""
+"""A scene: the surroundings of the vehicle in the world frame, from a YAML file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ from lidarcfg.sensor import Byte
 from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, placed, plane_mesh, read_mesh, sphere_mesh
 from lidarcfg.world.motion import Motion
 
-DRAWN_M = 0.01  # how near to spheres and cylinders their drawn facets are
+DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
 GROUND = "ground"
 NO_MESH = np.empty((0, 3)), np.empty((0, 3), np.int64)
-PLACES = ("center_m", "base_m", "position_m")  # what places an object, whatever its kind
+PLACES = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
 
 Size = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 
@@ -37,7 +37,7 @@ class SceneObject(Model):
 
     name: Annotated[str, Field(min_length=1)]
     reflectivity: Byte
-    motion: Motion | None = None  # from its place at time 0, in the world's axes; it turns about its place
+    motion: Motion | None = None  # from its place at time 0, in the world's axes; it rotates about its place
 
 
 class Box(SceneObject):
@@ -81,7 +81,7 @@ class MeshFile(SceneObject):
 
 
 class Weather(Model):
-    """Fog and rain, everywhere alike; simulate/echoes.py says what they do to a beam."""
+    """Uniform fog and rain; simulate/echoes.py models what they do to a beam."""
 
     fog_visibility_m: Annotated[float, Field(ge=1)] | None = None  # meteorological
     rain_mm_h: Positive | None = None
@@ -95,7 +95,7 @@ class GeoOrigin(Model):
 
 
 class SceneFile(Model):
-    """A scene, as its file says it."""
+    """A scene file."""
 
     name: Annotated[str, Field(min_length=1)]
     ground: Ground | None = None
@@ -131,8 +131,8 @@ class Scene:
     vertices_m: Array  # (V, 3) in the world frame
     triangles: NDArray[np.int64]  # (T, 3) indices of vertices
     triangle_object: NDArray[np.int32]  # (T,) index of the object, ascending
-    motions: tuple[Motion | None, ...]  # (objects,) None: it does not move
-    places_m: Array  # (objects, 3) where a moving object's own origin is at time 0, about which it rotates
+    motions: tuple[Motion | None, ...]  # (objects,) None: static
+    places_m: Array  # (objects, 3) the origin of each object's own frame at time 0, about which it rotates
 
     @property
     def rounds(self) -> list[tuple[int, Sphere | Cylinder]]:
@@ -141,7 +141,7 @@ class Scene:
         return list(enumerate((*self.file.spheres, *self.file.cylinders), first))
 
     def mesh(self, tolerance_m: float = DRAWN_M) -> Mesh:
-        """All objects but the ground as vertices (V, 3) and triangles (T, 3), to draw them.
+        """All objects but the ground as vertices (V, 3) and triangles (T, 3), for drawing.
 
         Facets are within the tolerance of spheres and cylinders, up to radii of some 26,000 times the tolerance.
         """

@@ -2,8 +2,8 @@
 
 Ground, spheres and cylinders are hit in closed form, everything else by its triangles.
 
-What is static is one bounding volume hierarchy, built once. Each dynamic object has one in its own frame, in which rays
-are traced at the time of each.
+All static objects share one bounding volume hierarchy, built once. Each dynamic object has one in its own frame; a ray
+is transformed into that frame at its own time.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ class Tracer:
     ) -> Hits:
         """Rays (N, 3) from points of the world along unit vectors at times (N,): what each hits first within a limit.
 
-        Without times everything stands where it does at time 0. Raises ConfigError outside timed poses.
+        Without times, all objects are where they are at time 0. Raises ConfigError outside timed poses.
         """
         count = len(directions)
         found = Found(np.full(count, np.inf), np.full(count, NONE, np.int32), np.zeros((count, 3)), np.empty(0))
@@ -142,7 +142,7 @@ def _dynamics(scene: Scene, dynamic: Sequence[Dynamic], origin_m: Array) -> Dyna
 
 
 def _radius_m(part: Tree) -> float:
-    """Of a sphere around the origin that holds a tree."""
+    """The radius of a tree's bounding sphere around the origin."""
     shapes = part.shapes.reshape(-1, 9)
     flat, heights = shapes[part.kind == TRIANGLE].reshape(-1, 3), shapes[part.kind == CYLINDER]
     far = [
