@@ -43,7 +43,7 @@ def records(sensor_index: int, return_mode: str, fired: Firings, found: Echoes, 
 
 
 class TruthFile:
-    """Collects records in any order of sensors; `save` writes them sensor by sensor to a .npz. Memory stays constant."""
+    """Collects the records of all sensors; `save` writes them sensor by sensor to a .npz. Memory stays constant."""
 
     def __init__(self, path: Path, sensor_names: Sequence[str], object_names: Sequence[str]) -> None:
         self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}

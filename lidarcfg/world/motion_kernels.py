@@ -96,12 +96,7 @@ def poses(paths, p, seconds, first, count, R, t):
     Before the first and after the last timed pose, the first and last segments are extrapolated.
     """
     kind, u, v, w = paths.kind[p], paths.values[p, 0], paths.values[p, 1], paths.values[p, 2]
-    times_s, positions_m, rotations, rotation_vectors_rad = (
-        paths.times_s,
-        paths.positions_m,
-        paths.rotations,
-        paths.rotation_vectors_rad,
-    )
+    times_s, positions_m, rotations = paths.times_s, paths.positions_m, paths.rotations
     start, end = paths.first[p], paths.first[p + 1] - 2
     for n in range(count):
         now = seconds[first + n]
