@@ -1,7 +1,7 @@
 """ROS 2 bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses.
 
-Points are laid out as the maker's driver has them, with nothing between the fields. Velodyne's: PointXYZIRT, whose
-`time` is in seconds after the message's stamp, which is the scan's first point. Hesai's and RoboSense's: `timestamp` is
+Points are laid out as the maker's driver has them, with nothing between the fields. Velodyne's PointXYZIRT has `time`,
+in seconds after the message's stamp, which is the scan's first point; Hesai's and RoboSense's points have `timestamp`,
 in seconds since 1970.
 """
 

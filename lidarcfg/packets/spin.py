@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Firings, Times
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
@@ -48,19 +49,27 @@ class Spin:
 def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: float | None = None) -> Firings:
     """The firings of the packets with these numbers; packet 0 starts at `start_ns` with azimuth 0.
 
-    With a phase lock the head points to `phase_deg` at each whole second instead, for which `rpm` must be whole
-    revolutions a second. The revolutions up to each packet are counted in whole numbers, so an hour adds no drift.
+    With a phase lock the head points to `phase_deg` at each whole second instead.
     """
     from lidarcfg.packets.spin_kernels import turned  # decoding needs none of them
 
+    begun = revolutions(rpm, spin.period_ns, start_ns, packets, phase_deg)
+    first_ns = start_ns + np.array(packets, np.int64) * spin.period_ns
+    time_ns, encoder_rad = turned(begun, spin.offsets_ns.ravel(), rpm / MINUTE_NS, first_ns)
+    laser = np.tile(np.arange(len(spin.offset_ns), dtype=np.uint8), len(time_ns) // len(spin.offset_ns))
+    return Firings(time_ns, laser, encoder_rad)
+
+
+def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase_deg: float | None) -> Array:
+    """(P,): how far the head has turned at the stamps of the packets with these numbers; at the first, not at all.
+
+    With a phase lock it points to `phase_deg` at each whole second instead, for which `rpm` must be whole revolutions
+    a second. Revolutions are counted in whole numbers, so an hour adds no drift.
+    """
     revolution_ns = MINUTE_NS / Fraction(rpm)
     whole, part = revolution_ns.numerator, revolution_ns.denominator
     into_ns, ahead = (0, 0.0) if phase_deg is None else (start_ns % SECOND_NS, phase_deg / 360)
-    begun = np.array([(into_ns + n * spin.period_ns) * part % whole / whole for n in packets], np.float64)
-    first_ns = start_ns + np.array(packets, np.int64) * spin.period_ns
-    time_ns, encoder_rad = turned(begun + ahead, spin.offsets_ns.ravel(), rpm / MINUTE_NS, first_ns)
-    laser = np.tile(np.arange(len(spin.offset_ns), dtype=np.uint8), len(time_ns) // len(spin.offset_ns))
-    return Firings(time_ns, laser, encoder_rad)
+    return np.array([(into_ns + n * period_ns) * part % whole / whole for n in packets], np.float64) + ahead
 
 
 def batches(spin: Spin, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:

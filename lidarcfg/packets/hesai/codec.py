@@ -36,7 +36,7 @@ class Hesai:
     def pace(self, mount: "Mount") -> Pace:
         """See `Codec`."""
         dual = mount.return_mode == "dual"
-        return Pace(self.unit.period_ns(dual), self.unit.groups(dual) * self.unit.count)
+        return Pace(self.unit.period_ns(dual), self.unit.groups(dual) * self.unit.lasers.shape[1])
 
     def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """See `Codec`."""
@@ -57,7 +57,7 @@ class Hesai:
         """See `Codec`."""
         from lidarcfg.packets.hesai.encode import sent
 
-        return sent(self.unit.packets_of(payloads.data), mount.return_mode == "dual")
+        return sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode == "dual", batch.firings.laser)
 
     def housekeeping(
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int

@@ -26,7 +26,8 @@ from lidarcfg.units import SECOND_NS
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
 
-COLUMNS = (1, 0)  # with dual returns the even block holds the last one
+COLUMNS = ("time_ns", "laser", "encoder_rad")
+PAIR = (1, 0)  # with dual returns the even block holds the last one
 
 
 def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
@@ -35,21 +36,21 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
 
     dual = mount.return_mode == "dual"
     packets = np.zeros(len(batch.number), unit.dtype)
-    shape = len(packets), unit.groups(dual), unit.count
-    time_ns, encoder_rad = batch.firings.time_ns.reshape(shape), batch.firings.encoder_rad.reshape(shape)[:, :, 0]
-    loop = _loops(unit, time_ns)
-    fires = unit.fires[loop] & within(mount, encoder_rad)[:, :, None]
+    shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
+    time_ns, laser, encoder_rad = (getattr(batch.firings, key).reshape(shape) for key in COLUMNS)
+    loop, inside = _loops(unit, laser), within(mount, encoder_rad[:, :, 0])
     blocks, facts = packets["blocks"], unit.range
-    blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad), 1 + dual, axis=1)
-    blocks["returns"]["confidence"] = unit.facts.packet.confidence
-    column = np.array(COLUMNS * shape[1] if dual else (0,) * shape[1])
-    limits = facts.min_m, facts.max_m, facts.resolution_m, float(DISTANCE_MAX)
-    met_m, strength = (
-        read_only(np.ascontiguousarray(one).reshape(*shape, 1 + dual)) for one in (range_m, reflectivity)
-    )
+    blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
     returns = blocks["returns"]
-    encode_kernels.fill(met_m, strength, column, fires, limits, returns["distance"], returns["reflectivity"])
-    stamp_ns = _stamps(unit, time_ns, loop)
+    returns["confidence"] = unit.facts.packet.confidence
+    column = np.array(PAIR * shape[1] if dual else (0,) * shape[1])
+    limits = facts.min_m, facts.max_m, facts.resolution_m, float(DISTANCE_MAX)
+    at_m, strength = (read_only(np.ascontiguousarray(one).reshape(*shape, 1 + dual)) for one in (range_m, reflectivity))
+    wire = returns["distance"], returns["reflectivity"]
+    encode_kernels.fill(at_m, strength, read_only(laser), column, inside, limits, *wire)
+    first = laser[:, -1, 0]
+    stamp_ns = time_ns[:, -1, 0] - unit.offset_ns[loop[:, -1], first] - unit.facts.firing.stamp_ns
+    stamp_ns = (stamp_ns + 500) // 1000 * 1000
     _head(unit, packets, dual)
     tail = packets["tail"]
     tail["return_mode"], tail["rpm"], tail["factory"] = WRITTEN[mount.return_mode], round(mount.rpm), FACTORY
@@ -62,17 +63,19 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     return packets
 
 
-def sent(packets: Packets, dual: bool) -> Flags:
-    """(N, 1) or (N, 2): which are returns in the packets; of two that are alike there, the first."""
-    returns = packets["blocks"]["returns"]
-    if not dual:
-        return np.asarray(returns["distance"].reshape(-1, 1) > 0)
-    pairs = [returns[:, i::2] for i in np.argsort(COLUMNS)]
+def sent(unit: Unit, packets: Packets, dual: bool, laser: Octets) -> Flags:
+    """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first."""
+    returns, at = packets["blocks"]["returns"], laser.reshape(len(packets), unit.groups(dual), -1).astype(np.int64)
     distance, reflectivity = (
-        np.stack([pair[key].reshape(-1) for pair in pairs], axis=-1) for key in ("distance", "reflectivity")
+        np.stack(
+            [np.take_along_axis(returns[:, i :: 1 + dual][key], at, axis=2).ravel() for i in (PAIR if dual else (0,))],
+            axis=-1,
+        )
+        for key in ("distance", "reflectivity")
     )
     found: Flags = distance > 0
-    found[:, 1] &= (distance[:, 0] != distance[:, 1]) | (reflectivity[:, 0] != reflectivity[:, 1])
+    if dual:
+        found[:, 1] &= (distance[:, 0] != distance[:, 1]) | (reflectivity[:, 0] != reflectivity[:, 1])
     return found
 
 
@@ -84,17 +87,9 @@ def _head(unit: Unit, packets: Packets, dual: bool) -> None:
     header["first_return"], header["returns"] = FIRST_LAST * dual, 1 + dual
 
 
-def _loops(unit: Unit, time_ns: Times) -> Times:
-    """(P, G): which loop's lasers fire, by when they do."""
+def _loops(unit: Unit, laser: Octets) -> Times:
+    """(P, G): which loop's lasers (P, G, F) fire."""
     if len(unit.fires) == 1:
-        return np.zeros(time_ns.shape[:2], np.int64)
-    apart = np.diff(unit.offset_ns, axis=1)
-    one = int(np.argmax(unit.fires[:, 1:].all(axis=0) & unit.fires[:, :-1].all(axis=0) & (apart[0] != apart[1])))
-    return np.asarray(time_ns[:, :, one + 1] - time_ns[:, :, one] == apart[1, one], np.int64)
-
-
-def _stamps(unit: Unit, time_ns: Times, loop: Times) -> Times:
-    """(P,) in whole microseconds."""
-    laser = int(np.argmax(unit.fires.all(axis=0)))
-    stamp_ns = time_ns[:, -1, laser] - unit.offset_ns[loop[:, -1], laser] - unit.facts.firing.stamp_ns
-    return np.asarray((stamp_ns + 500) // 1000 * 1000)
+        return np.zeros(laser.shape[:2], np.int64)
+    only = int(np.argmax(unit.fires[1] & ~unit.fires[0]))
+    return np.asarray((laser == only).any(axis=2), np.int64)

@@ -32,6 +32,8 @@ class Firing(Model):
         for i, loop in enumerate(self.loops):
             if max((offset for offset in loop if offset is not None), default=0) >= self.period_ns:
                 raise fault(f"a firing lies beyond the period's {self.period_ns} ns", "loops", i)
+        if len({sum(offset is not None for offset in loop) for loop in self.loops}) > 1:
+            raise fault("the loops have different numbers of lasers that fire", "loops")
         return self
 
 
@@ -113,6 +115,11 @@ class Unit:
     def fires(self) -> Flags:
         """(loops, L): whether each laser fires."""
         return np.array([[offset is not None for offset in loop] for loop in self.facts.firing.loops])
+
+    @property
+    def lasers(self) -> Times:
+        """(loops, F): which lasers fire."""
+        return np.array([np.flatnonzero(fires) for fires in self.fires], np.int64)
 
     @property
     def offset_ns(self) -> Times:

@@ -1,15 +1,15 @@
 """When and where each laser fires: all of them in turn, at fixed times, while the head turns."""
 
 from collections.abc import Iterator
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Firings, Flags
+from lidarcfg.packets.codec import Batch, Firings, Flags, Times
 from lidarcfg.packets.hesai.facts import Unit
-from lidarcfg.units import MINUTE_NS, SECOND_NS
+from lidarcfg.packets.spin import revolutions
+from lidarcfg.units import MINUTE_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
@@ -28,37 +28,31 @@ def batches(unit: Unit, mount: "Mount", start_ns: int, packets: int, chunk: int)
         ends_ns = stamp_ns + unit.facts.firing.stamp_ns + longest_ns
         if mount.azimuth_fov_deg is not None:
             some = inside.any(axis=1)
-            rows = np.repeat(some, inside.shape[1] * unit.count)
+            rows = np.repeat(some, inside.shape[1] * unit.lasers.shape[1])
             fired = Firings(fired.time_ns[rows], fired.laser[rows], fired.encoder_rad[rows])
             ends_ns = ends_ns[some]
         yield Batch(fired, np.arange(sent, sent + len(ends_ns)), -(-ends_ns // 1000) * 1000)
         sent += len(ends_ns)
 
 
-def _firings(
-    unit: Unit, mount: "Mount", start_ns: int, numbers: range
-) -> tuple[Firings, np.ndarray[tuple[int, ...], np.dtype[np.int64]], Flags]:
+def _firings(unit: Unit, mount: "Mount", start_ns: int, numbers: range) -> tuple[Firings, Times, Flags]:
     """Of the packets with these numbers: firings, stamps (P,), and which groups (P, G) are within the field of view.
 
-    All lasers of a group fire where the head is at its start, as the group's azimuth says. Those that rest in a loop
-    are there too, at its start.
+    All lasers of a group fire where the head is at its start, as the group's azimuth says.
     """
     from lidarcfg.packets.hesai import encode_kernels as kernels  # decoding needs none of them
 
     dual = mount.return_mode == "dual"
     groups, period_ns = unit.groups(dual), unit.period_ns(dual)
-    revolution_ns = MINUTE_NS / Fraction(mount.rpm)
-    whole, part = revolution_ns.numerator, revolution_ns.denominator
-    into_ns, ahead = (0, 0.0) if mount.phase_deg is None else (start_ns % SECOND_NS, mount.phase_deg / 360)
-    turned = np.array([(into_ns + n * period_ns) * part % whole / whole for n in numbers], np.float64)
     first_ns = start_ns + np.array(numbers, np.int64) * period_ns
     starts_ns = unit.facts.firing.stamp_ns + np.arange(groups) * unit.facts.firing.period_ns
-    turn = turned[:, None] + ahead + starts_ns * (mount.rpm / MINUTE_NS)
+    begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)
+    turn = begun[:, None] + starts_ns * (mount.rpm / MINUTE_NS)
     encoder_rad = (turn - np.floor(turn)) * (2 * np.pi)
-    loops = len(unit.facts.firing.loops)
     number = np.array(numbers, np.int64)[:, None]
-    loop = (number if dual else number * groups + np.arange(groups)) % loops + np.zeros((1, groups), np.int64)
-    columns = kernels.fired(first_ns[:, None] + starts_ns, encoder_rad, loop, unit.offset_ns)
+    group = np.arange(groups)
+    loop = (number + 0 * group if dual else number * groups + group) % len(unit.lasers)
+    columns = kernels.fired(first_ns[:, None] + starts_ns, encoder_rad, loop, unit.lasers, unit.offset_ns)
     stamp_ns = first_ns + (groups - 1) * unit.facts.firing.period_ns
     return Firings(*columns), stamp_ns, within(mount, encoder_rad)
 

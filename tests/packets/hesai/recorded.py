@@ -79,10 +79,11 @@ def measured(recorded):
     time_ns = start_ns + unit.offset_ns[loop][:, None, :]
     laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), time_ns.shape)
     encoder = np.broadcast_to(encoder_rad(azimuth)[:, :, None], time_ns.shape)
-    firings = Firings(time_ns.ravel(), laser.ravel(), encoder.ravel())
+    fires = np.broadcast_to(unit.fires[loop][:, None, :], time_ns.shape)
+    firings = Firings(time_ns[fires], laser[fires], encoder[fires])
     returns = packets["blocks"]["returns"]
     distance, reflectivity = (  # strongest, last
-        np.stack([returns[:, 1::2][key].ravel(), returns[:, ::2][key].ravel()], axis=-1)
+        np.stack([returns[:, 1::2][key][fires], returns[:, ::2][key][fires]], axis=-1)
         for key in ("distance", "reflectivity")
     )
     range_m = np.where(distance > 0, distance * (packets["header"]["unit_mm"][0] / 1000), np.inf)
