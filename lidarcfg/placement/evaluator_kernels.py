@@ -37,15 +37,12 @@ class Verdicts(NamedTuple):
     fresh: Counts  # (n, WITNESSES) cuboids of the worst subspaces of a trial that was not refuted
 
 
-@njit(inline="always")
-def _fixed_links(grid: Grid, batch: Batch, t: int, out: Words) -> None:
-    """Write the links of the LiDARs that a trial leaves where they are."""
-    out[:] = grid.links
-    for lidar in range(batch.moved.shape[1]):
-        if not batch.moved[t, lidar]:
-            for axis in range(3):
-                for row in range(out.shape[1]):
-                    out[axis, row] &= batch.links[batch.source[t], lidar, axis, row]
+@njit(cache=True, nogil=True)
+def _keep_common(out: Words, links: Words) -> None:
+    """Take from `out` the links that are not in `links` too, (3, rows) both."""
+    for axis in range(3):
+        for row in range(out.shape[1]):
+            out[axis, row] &= links[axis, row]
 
 
 @njit(cache=True, nogil=True)
@@ -59,11 +56,17 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
     lidars, beams = batch.cones.shape[1], batch.cones.shape[2] - FIRST
     work, floods, fixed = room(grid, lidars, beams), flood_room(grid, lidars), np.empty_like(grid.links)
     values, cuboids = np.empty(WITNESSES), np.empty(WITNESSES, np.int64)
+    moved, source, links = batch.moved, batch.source, batch.links
     full = compared = stamp = 0
     for t in trials:
         to_beat = batch.to_beat[t]
         walls = Walls(fixed, batch.cones[t], np.flatnonzero(batch.moved[t]))
-        _fixed_links(grid, batch, t, fixed)
+        fixed[:] = grid.links
+        for lidar in range(lidars):
+            if not moved[t, lidar]:
+                for axis in range(3):
+                    for row in range(fixed.shape[1]):
+                        fixed[axis, row] &= links[source[t], lidar, axis, row]
         floods.left[:] = grid.included
         values[:], cuboids[:] = -1.0, -1
         verdicts.cost[t], verdicts.refuter[t] = np.inf, -1

@@ -44,9 +44,9 @@ class Floods(NamedTuple):
     """Scratch memory of `flood`, and what the last flood found; each thread has its own."""
 
     left: Words  # (rows,) cuboids that no flood has reached
-    bounds: Array  # (lidars, 2) u_k of the beams below and above the subspace
-    known: Counts  # (rows,) the stamp of the flood that `inside` is of
-    inside: Words  # (rows,) the centres between the bounds
+    gaps: Array  # (lidars, 8) the subspace's beam gaps; see _bound
+    known: Counts  # (rows,) the stamp of the flood that `inside` belongs to
+    inside: Words  # (rows,) the centres in the gaps
     squares: Array  # (2, 64)
     stack: Words  # (192 rows, 2) a row and bits of it from which to go on
     reached: Words  # (32 rows, 2) the last flood, step by step: a row and bits of it
@@ -59,7 +59,7 @@ def flood_room(grid: Grid, lidars: int) -> Floods:
     rows = grid.included.size
     return Floods(
         grid.included.copy(),
-        np.empty((lidars, 2)),
+        np.empty((lidars, FIRST + 2)),
         np.full(rows, -1, np.int64),
         np.empty(rows, np.uint64),
         np.empty((2, 64)),
@@ -102,26 +102,29 @@ def _along(bits: np.uint64, links: np.uint64) -> np.uint64:
     return bits | (bits & links) >> np.uint64(32)
 
 
-@njit(inline="always")
-def _bound(grid: Grid, walls: Walls, cuboid: int, bounds: Array) -> None:
-    """Write which beams of each moved LiDAR bound the gap of a cuboid: u_k below and above, ∓inf without one."""
+@njit(cache=True, nogil=True)
+def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array) -> None:
+    """Write the gap of a cuboid for each moved LiDAR: position, axis, u_k of the beams below and above (else ∓inf)."""
     first, y, z = row_of(grid, cuboid >> 6)
-    for lidar in walls.moved:
-        cone = walls.cones[lidar]
+    for n in range(walls.moved.size):
+        cone = walls.cones[walls.moved[n]]
         gap = beam_gap(grid.x[first | cuboid & 63], y, z, cone)
-        bounds[lidar, 0] = cone[FIRST + gap - 1] if gap > 0 else -np.inf
-        bounds[lidar, 1] = cone[FIRST + gap] if FIRST + gap < cone.size else np.inf
+        for column in range(FIRST):
+            gaps[n, column] = cone[column]
+        gaps[n, FIRST] = cone[FIRST + gap - 1] if gap > 0 else -np.inf
+        gaps[n, FIRST + 1] = cone[FIRST + gap] if FIRST + gap < cone.size else np.inf
 
 
 @njit(inline="always")
-def _inside(grid: Grid, walls: Walls, row: int, floods: Floods) -> np.uint64:
-    """The centres of a row between the bounds of each moved LiDAR."""
+def _inside(x: Array, ys: Array, zs: Array, row: int, gaps: Array, squares: Array) -> np.uint64:
+    """The centres of a row in each of some gaps; see _bound."""
     word = ALL
-    first, y, z = row_of(grid, row)
-    for lidar in walls.moved:
-        square_up(grid.x, first, y, z, walls.cones, lidar, floods.squares)
-        above = at_or_above(floods.bounds[lidar, 1], floods.squares)
-        word &= at_or_above(floods.bounds[lidar, 0], floods.squares) & ~above
+    step_y = x.size // 64
+    step_z = step_y * (ys.size + 2)
+    first, y, z = row % step_y << 6, ys[row % step_z // step_y - 1], zs[row // step_z - 1]
+    for n in range(len(gaps)):
+        square_up(x, first, y, z, gaps, n, squares)
+        word &= at_or_above(gaps[n, FIRST], squares) & ~at_or_above(gaps[n, FIRST + 1], squares)
     return word
 
 
@@ -148,15 +151,16 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
     stamp: another number for every flood. Returns for how many rows the gaps of moved LiDARs were computed.
     """
     links, left, stack, reached, counts = walls.links, floods.left, floods.stack, floods.reached, floods.counts
-    known, inside = floods.known, floods.inside
+    known, inside, squares, x, ys, zs = floods.known, floods.inside, floods.squares, grid.x, grid.y, grid.z
+    gaps = floods.gaps[: walls.moved.size]
     step_y, step_z = steps(grid)
     sides = 4 if step_y == 1 else 6
     lazily = walls.moved.size > 0
     cuboids = faces_x = faces_y = faces_z = computed = step = most = fullest = 0
     row = cuboid >> 6
     if lazily:
-        _bound(grid, walls, cuboid, floods.bounds)
-        known[row], inside[row], computed = stamp, _inside(grid, walls, row, floods), 1
+        _bound(grid, walls, cuboid, gaps)
+        known[row], inside[row], computed = stamp, _inside(x, ys, zs, row, gaps, squares), 1
     stack[0, 0], stack[0, 1] = row, BIT[cuboid & 63]
     top = 1
     while top > 0:
@@ -183,7 +187,7 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
                 continue
             if lazily:
                 if known[other] != stamp:
-                    known[other], inside[other] = stamp, _inside(grid, walls, other, floods)
+                    known[other], inside[other] = stamp, _inside(x, ys, zs, other, gaps, squares)
                     computed += 1
                 word &= inside[other]
             if side == 0:
@@ -243,10 +247,9 @@ def links_needed(least: float, edge: tuple[float, float, float], need: Counts) -
 
 
 @njit(inline="always")
-def promising(grid: Grid, row: int, need: Counts, links: Words) -> np.uint64:
+def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words, links: Words) -> np.uint64:
     """The cuboids of a row with enough links; see links_needed."""
-    step_y, step_z = steps(grid)
-    all_of_them = grid.included[row]
+    all_of_them = included[row]
     before, after = links[0, row], links[0, row] >> ONE | links[0, row + 1] << np.uint64(63)
     word = NONE
     for z in range(3):
@@ -279,7 +282,7 @@ def worst(grid: Grid, links: Words, enough: float, floods: Floods, values: Array
     links (3, rows): of all LiDARs. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
     cannot be in one of the worst: see links_needed.
     """
-    _, step_z = steps(grid)
+    step_y, step_z = steps(grid)
     left, included, edge = floods.left, grid.included, grid.edge
     walls = Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64))
     need = np.empty(9, np.int64)
@@ -287,7 +290,7 @@ def worst(grid: Grid, links: Words, enough: float, floods: Floods, values: Array
     for row in range(step_z, included.size - step_z):
         if left[row] == NONE:
             continue
-        word = promising(grid, row, need, links) & left[row]
+        word = promising(row, step_y, step_z, need, included, links) & left[row]
         while word != NONE:
             flood(grid, walls, 0, row << 6 | lowest(word), floods)
             word &= left[row]
@@ -295,7 +298,7 @@ def worst(grid: Grid, links: Words, enough: float, floods: Floods, values: Array
                 if values[0] >= enough:
                     return
                 links_needed(values[-1], edge, need)
-                word &= promising(grid, row, need, links)
+                word &= promising(row, step_y, step_z, need, included, links)
 
 
 @njit(cache=True, nogil=True)

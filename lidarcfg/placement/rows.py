@@ -121,17 +121,16 @@ def at_or_above(u: float, squares: Array) -> np.uint64:
 
 
 @njit(inline="always")
-def _compare(row: int, cones: Array, lidar: int, work: Work) -> None:
-    """Write which centres of a row, whose squares are in `work`, lie at or above each beam of a LiDAR.
+def _compare(row: int, cones: Array, lidar: int, squares: Array, guess: Counts, beyond: Words) -> None:
+    """Write which centres of a row, whose squares are given, lie at or above each beam of a LiDAR.
 
-    Only beams that pass between the centres need a comparison, and those lie next to one another: work.guess is
+    Only beams that pass between the centres need a comparison, and those lie next to one another: guess is
     where the search for them starts.
     """
-    beyond, guess = work.beyond, work.guess
     beams = beyond.shape[2]
     low = guess[lidar]
     while low >= 0:
-        word = at_or_above(cones[lidar, FIRST + low], work.squares)
+        word = at_or_above(cones[lidar, FIRST + low], squares)
         beyond[lidar, row, low] = word
         if word == ALL:
             break
@@ -140,7 +139,7 @@ def _compare(row: int, cones: Array, lidar: int, work: Work) -> None:
     while high < beams and beyond[lidar, row, high] != NONE:
         high += 1
         if high < beams:
-            beyond[lidar, row, high] = at_or_above(cones[lidar, FIRST + high], work.squares)
+            beyond[lidar, row, high] = at_or_above(cones[lidar, FIRST + high], squares)
     for beam in range(low):
         beyond[lidar, row, beam] = ALL
     for beam in range(high, beams):
@@ -154,16 +153,17 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, work: Work) -> N
 
     moved: the LiDARs, by their rows in `cones` (see cone_rows), to compute; fixed (3, rows): the links of all others.
     """
-    included, beyond, links = grid.included, work.beyond, work.links
+    xs, ys, zs, included = grid.x, grid.y, grid.z, grid.included
+    beyond, guess, squares, links = work.beyond, work.guess, work.squares, work.links
     step_y, step_z = steps(grid)
-    for k in range(grid.z.size):
-        for j in range(grid.y.size):
+    for k in range(zs.size):
+        for j in range(ys.size):
             for chunk in range(step_y):
                 row = (k + 1) * step_z + (j + 1) * step_y + chunk
                 if included[row] != NONE:
                     for lidar in moved:
-                        square_up(grid.x, chunk * 64, grid.y[j], grid.z[k], cones, lidar, work.squares)
-                        _compare(row, cones, lidar, work)
+                        square_up(xs, chunk * 64, ys[j], zs[k], cones, lidar, squares)
+                        _compare(row, cones, lidar, squares, guess, beyond)
     for row in range(step_z, included.size - step_z):
         if included[row] != NONE:
             x, y, z = fixed[0, row], fixed[1, row], fixed[2, row]
