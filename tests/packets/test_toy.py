@@ -1,5 +1,8 @@
 """A family of packets that is registered and nothing more: exported, written, read and identified by the commands."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -103,3 +106,11 @@ def test_what_the_family_refuses(tmp_path, columns):
     )
     with pytest.raises(ConfigError, match=r"no codec is called 'tyo'; allowed: .*toy, velodyne"):
         export(load_rig(tmp_path / "rig.yaml"), load_scene(tmp_path / "scene.yaml"), np.eye(4), 10**9)
+
+
+def test_the_page_shows_its_lines():
+    root = Path(__file__).parents[2]
+    code = (root / "tests" / "packets" / "toy.py").read_text()
+    shown = re.findall(r"^```py\n(.*?)^```$", (root / "docs" / "codec.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert len(shown) > 5
+    assert [text for text in shown if text not in code] == []

@@ -100,6 +100,11 @@ class Robosense:
             check_model(source.where, self.unit, first, difop)
         return RobosenseDecoder(source, self._reading(source, first, difop), difop is None or difop.full_fov)
 
+    def firing_ns(self) -> Times:
+        """See `Codec`."""
+        offset_ns = np.array(self.unit.facts.firing.offset_ns, np.int64)
+        return np.asarray(offset_ns - offset_ns.min())
+
     def _reading(self, source: Source, first: np.ndarray, difop: Difop | None) -> Reading:
         """With the DIFOP packet's angles; else the file's, if these packets (P,) are of that very model."""
         mode = difop.return_mode if difop else ""

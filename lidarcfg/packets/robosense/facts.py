@@ -9,7 +9,6 @@ from pydantic import Field
 
 from lidarcfg.config import Model
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import Times
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.spin import Spin
 from lidarcfg.sensor import Byte, Range, Sensor
@@ -88,12 +87,6 @@ class Unit:
         sequences = BLOCKS * per_block // (1 + dual)
         per_azimuth = 1 if dual else per_block
         return Spin(np.array(firing.offset_ns, np.int64), firing.sequence_ns, sequences, per_azimuth)
-
-    @property
-    def firing_ns(self) -> Times:
-        """(L,) when each laser fires after the first."""
-        offset_ns = np.array(self.facts.firing.offset_ns, np.int64)
-        return np.asarray(offset_ns - offset_ns.min())
 
 
 @lru_cache(64)

@@ -7,6 +7,7 @@ import pytest
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram, write_pcap
+from lidarcfg.cli import cli
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import codec
@@ -245,6 +246,15 @@ def test_a_rig_of_another_sensor(tmp_path):
 def test_mounts_that_cannot_be_exported(options, what):
     with pytest.raises(ConfigError, match=what):
         check_exportable(mount("helios-32", **options), 10**9)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_catalogue_shows_them(model, capsys):
+    """Each laser's elevation and time; the last fires 25.95 or 53.63 us after the first."""
+    cli.main(["sensors", "show", model], prog_name="lidarcfg", standalone_mode=False)
+    shown = capsys.readouterr().out
+    assert "forward_offset_mm" in shown
+    assert codec(load_sensor(model)).firing_ns()[-1] == {"helios-16p": 25_950, "helios-32": 53_630}[model]
 
 
 def test_angles_that_difop_cannot_say():
