@@ -46,6 +46,10 @@ class Reassembly:
         """How many datagrams were damaged, or miss fragments so far."""
         return self._dropped + sum(one.time_ns >= self._from_ns for one in self._pending.values())
 
+    def waits_for(self, key: bytes) -> bool:
+        """Whether fragments of the datagram with this key have come."""
+        return key in self._pending
+
     def add(self, fragment: Fragment) -> bytes | None:
         """The datagram that this fragment completes, if it does."""
         self._drop_old(fragment.time_ns)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.fragments import Fragment, Reassembly
+from lidarcfg.capture.fragments import DATAGRAM_MAX, TIMEOUT_NS, Fragment, Reassembly
 from lidarcfg.packets.codec import Octets, Payloads, Times
 
 ETHERNET, LINUX_COOKED, RAW_IP, RAW_IP_FILE = 1, 113, 12, 101  # link types, as tcpdump.org lists them
@@ -215,35 +215,73 @@ def _with_fragments(
 
     Of fragments, `rows` are the frame, where in the data they start, and their bytes.
     """
-    made, made_at, hosts = [], [], []
-    for frame, start, size, ip in zip(*(row.tolist() for row in rows), head, strict=True):
-        flags = int(ip["flags"])
+    frame, start, size = rows
+    key = np.ascontiguousarray(np.concatenate([head["source"], head["destination"]], axis=1)).view(">u8")[:, 0]
+    first, last = _runs(piece.time_ns[frame], key, head, size, reassembly)
+    alone = np.ones(len(frame), np.bool_)
+    parts: list[Octets] = []
+    for begin, end in zip(first.tolist(), last.tolist(), strict=True):
+        alone[begin : end + 1] = False
+        pieces = zip(start[begin : end + 1].tolist(), size[begin : end + 1].tolist(), strict=True)
+        parts.append(np.concatenate([piece.data[at : at + count] for at, count in pieces]))
+    made_at = frame[last].tolist()
+    hosts = (key[first] >> np.uint64(32)).tolist()
+    for row in np.flatnonzero(alone).tolist():
+        flags = int(head["flags"][row])
         fragment = Fragment(
-            key=ip["source"].tobytes() + ip["destination"].tobytes() + int(ip["id"]).to_bytes(2),
-            time_ns=int(piece.time_ns[frame]),
+            key=_key(int(key[row]), int(head["id"][row])),
+            time_ns=int(piece.time_ns[frame[row]]),
             offset=(flags & FRAGMENT_OFFSET) * 8,
             last=not flags & MORE_FRAGMENTS,
-            data=piece.data[start : start + size].tobytes(),
+            data=piece.data[start[row] : start[row] + size[row]].tobytes(),
         )
         datagram = reassembly.add(fragment)
         if datagram is not None and len(datagram) >= UDP.itemsize:
-            made.append(datagram)
-            made_at.append(frame)
-            hosts.append(int.from_bytes(fragment.key[:4]))
-    if not made:
+            parts.append(np.frombuffer(datagram, np.uint8))
+            made_at.append(int(frame[row]))
+            hosts.append(int(key[row]) >> 32)
+    if not parts:
         return whole
-    sizes = np.array([len(one) for one in made], np.int64)
-    start = np.cumsum(sizes) - sizes
-    data = np.frombuffer(b"".join(made), np.uint8)
-    ports = gathered(data, start, UDP)
+    sizes = np.array([len(one) for one in parts], np.int64)
+    begins = np.cumsum(sizes) - sizes
+    data = np.concatenate(parts)
+    ports = gathered(data, begins, UDP)
     order = np.argsort(np.concatenate([whole_at, made_at]), kind="stable")
     together = Datagrams(
         time_ns=np.concatenate([whole.time_ns, piece.time_ns[made_at]]),
         host=np.concatenate([whole.host, np.array(hosts, np.uint32)]),
         source_port=np.concatenate([whole.source_port, ports["source_port"].astype(np.uint16)]),
         port=np.concatenate([whole.port, ports["port"].astype(np.uint16)]),
-        start=np.concatenate([whole.start, len(piece.data) + start + UDP.itemsize]),
+        start=np.concatenate([whole.start, len(piece.data) + begins + UDP.itemsize]),
         size=np.concatenate([whole.size, sizes - UDP.itemsize]),
         data=np.concatenate([piece.data, data]),
     )
     return together[order]
+
+
+def _runs(
+    time_ns: Times, key: NDArray[np.uint64], head: NDArray[Any], size: NDArray[np.int64], reassembly: Reassembly
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and last of the fragments that follow each other and make a datagram, as a sensor sends them.
+
+    Of no such datagram are there other fragments here or in the reassembly: those are told apart there.
+    """
+    flags = head["flags"].astype(np.int64)
+    number, more, offset = head["id"].astype(np.uint64), (flags & MORE_FRAGMENTS) > 0, (flags & FRAGMENT_OFFSET) * 8
+    follows = (key[1:] == key[:-1]) & (number[1:] == number[:-1]) & more[:-1]
+    follows &= offset[1:] == offset[:-1] + size[:-1]
+    edges = np.flatnonzero(~follows) + 1
+    first, last = np.append(0, edges), np.append(edges, len(key)) - 1
+    mixed = (key * np.uint64(65537) + number)[first]  # nearly unique: if two are alike, both are passed over
+    _, inverse, count = np.unique(mixed, return_inverse=True, return_counts=True)
+    good = (count[inverse] == 1) & (offset[first] == 0) & ~more[last]
+    good &= (offset[last] + size[last] <= DATAGRAM_MAX) & (offset[last] + size[last] >= UDP.itemsize)
+    good &= abs(time_ns[last] - time_ns[first]) <= TIMEOUT_NS
+    waits = [reassembly.waits_for(_key(int(key[row]), int(number[row]))) for row in first.tolist()]
+    good &= ~np.array(waits, np.bool_)
+    return first[good], last[good]
+
+
+def _key(addresses: int, number: int) -> bytes:
+    """Of a datagram: both addresses and the IP id."""
+    return addresses.to_bytes(8) + number.to_bytes(2)
