@@ -103,9 +103,9 @@ class OusterDecoder:
 
 
 def beams(metadata: Metadata) -> Array:
-    """(L, 3) where beams point at encoder angle 0, in the lidar frame."""
+    """(3, L) where beams point at encoder angle 0, in the lidar frame."""
     flat, azimuth = np.cos(metadata.elevation_rad), metadata.azimuth_rad
-    return np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(metadata.elevation_rad)], axis=-1)
+    return np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(metadata.elevation_rad)])
 
 
 def rings(metadata: Metadata) -> Octets:

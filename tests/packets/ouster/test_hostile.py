@@ -1,0 +1,91 @@
+"""Mutated packets and metadata: points that make sense, or one line that says what is wrong."""
+
+import json
+import random
+
+import numpy as np
+import pytest
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.frames import frames
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.cloud import concatenate
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.packets.codec import Payloads, codec
+from lidarcfg.packets.ouster.metadata import Metadata, read
+from lidarcfg.rig import Mount
+from tests.packets.ouster.test_encode import START_NS, mount
+
+ODD = (None, True, -1, 0, 3, 1e300, -1e300, float("nan"), "", "a", "LEGACY", [], {}, [1, 2], {"a": 1}, 10**30)
+
+
+def packets(one: Mount, number: int) -> tuple[Payloads, bytes]:
+    """So many of them with returns everywhere, and their metadata."""
+    family = codec(one.sensor)
+    batch = next(family.schedule(one, START_NS, number, number))
+    count, width = len(batch.firings.time_ns), 1 + (one.return_mode == "dual")
+    rng = np.random.default_rng(1)
+    range_m, gray = rng.uniform(1, 70, (count, width)), rng.integers(0, 256, (count, width)).astype(np.uint8)
+    return family.encode(one, batch, range_m, gray), family.companions(one)[".json"]
+
+
+def mutated(value, rng: random.Random):
+    """The JSON value with one part of it replaced, removed or cut off."""
+    if isinstance(value, dict) and value and rng.random() < 0.9:
+        key = rng.choice(list(value))
+        if rng.random() < 0.15:
+            return {other: kept for other, kept in value.items() if other != key}
+        return value | {key: mutated(value[key], rng)}
+    if isinstance(value, list) and value and rng.random() < 0.7:
+        at = rng.randrange(len(value))
+        return value[:at] if rng.random() < 0.3 else [*value[:at], mutated(value[at], rng), *value[at + 1 :]]
+    return rng.choice(ODD)
+
+
+def test_mutated_metadata():
+    rng, outcomes, messages = random.Random(5), {"read": 0, "refused": 0, "none": 0}, []
+    said = json.loads(packets(mount(), 1)[1])
+    for _ in range(1500):
+        text = json.dumps(mutated(said, rng))
+        if rng.random() < 0.1:
+            text = text[: rng.randrange(len(text))]
+        try:
+            found = read("a.json", text.encode())
+        except LidarcfgError as error:
+            messages.append(str(error))
+            outcomes["refused"] += 1
+        else:
+            assert found is None or isinstance(found, Metadata)
+            outcomes["none" if found is None else "read"] += 1
+    assert min(outcomes.values()) > 20
+    assert all(one.startswith("a.json: no metadata of an Ouster: ") and "\n" not in one for one in messages)
+
+
+@pytest.mark.parametrize("profile", ["RNG19_RFL8_SIG16_NIR16", "LEGACY", "FUSA_RNG15_RFL8_NIR8_DUAL"])
+def test_mutated_packets(tmp_path, profile):
+    one = mount(dual="DUAL" in profile, profile=profile, firmware="3.2", columns=512)
+    payloads, metadata = packets(one, 64)
+    rng, whole, messages = np.random.default_rng(2), 0, []
+    (tmp_path / "a.json").write_bytes(metadata)
+    path = tmp_path / "a.pcap"
+    for _ in range(25):
+        data = payloads.data.copy()
+        at = rng.integers(0, data.size, 3000)
+        data.reshape(-1)[at] = rng.integers(0, 256, len(at))
+        heads = rng.integers(0, len(data), 8)
+        data[heads, rng.integers(7 if profile != "LEGACY" else 0, 60, 8)] ^= rng.integers(1, 256, 8).astype(np.uint8)
+        changed = Payloads(payloads.time_ns, data, 7502, payloads.network, payloads.header, 0)
+        write_pcap(path, [frames(one.host, changed)])
+        stats = []
+        try:
+            cloud = concatenate(list(decode_pcap(path, lambda warning: None, on_stats=stats.append)))
+        except LidarcfgError as error:
+            messages.append(str(error))
+            continue
+        assert np.isfinite(cloud.xyz).all()
+        assert np.linalg.norm(cloud.xyz, axis=1).max() < 1100  # 20 bits of millimetres
+        assert cloud.ring.max() < one.sensor.count
+        assert stats[0].packets == 64
+        whole += 1
+    assert whole > 5
+    assert not any("\n" in one for one in messages)
