@@ -42,7 +42,4 @@ def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
 def check_size(where: str, unit: Unit, packets: Octets) -> None:
     """Raises PacketError unless the packets (P, size) are as long as this sensor's."""
     if packets.shape[1] != unit.dtype.itemsize:
-        raise PacketError(
-            f"{where} sends {packets.shape[1]} bytes; {unit.name} would send {unit.dtype.itemsize}; "
-            "--model says what it is all the same"
-        )
+        raise PacketError(f"{where} sends {packets.shape[1]} bytes; {unit.name} would send {unit.dtype.itemsize}")

@@ -326,6 +326,13 @@ def test_packets_that_make_no_sense(at, value, what, tmp_path):
     assert "\n" not in str(error.value)
 
 
+def test_another_model_than_was_said(tmp_path):
+    path = tmp_path / "drive.pcap"
+    capture(mount("pandar-xt32"), path, 20)
+    with pytest.raises(PacketError, match=r"192.168.1.201:2368 sends 1080 bytes; pandar-xt16 would send 568$"):
+        list(decode_pcap(path, no_warning, model="pandar-xt16"))
+
+
 def test_seconds_since_1970_most_significant_first(tmp_path):
     """A date whose year is 0 holds them in its last four bytes, as Hesai's SDK reads it."""
     path, of = tmp_path / "drive.pcap", mount("pandar-xt16")
