@@ -87,7 +87,8 @@ def batches(spin: Spin, mount: "Mount", start_ns: int, packets: int, chunk: int)
         fired = firings(spin, mount.rpm, start_ns, numbers, mount.phase_deg)
         if mount.azimuth_fov_deg is not None:
             low, high = mount.azimuth_fov_deg
-            inside = (np.degrees(spin.head_rad(fired)) - low) % 360 <= (high - low) % 360
+            width = (high - low) % 360 or 360  # from 0 to 360 is all around
+            inside = (np.degrees(spin.head_rad(fired)) - low) % 360 <= width
             fired = _joined(rest, _some(fired, np.repeat(inside.ravel(), together)))
             full = len(fired.time_ns) // (spin.sequences * lasers) * spin.sequences * lasers
             fired, rest = _some(fired, slice(full)), _some(fired, slice(full, None))

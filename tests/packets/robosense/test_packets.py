@@ -153,6 +153,12 @@ def test_headers_are_the_manuals(tmp_path):
     assert all(inside)
 
 
+def test_from_0_to_360_degrees_is_all_around():
+    maker = codec(load_sensor("helios-32"))
+    (whole,), (same,) = (maker.schedule(mount("helios-32", azimuth_fov_deg=fov), 0, 9, 9) for fov in (None, (0, 360)))
+    assert (whole.firings.time_ns == same.firings.time_ns).all()
+
+
 def test_losses_are_counted(tmp_path):
     """By the counter; without one by the stamps, if the sensor fires all around."""
     path, _, _ = exported(tmp_path, [mount("helios-32")])

@@ -1,0 +1,38 @@
+"""A capture as a ROS 2 bag: the fields of rslidar_sdk's XYZIRT, read by rosbags, and what decode gives."""
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.cloud import concatenate
+from lidarcfg.formats.bag import save_bag
+from lidarcfg.rig import Rig
+from lidarcfg.simulate.export import export, in_time_order
+from tests.capture_fixtures import no_warning, scene
+from tests.packets.robosense.fixtures import mount
+
+FLOAT32, FLOAT64, UINT16 = 7, 8, 4
+FIELDS = [
+    *[("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("intensity", 12, FLOAT32)],
+    *[("ring", 16, UINT16), ("timestamp", 18, FLOAT64)],
+]
+ROW = np.dtype([("xyz", "<f4", (3,)), ("intensity", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")])
+
+
+def test_points_are_laid_out_as_the_drivers(tmp_path):
+    rig, path = Rig("rig", (mount("helios-32"),)), tmp_path / "a.pcap"
+    there = scene(tmp_path, "ground: {reflectivity: 12}")
+    write_pcap(path, in_time_order(export(rig, there, np.eye(4), 220_000_000)))
+    assert save_bag(tmp_path / "bag", path, "sqlite3", rig, None, no_warning) == 4  # three revolutions, and the pose
+    store = get_typestore(Stores.LATEST)
+    with Reader(tmp_path / "bag") as reader:
+        messages = [store.deserialize_cdr(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic != "/tf_static"]
+    assert [(one.name, one.offset, one.datatype) for one in messages[0].fields] == FIELDS
+    rows = np.concatenate([one.data.view(ROW) for one in messages])
+    cloud = concatenate(list(decode_pcap(path, no_warning)))  # in the sensor's own frame, as the bag is
+    assert (rows["xyz"] == cloud.xyz.astype(np.float32)).all()
+    assert (rows["intensity"] == cloud.intensity).all()
+    assert (rows["ring"] == cloud.ring).all()
+    assert (rows["timestamp"] == cloud.time_ns / 1e9).all()
