@@ -30,8 +30,9 @@ class OusterDecoder:
         return 100_000_000 * self._layout.columns_per_packet // self._layout.columns_per_frame
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """See `Decoder`. Columns outside a window may say no time."""
-        return np.asarray(columns(self._layout, packets).time_ns.max(axis=1, initial=0))
+        """See `Decoder`: the first column's. Columns outside a window may say 0."""
+        said = columns(self._layout, packets).time_ns
+        return np.asarray(np.where(said == 0, np.iinfo(np.int64).max, said).min(axis=1))
 
     def heading_rad(self, packets: Octets) -> Array:
         """See `Decoder`; 0 where revolutions begin, which is the sensor's back."""

@@ -10,6 +10,7 @@ import pytest
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import concatenate
 from lidarcfg.config import Section
 from lidarcfg.errors import ConfigError
@@ -204,6 +205,13 @@ def test_phase_lock(tmp_path, street):
     assert azimuth % 360 == 90
     assert theirs.time_ns.min() >= START_NS
     assert len(truth) > 0
+
+
+def test_scans_are_the_frames_of_ouster_sdk(tmp_path, street):
+    path, metadata, _ = exported(tmp_path, street, mount(columns=512), 300_000_000)
+    theirs = judged(path, metadata)
+    points = [int((theirs.fields["range"][theirs.frame == frame] > 0).sum()) for frame in range(3)]
+    assert [len(scan.xyz) for scan in scans(path, no_warning)] == points
 
 
 def test_lost_packets_are_counted(tmp_path, street):
