@@ -179,7 +179,7 @@ def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
             done = 0
             while done < count:
                 some, face = alike(directions, done, count)
-                load(packet, origins, directions, done, some, face)
+                load(packet.rays, packet.slabs, origins, directions, done, some, face)
                 hit(ground_m, static, packet, face, limit_m)
                 if dynamics:
                     hit_dynamic(dynamic, moving, packet, moved, seconds, done, some, face, slots)

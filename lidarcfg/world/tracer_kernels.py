@@ -18,13 +18,15 @@ from lidarcfg.world.bvh import DEPTH_MAX, INSTANCE, SPHERE, TRIANGLE
 from lidarcfg.world.shapes import FAST, cylinder, inside, normal, on_plane, sheared, sphere, triangle
 
 SIZE = 16  # rays in a packet
+FACES = 32  # values of `facing`
 # Rows of a packet: origin, direction (its largest component last), shear; range and slot of the nearest hit; scratch.
 OX, OY, OZ, DX, DY, DZ, SX, SY, SZ, RANGE, SLOT, INSIDE = range(0, 12 * SIZE, SIZE)
-# Rows in float32: 1 / direction and range; the boxes of a node; of each 1 / direction the one nearest to zero.
-IX, IY, IZ, FAR, EDGES, LEAST = range(0, 6 * SIZE, SIZE)
+# Rows in float32: 1 / direction and range; the boxes of a node; of each 1 / direction the one nearest to zero; what to
+# subtract from a node's boxes.
+IX, IY, IZ, FAR, EDGES, LEAST, ORIGIN = range(0, 7 * SIZE, SIZE)
 NONE = -2.0  # a slot; where something is hit, the shape's number in its tree
 WIDER, PAD = np.float32(4e-7), np.float32(1e-9)  # of a box's distance, and m, by which boxes are larger for float32
-STEEPEST = 1e28  # 1 / direction at most: 0 times that is 0, where 0 times inf is not a number
+FLATTEST = np.float32(1e-28)  # of a direction's component: 0 times 1 / that is 0, where 0 times inf is not a number
 FARTHEST, ZERO = np.float32(3e38), np.float32(0)
 ENDS = 1e-9  # of a segment, at both of its ends, that count as its end points
 
@@ -33,8 +35,9 @@ class Packet(NamedTuple):
     """Working memory of a thread."""
 
     rays: Array  # (12 SIZE,)
-    slabs: NDArray[np.float32]  # (6 SIZE,)
-    origin: NDArray[np.float32]  # (12,) what to subtract from a node's boxes
+    slabs: NDArray[np.float32]  # (7 SIZE,)
+    starts: Array  # (3, SIZE) origins and directions that are gathered for it
+    ways: Array
     codes: NDArray[np.int32]  # (DEPTH_MAX,) subtrees to look at
     enter: Array  # (DEPTH_MAX,) from where on
     alone_codes: NDArray[np.int32]  # the same for a ray alone
@@ -47,8 +50,9 @@ def new_packet(instances):
     """Working memory for as many moving objects."""
     return Packet(
         np.zeros(12 * SIZE),
-        np.zeros(6 * SIZE, np.float32),
-        np.zeros(12, np.float32),
+        np.zeros(7 * SIZE, np.float32),
+        np.zeros((3, SIZE)),
+        np.zeros((3, SIZE)),
         np.zeros(DEPTH_MAX, np.int32),
         np.zeros(DEPTH_MAX),
         np.zeros(DEPTH_MAX, np.int32),
@@ -68,7 +72,7 @@ def facing(dx, dy, dz):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _steep(d):
     """1 / d, but finite."""
-    steep = 1 / max(abs(d), 1 / STEEPEST)
+    steep = 1 / max(abs(d), FLATTEST)
     return -steep if d < 0 else steep
 
 
@@ -89,11 +93,10 @@ def row(face, axis):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def load(packet, origins, directions, first, count, face):
+def load(rays, slabs, origins, directions, first, count, face):
     """Fill a packet with rays `first` to `first` + count of (3, N); the last one fills its rest."""
-    rays, slabs, origin = packet.rays, packet.slabs, packet.origin
     for axis in range(3):
-        start, way = OX + row(face, axis), DX + row(face, axis)
+        start, way, steep = OX + row(face, axis), DX + row(face, axis), IX + axis * SIZE
         low, high = origins[axis, first], origins[axis, first]
         for n in range(count):
             rays[start + n], rays[way + n] = origins[axis, first + n], directions[axis, first + n]
@@ -101,19 +104,29 @@ def load(packet, origins, directions, first, count, face):
         for n in range(count, SIZE):
             rays[start + n], rays[way + n] = rays[start + count - 1], rays[way + count - 1]
         below, above = np.float32(low), np.float32(high)
-        origin[3 + axis] = origin[9 + axis] = below - abs(below) * WIDER
-        origin[axis] = origin[6 + axis] = above + abs(above) * WIDER
+        slabs[ORIGIN + 3 + axis] = slabs[ORIGIN + 9 + axis] = below - abs(below) * WIDER
+        slabs[ORIGIN + axis] = slabs[ORIGIN + 6 + axis] = above + abs(above) * WIDER
         for n in range(SIZE):
-            slabs[IX + axis * SIZE + n] = _steep(rays[way + n])
-        least = abs(slabs[IX + axis * SIZE])
+            slabs[steep + n] = 1 / max(abs(np.float32(rays[way + n])), FLATTEST)
+        least = slabs[steep]
         for n in range(SIZE):
-            least = min(least, abs(slabs[IX + axis * SIZE + n]))
-        slabs[LEAST + axis] = -least if face & (4 << axis) else least
+            least = min(least, slabs[steep + n])
+        if face & (4 << axis):
+            least = -least
+            for n in range(SIZE):
+                slabs[steep + n] = -slabs[steep + n]
+        slabs[LEAST + axis] = least
+    for n in range(SIZE):
+        rays[SLOT + n] = NONE
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _shear(rays):
+    """What turns each ray of a packet into an axis; only rays that come to a leaf need it."""
     for n in range(SIZE):
         rays[SX + n] = rays[DX + n] / rays[DZ + n]
         rays[SY + n] = rays[DY + n] / rays[DZ + n]
         rays[SZ + n] = 1 / rays[DZ + n]
-        rays[SLOT + n] = NONE
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -128,10 +141,10 @@ def _limit(rays, slabs):
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _enter(boxes, node, slabs, origin, face, width):
+def _enter(boxes, node, slabs, face, width):
     """From where on a packet may be in each child of a node; FARTHEST: nowhere."""
     for c in range(12):
-        edge = boxes[12 * node + c] - origin[c]
+        edge = boxes[12 * node + c] - slabs[ORIGIN + c]
         wider = abs(edge) * WIDER + PAD
         slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
     nx, ny, nz = 3 if face & 4 else 0, 4 if face & 8 else 1, 5 if face & 16 else 2
@@ -226,14 +239,14 @@ def trace(tree, packet, face, any_hit):
     Dynamic objects are only listed, in `instances`. With `any_hit`, directions reach as far as their targets, and a ray
     ends at the first shape found in between, whichever it is.
     """
-    rays, slabs, codes, enter, origin = packet.rays, packet.slabs, packet.codes, packet.enter, packet.origin
+    rays, slabs, codes, enter = packet.rays, packet.slabs, packet.codes, packet.enter
     boxes, children, shapes, kind, instances = tree.boxes, tree.children, tree.shapes, tree.kind, packet.instances
-    width, after = len(slabs) // 6, ENDS if any_hit else 0.0  # a width that the compiler does not know is not unrolled
-    most = _limit(rays, slabs)
+    width, after = len(slabs) // 7, ENDS if any_hit else 0.0  # a width that the compiler does not know is not unrolled
+    most, sheared_yet = _limit(rays, slabs), False
     code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            near, far = _enter(boxes, code, slabs, origin, face, width)
+            near, far = _enter(boxes, code, slabs, face, width)
             first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first
@@ -245,6 +258,9 @@ def trace(tree, packet, face, any_hit):
                 continue
         else:
             leaf, found = ~code, False
+            if not sheared_yet:
+                _shear(rays)
+                sheared_yet = True
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
                 if kind[s] == TRIANGLE:
                     found |= _test_triangle(shapes, s, face, rays, after)
@@ -346,15 +362,29 @@ def normal_at(shapes, kind, s, x, y, z, dx, dy, dz, range_m):
 def blocked(tree, packet, origins, directions, count, out):
     """Which of the open segments (3, count) from origins along directions, to their ends, a tree blocks.
 
-    A shape that only touches an end does not block. Rows of targets seen from one origin go fastest.
+    A shape that only touches an end does not block. Rows of targets seen from one origin go fastest: those that face
+    the same way wait for each other, so that packets are full.
     """
-    first, rays = 0, packet.rays
-    while first < count:
-        some, face = alike(directions, first, count)
-        load(packet, origins, directions, first, some, face)
-        for n in range(SIZE):
-            rays[RANGE + n] = 1 - ENDS
-        trace(tree, packet, face, True)
-        for n in range(some):
-            out[first + n] = rays[SLOT + n] >= 0
-        first += some
+    rays, slabs, starts, ways, boxes = packet.rays, packet.slabs, packet.starts, packet.ways, tree.boxes
+    waiting, numbers = np.empty((FACES, SIZE), np.int64), np.zeros(FACES, np.int64)
+    for i in range(count + FACES):
+        face = i - count
+        if i < count:
+            face = facing(directions[0, i], directions[1, i], directions[2, i])
+            waiting[face, numbers[face]] = i
+            numbers[face] += 1
+        some = numbers[face]
+        if some == SIZE or (i >= count and some):
+            numbers[face] = 0
+            for n in range(some):
+                at = waiting[face, n]
+                for axis in range(3):
+                    starts[axis, n], ways[axis, n] = origins[axis, at], directions[axis, at]
+            load(rays, slabs, starts, ways, 0, some, face)
+            for n in range(SIZE):
+                rays[RANGE + n] = 1 - ENDS
+            _limit(rays, slabs)
+            if tree.root < 0 or min(*_enter(boxes, tree.root, slabs, face, len(slabs) // 7)) < FARTHEST:
+                trace(tree, packet, face, True)
+            for n in range(some):
+                out[waiting[face, n]] = rays[SLOT + n] >= 0

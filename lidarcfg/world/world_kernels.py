@@ -204,7 +204,7 @@ def cast(world, origins, directions, seconds, limit_m, found):
     normals, moving = len(found.normal) > 0, swept(dynamic, seconds.min(), seconds.max())
     while first < count:
         some, face = alike(directions, first, count)
-        load(packet, origins, directions, first, some, face)
+        load(packet.rays, packet.slabs, origins, directions, first, some, face)
         hit(ground_m, static, packet, face, limit_m)
         if dynamics:
             hit_dynamic(dynamic, moving, packet, moved, seconds, first, some, face, slots)
