@@ -11,12 +11,13 @@ from lidarcfg.placement.rows import beam_gaps
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
 from tests.capture_fixtures import scene
+from tests.naive.rays import first_triangle
 
 ROOT = Path(__file__).parents[1]
 TEXT = """
 ground: {z_m: -1, reflectivity: 12}
 boxes: [{name: box, center_m: [10, 0, 0], size_m: [2, 2, 1.5], yaw_deg: 45, reflectivity: 30}]
-spheres: [{name: ball, center_m: [0, 20, 0.5], radius_m: 3, reflectivity: 40}]
+spheres: [{name: sphere, center_m: [0, 20, 0.5], radius_m: 3, reflectivity: 40}]
 cylinders: [{name: post, base_m: [-10, 0, 2], radius_m: 1.5, height_m: 4, reflectivity: 40}]
 planes: [{name: roof, center_m: [0, 0, 8], size_m: [2, 2], rpy_deg: [0, 45, 0], reflectivity: 40}]
 """
@@ -53,11 +54,11 @@ def test_true_ranges_by_hand(tool, tmp_path):
     assert (met_round == is_round).all()
 
 
-def test_triangles_by_hand(tool):
+def test_triangles_by_hand():
     """Through the inside, an edge, a corner, beside it, and away from it."""
     vertices, triangles = np.array([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]]), np.array([[0, 1, 2]])
     origins = np.array([[1.0, 1, 0], [2, 2, 0], [0, 0, 0], [2.1, 2, 0], [1, 1, 6]])
-    ranges, which = tool("accuracy_rays").nearest_triangle(vertices, triangles, origins, np.tile([0.0, 0, 1], (5, 1)))
+    ranges, which = first_triangle(vertices, triangles, origins, np.tile([0.0, 0, 1], (5, 1)))
     assert ranges.tolist() == [5, 5, 5, np.inf, np.inf]
     assert which.tolist() == [0, 0, 0, -1, -1]
 

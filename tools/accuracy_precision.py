@@ -9,7 +9,7 @@ import numpy as np
 import open3d as o3d
 from accuracy_capture import moved
 from accuracy_page import ROOT, table
-from accuracy_rays import nearest_triangle, with_ground
+from accuracy_rays import with_ground
 from numba import njit
 from numpy.typing import NDArray
 
@@ -22,6 +22,7 @@ from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.sensor import load_sensor
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
+from tests.naive.rays import first_triangle
 
 STREET = ROOT / "data/scenes/street.yaml"
 OURS, RELATIVE = "as captures are cast", "float32, relative"
@@ -107,7 +108,7 @@ def rays(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
     elevation = rng.choice(load_sensor("vlp-16").elevation_rad, count)
     towards = directions(rng.uniform(0, 2 * np.pi, count), elevation)
     start = np.array([0.3, 0.5, 1.9])
-    truth, which = nearest_triangle(vertices, triangles, np.tile(start, (count, 1)), towards)
+    truth, which = first_triangle(vertices, triangles, np.tile(start, (count, 1)), towards)
     many = np.tile(towards, (repeats, 1))
     rows: list[tuple[str, ...]] = []
     most: dict[str, list[float]] = {}

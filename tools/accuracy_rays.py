@@ -1,42 +1,18 @@
-"""Where rays meet a scene, in float64 and without Open3D: closed forms, and plain loops over triangles."""
+"""What rays hit in a scene, in float64: closed forms, and a loop over all triangles of meshes."""
 
-# mypy: disallow-untyped-decorators=False
+import sys
+
 import numpy as np
-from numba import njit
+from accuracy_page import ROOT
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(ROOT))
 
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.world.scene import Scene
+from tests.naive.rays import first_triangle
 
-INSIDE = 1e-12  # by so much of a triangle a ray may pass beside it, so that none slips between two
 GROUND_HALF_SIZE_M = 1000.0
-
-
-@njit(cache=True)
-def nearest_triangle(vertices: Array, triangles: NDArray[np.int64], origins: Array, rays: Array) -> tuple[Array, Array]:
-    """Ranges (N,) to the first of triangles (T, 3) that each ray meets, inf for none, and which (Möller-Trumbore)."""
-    ranges, which = np.full(len(rays), np.inf), np.full(len(rays), -1)
-    for t in range(len(triangles)):
-        a = vertices[triangles[t, 0]]
-        e, f = vertices[triangles[t, 1]] - a, vertices[triangles[t, 2]] - a
-        for n in range(len(rays)):
-            dx, dy, dz = rays[n]
-            px, py, pz = dy * f[2] - dz * f[1], dz * f[0] - dx * f[2], dx * f[1] - dy * f[0]
-            determinant = e[0] * px + e[1] * py + e[2] * pz
-            if determinant == 0.0:
-                continue
-            sx, sy, sz = origins[n, 0] - a[0], origins[n, 1] - a[1], origins[n, 2] - a[2]
-            u = (sx * px + sy * py + sz * pz) / determinant
-            if u < -INSIDE or u > 1 + INSIDE:
-                continue
-            qx, qy, qz = sy * e[2] - sz * e[1], sz * e[0] - sx * e[2], sx * e[1] - sy * e[0]
-            v = (dx * qx + dy * qy + dz * qz) / determinant
-            if v < -INSIDE or u + v > 1 + INSIDE:
-                continue
-            distance = (f[0] * qx + f[1] * qy + f[2] * qz) / determinant
-            if 0.0 < distance < ranges[n]:
-                ranges[n], which[n] = distance, t
-    return ranges, which
 
 
 def with_ground(scene: Scene) -> tuple[Array, NDArray[np.int64]]:
@@ -50,7 +26,7 @@ def with_ground(scene: Scene) -> tuple[Array, NDArray[np.int64]]:
 
 
 def exact_ranges(scene: Scene, origins: Array, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Ranges (N,) to the scene's true shapes, inf for nothing, and whether what was met is round (N,).
+    """Ranges (N,) to the scene's true shapes, inf for nothing, and whether what is hit is round (N,).
 
     Meshes are their triangles; all else is a closed form.
     """
@@ -70,7 +46,7 @@ def exact_ranges(scene: Scene, origins: Array, rays: Array) -> tuple[Array, NDAr
             curved.append(_cylinder(origins - cylinder.base_m, rays, cylinder.radius_m, cylinder.height_m))
     meshes = [scene.names.index(mesh.name) for mesh in file.meshes]
     triangles = scene.triangles[np.isin(scene.triangle_object, meshes)]
-    flat.append(nearest_triangle(scene.vertices_m, triangles, origins, rays)[0])
+    flat.append(first_triangle(scene.vertices_m, triangles, origins, rays)[0])
     nearest_flat, nearest_curved = np.min(flat, axis=0), np.min(curved, axis=0)
     return np.minimum(nearest_flat, nearest_curved), nearest_curved < nearest_flat
 

@@ -15,11 +15,13 @@ import sys
 import tempfile
 import time
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from accuracy_page import heading, table, write_section
 from hypothesis import HealthCheck, given, settings
+from stress_rays import SEED, Row, rays
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
@@ -30,18 +32,12 @@ from lidarcfg.placement.cones import gaps_at  # noqa: E402
 from lidarcfg.placement.evaluator import max_vsr  # noqa: E402
 from lidarcfg.placement.region import Region  # noqa: E402
 from lidarcfg.placement.subspace import segment  # noqa: E402
-from lidarcfg.world.tracer import Tracer  # noqa: E402
-from tests import edges  # noqa: E402
 from tests import test_stress as loaders  # noqa: E402
 from tests.oracle import ANGLES, BAND, FANS, Line, Tally, along_a_cone, angles, sensor  # noqa: E402
 
-SEED = 1
-RAYS_OFF_M = 1e-3  # half a step of the wire: a ray that is further off has failed
-Row = tuple[str, int, int, str]  # what, cases, failures, worst error and what else was seen
-
 
 def said(what: str, tally: Tally, differ: int = 0) -> Row:
-    """A tally as a row of the table."""
+    """A tally as a row of a table."""
     worst = f"{tally.worst:.2g}·2⁻⁵² (band: 8)" if tally.worst else "none is wrong"
     return (
         what,
@@ -52,7 +48,7 @@ def said(what: str, tally: Tally, differ: int = 0) -> Row:
     )
 
 
-def labels_random(size: float) -> Row:
+def labels_random(size: float) -> Iterator[Row]:
     """Random rigs and regions of 48,000 cuboids, against 50 digits."""
     rng, tally = np.random.default_rng(SEED), Tally()
     for _ in range(max(int(200 * size), 1)):
@@ -63,10 +59,10 @@ def labels_random(size: float) -> Row:
         known, exact = sensor(position, angles(rng), FANS[rng.integers(len(FANS))])
         points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
         tally.add(exact, points, rows.beam_gaps(region, known).ravel())
-    return said("cuboid–beam pairs of random rigs", tally)
+    yield said("cuboid–beam pairs of random rigs", tally)
 
 
-def labels_posed(size: float) -> Row:
+def labels_posed(size: float) -> Iterator[Row]:
     """Sensors on centres, walls and corners, beside them and far away, turned by angles that have gone wrong."""
     rng, tally = np.random.default_rng(SEED), Tally()
     region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25))
@@ -75,10 +71,10 @@ def labels_posed(size: float) -> Row:
         place = [*loaders.PLACES.values()][number % len(loaders.PLACES)]
         known, exact = sensor(place, rng.choice(ANGLES, 3), FANS[rng.integers(len(FANS))])
         tally.add(exact, points, rows.beam_gaps(region, known).ravel())
-    return said("pairs of sensors in odd places, turned by odd angles", tally)
+    yield said("pairs of sensors in odd places, turned by odd angles", tally)
 
 
-def labels_near(size: float) -> Row:
+def labels_near(size: float) -> Iterator[Row]:
     """Points on lines that cut a cone, most of them within 1e-15 of it; rows and single points alike."""
     rng, tally, differ, near = np.random.default_rng(SEED), Tally(), 0, 0
     while near < 1_000_000 * size:
@@ -92,10 +88,10 @@ def labels_near(size: float) -> Row:
         tally.add(exact, points, digit)
         near += tally.near - before
     what, cases, failures, text = said("pairs on lines that cut a cone, by rows and point by point", tally, differ)
-    return what, cases, failures, f"{text}; the two differ in {differ} lines"
+    yield what, cases, failures, f"{text}; the two differ in {differ} lines"
 
 
-def labels_moved(size: float) -> Row:
+def labels_moved(size: float) -> Iterator[Row]:
     """Studies moved by up to 1e7 m: wrong is a digit that differs farther from a cone than the shift's rounding.
 
     And where none differs, max VSR that does by more than the cuboids' edges are rounded.
@@ -121,7 +117,7 @@ def labels_moved(size: float) -> Row:
             off, wrong = max(off, change), wrong + (change > 1e-12 + 4 * ulp / (there.max_m - there.min_m).min())
         pairs += digit.size * len(fan)
     seen = f", by {farthest:.2f} of the shift's own rounding at most" if differ else ""
-    return (
+    yield (
         "pairs of studies of 1e-3 to 1e3 times the paper's cuboids, moved by up to 1e7 m",
         pairs,
         wrong,
@@ -129,7 +125,7 @@ def labels_moved(size: float) -> Row:
     )
 
 
-def fifty_million(size: float) -> Row:
+def fifty_million(size: float) -> Iterator[Row]:
     """Fifty million cuboids and four LiDARs: neighbours share a subspace where all their beam gaps are equal, only."""
     edge = 0.02 / size ** (1 / 3)
     shape = np.rint(np.array((10.0, 8.0, 5.0)) / edge).astype(int)
@@ -145,26 +141,10 @@ def fifty_million(size: float) -> Row:
             differ += int(((one[:-1] == other[:-1]).all(axis=0) != (one[-1] == other[-1])).sum())
         before = here
     seen = f"{len(found):,} subspaces, the largest of {found.cuboids.max():,} cuboids"
-    return "cuboids of one region, four LiDARs, each against its neighbours", region.included.size, differ, seen
+    yield "cuboids of one region, four LiDARs, each against its neighbours", region.included.size, differ, seen
 
 
-def rays(size: float) -> Row:
-    """Rays aimed at the very vertices and edges of closed bodies, from inside and outside, against half-spaces."""
-    rng, cases, failures, worst = np.random.default_rng(SEED), 0, 0, 0.0
-    with tempfile.TemporaryDirectory() as folder:
-        for name in edges.BODIES:
-            count = int((1_500 if name == "large ball" else 20_000) * size)
-            for place in ((0, 0, 0), (20, 7, 1), (-80.3, 55.1, -2), (400, 300, 10)):
-                for inside in (True, False):
-                    aimed = edges.aimed(Path(folder), name, place, inside, rng, count)
-                    origins = np.tile(aimed.start, (len(aimed.way), 1))
-                    error = abs(Tracer(aimed.body, aimed.start).cast(origins, aimed.way)[0] - aimed.range_m)
-                    cases, failures = cases + len(error), failures + int((error > RAYS_OFF_M).sum())
-                    worst = max(worst, float(error.max()))
-    return "rays aimed at vertices and edges of closed bodies", cases, failures, f"{1000 * worst:.2g} mm"
-
-
-def files(size: float) -> Row:
+def files(size: float) -> Iterator[Row]:
     """Studies, rigs, scenes and sensors made odd: each an error in one line, or an answer without NaN."""
     tried: list[str] = []  # what else came of each; empty where nothing did
 
@@ -190,7 +170,7 @@ def files(size: float) -> Row:
             all_of(name, Path(folder))
     region_module.CUBOIDS_MAX = limit
     wrong = sorted(set(filter(None, tried)))
-    return "studies, rigs, scenes and sensors made odd", len(tried), sum(map(bool, tried)), "; ".join(wrong[:5]) or "–"
+    yield "studies, rigs, scenes and sensors made odd", len(tried), sum(map(bool, tried)), "; ".join(wrong[:5]) or "–"
 
 
 CASES = {
@@ -215,9 +195,10 @@ def main(arguments: list[str] | None = None) -> None:
     began, found = time.perf_counter(), []
     for name in given.names or CASES:
         started = time.perf_counter()
-        row = CASES[name](0.01 if given.quick else 1.0)
-        found.append((*row, time.perf_counter() - started))
-        print(f"{name}: {row[1]:,} cases, {row[2]:,} failures", file=sys.stderr, flush=True)
+        for row in CASES[name](0.01 if given.quick else 1.0):
+            found.append((*row, time.perf_counter() - started))
+            print(f"{name}: {row[1]:,} cases, {row[2]:,} failures", file=sys.stderr, flush=True)
+            started = time.perf_counter()
     lines = [
         f"{heading(time.perf_counter() - began)} {platform.machine()}, Python {platform.python_version()}, "
         f"NumPy {np.__version__}, seed {SEED}.",

@@ -1,6 +1,8 @@
-"""Rays against triangles and moving shapes, one by one in float64: no tree, no packets, no transformed frames."""
+"""Rays against triangles and shapes, one by one, in float64 and exactly: no tree, no packets, no transformed frames."""
 
 import math
+from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -8,12 +10,7 @@ from numba import njit
 BESIDE = 1e-12  # of a triangle, by which a ray may pass beside it
 
 
-@njit(cache=True)
-def cross(a, b):
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def first_triangle(vertices, triangles, origins, rays):
     """Range to the first of triangles (T, 3) that each ray (N, 3) hits, inf for none, and which: Möller, Trumbore 1997."""
     ranges, which = np.full(len(rays), np.inf), np.full(len(rays), -1)
@@ -21,18 +18,73 @@ def first_triangle(vertices, triangles, origins, rays):
         a = vertices[triangles[t, 0]]
         e, f = vertices[triangles[t, 1]] - a, vertices[triangles[t, 2]] - a
         for n in range(len(rays)):
-            p = cross(rays[n], f)
-            determinant = (e * p).sum()
+            dx, dy, dz = rays[n]
+            px, py, pz = dy * f[2] - dz * f[1], dz * f[0] - dx * f[2], dx * f[1] - dy * f[0]
+            determinant = e[0] * px + e[1] * py + e[2] * pz
             if determinant == 0:
                 continue
-            s = origins[n] - a
-            u = (s * p).sum() / determinant
-            q = cross(s, e)
-            v = (rays[n] * q).sum() / determinant
-            distance = (f * q).sum() / determinant
-            if u >= -BESIDE and v >= -BESIDE and u + v <= 1 + BESIDE and 0 < distance < ranges[n]:
+            sx, sy, sz = origins[n, 0] - a[0], origins[n, 1] - a[1], origins[n, 2] - a[2]
+            u = (sx * px + sy * py + sz * pz) / determinant
+            if u < -BESIDE or u > 1 + BESIDE:
+                continue
+            qx, qy, qz = sy * e[2] - sz * e[1], sz * e[0] - sx * e[2], sx * e[1] - sy * e[0]
+            v = (dx * qx + dy * qy + dz * qz) / determinant
+            distance = (f[0] * qx + f[1] * qy + f[2] * qz) / determinant
+            if v >= -BESIDE and u + v <= 1 + BESIDE and 0 < distance < ranges[n]:
                 ranges[n], which[n] = distance, t
     return ranges, which
+
+
+class Exact(NamedTuple):
+    """A ray and a triangle in whole numbers of any length, rounded at the very end."""
+
+    hit: bool  # inside or on an edge, ahead
+    range_m: float | None  # to the plane, also where it is not hit; None: parallel to it, or no plane
+    sine: float  # of the angle between ray and plane
+    beside_m: float  # the distance of the ray's line from the nearest edge's line
+
+
+def exact(corners, origin, ray):
+    """What is true of a ray and a triangle (3, 3): the signs of three volumes say whether it is hit."""
+    points, scale = whole([*corners.ravel(), *origin])
+    d, ray_scale = whole(ray)
+    a, b, c = (minus(points[k : k + 3], points[9:]) for k in (0, 3, 6))
+    n = times(minus(b, a), minus(c, a))
+    volumes = [dot(d, times(p, q)) for p, q in ((a, b), (b, c), (c, a))]
+    along, height = dot(n, d), dot(n, a)
+    range_m = float(Fraction(height, along) * Fraction(ray_scale, scale)) if along else None
+    inside = any(volumes) and (min(volumes) >= 0 or max(volumes) <= 0)
+    beside = [
+        abs(volume) / length / scale
+        for volume, (p, q) in zip(volumes, ((a, b), (b, c), (c, a)), strict=True)
+        if (length := norm(times(d, minus(q, p))))
+    ]
+    sine = abs(along) / (norm(n) * norm(d)) if along else 0.0
+    return Exact(bool(inside and along and range_m > 0), range_m, sine, min(beside, default=math.inf))
+
+
+def whole(values):
+    """Floats as whole numbers, and by how much they are larger."""
+    ratios = [float(value).as_integer_ratio() for value in values]
+    scale = max(ratio[1] for ratio in ratios)
+    return [number * (scale // divisor) for number, divisor in ratios], scale
+
+
+def minus(p, q):
+    return [x - y for x, y in zip(p, q, strict=True)]
+
+
+def times(p, q):
+    return [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
+
+
+def dot(p, q):
+    return sum(x * y for x, y in zip(p, q, strict=True))
+
+
+def norm(p):
+    """To the last digits of a double, however long the numbers are."""
+    return math.isqrt(dot(p, p) << 128) / (1 << 64)
 
 
 def sphere(origin, ray, centre, radius):

@@ -16,10 +16,12 @@ from lidarcfg.capture.pcap import TIME_END_NS, write_pcap
 from lidarcfg.cloud import FIELDS, concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import inverse, pose, transform
+from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import custom_sensor
 from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
+from lidarcfg.world.motion import Arc, Motion, Trajectory, prepared
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import (
@@ -187,6 +189,28 @@ def test_the_same_bytes_again(street, second, tmp_path):
     assert path.read_bytes() == second.read_bytes()
     assert told == sorted(told)
     assert told[-1] == SECOND_NS
+
+
+def test_neither_threads_nor_chunks_change_a_byte(tmp_path):
+    """Of a moving vehicle among moving objects, with wide noisy beams."""
+    stage = scene(
+        tmp_path,
+        """
+ground: {z_m: 0, reflectivity: 12}
+boxes: [{name: b, center_m: [9, 2, 1], size_m: [4, 2, 2], reflectivity: 30, motion: {arc: {speed_m_s: 5, yaw_rate_deg_s: 60}}}]
+spheres: [{name: s, center_m: [-6, 1, 1], radius_m: 1, reflectivity: 50, motion: {velocity_m_s: [3, -9, 0]}}]
+weather: {rain_mm_h: 20}
+""",
+    )
+    noisy = replace(mount(), realism=Realism(seed=5, range_noise_m=0.02, dropout_fraction=0.1, divergence=True))
+    rig = Rig("two", (noisy, mount(1)))
+    along = Trajectory(np.eye(4), prepared(Motion(arc=Arc(speed_m_s=8, yaw_rate_deg_s=-30))), START_NS)
+    written = set()
+    for threads, chunk_ns in ((1, SECOND_NS), (2, 30_000_000), (5, 11_000_000)):
+        streams = export(rig, stage, along, 100_000_000, START_NS, chunk_ns=chunk_ns, threads=threads)
+        write_pcap(tmp_path / "a.pcap", in_time_order(streams))
+        written.add((tmp_path / "a.pcap").read_bytes())
+    assert len(written) == 1
 
 
 def test_datagrams(second):

@@ -129,7 +129,7 @@ def test_turning_between_walls(tmp_path):
 
 
 def test_objects_that_move(tmp_path):
-    """A ball flies by, a box turns on the spot: ranges by hand at any time."""
+    """A sphere flies by, a box rotates in place: ranges by hand at any time."""
     stage = scene(
         tmp_path,
         "spheres: [{name: s, center_m: [0, 20, 0], radius_m: 2, reflectivity: 9, motion: {velocity_m_s: [0, -4, 0]}}]\n"

@@ -35,9 +35,9 @@ def volume(scene):
 def test_volumes(tmp_path):
     box = scene(tmp_path, "boxes: [{name: b, center_m: [5, -3, 1], size_m: [2, 3, 4], yaw_deg: 30, reflectivity: 9}]")
     assert volume(box) == pytest.approx(24, rel=1e-12)
-    ball = scene(tmp_path, "spheres: [{name: s, center_m: [100, 0, 1], radius_m: 2, reflectivity: 9}]")
-    assert volume(ball) == pytest.approx(4 / 3 * math.pi * 8, rel=3e-3)
-    assert volume(ball) < 4 / 3 * math.pi * 8
+    sphere = scene(tmp_path, "spheres: [{name: s, center_m: [100, 0, 1], radius_m: 2, reflectivity: 9}]")
+    assert volume(sphere) == pytest.approx(4 / 3 * math.pi * 8, rel=3e-3)
+    assert volume(sphere) < 4 / 3 * math.pi * 8
     pole = scene(tmp_path, "cylinders: [{name: c, base_m: [1, 2, 3], radius_m: 0.5, height_m: 2, reflectivity: 9}]")
     assert volume(pole) == pytest.approx(math.pi * 0.25 * 2, rel=1e-2)
 
@@ -45,8 +45,8 @@ def test_volumes(tmp_path):
 @pytest.mark.parametrize("tolerance_m", [0.001, 0.01])
 def test_drawn_facets_stay_within_their_tolerance(tmp_path, tolerance_m):
     for radius in (0.05, 0.25, 2.0, 10.0, 26.0):
-        ball = scene(tmp_path, f"spheres: [{{name: s, center_m: [0, 0, 0], radius_m: {radius}, reflectivity: 9}}]")
-        vertices, triangles = ball.mesh(tolerance_m)
+        sphere = scene(tmp_path, f"spheres: [{{name: s, center_m: [0, 0, 0], radius_m: {radius}, reflectivity: 9}}]")
+        vertices, triangles = sphere.mesh(tolerance_m)
         triangles = vertices[triangles]
         edges = (triangles + np.roll(triangles, 1, axis=1)) / 2
         assert np.linalg.norm(edges, axis=2).min() > radius - tolerance_m
@@ -195,8 +195,8 @@ def test_mesh_that_is_too_large(tmp_path, vertex, scale):
 
 def test_the_largest_things(tmp_path):
     """Also at UTM coordinates."""
-    ball = scene(tmp_path, "spheres: [{name: s, center_m: [5e5, 1e7, -1e8], radius_m: 1e8, reflectivity: 9}]")
-    assert volume(ball) == pytest.approx(4 / 3 * math.pi * 1e24, rel=1e-3)
+    sphere = scene(tmp_path, "spheres: [{name: s, center_m: [5e5, 1e7, -1e8], radius_m: 1e8, reflectivity: 9}]")
+    assert volume(sphere) == pytest.approx(4 / 3 * math.pi * 1e24, rel=1e-3)
 
 
 def test_no_file(tmp_path):

@@ -1,49 +1,31 @@
 """The tracer against loops over all triangles, Open3D, half-spaces and closed forms; whatever travels together."""
 
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
-import open3d as o3d
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import directions, rotation
 from lidarcfg.world.tracer import Tracer
-from tests import edges
+from tests import ray_cases
 from tests.capture_fixtures import scene
 from tests.naive import rays as naive
+from tests.ray_cases import soup, unit
 
 TEXT = """
 ground: {z_m: -1, reflectivity: 12}
 boxes: [{name: box, center_m: [10, 0, 0], size_m: [2, 2, 1.5], reflectivity: 30}]
-spheres: [{name: ball, center_m: [0, 20, 0], radius_m: 3, reflectivity: 40}]
+spheres: [{name: sphere, center_m: [0, 20, 0], radius_m: 3, reflectivity: 40}]
 cylinders: [{name: post, base_m: [0, -20, -1], radius_m: 0.5, height_m: 3, reflectivity: 50}]
 """
 HERE = np.zeros(3)
 
 
-def unit(vectors):
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def of_mesh(vertices, triangles, tmp_path):
-    """A tracer of a mesh alone, with its scene."""
-    body = scene(tmp_path, "boxes: [{name: m, center_m: [0, 0, 0], size_m: [1, 1, 1], reflectivity: 9}]")
-    objects = np.zeros(len(triangles), np.int32)
-    body = replace(
-        body, vertices_m=np.asarray(vertices, float), triangles=np.asarray(triangles), triangle_object=objects
-    )
-    return Tracer(body, np.mean(vertices, axis=0))
-
-
-def soup(rng, count, size):
-    """Random triangles of a size in a cube of ten metres."""
-    corners = rng.uniform(-5, 5, (count, 1, 3)) + rng.normal(size=(count, 3, 3)) * size
-    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+def of_mesh(vertices, triangles):
+    """A tracer of a mesh alone."""
+    return Tracer(ray_cases.mesh_scene(vertices, triangles), np.mean(vertices, axis=0))
 
 
 def test_by_hand(tmp_path):
@@ -58,10 +40,10 @@ def test_by_hand(tmp_path):
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.3, 3.0])
-def test_first_hits_are_those_of_all_triangles(tmp_path, size):
+def test_first_hits_are_those_of_all_triangles(size):
     rng = np.random.default_rng(1)
     vertices, triangles = soup(rng, 3000, size)
-    tracer = of_mesh(vertices, triangles, tmp_path)
+    tracer = of_mesh(vertices, triangles)
     aims = vertices[triangles[rng.integers(len(triangles), size=4000)]].mean(axis=1)
     origins = rng.uniform(-8, 8, (4000, 3))
     way = unit(aims - origins)
@@ -72,34 +54,30 @@ def test_first_hits_are_those_of_all_triangles(tmp_path, size):
     np.testing.assert_allclose(hits.range_m, range_m, rtol=1e-9)
 
 
-def test_first_hits_are_open3ds(tmp_path):
-    """But for float32: where both differ by more than a millimetre, the loop over all triangles says who is right."""
+def test_first_hits_are_open3ds():
+    """But for float32: where they differ by more than a millimetre, the loop over all triangles shows Open3D's error."""
     rng = np.random.default_rng(2)
-    vertices, triangles = soup(rng, 20_000, 0.1)
-    tracer, theirs = of_mesh(vertices, triangles, tmp_path), o3d.t.geometry.RaycastingScene()
-    tensor = o3d.core.Tensor.from_numpy
-    theirs.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
-    origins, way = rng.uniform(-8, 8, (200_000, 3)), unit(rng.normal(size=(200_000, 3)))
-    mine = tracer.cast(origins, way).range_m
-    found = theirs.cast_rays(tensor(np.hstack([origins, way]).astype(np.float32)))["t_hit"].numpy()
-    with np.errstate(invalid="ignore"):
-        differ = np.flatnonzero(~(abs(mine - found) <= 1e-3) & ~(np.isinf(mine) & np.isinf(found)))
-    assert len(differ) < 500
-    truth, _ = naive.first_triangle(vertices, triangles, origins[differ], way[differ])
-    np.testing.assert_allclose(mine[differ], truth, rtol=1e-9)
+    away = np.array([1000.0, -2000, 0])  # where float32 has steps of a tenth of a millimetre
+    vertices, triangles = soup(rng, 5000, 0.1)
+    vertices, origins = vertices + away, rng.uniform(-8, 8, (100_000, 3)) + away
+    way = unit(rng.normal(size=(100_000, 3)))
+    theirs = ray_cases.open3d_scene(vertices, triangles)
+    found = ray_cases.differences(of_mesh(vertices, triangles), theirs, origins, way)
+    assert 10 < len(found.rays) < 2000
+    np.testing.assert_allclose(found.mine, found.truth, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", edges.BODIES)
-@pytest.mark.parametrize("place", [(0, 0, 0), (-80.3, 55.1, -2), (4e5, 3e6, 10)])
+@pytest.mark.parametrize("name", ray_cases.BODIES)
+@pytest.mark.parametrize("place", ray_cases.BODIES_PLACES)
 def test_rays_at_vertices_and_edges_do_not_slip_through(tmp_path, name, place):
-    rng = np.random.default_rng(4)
+    rng, body = np.random.default_rng(4), ray_cases.body_at(tmp_path, name, place)
     for inside in (True, False):
-        aimed = edges.aimed(tmp_path, name, place, inside, rng, 100 if name == "large ball" else 1000)
-        range_m = Tracer(aimed.body, aimed.start).cast(np.tile(aimed.start, (len(aimed.way), 1)), aimed.way).range_m
-        assert abs(range_m - aimed.range_m).max() < 1e-9 * (1 + np.abs(place).max())
+        aimed = ray_cases.aimed(body, inside, rng, 100 if name == "large sphere" else 1000)
+        assert len(aimed.way) > 50
+        assert ray_cases.cast_aimed(aimed).max() < ray_cases.off_m(place)
 
 
-def test_nothing_leaves_a_closed_body(tmp_path):
+def test_nothing_leaves_a_closed_body():
     """A hull with needles; rays from within to its vertices, along its edges, and anywhere."""
     rng = np.random.default_rng(6)
     points = unit(rng.normal(size=(2000, 3))) * (3.0, 2.0, 0.01) + (8, 3, 1)
@@ -107,14 +85,14 @@ def test_nothing_leaves_a_closed_body(tmp_path):
     corners = points[faces]
     aims = np.concatenate([points, (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3) / 2, corners.mean(axis=1)])
     way = np.concatenate([unit(aims - (8, 3, 1)), unit(rng.normal(size=(20_000, 3))), np.eye(3), -np.eye(3)])
-    tracer = of_mesh(points, faces, tmp_path)
+    tracer = of_mesh(points, faces)
     assert np.isfinite(tracer.cast(np.tile([8.0, 3, 1], (len(way), 1)), way).range_m).all()
 
 
-def test_a_packet_does_not_change_its_rays(tmp_path):
+def test_a_packet_does_not_change_its_rays():
     """Bit for bit the same alone, in any order, and beside any others."""
     rng = np.random.default_rng(7)
-    tracer = of_mesh(*soup(rng, 5000, 0.2), tmp_path)
+    tracer = of_mesh(*soup(rng, 5000, 0.2))
     azimuth = np.linspace(0, 2 * np.pi, 3000)
     way = directions(azimuth, np.full(3000, 0.03))
     origins = np.tile([0.1, 0.2, 0.3], (3000, 1)) + 1e-3 * azimuth[:, None]
@@ -127,9 +105,9 @@ def test_a_packet_does_not_change_its_rays(tmp_path):
         assert np.array_equal(np.concatenate([getattr(one, key) for one in alone]), getattr(together, key)[::7])
 
 
-def test_a_limit_only_drops_what_is_beyond(tmp_path):
+def test_a_limit_only_drops_what_is_beyond():
     rng = np.random.default_rng(8)
-    tracer = of_mesh(*soup(rng, 5000, 0.2), tmp_path)
+    tracer = of_mesh(*soup(rng, 5000, 0.2))
     origins, way = rng.uniform(-5, 5, (5000, 3)), unit(rng.normal(size=(5000, 3)))
     free, limited = tracer.cast(origins, way), tracer.cast(origins, way, limit_m=2.0)
     near = free.range_m < 2
@@ -138,37 +116,14 @@ def test_a_limit_only_drops_what_is_beyond(tmp_path):
     assert np.array_equal(limited.triangle, np.where(near, free.triangle, -1))
 
 
-@settings(max_examples=200, deadline=None)
-@given(st.data())
-def test_ranges_are_the_planes_in_exact_arithmetic(tmp_path_factory, data):
-    """Up to 1e8 m from the origin, grazing, slivers: within 1e-9 of the distance, and the plane's by fractions."""
-    whole = st.integers(-(10**6), 10**6)
-    place = np.array([data.draw(st.sampled_from([0.0, 1e3, -1e6, 1e8])) for _ in range(3)])
-    corners = np.array([[data.draw(whole) / 2**14 for _ in range(3)] for _ in range(3)])
-    if data.draw(st.booleans()):
-        corners[2] = (corners[0] + corners[1]) / 2 + np.array([0, 0, 2.0**-10])
-    corners = corners + place
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    if np.linalg.norm(normal) < 1e-6:
-        return
-    tracer = of_mesh(corners, [[0, 1, 2]], tmp_path_factory.mktemp("m"))
-    start = place + np.array([data.draw(whole) / 2**12 for _ in range(3)])
-    weight = data.draw(st.integers(1, 98)) / 100
-    aim = weight * corners[0] + (0.99 - weight) * corners[1] + 0.01 * corners[2]
-    length = np.linalg.norm(aim - start)
-    if length < 1e-3:
-        return
-    way = (aim - start) / length
-    range_m = tracer.cast(start[None], way[None]).range_m[0]
-    a, b, c, o, d = ([Fraction(float(x)) for x in row] for row in (*corners, start, way))
-    p, q = [y - x for x, y in zip(a, b, strict=True)], [y - x for x, y in zip(a, c, strict=True)]
-    n = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
-    slope = sum(x * y for x, y in zip(n, d, strict=True))
-    sine = abs(float(slope)) / float(np.linalg.norm([float(x) for x in n]))
-    if sine < 1e-5:
-        return
-    exact = float(sum(x * (y - z) for x, y, z in zip(n, a, o, strict=True)) / slope)
-    assert range_m == np.inf or range_m == pytest.approx(exact, rel=1e-9)
+@pytest.mark.parametrize("kind", ray_cases.KINDS)
+def test_exact_arithmetic_agrees(kind):
+    """Up to 1e8 m from the origin: the range, and whether there is a hit."""
+    rng = np.random.default_rng(5)
+    found = [ray_cases.judged(ray_cases.case(rng, kind)) for _ in range(300)]
+    assert not any(map(ray_cases.wrong, found))
+    assert any(one.hit for one in found) or kind == "without area"
+    assert min(one.sine for one in found) < (1e-8 if kind == "grazing" else 0.1)
 
 
 def test_rays_along_axes(tmp_path):
@@ -206,9 +161,9 @@ def test_rays_that_start_on_a_surface(tmp_path):
     assert ((hit[~out] < 1e-12) | (abs(hit[~out] - far[~out]) < 1e-12)).all()
 
 
-def test_triangles_without_area_hide_nothing(tmp_path):
+def test_triangles_without_area_hide_nothing():
     vertices = np.array([[5.0, -1, -1], [5, 1, -1], [5, 0, 1], [3, 0, 0], [4, 0, 0]])
-    tracer = of_mesh(vertices, [[0, 1, 2], [3, 3, 3], [3, 4, 4], [3, 4, 3], [0, 0, 2]], tmp_path)
+    tracer = of_mesh(vertices, [[0, 1, 2], [3, 3, 3], [3, 4, 4], [3, 4, 3], [0, 0, 2]])
     way = unit(np.array([[1.0, 0, 0], [5, 0.1, 0.1], [5, 3, 3]]))
     np.testing.assert_allclose(tracer.cast(np.zeros((3, 3)), way).range_m, [5, 5 / way[1, 0], np.inf], rtol=1e-12)
 
@@ -248,7 +203,7 @@ def test_spheres_and_cylinders_are_their_fine_meshes(tmp_path):
 
 
 def test_moving_objects_are_where_their_motion_says(tmp_path):
-    """Boxes and spheres on straight and round ways, and turning, against closed forms at each ray's time."""
+    """Boxes and spheres on straight lines and arcs, and rotating, against closed forms at each ray's time."""
     text = """
 boxes:
   - {name: a, center_m: [10, 0, 0], size_m: [2, 1, 4], yaw_deg: 20, reflectivity: 9, motion: {velocity_m_s: [-5, 1, 0]}}
@@ -303,11 +258,11 @@ def test_a_dynamic_object_is_needed_only_within_its_poses(tmp_path):
         tracer.cast(np.zeros((1, 3)), way, np.array([1_500_000_000]))
 
 
-def test_blocked_is_a_first_hit_before_the_target(tmp_path):
+def test_blocked_is_a_first_hit_before_the_target():
     """Rows of targets from one origin, against the first hits of the same rays; a target on a surface is not blocked."""
     rng = np.random.default_rng(12)
     vertices, triangles = soup(rng, 2000, 0.5)
-    tracer = of_mesh(vertices, triangles, tmp_path)
+    tracer = of_mesh(vertices, triangles)
     targets = np.stack(np.meshgrid(*(np.linspace(-6, 6, n) for n in (20, 21, 22)), indexing="ij"), -1).reshape(-1, 3)
     origin = np.array([0.3, 7.0, 0.2])
     length = np.linalg.norm(targets - origin, axis=1)
@@ -320,14 +275,14 @@ def test_blocked_is_a_first_hit_before_the_target(tmp_path):
     assert np.array_equal(tracer.blocked(origin, on), theirs < np.linalg.norm(on - origin, axis=1) * (1 - 1e-9))
 
 
-def test_a_turned_scene_has_turned_hits(tmp_path):
+def test_a_rotated_scene_has_rotated_hits():
     """Any rotation of mesh and rays together leaves the ranges, to rounding."""
     rng = np.random.default_rng(13)
     vertices, triangles = soup(rng, 500, 1.0)
     origins, way = rng.uniform(-5, 5, (2000, 3)), unit(rng.normal(size=(2000, 3)))
-    straight = of_mesh(vertices, triangles, tmp_path).cast(origins, way)
+    straight = of_mesh(vertices, triangles).cast(origins, way)
     R = rotation((0.3, -0.8, 2.0))
-    turned = of_mesh(vertices @ R.T, triangles, tmp_path).cast(origins @ R.T, way @ R.T)
+    turned = of_mesh(vertices @ R.T, triangles).cast(origins @ R.T, way @ R.T)
     same = straight.triangle == turned.triangle
     assert same.mean() > 0.999
     np.testing.assert_allclose(turned.range_m[same], straight.range_m[same], rtol=1e-9)
