@@ -249,5 +249,5 @@ def judged(one):
 
 
 def wrong(found):
-    """Whether it is more than rounding; a sliver's plane is known less well, and a range at a grazing angle."""
+    """Whether an error is more than rounding; at a grazing angle a range is only as good as its plane."""
     return found.plane > PLANE_OFF or found.edge > EDGE_OFF or (found.sine > GRAZING and found.range > RANGE_OFF)

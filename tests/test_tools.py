@@ -49,9 +49,9 @@ def test_true_ranges_by_hand(tool, tmp_path):
         ((0, 0, 0), (0, -1, 0), np.inf, False),
     ]
     origins, directions, expected, is_round = (np.array(column, np.float64) for column in zip(*rays, strict=True))
-    ranges, met_round = tool("accuracy_rays").exact_ranges(stage, origins, directions)
+    ranges, hit_round = tool("accuracy_rays").exact_ranges(stage, origins, directions)
     np.testing.assert_allclose(ranges, expected, atol=1e-12)
-    assert (met_round == is_round).all()
+    assert (hit_round == is_round).all()
 
 
 def test_triangles_by_hand():

@@ -22,9 +22,9 @@ from lidarcfg.world.scene import Scene, load_scene
 
 STREET = ROOT / "data/scenes/street.yaml"
 FAR_M = (1e7, -1e7)
-OTHER_SURFACE_M = 0.02  # further off, a ray has met something else: it passed an edge within rounding, or a facet's
+OTHER_SURFACE_M = 0.02  # further off, a ray has hit something else: it passed an edge within rounding
 SEQUENCES, LASERS, BLOCK = 24, 16, 2  # of a VLP-16 packet; sequences in a block
-BOUNDS = {"range, flat things (mm)": 1.0, "range, round things (mm)": None, "azimuth (°)": 0.005, "time (µs)": 1.0}
+BOUNDS = {"range, flat objects (mm)": 1.0, "range, round objects (mm)": 1.0, "azimuth (°)": 0.005, "time (µs)": 1.0}
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class Errors:
     """Of one capture's decoded points, against what each firing should have given."""
 
     by_quantity: dict[str, Array]
-    last_block_deg: float  # the worst azimuth where no later packet says how far the head turns
-    others: int  # met another surface
+    last_block_deg: float  # the worst azimuth in the last block, after which there is no packet to interpolate to
+    others: int  # hit another surface
     missing: int
     extra: int
 
@@ -42,11 +42,11 @@ def moved(path: Path, east_m: float, north_m: float) -> Scene:
     """A scene's file with everything in it moved."""
     file = yaml.safe_load(path.read_text())
     for kind in ("boxes", "spheres", "cylinders", "planes", "meshes"):
-        for thing in file[kind]:
-            (key,) = thing.keys() & {"center_m", "base_m", "position_m"}
-            thing[key] = [thing[key][0] + east_m, thing[key][1] + north_m, thing[key][2]]
-            if "file" in thing:
-                thing["file"] = str(path.parent / thing["file"])
+        for item in file[kind]:
+            (key,) = item.keys() & {"center_m", "base_m", "position_m"}
+            item[key] = [item[key][0] + east_m, item[key][1] + north_m, item[key][2]]
+            if "file" in item:
+                item["file"] = str(path.parent / item["file"])
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "scene.yaml").write_text(yaml.safe_dump(file))
         return load_scene(Path(folder) / "scene.yaml")
@@ -83,7 +83,7 @@ def measure(rig: Rig, near: Scene, scene: Scene, east_north_m: tuple[float, floa
     xyz = transform(inverse(T), cloud.xyz)
     beam = xyz - starts[firing]
     range_m = np.linalg.norm(beam, axis=1)
-    turned = np.degrees(np.arctan2(-beam[:, 1], beam[:, 0]) - azimuth.ravel()[firing] + np.pi) % 360 - 180
+    bearing_deg = np.degrees(np.arctan2(-beam[:, 1], beam[:, 0]) - azimuth.ravel()[firing] + np.pi) % 360 - 180
     range_mm = 1000 * abs(range_m - ranges[firing])
     other = ~(range_mm < 1000 * OTHER_SURFACE_M)
     last = firing >= (len(fired_ns) - BLOCK) * LASERS
@@ -96,13 +96,13 @@ def measure(rig: Rig, near: Scene, scene: Scene, east_north_m: tuple[float, floa
     decoded[firing] = True
     return Errors(
         {
-            "range, flat things (mm)": range_mm[~other & ~is_round[firing]],
-            "range, round things (mm)": range_mm[~other & is_round[firing]],
-            "azimuth (°)": abs(turned[~last]),
+            "range, flat objects (mm)": range_mm[~other & ~is_round[firing]],
+            "range, round objects (mm)": range_mm[~other & is_round[firing]],
+            "azimuth (°)": abs(bearing_deg[~last]),
             "time (µs)": abs(cloud.time_ns - START_NS - fired_ns.ravel()[firing]) / 1000,
             "xyz (mm)": off_mm[~other & ~last],
         },
-        float(abs(turned[last]).max()),
+        float(abs(bearing_deg[last]).max()),
         int(other.sum()),
         int((due & ~decoded).sum()),
         int((decoded & ~due).sum()),
@@ -135,7 +135,7 @@ def run(quick: bool, plots: Path) -> list[str]:
             rows.append((quantity, case, f"{median:.4g}", f"{most:.4g}", f"{values.max():.4g}", bound))
     figure = new_figure(9, 6)
     for axes, quantity in zip(
-        figure.subplots(2, 2).flat, ("range, flat things (mm)", "azimuth (°)", "time (µs)", "xyz (mm)"), strict=True
+        figure.subplots(2, 2).flat, ("range, flat objects (mm)", "azimuth (°)", "time (µs)", "xyz (mm)"), strict=True
     ):
         for (case, errors), colour in zip(cases.items(), COLOURS, strict=False):
             values = np.sort(errors.by_quantity[quantity])

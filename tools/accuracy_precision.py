@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import open3d as o3d
-from accuracy_capture import moved
 from accuracy_page import ROOT, table
-from accuracy_rays import with_ground
+from accuracy_rays import facets
 from numba import njit
 from numpy.typing import NDArray
 
@@ -23,11 +22,12 @@ from lidarcfg.sensor import load_sensor
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.naive.rays import first_triangle
+from tests.ray_cases import mesh_scene, open3d_scene
 
 STREET = ROOT / "data/scenes/street.yaml"
-OURS, RELATIVE = "as captures are cast", "float32, relative"
+OURS, RELATIVE = "float64, as captures are traced", "float32, relative"
 RAYS = (OURS, RELATIVE, "float32")
-OTHER_SURFACE_MM = 1.0  # further off, a ray has met something else
+OTHER_SURFACE_MM = 1.0  # further off, a ray has hit something else
 AWAY_M = (0.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 
 
@@ -65,7 +65,7 @@ def labelled(region: Region, lidar: Lidar, away_m: float, dtype: type, local: bo
 
 
 def labels(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
-    """The table of wrong labels, and them by way."""
+    """The table of wrong labels, and their numbers by precision."""
     study = load_study(ROOT / "data/studies/liu2018-4x16.yaml")
     cut = 1 if quick else 2  # of the paper's edges
     region = Region.from_boxes(study.region.min_m, study.region.max_m, study.region.cuboid_m / cut)
@@ -100,23 +100,25 @@ def labels(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
 
 
 def rays(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
-    """The table of range errors, and the 99.9 % of them by way."""
+    """The table of range errors, and their 99.9 % quantiles by precision."""
     count, repeats = (2_000, 1) if quick else (60_000, 10)
     scene = load_scene(STREET)
-    vertices, triangles = with_ground(scene)
+    vertices, triangles = facets(scene)
     rng = np.random.default_rng(1)
-    elevation = rng.choice(load_sensor("vlp-16").elevation_rad, count)
-    towards = directions(rng.uniform(0, 2 * np.pi, count), elevation)
+    elevation = np.sort(rng.choice(load_sensor("vlp-16").elevation_rad, count))
+    azimuth = rng.uniform(0, 2 * np.pi, count)
+    order = np.lexsort((azimuth, elevation))  # laser by laser, as captures are traced
+    towards = directions(azimuth[order], elevation[order])
     start = np.array([0.3, 0.5, 1.9])
     truth, which = first_triangle(vertices, triangles, np.tile(start, (count, 1)), towards)
-    many = np.tile(towards, (repeats, 1))
+    many = np.repeat(towards, repeats, axis=0)
     rows: list[tuple[str, ...]] = []
     most: dict[str, list[float]] = {}
     for name in RAYS:
         for away_m in AWAY_M:
             offset = np.array([away_m, away_m, 0.0])
             if name == OURS:
-                tracer = Tracer(moved(STREET, away_m, away_m), start + offset)
+                tracer = Tracer(mesh_scene(vertices + offset, triangles), start + offset)
                 cast = partial(ours, tracer, start + offset)
             else:
                 base = start + offset if name == RELATIVE else np.zeros(3)
@@ -125,7 +127,7 @@ def rays(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
             started = time.process_time()
             range_m, triangle = cast(many)
             seconds = time.process_time() - started
-            range_m, same = range_m[:count], triangle[:count] == which
+            range_m, same = range_m[::repeats], triangle[::repeats] == which
             hit = np.isfinite(range_m) & np.isfinite(truth)
             error_mm = 1000 * abs(np.subtract(range_m, truth, where=hit, out=np.zeros(count)))
             other = (np.isfinite(range_m) != np.isfinite(truth)) | ~same & (error_mm > OTHER_SURFACE_MM)
@@ -152,14 +154,6 @@ def rays(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
     ], most
 
 
-def open3d_scene(vertices_m: Array, triangles: NDArray[np.int64]) -> o3d.t.geometry.RaycastingScene:
-    """Open3D's, of the triangles as they are."""
-    scene = o3d.t.geometry.RaycastingScene()
-    tensor = o3d.core.Tensor.from_numpy
-    scene.add_triangles(tensor(vertices_m.astype(np.float32)), tensor(triangles.astype(np.uint32)))
-    return scene
-
-
 def plain(scene: o3d.t.geometry.RaycastingScene, start: Array, towards: Array) -> tuple[Array, NDArray[np.int64]]:
     """Ranges and triangles (N,) as Open3D gives them."""
     given = np.hstack([np.tile(start, (len(towards), 1)), towards]).astype(np.float32)
@@ -168,8 +162,9 @@ def plain(scene: o3d.t.geometry.RaycastingScene, start: Array, towards: Array) -
 
 
 def ours(tracer: Tracer, start: Array, towards: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Ranges (N,) as a capture has them; it does not say of which triangle (−1)."""
-    return tracer.cast(np.tile(start, (len(towards), 1)), towards).range_m, np.full(len(towards), -1)
+    """Ranges and triangles (N,) as a capture has them."""
+    hits = tracer.cast(np.tile(start, (len(towards), 1)), towards)
+    return hits.range_m, hits.triangle.astype(np.int64)
 
 
 def run(quick: bool, plots: Path) -> list[str]:

@@ -12,17 +12,17 @@ from lidarcfg.geometry import Array, rotation
 from lidarcfg.world.scene import Scene
 from tests.naive.rays import first_triangle
 
-GROUND_HALF_SIZE_M = 1000.0
+GROUND_HALF_SIZE_M, FACETS_M = 1000.0, 0.001
 
 
-def with_ground(scene: Scene) -> tuple[Array, NDArray[np.int64]]:
-    """The scene's triangles with two for its ground."""
+def facets(scene: Scene) -> tuple[Array, NDArray[np.int64]]:
+    """The scene as triangles alone: spheres and cylinders faceted, and two for the ground."""
     assert scene.file.ground
+    vertices, triangles = scene.mesh(FACETS_M)
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_HALF_SIZE_M
     square[:, 2] = scene.file.ground.z_m
-    first = len(scene.vertices_m)
-    pair = first + np.array([[0, 1, 2], [0, 2, 3]])
-    return np.concatenate([scene.vertices_m, square]), np.concatenate([scene.triangles, pair])
+    pair = len(vertices) + np.array([[0, 1, 2], [0, 2, 3]])
+    return np.concatenate([vertices, square]), np.concatenate([triangles, pair])
 
 
 def exact_ranges(scene: Scene, origins: Array, rays: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -197,7 +197,7 @@ def main(arguments: list[str] | None = None) -> None:
         started = time.perf_counter()
         for row in CASES[name](0.01 if given.quick else 1.0):
             found.append((*row, time.perf_counter() - started))
-            print(f"{name}: {row[1]:,} cases, {row[2]:,} failures", file=sys.stderr, flush=True)
+            print(f"{name}: {row[1]:,} cases, {row[2]:,} failures; {row[3]}", file=sys.stderr, flush=True)
             started = time.perf_counter()
     lines = [
         f"{heading(time.perf_counter() - began)} {platform.machine()}, Python {platform.python_version()}, "

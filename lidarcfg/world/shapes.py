@@ -11,7 +11,7 @@ from lidarcfg.jit import njit
 
 FAST = {"nnan", "nsz"}
 TINY = 1e-300
-SLIVER = 1e-6  # sine of the angle between two edges; below it their cross product is computed in double-double
+SLIVER = 1e-4  # sine of the angle between two edges; below it their cross product is computed in double-double
 VELTKAMP = 134217729.0  # 2^27 + 1: splits a float64 into halves whose products are exact
 
 

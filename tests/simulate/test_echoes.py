@@ -31,7 +31,7 @@ def flat(range_m, count):
 
 
 def test_an_edge_gives_two_echoes():
-    """A sixth of the beam meets 20 m, the rest 10 m; then one sub-ray goes by; then the far one is the brighter."""
+    """A sixth of the beam hits 20 m, the rest 10 m; then one sub-ray goes by; then the far one is the brighter."""
     found = made([[10, 10, 20], [10, 10, np.inf]], [30, 30, 90], EDGE, objects=[1, 1, 2])
     assert found.range_m.tolist() == [[10, 10, 20], [10, 10, 10]]
     assert found.reflectivity.tolist() == [[25, 25, 15], [25, 25, 25]]
@@ -123,7 +123,7 @@ def test_fog_hides_and_shines():
     assert (light_rain.range_m[:, 0] == 20).mean() > 0.99
 
 
-def test_nothing_met_is_nothing():
+def test_no_hit_is_no_echo():
     for options in ({}, {"range_noise_m": 0.1}, {"dropout_fraction": 0.5}, {"range_10_percent_m": 5.0}):
         assert np.isinf(made([[np.inf, np.inf, np.inf]] * 4, 50, EDGE, **options).range_m).all()
     assert np.isinf(made([[100.5]], 50).range_m).all()  # beyond what a VLP-16 measures

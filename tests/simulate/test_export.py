@@ -183,12 +183,12 @@ def test_chunks_do_not_matter(second, tmp_path, chunk_packets):
 def test_the_same_bytes_again(street, second, tmp_path):
     """Whatever the chunks, and merged from one stream a sensor."""
     path = tmp_path / "again.pcap"
-    told: list[int] = []
-    streams = export(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, on_progress=told.append, chunk_ns=7_000_000)
+    done: list[int] = []
+    streams = export(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, on_progress=done.append, chunk_ns=7_000_000)
     write_pcap(path, in_time_order(streams))
     assert path.read_bytes() == second.read_bytes()
-    assert told == sorted(told)
-    assert told[-1] == SECOND_NS
+    assert done == sorted(done)
+    assert done[-1] == SECOND_NS
 
 
 def test_neither_threads_nor_chunks_change_a_byte(tmp_path):

@@ -44,7 +44,7 @@ def with_truth(tmp_path, rig, stage, duration_ns=SECOND_NS // 10, **options):
 
 @pytest.mark.parametrize("return_mode", ["strongest", "last", "dual"])
 @pytest.mark.parametrize("realism", [None, ALL])
-def test_the_truth_of_every_return(street, tmp_path, return_mode, realism):
+def test_the_ground_truth_of_every_return(street, tmp_path, return_mode, realism):
     """One record a return: exact range plus noise is what decodes, within half a step; and so are time and laser."""
     rig = tilted_rig()
     rig = replace(rig, mounts=tuple(replace(m, return_mode=return_mode, realism=realism) for m in rig.mounts))
@@ -89,7 +89,7 @@ def test_edges_differ_between_the_returns(tmp_path):
 
 
 def test_flat_ground_is_one_echo(tmp_path):
-    """A wide beam that meets the ground at a flat angle covers many metres of it, and still is one echo."""
+    """A wide beam that hits the ground at a flat angle covers many metres of it, and still is one echo."""
     stage = scene(tmp_path, "ground: {reflectivity: 40}")
     rig = Rig("one", (replace(mount(), return_mode="dual", realism=Realism(divergence=True)),))
     cloud, _ = with_truth(tmp_path, rig, stage)
@@ -127,13 +127,13 @@ def here(tmp_path):
     (tmp_path / "scene.yaml").write_text(
         "name: s\nboxes: [{name: b, center_m: [20, 0, 0], size_m: [2, 50, 9], reflectivity: 50}]"
     )
-    (tmp_path / "way.yaml").write_text("arc: {speed_m_s: 10, yaw_rate_deg_s: 45}")
+    (tmp_path / "trajectory.yaml").write_text("arc: {speed_m_s: 10, yaw_rate_deg_s: 45}")
     return tmp_path
 
 
 def test_commands(here):
-    """Out with a motion, back without it: the wall stands where it stood. The truth and the counts are told."""
-    words = ("--trajectory", "way.yaml", "--at", "1,2,5", "--start", "2026-03-01T12:59:59.9")
+    """Out with a motion, back without it: the wall stands where it stood. The truth and the counts are printed."""
+    words = ("--trajectory", "trajectory.yaml", "--at", "1,2,5", "--start", "2026-03-01T12:59:59.9")
     done = lidarcfg("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 0.2, *words, "--truth", "t.npz", "--stats", "-o", "a.pcap", cwd=here)  # fmt: skip
     assert "a.pcap: 180 packets, 0.2 s" in done.stdout
     assert "57,600 rays" in done.stdout
@@ -163,7 +163,7 @@ def test_counts_of_no_rays(here):
         (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--truth", "t.txt"), "'t.txt' does not end in .npz"),
         (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--trajectory", "no.yaml"), "no.yaml: no such file"),
         (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--truth", "no/t.npz"), "no such file"),
-        (("decode", "a.pcap", "--trajectory", "way.yaml", "-o", "a.npz"), "--trajectory needs --rig"),
+        (("decode", "a.pcap", "--trajectory", "trajectory.yaml", "-o", "a.npz"), "--trajectory needs --rig"),
         (("decode", "a.pcap", "--at", "1,2,3", "-o", "a.npz"), "--at and --start say where and when a --trajectory starts"),
         (("replay", "a.pcap", "--to", "127.0.0.1:x"), "'x' is not a port"),
         (("replay", "a.pcap", "--to", "127.0.0.1", "--speed", "0"), "--speed"),
@@ -200,8 +200,8 @@ def test_a_full_disk_is_one_line(here, size, words, name):
 
 def test_streams_are_made_as_they_are_read(street):
     """The first datagram of a day comes after a chunk is cast, not after the day."""
-    told = []
-    stream = in_time_order(export(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, on_progress=told.append))
+    done = []
+    stream = in_time_order(export(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, on_progress=done.append))
     first = next(stream)
     assert first.time_ns[0] - START_NS < 10_000_000
-    assert max(told, default=0) <= 200_000_000
+    assert max(done, default=0) <= 200_000_000

@@ -42,8 +42,8 @@ def fired(rng, lasers, count):
 
 def simulator(tmp_path, sensor, motion, text=ROOM, **mounted):
     one = replace(mount(), name="a", sensor=sensor, position_m=(0.3, -1.0, 2.0), rpy_rad=(0.2, 0.1, -0.4), **mounted)
-    way = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), prepared(motion), START_NS)
-    return Simulator(0, one, Tracer(scene(tmp_path, text), way.T_world_start[:3, 3], START_NS), way)
+    trajectory = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), prepared(motion), START_NS)
+    return Simulator(0, one, Tracer(scene(tmp_path, text), trajectory.T_world_start[:3, 3], START_NS), trajectory)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -54,7 +54,7 @@ def test_rays_are_where_poses_and_angles_say(tmp_path, motion, name):
     one = simulator(tmp_path, sensor, motion)
     echoes, counts = one.echoes(firings, 0)
     assert counts.rays == 3000
-    way = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), prepared(motion), START_NS)
+    trajectory = Trajectory(pose((1_000_003, -2, 1), (0.1, -0.2, 1)), prepared(motion), START_NS)
     T_vehicle_sensor = pose((0.3, -1.0, 2.0), (0.2, 0.1, -0.4))
     for n in range(3000):
         k = firings.laser[n]
@@ -62,7 +62,7 @@ def test_rays_are_where_poses_and_angles_say(tmp_path, motion, name):
         direction = np.array([math.cos(w) * math.cos(a), -math.cos(w) * math.sin(a), math.sin(w)])
         left = sensor.lateral_offset_m[k]
         origin = np.array([left * math.sin(a), left * math.cos(a), sensor.vertical_offset_m[k]])
-        T = way.pose(int(firings.time_ns[n])) @ T_vehicle_sensor
+        T = trajectory.pose(int(firings.time_ns[n])) @ T_vehicle_sensor
         start, ray = T[:3, :3] @ origin + T[:3, 3], T[:3, :3] @ direction
         assert echoes.range_m[n, 0] == pytest.approx(
             naive.box(start, ray, (1_000_003, -2, 1), (90, 70, 30), math.radians(10)), abs=2e-8

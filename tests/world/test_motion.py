@@ -1,4 +1,4 @@
-"""Motion against closed forms: arcs on paper, a moving sensor before walls, moving objects, and back to a still world."""
+"""Motion against closed forms: arcs on paper, a moving sensor before walls, moving objects, and back to a static world."""
 
 import numpy as np
 import pytest
@@ -25,18 +25,18 @@ def drive(motion, T_world_start=STAND, zero_ns=START_NS):
 
 @pytest.mark.parametrize("rate", [30.0, -200.0, 1e-9, 0.0])
 def test_an_arc_is_what_small_steps_add_up_to(rate):
-    way = prepared(Motion(arc=Arc(speed_m_s=7, yaw_rate_deg_s=rate, heading_deg=20)))
+    trajectory = prepared(Motion(arc=Arc(speed_m_s=7, yaw_rate_deg_s=rate, heading_deg=20)))
     x, y, steps = 0.0, 0.0, 20_000
     for n in range(steps):  # midpoint rule over two seconds
         heading = np.radians(20 + rate * (n + 0.5) * 2 / steps)
         x, y = x + 7 * np.cos(heading) * 2 / steps, y + 7 * np.sin(heading) * 2 / steps
-    R, t = way.at(np.array([0.0, 2.0]))
+    R, t = trajectory.at(np.array([0.0, 2.0]))
     np.testing.assert_allclose(t, [[0, 0, 0], [x, y, 0]], atol=1e-6)
     np.testing.assert_allclose(R[1], rotation((0, 0, np.radians(2 * rate))), atol=1e-12)
 
 
 def test_between_timed_poses():
-    """A quarter turn about a slanted axis is, a third on the way, a twelfth of a turn; the place is a third along."""
+    """A third of the time into a quarter turn about a slanted axis: a twelfth of a turn, a third of the distance."""
     half = np.pi / 4
     axis = np.array([1, 2, 2]) / 3
     quarter = (*(axis * np.sin(half)).tolist(), float(np.cos(half)))
@@ -45,15 +45,15 @@ def test_between_timed_poses():
         TimedPose(time_s=4, position_m=(3, 6, -9), quaternion_xyzw=quarter),
         TimedPose(time_s=5, position_m=(3, 6, -9), rpy_deg=(10, 20, 30)),
     )
-    way = prepared(Motion(poses=poses))
-    R, t = way.at(np.array([2.0, 5.0]))
+    trajectory = prepared(Motion(poses=poses))
+    R, t = trajectory.at(np.array([2.0, 5.0]))
     np.testing.assert_allclose(t, [[1, 2, -3], [3, 6, -9]], atol=1e-12)
     np.testing.assert_allclose(np.trace(R[0]), 1 + 2 * np.cos(np.pi / 6))
     np.testing.assert_allclose(R[0] @ axis, axis)
     np.testing.assert_allclose(R[1], rotation(np.radians([10, 20, 30])), atol=1e-12)
-    assert way.speed_max_m_s == pytest.approx(np.sqrt(14))
+    assert trajectory.speed_max_m_s == pytest.approx(np.sqrt(14))
     with pytest.raises(ConfigError, match=r"a pose is needed at 0\.5 to 2 s; the timed poses cover 1 to 5 s"):
-        way.at(np.array([2, 0.5]))
+        trajectory.at(np.array([2, 0.5]))
 
 
 def test_files(tmp_path):
@@ -88,8 +88,8 @@ def test_what_is_refused(tmp_path, name, text, match):
         load_motion(tmp_path / name)
 
 
-def captured(tmp_path, rig, stage, way, duration_ns=SECOND_NS // 4, **options):
-    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, way, duration_ns, **options)))
+def captured(tmp_path, rig, stage, trajectory, duration_ns=SECOND_NS // 4, **options):
+    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, trajectory, duration_ns, **options)))
     return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning, rig)))
 
 
@@ -98,18 +98,18 @@ def test_driving_at_a_wall(tmp_path):
     stage = scene(
         tmp_path, "planes: [{name: w, center_m: [40, 0, 0], size_m: [90, 90], rpy_deg: [0, 90, 0], reflectivity: 50}]"
     )
-    way = drive(Motion(velocity_m_s=(30.0, 0.0, 0.0)))
-    cloud = captured(tmp_path, Rig("one", (mount(rpm=1200),)), stage, way)
+    trajectory = drive(Motion(velocity_m_s=(30.0, 0.0, 0.0)))
+    cloud = captured(tmp_path, Rig("one", (mount(rpm=1200),)), stage, trajectory)
     assert len(cloud.xyz) > 10_000
     seconds = (cloud.time_ns - START_NS) / SECOND_NS
     off = 0.001 + np.linalg.norm(cloud.xyz, axis=1) * np.radians(0.014)
     assert (abs(cloud.xyz[:, 0] - (40 - 30 * seconds)) <= off).all()
     assert np.ptp(cloud.xyz[:, 0]) > 6
-    world = way.world(cloud.xyz, cloud.time_ns)
+    world = trajectory.world(cloud.xyz, cloud.time_ns)
     assert (abs(world[:, 0] - 40) <= off).all()
 
 
-def test_turning_between_walls(tmp_path):
+def test_driving_an_arc_between_walls(tmp_path):
     """A tilted rig on an arc in a room 30 m wide on a floor: deskewed, every point is on a wall or on the floor."""
     stage = scene(
         tmp_path,
@@ -117,18 +117,18 @@ def test_turning_between_walls(tmp_path):
         "- {name: a, center_m: [16, 0, 5], size_m: [2, 60, 30], reflectivity: 50}\n"
         "- {name: b, center_m: [-16, 0, 5], size_m: [2, 60, 30], reflectivity: 50}",
     )
-    way = drive(Motion(arc=Arc(speed_m_s=10, yaw_rate_deg_s=90)), pose((-3, -5, 0), (0, 0, 0.7)))
-    cloud = captured(tmp_path, tilted_rig(), stage, way)
-    world = way.world(cloud.xyz, cloud.time_ns)
+    trajectory = drive(Motion(arc=Arc(speed_m_s=10, yaw_rate_deg_s=90)), pose((-3, -5, 0), (0, 0, 0.7)))
+    cloud = captured(tmp_path, tilted_rig(), stage, trajectory)
+    world = trajectory.world(cloud.xyz, cloud.time_ns)
     off = 0.0015 + np.linalg.norm(cloud.xyz, axis=1) * np.radians(0.014)
     error = np.minimum(abs(abs(world[:, 0]) - 15), abs(world[:, 2]))
     assert len(world) > 50_000
     assert (error <= off).all()
-    still = drive(Motion(velocity_m_s=(0.0, 0.0, 0.0)), way.T_world_start).world(cloud.xyz, cloud.time_ns)
-    assert np.median(np.minimum(abs(abs(still[:, 0]) - 15), abs(still[:, 2]))) > 0.05
+    static = drive(Motion(velocity_m_s=(0.0, 0.0, 0.0)), trajectory.T_world_start).world(cloud.xyz, cloud.time_ns)
+    assert np.median(np.minimum(abs(abs(static[:, 0]) - 15), abs(static[:, 2]))) > 0.05
 
 
-def test_objects_that_move(tmp_path):
+def test_dynamic_objects(tmp_path):
     """A sphere flies by, a box rotates in place: ranges by hand at any time."""
     stage = scene(
         tmp_path,
@@ -149,7 +149,7 @@ def test_objects_that_move(tmp_path):
     np.testing.assert_allclose(abs(normal[:, 0]), np.cos(turned), atol=1e-6)
 
 
-def test_a_long_way(tmp_path):
+def test_a_long_trajectory(tmp_path):
     """Twenty kilometres on, a wall that goes along is seen as at the start, and the ground as well."""
     text = "ground: {reflectivity: 9}\nboxes: [{name: b, center_m: [20010, 0, 2], size_m: [2, 20, 4], reflectivity: 7}]"
     tracer = Tracer(scene(tmp_path, text), np.zeros(3))
@@ -157,7 +157,7 @@ def test_a_long_way(tmp_path):
     np.testing.assert_allclose(range_m, [9, 2.5], atol=1e-5)
 
 
-def test_a_way_that_ends_too_soon(tmp_path):
+def test_a_trajectory_that_ends_too_soon(tmp_path):
     stage = scene(tmp_path, "ground: {reflectivity: 9}")
     poses = tuple(TimedPose(time_s=t, position_m=(t, 0, 0)) for t in (0.0, 0.5))
     with pytest.raises(ConfigError, match=r"a pose is needed at 0 to 1 s; the timed poses cover 0 to 0\.5 s"):
@@ -172,8 +172,8 @@ def test_a_way_that_ends_too_soon(tmp_path):
 def test_position_packets_move(tmp_path):
     """Ten metres a second to the north-east: 19.438 knots, course 45, and the place of each moment, by another decoder."""
     stage = scene(tmp_path, "ground: {reflectivity: 9}\ngeo_origin: {latitude_deg: 0, longitude_deg: 0}")
-    way = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))))
-    write_pcap(tmp_path / "a.pcap", export(Rig("one", (mount(),)), stage, way, SECOND_NS)[0])
+    trajectory = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))))
+    write_pcap(tmp_path / "a.pcap", export(Rig("one", (mount(),)), stage, trajectory, SECOND_NS)[0])
     sent = [d for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
     assert len(sent) == 147
     for number, datagram in enumerate(sent):
