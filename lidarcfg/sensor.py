@@ -4,6 +4,7 @@ The files in `sensors/` are the only home of beam tables: optimiser, simulator, 
 the maker's packets need stands under a key called as the codec; the codec checks it when it is needed.
 """
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -200,9 +201,11 @@ class Sensor(Model):
         return np.argsort(np.argsort(self.beams.elevation_deg)).astype(np.uint16)
 
 
-def catalogue() -> dict[str, Path]:
-    """The sensor files that come with the project, by name."""
-    return {path.stem: path for path in sorted(shipped("sensors").glob("*.yaml"))}
+def catalogue(codec: str | None = None) -> dict[str, Path]:
+    """The sensor files that come with the project, by name; only those with a codec, if one is given."""
+    files = sorted(shipped("sensors").glob("*.yaml"))
+    line = re.compile(rf"^codec: {codec}\b", re.MULTILINE)
+    return {path.stem: path for path in files if codec is None or line.search(path.read_text("utf-8"))}
 
 
 def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:

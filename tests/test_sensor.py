@@ -17,6 +17,14 @@ def test_the_whole_catalogue_loads():
         assert load_sensor(name).name == name
 
 
+def test_the_catalogue_of_a_codec_is_found_without_reading_every_file():
+    """By a line of each; the same as by their models."""
+    codecs = {name: load_sensor(name).codec for name in catalogue()}
+    assert {"velodyne", "ouster", "hesai", "robosense", None} == set(codecs.values())
+    for codec in set(codecs.values()) - {None}:
+        assert list(catalogue(codec)) == [name for name in codecs if codecs[name] == codec]
+
+
 def test_the_catalogue_is_read_as_any_file_is():
     for path in catalogue().values():
         assert load(path, Sensor, own=True) == load(path, Sensor)

@@ -91,7 +91,7 @@ class _Capture:
         self._on_source = on_source
         self._rig, self._override = rig, override
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
-        self._catalogue = cache(lambda: [load_sensor(name) for name in catalogue()])
+        self._catalogue = cache(lambda codec: [load_sensor(name) for name in catalogue(codec)])
         self._window_ns = window_ns(path, selection)
         self._others: Counter[int] = Counter()  # sizes of other datagrams
         self._families: dict[int, type[Codec] | None] = {}  # by host, port and size; none: these are no LiDAR's
@@ -200,9 +200,10 @@ class _Capture:
         )
         found = self._families[key]
         assert found
+        codec_name = next(one for one in FAMILIES if family(one) is found)
         if self._on_source:
-            self._on_source(place.name, next(one for one in FAMILIES if family(one) is found))
-        known = partial(_known, self._catalogue, found)
+            self._on_source(place.name, codec_name)
+        known = partial(self._catalogue, codec_name)
         opened = partial(_decoder, self._source(key), found, sensor, known, self._override is None)
         return Stream(place, opened, self._on_heads)
 
@@ -219,11 +220,6 @@ class _Capture:
             sizes = ", ".join(f"{n} of {size} bytes" for size, n in sorted(self._others.items())[:5])
             found_ = f"its UDP datagrams: {sizes}" if sizes else "no UDP datagrams at all"
             raise PacketError(f"{self._path}: no LiDAR data packets; {found_}")
-
-
-def _known(catalogue: Callable[[], list[Sensor]], found: type[Codec]) -> list[Sensor]:
-    """The catalogue's sensors of a family."""
-    return [one for one in catalogue() if one.codec and family(one.codec) is found]
 
 
 def _decoder(
