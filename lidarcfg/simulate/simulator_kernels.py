@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.world.motion_kernels import VELOCITY, Paths, column, matrix, poses, product, times
 from lidarcfg.world.shapes import FAST
 from lidarcfg.world.tracer_kernels import SIZE, alike, load, new_packet
@@ -96,7 +96,7 @@ def _place(frames, seconds, count, moved, R, t):
         t[0, n], t[1, n], t[2, n] = x + (u + start[0]), y + (v + start[1]), z + (w + start[2])
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _drift(base, slope, seconds, t):
     """The positions of a sensor whose rotation is constant: where it is at time 0, and its velocity (3,)."""
     for k in range(3):
@@ -104,7 +104,7 @@ def _drift(base, slope, seconds, t):
             t[k, n] = base[k] + slope[k] * seconds[n]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@inner(fastmath=FAST)
 def _aim(lasers, k, encoder, R, t, axes, origins):
     """Write where the beams of laser k start, in the world, (3, SIZE), and where they point in the sensor's frame."""
     cos_w, sin_w, cos_o, sin_o = (
@@ -124,7 +124,7 @@ def _aim(lasers, k, encoder, R, t, axes, origins):
         origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * up_m + t[2, n]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@inner(fastmath=FAST)
 def _spread(axes, across, above, R, directions):
     """Write the directions in the world, (3, SIZE), of rays so far beside the axes, to the right and above."""
     for n in range(SIZE):

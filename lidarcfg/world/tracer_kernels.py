@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.world.bvh import DEPTH_MAX, INSTANCE, SPHERE, TRIANGLE
 from lidarcfg.world.shapes import FAST, cylinder, inside, normal, on_plane, sheared, sphere, triangle
 
@@ -76,7 +76,7 @@ def _steep(d):
     return -steep if d < 0 else steep
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def alike(directions, first, count):
     """How many rays from `first` on, of (3, count), can be one packet; and what they face."""
     face = facing(directions[0, first], directions[1, first], directions[2, first])
@@ -92,7 +92,7 @@ def row(face, axis):
     return (axis - (face & 3) - 1) % 3 * SIZE
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@inner(fastmath=FAST, error_model="numpy")
 def load(rays, slabs, origins, directions, first, count, face):
     """Fill a packet with rays `first` to `first` + count of (3, N); the last one fills its rest."""
     for axis in range(3):
@@ -120,7 +120,7 @@ def load(rays, slabs, origins, directions, first, count, face):
         rays[SLOT + n] = NONE
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@inner(fastmath=FAST, error_model="numpy")
 def _shear(rays):
     """What turns each ray of a packet into an axis; only rays that come to a leaf need it."""
     for n in range(SIZE):
@@ -129,7 +129,7 @@ def _shear(rays):
         rays[SZ + n] = 1 / rays[DZ + n]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@inner(fastmath=FAST)
 def _limit(rays, slabs):
     """Have the boxes tested up to the nearest hits; returns the farthest of these."""
     most = -1.0
@@ -140,7 +140,7 @@ def _limit(rays, slabs):
     return most
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@inner(fastmath=FAST)
 def _enter(boxes, node, slabs, face, width):
     """From where on a packet may be in each child of a node; FARTHEST: nowhere."""
     for c in range(12):
@@ -164,7 +164,7 @@ def _enter(boxes, node, slabs, face, width):
     return one, other
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@inner(fastmath=FAST, error_model="numpy")
 def _test_triangle(shapes, s, face, rays, after):
     """Keep triangle s where it is hit first, beyond `after`; of two at the same range, the first in the tree."""
     k = face & 3
@@ -200,7 +200,7 @@ def _test_triangle(shapes, s, face, rays, after):
     return found
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _round(shapes, kind, s, ox, oy, oz, dx, dy, dz):
     """How far a sphere or cylinder is."""
     x, y, z = ox - shapes[9 * s], oy - shapes[9 * s + 1], oz - shapes[9 * s + 2]
@@ -220,7 +220,7 @@ def ray_of(rays, n, face):
     return rays[OZ + n], rays[OX + n], rays[OY + n], rays[DZ + n], rays[DX + n], rays[DY + n]
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _test_round(shapes, kind, s, face, rays, after):
     """Keep a sphere or a cylinder where it is hit first."""
     found = False
@@ -232,7 +232,7 @@ def _test_round(shapes, kind, s, face, rays, after):
     return found
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@inner(fastmath=FAST)
 def trace(tree, packet, face, any_hit):
     """Keep what a packet's rays hit first of a tree, where that is nearer than RANGE says.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.world.bvh import INSTANCE, Tree, build
 from lidarcfg.world.motion_kernels import Paths, back, column, poses, times
 from lidarcfg.world.tracer_kernels import (
@@ -120,7 +120,7 @@ def _test_instance(dynamic, p, packet, moved, seconds, first, count, face, first
             rays[RANGE + n], rays[SLOT + n] = range_m, found + first_slot
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(error_model="numpy")
 def hit(ground_m, static, packet, face, limit_m):
     """Find what a loaded packet's rays hit of the ground and a tree within a limit."""
     rays = packet.rays
@@ -146,7 +146,7 @@ def hit_dynamic(dynamic, moving, packet, moved, seconds, first, count, face, fir
         _test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot)
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def keep(rays, rows, first, count, range_m, slot):
     """Write what a packet's rays hit to rows (N,) from `first` on."""
     for n in range(count):
