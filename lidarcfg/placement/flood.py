@@ -116,13 +116,13 @@ def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array) -> None:
 
 
 @njit(inline="always")
-def _inside(x: Array, ys: Array, zs: Array, row: int, gaps: Array, squares: Array) -> np.uint64:
-    """The centres of a row in each of some gaps; see _bound."""
+def _inside(x: Array, ys: Array, zs: Array, row: int, gaps: Array, lidars: int, squares: Array) -> np.uint64:
+    """The centres of a row in the first `lidars` of some gaps; see _bound."""
     word = ALL
     step_y = x.size // 64
     step_z = step_y * (ys.size + 2)
     first, y, z = row % step_y << 6, ys[row % step_z // step_y - 1], zs[row // step_z - 1]
-    for n in range(len(gaps)):
+    for n in range(lidars):
         square_up(x, first, y, z, gaps, n, squares)
         word &= at_or_above(gaps[n, FIRST], squares) & ~at_or_above(gaps[n, FIRST + 1], squares)
     return word
@@ -152,15 +152,15 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
     """
     links, left, stack, reached, counts = walls.links, floods.left, floods.stack, floods.reached, floods.counts
     known, inside, squares, x, ys, zs = floods.known, floods.inside, floods.squares, grid.x, grid.y, grid.z
-    gaps = floods.gaps[: walls.moved.size]
+    gaps, lidars = floods.gaps, walls.moved.size
     step_y, step_z = steps(grid)
     sides = 4 if step_y == 1 else 6
-    lazily = walls.moved.size > 0
+    lazily = lidars > 0
     cuboids = faces_x = faces_y = faces_z = computed = step = most = fullest = 0
     row = cuboid >> 6
     if lazily:
         _bound(grid, walls, cuboid, gaps)
-        known[row], inside[row], computed = stamp, _inside(x, ys, zs, row, gaps, squares), 1
+        known[row], inside[row], computed = stamp, _inside(x, ys, zs, row, gaps, lidars, squares), 1
     stack[0, 0], stack[0, 1] = row, BIT[cuboid & 63]
     top = 1
     while top > 0:
@@ -187,7 +187,12 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
                 continue
             if lazily:
                 if known[other] != stamp:
-                    known[other], inside[other] = stamp, _inside(x, ys, zs, other, gaps, squares)
+                    known[other], inside[other] = stamp, ALL  # _inside, whose arguments numba would count each time
+                    first, y, z = other % step_y << 6, ys[other % step_z // step_y - 1], zs[other // step_z - 1]
+                    for n in range(lidars):
+                        square_up(x, first, y, z, gaps, n, squares)
+                        inside[other] &= at_or_above(gaps[n, FIRST], squares)
+                        inside[other] &= ~at_or_above(gaps[n, FIRST + 1], squares)
                     computed += 1
                 word &= inside[other]
             if side == 0:
