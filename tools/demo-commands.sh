@@ -36,7 +36,7 @@ table.add_row("max VSR, optimised rig", f"{result['max_vsr_m']:.4f} m")
 table.add_row("evaluations", f"{result['evaluations']:,}")
 table.add_row("seconds", f"{result['seconds']:.1f}")
 table.add_row("packets", f"{sum(1 for _ in read_datagrams(out / 'capture.pcap', print)):,}")
-table.add_row("points", f"{len(load_cloud(out / 'cloud.ply').xyz):,}")
+table.add_row("points", f"{len(load_cloud(out / 'cloud.ply', print).xyz):,}")
 for what, name in (
     ("report", "report.html"),
     ("rig", "rig.yaml"),
