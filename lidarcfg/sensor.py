@@ -82,6 +82,7 @@ class Range(Model):
     source: str
     min_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
     max_m: Metres
+    at_10_percent_m: Metres | None = None  # the greatest to a target that reflects 10 %; informative
     resolution_m: Annotated[float, Field(ge=1e-6, le=1e3)]  # one unit on the wire
     accuracy_m: Metres  # typical
 
@@ -144,6 +145,9 @@ class Sensor(Model):
     def _check(self) -> "Sensor":
         if self.range and self.range.min_m >= self.range.max_m:
             raise fault(f"{self.range.min_m} is not below max_m", "range", "min_m")
+        if self.range and self.range.at_10_percent_m and self.range.at_10_percent_m > self.range.max_m:
+            what = f"{self.range.at_10_percent_m:g} is above max_m, {self.range.max_m:g}"
+            raise fault(what, "range", "at_10_percent_m")
         if self.rotation and self.rotation.rpm_min > self.rotation.rpm_max:
             raise fault(f"{self.rotation.rpm_min:g} is above rpm_max, {self.rotation.rpm_max:g}", "rotation", "rpm_min")
         return self

@@ -119,6 +119,7 @@ def test_rings_of_a_placement_sensor_do_not_wrap():
         ),
         ("rate_hz: 147", "rate_hz: 0", "velodyne.position_packet.rate_hz: 0 is too small; allowed: above 0"),
         ("min_m: 0.5", "min_m: 100", "range.min_m: 100.0 is not below max_m"),
+        ("max_m: 100", "max_m: 100\n  at_10_percent_m: 100.5", "range.at_10_percent_m: 100.5 is above max_m, 100"),
         ("product_id: 0x22", "product_id: 256", "velodyne.packet.product_id: 256 is too large; allowed: at most 255"),
     ],
 )
