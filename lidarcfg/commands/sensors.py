@@ -1,9 +1,11 @@
 """lidarcfg sensors: the catalogue of models."""
 
+from pathlib import Path
+
 import click
 import cloup
 
-from lidarcfg.commands.options import complete_model, quiet_option
+from lidarcfg.commands.options import FILE, complete_model, quiet_option
 
 
 @cloup.group(
@@ -38,15 +40,19 @@ def list_sensors(quiet: bool = False) -> None:
     \b
     Example:
       lidarcfg sensors show vlp-16
+      lidarcfg sensors show qt128 --png out/qt128.png
     """,
 )
 @cloup.argument("name", metavar="MODEL", shell_complete=complete_model, help="A name from the list, or a YAML file.")
+@cloup.option("--png", type=FILE, help="Draw the beam table: elevations, azimuth offsets, firing times.")
 @quiet_option
-def show_sensor(name: str, quiet: bool) -> None:
+def show_sensor(name: str, png: Path | None, quiet: bool) -> None:
     """Show a model: beam table, timing and packet facts with their sources."""
     from lidarcfg import report
     from lidarcfg.sensor import load_sensor
 
     sensor = load_sensor(name)
+    if png:
+        report.save_figure(report.draw_sensor(sensor), png)
     if not quiet:
         report.print_sensor(sensor)

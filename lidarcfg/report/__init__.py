@@ -1,5 +1,6 @@
 """Results as JSON, files, tables, pictures and reports. It shows; `lidarcfg.placement` computes."""
 
+from lidarcfg.report.beams import draw_sensor
 from lidarcfg.report.comparison import check_count, comparison_dict, contenders, save_comparison
 from lidarcfg.report.document import Commands
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
@@ -32,6 +33,7 @@ __all__ = [
     "contenders",
     "draw_convergence",
     "draw_rig",
+    "draw_sensor",
     "evaluation_dict",
     "load_log",
     "new_figure",

@@ -1,0 +1,48 @@
+"""The picture of a beam table: what is drawn is what the file and the manuals say."""
+
+import matplotlib.image
+import numpy as np
+import pytest
+import yaml
+
+from lidarcfg.report import draw_sensor
+from lidarcfg.sensor import catalogue, load_sensor
+from tests.command_line import lidarcfg
+
+FIRES_US = {  # by laser, as the manuals' formulas and tables have it; counted from the first one or from the stamp
+    "vlp-16": 2.304 * np.arange(16),
+    "pandar-xt32": 1.512 * np.arange(32),
+    "helios-32": 1.73 * np.arange(32),
+    "os1-64": np.zeros(64),
+}
+
+
+def drawn(name):
+    """What each panel shows: (across, elevations), or None where it says that there is nothing to show."""
+    figure = draw_sensor(load_sensor(name))
+    return [axes.lines[0].get_data() if axes.lines else None for axes in figure.axes]
+
+
+@pytest.mark.parametrize("name", catalogue())
+def test_each_sensor_of_the_catalogue(name):
+    """Each laser stands at its place in the file, in all panels; times where the file names a codec."""
+    beams = yaml.safe_load(catalogue()[name].read_text())["beams"]
+    by_laser, by_azimuth, by_time = drawn(name)
+    np.testing.assert_array_equal(by_laser[0], np.arange(len(beams["elevation_deg"])))
+    for _, elevation in filter(None, (by_laser, by_azimuth, by_time)):
+        np.testing.assert_array_equal(elevation, beams["elevation_deg"])
+    np.testing.assert_allclose(by_azimuth[0], beams.get("azimuth_offset_deg", np.zeros(len(by_azimuth[0]))), atol=1e-9)
+    assert (by_time is None) == (load_sensor(name).codec is None)
+
+
+@pytest.mark.parametrize("name", FIRES_US)
+def test_firing_times_of_the_manuals(name):
+    across, _ = drawn(name)[2]
+    np.testing.assert_allclose(across - across[0], FIRES_US[name], atol=1e-9)
+
+
+def test_the_command_writes_a_picture(tmp_path):
+    lidarcfg("sensors", "show", "qt128", "--png", tmp_path / "a.png", "--quiet")
+    picture = matplotlib.image.imread(tmp_path / "a.png")
+    assert picture.shape[:2] == (780, 1560)
+    assert 0.001 < (picture[..., :3].mean(axis=2) < 0.9).mean() < 0.2  # marks and letters on white
