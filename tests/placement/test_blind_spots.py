@@ -1,0 +1,165 @@
+"""Blind spots against similar triangles, areas by hand and plain loops."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lidarcfg.placement.blind_spots import (
+    AZIMUTHS,
+    BISECTIONS,
+    STEP_M,
+    contour,
+    directions,
+    farthest,
+    fraction_below,
+    largest_m,
+    outline_m,
+    seen_by_m3,
+)
+from lidarcfg.placement.region import Region
+from tests.naive import blind_spots as naive
+
+REGION = Region.from_boxes((-30, -20, 0), (30, 20, 4), (1, 1, 0.5))
+FINE = STEP_M / 2**BISECTIONS
+CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+FACES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+SIDES = np.array([(a, *two) for a, b, c, d in FACES for two in ((b, c), (c, d))])
+
+
+def box(low, high):
+    """Vertices (8, 3) and triangles (12, 3)."""
+    return np.array(low) + CORNERS * (np.array(high) - low), SIDES
+
+
+def behind(origin, low, high):
+    """Which points a box hides from an origin: the slab method, as on paper."""
+
+    def seen(points):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = (np.stack([low, high])[:, None] - np.array(origin)) / (points - np.array(origin))
+        enter, leave = np.fmin(*ends).max(axis=1), np.fmax(*ends).min(axis=1)
+        return ~((enter < leave) & (enter < 1) & (leave > 0))
+
+    return seen
+
+
+def test_the_volumes_by_number_of_lidars_add_up_to_the_region():
+    region = Region.from_boxes((0, 0, 0), (3, 2, 1), (1, 1, 0.5), (((2, 0, 0), (3, 1, 1)),))
+    seen_by = np.zeros(region.shape, np.uint8)
+    seen_by[0], seen_by[1, 0] = 2, 1
+    # 10 cuboids of 0.5 m³ count: 4 seen by two, 2 by one, 4 by none
+    assert seen_by_m3(region, seen_by, 3).tolist() == [2.0, 1.0, 2.0, 0.0]
+    assert fraction_below(region, seen_by, 1) == 0.4
+    assert fraction_below(region, seen_by, 2) == 0.6
+
+
+def test_the_outline_of_a_box_from_a_point_inside():
+    vertices, triangles = box((-2, -1, 0.2), (2, 1, 1.5))
+    found = outline_m(np.array([0.5, 0.0]), vertices, triangles)
+    assert found[[0, 90, 180, 270]] == pytest.approx([1.5, 1, 2.5, 1])
+    for k in range(AZIMUTHS):
+        a = math.radians(k)
+        reach = min(
+            (1.5 if math.cos(a) > 0 else 2.5) / max(abs(math.cos(a)), 1e-300), 1 / max(abs(math.sin(a)), 1e-300)
+        )
+        assert found[k] == pytest.approx(reach, rel=1e-12), k
+
+
+def test_the_outline_of_any_triangles_is_the_plain_loops():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        vertices = rng.normal(size=(9, 3)) + np.array([rng.uniform(0, 3), 0, 0])
+        triangles = rng.integers(0, 9, (6, 3))
+        found = outline_m(np.array([0.1, 0.2]), vertices, triangles)
+        for k in range(0, AZIMUTHS, 7):
+            expected = naive.outline((0.1, 0.2), vertices[triangles].tolist(), math.radians(k))
+            assert found[k] == pytest.approx(expected, abs=1e-9), k
+
+
+@pytest.mark.parametrize("height_m", [0.25, 0.5, 1.0])
+def test_a_roof_sensor_by_similar_triangles(height_m):
+    """Half a metre above a roof 1.5 m high, the edge at r hides the level h out to r (2 − h) / 0.5."""
+    vertices, triangles = box((-2, -1, 0), (2, 1, 1.5))
+    around = directions(REGION, np.zeros(2), outline_m(np.zeros(2), vertices, triangles), height_m)
+    found = contour(around, behind((0, 0, 2), (-2, -1, 0), (2, 1, 1.5)))
+    expected = around.outline_m * ((2 - height_m) / 0.5 - 1)
+    assert found.distance_m == pytest.approx(expected, abs=1.001 * FINE)
+    assert (found.distance_m >= expected - 1e-9).all()
+    assert not found.reaches_edge.any()
+    assert found.largest_m == pytest.approx(expected.max(), abs=1.001 * FINE)
+    assert found.largest_at_deg in (26, 27, 153, 154, 206, 207, 333, 334)  # next to a corner
+    scale = ((2 - height_m) / 0.5) ** 2 - 1
+    assert found.area_m2 == pytest.approx(8 * scale, rel=2e-3)  # the body's outline is 8 m²
+
+
+def test_nothing_hidden_and_everything_hidden():
+    around = directions(REGION, np.zeros(2), np.zeros(AZIMUTHS), 0.5)
+    clear = contour(around, lambda points: np.ones(len(points), bool))
+    assert (clear.distance_m == 0).all()
+    assert (clear.largest_m, clear.area_m2) == (0, 0)
+    dark = contour(around, lambda points: np.zeros(len(points), bool))
+    assert dark.distance_m[[0, 90, 180, 270]] == pytest.approx([30, 20, 30, 20])
+    assert dark.reaches_edge.all()
+    assert dark.area_m2 == pytest.approx(60 * 40, rel=1e-3)
+
+
+def test_a_gap_far_out_counts_and_what_is_excluded_does_not():
+    region = Region.from_boxes((-10, -10, 0), (10, 10, 2), (1, 1, 1), (((6, -1, 0), (10, 1, 2)),))
+    around = directions(region, np.zeros(2), np.zeros(AZIMUTHS), 0.5)
+    found = contour(around, lambda points: (abs(points[:, 0]) < 4) | (abs(points[:, 0]) > 4.5))
+    assert found.distance_m[[0, 180]] == pytest.approx(
+        [4.5, 4.5], abs=1.001 * FINE
+    )  # 4 to 4.5 m is blind, what is beyond is not
+    beyond = contour(around, lambda points: points[:, 0] < 5.0)
+    assert beyond.distance_m[0] == pytest.approx(6.0, abs=1.001 * FINE)
+    assert beyond.reaches_edge[30]
+    assert beyond.distance_m[180] == 0
+
+
+def test_a_reference_point_beside_the_region():
+    around = directions(REGION, np.array([40.0, 0.0]), np.zeros(AZIMUTHS), 0.5)
+    found = contour(around, lambda points: points[:, 0] < 25)
+    assert np.isnan(found.distance_m[[0, 90, 270]]).all()
+    assert found.distance_m[180] == pytest.approx(15, abs=1.001 * FINE)  # x = 30 to 25 is blind
+
+
+def random_box(rng):
+    low = rng.uniform((-3, -2, 0), (0, 0, 0.5))
+    return low, low + rng.uniform((1, 1, 0.3), (4, 3, 1.5))
+
+
+def test_any_box_is_the_plain_loops():
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        (low, high), origin = random_box(rng), rng.uniform((-4, -3, 0.2), (4, 3, 3))
+        vertices, triangles = box(low, high)
+        center = (low + high)[:2] / 2
+        around = directions(REGION, center, outline_m(center, vertices, triangles), 0.5)
+        found = contour(around, behind(origin, low, high))
+        corners, eye = vertices[triangles].tolist(), origin.tolist()
+
+        def hidden(point, eye=eye, corners=corners):
+            return any(naive.crosses(eye, point, one) for one in corners)
+
+        for k in range(3, AZIMUTHS, 40):
+            expected = naive.distance(
+                center, math.radians(k), 0.5, around.start_m[k], around.end_m[k], around.step_m, hidden
+            )
+            assert found.distance_m[k] == pytest.approx(expected, abs=2 * FINE), k
+
+
+def test_the_largest_distance_is_the_contours_and_ends_early_only_above_the_limit():
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        (low, high), origin = random_box(rng), rng.uniform((-4, -3, 0.2), (4, 3, 3))
+        seen = behind(origin, low, high)
+        center = (low + high)[:2] / 2
+        around = directions(REGION, center, outline_m(center, *box(low, high)), 0.5)
+        order = farthest(around)
+        value, point = largest_m(around, order, seen)
+        assert value == contour(around, seen).largest_m
+        for limit in (0.0, value / 2, value, np.nextafter(value, 99), value + 1):
+            for first in (None, np.array([point]), np.array([0, 500, 900])):
+                early, _ = largest_m(around, order, seen, limit, first)
+                assert early == value or limit <= early <= value
