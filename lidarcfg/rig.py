@@ -19,7 +19,7 @@ from lidarcfg.sensor import Elevations, Port, Sensor, catalogue, custom_sensor, 
 
 Azimuth = Annotated[float, Field(ge=0, le=360)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
-ReturnMode = Literal["strongest", "last", "dual"]
+ReturnMode = Literal["strongest", "last", "first", "dual"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
 DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # where neither rig nor sensor says others

@@ -46,9 +46,10 @@ class SubRays:
 
 @dataclass(frozen=True)
 class Echoes:
-    """Echoes of N firings, (N, R): the reported ones, or the three candidates.
+    """Echoes of N firings, (N, R): the reported ones, or the four candidates.
 
-    The candidates: the strongest; the strongest again, or the second strongest if the strongest is the last; the last.
+    The candidates: the strongest; the strongest again, or the second strongest if the strongest is the last; the last;
+    the first.
     """
 
     range_m: Array  # exact; inf: none
@@ -58,7 +59,7 @@ class Echoes:
 
     def reported(self, return_mode: str) -> "Echoes":
         """The echoes that a return mode reports: (N, 1), or for dual returns (N, 2)."""
-        columns = {"strongest": [0], "last": [2], "dual": [1, 2]}[return_mode]
+        columns = {"strongest": [0], "last": [2], "first": [3], "dual": [1, 2]}[return_mode]
         return Echoes(*(values[:, columns] for values in vars(self).values()))
 
 
@@ -109,7 +110,7 @@ def echoes(
     weights: Array,
     hits: SubRays,
 ) -> Echoes:
-    """All three candidates (N, 3) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
+    """All four candidates (N, 4) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
     count, alpha, objects = len(hits.range_m), extinction_per_m(weather), hits.object
     range_m = np.where(hits.range_m <= sensor.range.max_m, hits.range_m, np.inf)
@@ -191,7 +192,8 @@ def _clusters(
     last = np.where(seen.any(axis=1), last, strongest)
     second = ranked[:, min(1, kinds - 1)]
     other = np.where((strongest == last) & (seen.sum(axis=1) > 1), second, strongest)
-    return _picked(np.stack([strongest, other, last], axis=1), mean, shine, owner)
+    first = np.where(seen.any(axis=1), np.argmax(seen, axis=1), strongest)
+    return _picked(np.stack([strongest, other, last, first], axis=1), mean, shine, owner)
 
 
 def _picked(which: NDArray[np.intp], mean: Array, shine: Array, owner: NDArray[np.int32]) -> Echoes:

@@ -20,7 +20,7 @@ RECORD = np.dtype(
         ("sensor", "<u2"),  # index into sensor_names
         ("time_ns", "<i8"),  # of the firing, exact
         ("laser", "u1"),
-        ("return_type", "u1"),  # 0 strongest, 1 last; an identical pair is one return, 0
+        ("return_type", "u1"),  # 0 strongest, 1 last, 3 first; an identical pair is one return, 0
         ("object", "<i4"),  # index into object_names; -1: rain or fog
         ("range_m", "<f8"),  # exact, along the beam
         ("noise_m", "<f8"),  # added to it before it was rounded
@@ -28,6 +28,7 @@ RECORD = np.dtype(
 )
 
 RECORDS = 1 << 16  # at a time
+SINGLE = {"strongest": 0, "last": 1, "first": 3}  # types of single returns
 
 
 def records(sensor_index: int, return_mode: str, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
@@ -36,7 +37,7 @@ def records(sensor_index: int, return_mode: str, fired: Firings, found: Echoes, 
     out = np.empty(len(firing), RECORD)
     out["sensor"] = sensor_index
     out["time_ns"], out["laser"] = fired.time_ns[firing], fired.laser[firing]
-    out["return_type"] = which if sent.shape[1] == 2 else int(return_mode == "last")
+    out["return_type"] = which if sent.shape[1] == 2 else SINGLE[return_mode]
     for key in ("object", "range_m", "noise_m"):
         out[key] = getattr(found, key)[firing, which]
     return out

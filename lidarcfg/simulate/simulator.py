@@ -69,8 +69,8 @@ class Simulator:
         if self._exact:
             return single(range_m, reflectivity, objects, mount.return_mode), counts
         sub_rays = SubRays(range_m, reflectivity, objects, found.cosine.reshape(count, width))
-        all_three = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, sub_rays)
-        return all_three.reported(mount.return_mode), counts
+        candidates = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, sub_rays)
+        return candidates.reported(mount.return_mode), counts
 
     def _check_span(self, first_ns: int, last_ns: int) -> None:
         """Raises ConfigError unless vehicle and dynamic objects have poses from the first time to the last."""

@@ -8,12 +8,17 @@ import numpy as np
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Flags, Returns, Times
 from lidarcfg.packets.hesai import decode_kernels as kernels
-from lidarcfg.packets.hesai.decode_kernels import FIRST, LAST, STRONGEST
+from lidarcfg.packets.hesai.decode_kernels import BY_BLOCK, FIRST, LAST, STRONGEST
 from lidarcfg.packets.hesai.facts import Unit, read_only
 from lidarcfg.packets.hesai.layout import MODES, Packets, is_dual, time_ns_of
 
 SINGLE = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
-PAIR = {0x39: (STRONGEST, LAST), 0x3B: (FIRST, LAST), 0x3C: (FIRST, STRONGEST)}  # the nearer return, the farther
+PAIR = {  # the nearer return, the farther
+    0x39: (STRONGEST, LAST),
+    0x3B: (FIRST, LAST),
+    0x3C: (FIRST, STRONGEST),
+    0x3E: (BY_BLOCK, BY_BLOCK),  # the strongest stands in the even block
+}
 
 
 def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True) -> Returns:

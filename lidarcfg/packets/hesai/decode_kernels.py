@@ -12,7 +12,7 @@ from lidarcfg.jit import njit
 
 RADIANS = math.pi / 18000
 STRONGEST, LAST, SECOND_STRONGEST, FIRST = range(4)  # types of returns, as `Returns` has them
-NONE = 255
+BY_BLOCK, NONE = 254, 255
 
 Counts = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
@@ -122,7 +122,9 @@ def _pair(
         else:
             nearer = distance[k] < other[k] or (distance[k] == other[k] and odd == 1)
             kind[k] = near if nearer else far
-            if kind[k] == STRONGEST and reflectivity[k] < strength[k]:
+            if kind[k] == BY_BLOCK:
+                kind[k] = SECOND_STRONGEST if odd else STRONGEST
+            elif kind[k] == STRONGEST and reflectivity[k] < strength[k]:
                 kind[k] = SECOND_STRONGEST
 
 

@@ -42,17 +42,18 @@ RESERVED = {"6.1": 0, "3.2": 3}  # of the header, as recorded
 FACTORY = 0x42
 FIRST_LAST = 1  # the header's first return with dual returns, as recorded; the manuals call it reserved
 
-STRONGEST, LAST, DUAL = 0x37, 0x38, 0x39
-WRITTEN = {"strongest": STRONGEST, "last": LAST, "dual": DUAL}
+FIRST, STRONGEST, LAST, DUAL = 0x33, 0x37, 0x38, 0x39
+WRITTEN = {"first": FIRST, "strongest": STRONGEST, "last": LAST, "dual": DUAL}
 MODES = {  # the return mode byte, as the manuals have it
-    0x33: "first",
+    FIRST: "first",
     STRONGEST: "strongest",
     LAST: "last",
     DUAL: "last and strongest",
     0x3B: "first and last",
     0x3C: "first and strongest",
+    0x3E: "strongest and second strongest",
 }
-DUAL_MODES = (DUAL, 0x3B, 0x3C)
+DUAL_MODES = (DUAL, 0x3B, 0x3C, 0x3E)
 
 REVOLUTION = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000

@@ -147,8 +147,8 @@ def unit(sensor: Sensor) -> Unit:
 def mode(sensor: Sensor, mount: "Mount") -> Mode:
     """How a mount's sensor sends. Raises ConfigError for what it cannot."""
     settings = mount.settings.checked(Settings)
-    if mount.return_mode == "last":
-        raise ConfigError("return_mode: 'last' is not allowed; an Ouster sends the strongest, or dual")
+    if mount.return_mode not in ("strongest", "dual"):
+        raise ConfigError(f"return_mode: {mount.return_mode!r} is not allowed; an Ouster sends the strongest, or dual")
     dual = mount.return_mode == "dual"
     name = settings.profile or (DUAL if dual else SINGLE)
     if (PROFILES[name].returns == 2) != dual:

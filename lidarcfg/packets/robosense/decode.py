@@ -11,6 +11,8 @@ from lidarcfg.packets.robosense.facts import Unit
 from lidarcfg.packets.robosense.layout import packets_of, read_time_ns
 from lidarcfg.packets.robosense.slots import slots
 
+SINGLE = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
+
 
 @dataclass(frozen=True)
 class Reading:
@@ -41,9 +43,10 @@ def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
         np.empty((size, 3)), np.empty(size, np.int64), *(np.empty(size, np.uint8) for _ in range(4))
     )
     turning = azimuth, step, late_ns, stamp_ns
-    last = reading.return_mode == "last"
     unit_m = unit.range.resolution_m
-    found = kernels.points(data, wanted, turning, layout, _lasers(reading), group_ns, unit_m, last, columns)
+    found = kernels.points(
+        data, wanted, turning, layout, _lasers(reading), group_ns, unit_m, SINGLE[reading.return_mode], columns
+    )
     none = np.empty(0)
     kept = columns._asdict()
     return Returns(kept.pop("xyz")[:found], none, none, **{key: column[:found] for key, column in kept.items()})

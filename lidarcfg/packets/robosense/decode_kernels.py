@@ -116,13 +116,13 @@ def points(
     lasers: Lasers,
     group_ns: int,
     unit_m: float,
-    last: bool,
+    single: int,
     out: Columns,
 ) -> int:
     """Fill in one entry a return of the packets that are wanted (P,), in their order; returns how many.
 
     `turning` is azimuth and step (P, G) in hundredths, how late (P, G), and the packets' stamps (P,). Single returns
-    are the last ones if `last`. An identical pair is one return, the strongest.
+    are of type `single`. An identical pair is one return, the strongest.
     """
     azimuth, step, late_ns, stamp_ns = turning
     width = len(slots.at)
@@ -144,7 +144,7 @@ def points(
                 raw, strength = packet[at] << 8 | packet[at + 1], packet[at + 2]
                 if raw == 0:
                     continue
-                kind = np.uint8(last)
+                kind = np.uint8(single)
                 if slots.other[k]:
                     there = at + slots.other[k]
                     raw_there, strength_there = packet[there] << 8 | packet[there + 1], packet[there + 2]

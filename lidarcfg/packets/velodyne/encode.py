@@ -91,6 +91,8 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
 
 def check_encodable(unit: Unit, return_mode: str) -> None:
     """Raises ConfigError unless packets can say the sensor's returns in this mode, and its calibration."""
+    if return_mode == "first":
+        raise ConfigError("return_mode: 'first' is not allowed; a Velodyne sends the strongest, the last, or dual")
     if return_mode == "dual" and unit.packet.dual is None:
         raise ConfigError(f"sensor {unit.name!r} has no dual returns")
     if unit.packet.status:

@@ -55,7 +55,7 @@ def capture(of, path, packets, keep=lambda payloads: slice(None)):
     return (*firings, laser, *columns, sent, payload)
 
 
-@pytest.mark.parametrize("mode", ["strongest", "last", "dual"])
+@pytest.mark.parametrize("mode", ["strongest", "last", "first", "dual"])
 @pytest.mark.parametrize("model", MODELS)
 def test_each_return_comes_back(model, mode, tmp_path):
     """Range within half a unit, direction within half a hundredth of a degree, the rest exactly."""
@@ -65,11 +65,13 @@ def test_each_return_comes_back(model, mode, tmp_path):
     n, column = np.nonzero(sent)
     assert len(cloud.xyz) == len(n) > 0.4 * len(time_ns)
     order = np.lexsort((column, laser[n], time_ns[n]))
-    ring, kinds = of.sensor.ring[laser[n]], column if mode == "dual" else np.full(len(n), mode == "last")
+    ring, single = of.sensor.ring[laser[n]], {"strongest": 0, "last": 1, "first": 3}
+    kinds = column if mode == "dual" else np.full(len(n), single[mode])
     theirs = np.lexsort((cloud.return_type == 1, np.argsort(of.sensor.ring)[cloud.ring], cloud.time_ns))
     np.testing.assert_allclose(cloud.time_ns[theirs], time_ns[n][order], atol=500)
     np.testing.assert_array_equal(cloud.ring[theirs], ring[order])
-    np.testing.assert_array_equal(cloud.return_type[theirs] == 1, kinds[order])
+    found = np.where(cloud.return_type == 2, 0, cloud.return_type)  # the second strongest stands for the strongest
+    np.testing.assert_array_equal(found[theirs], kinds[order])
     np.testing.assert_array_equal(cloud.intensity[theirs], reflectivity[n, column][order])
     truth_m = range_m[n, column][order]
     found_m = np.linalg.norm(cloud.xyz[theirs], axis=1)
@@ -115,6 +117,26 @@ def test_stamps_sequence_speed_and_times(model, mode, tmp_path):
         step_us, rows = {"pandar-xt32": (1.512, 32), "pandar-xt16": (3.024, 16), "xt32m2x": (2.888, 16)}[model]
         wanted = 5.632 - 50 * last[:, None] + 0.368 + step_us * (np.arange(lasers) % rows)
         assert abs(fired_us - wanted).max() < 1e-3
+
+
+def test_the_second_strongest_stands_in_the_odd_block(tmp_path):
+    """Return mode 0x3E, by the QT128C2X manual, section 3.1: block 1 the strongest, block 2 the second strongest."""
+    of, path = mount("qt128", "dual"), tmp_path / "drive.pcap"
+
+    def renamed(payloads: Payloads):
+        payloads.data[:, 1073] = 0x3E
+        return slice(None)
+
+    payload = capture(of, path, 60, renamed)[-1]
+    payload[:, 1073] = 0x3E
+    stats = []
+    cloud = concatenate(list(decode_pcap(path, no_warning, on_stats=stats.append)))
+    assert stats[0].return_modes == ("strongest and second strongest",)
+    table = [*zip(of.sensor.beams.elevation_deg, of.sensor.beams.azimuth_offset_deg, strict=True)]
+    expected = [point for one in payload for point in naive.points(one.tobytes(), table)]
+    np.testing.assert_allclose(cloud.xyz, [point[:3] for point in expected], atol=1e-9)
+    np.testing.assert_array_equal(cloud.return_type, [2 * point[5] for point in expected])
+    assert set(cloud.return_type.tolist()) == {0, 2}
 
 
 def test_checksums_and_the_rolling_counter(tmp_path):

@@ -282,6 +282,7 @@ def test_inertial_measurements_on_an_arc(tmp_path, street):
         ("return_mode: dual, ouster: {profile: LEGACY}", r"ouster\.profile: LEGACY needs return_mode: strongest"),
         ("return_mode: dual, ouster: {profile: FUSA_RNG15_RFL8_NIR8_DUAL}", r'needs firmware: "3\.2"'),
         ("return_mode: last", "'last' is not allowed; an Ouster sends the strongest, or dual"),
+        ("return_mode: first", "'first' is not allowed; an Ouster sends the strongest, or dual"),
         ("rpm: 900", "rpm: 900 is not allowed; an Ouster turns at 600 or 1200"),
         ("rpm: 1200, ouster: {columns: 2048}", r"ouster\.columns: 2048 needs rpm: 600"),
         ("ouster: {firmware: 2.3}", r"ouster\.firmware: 2\.3 is not allowed; allowed: '2\.3' or '3\.2'"),

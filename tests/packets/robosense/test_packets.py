@@ -59,7 +59,7 @@ def patched(one, *patches):
     return Datagram(one.time_ns, one.host, one.source_port, one.port, bytes(data))
 
 
-@pytest.mark.parametrize("mode", ["strongest", "last", "dual"])
+@pytest.mark.parametrize("mode", ["strongest", "last", "first", "dual"])
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("fov", [None, (300, 60)])
 def test_there_and_back(tmp_path, model, mode, fov):

@@ -726,6 +726,10 @@ def test_what_a_sensor_does_not_do():
     fired = firings(sensor, 600, AT_NS, range(1), dual=True)
     with pytest.raises(ConfigError, match="'vlp-16' has no dual returns"):
         encode(none, "dual", fired, np.zeros((*fired.time_ns.shape, 2)), np.zeros((*fired.time_ns.shape, 2), np.uint8))
+    with pytest.raises(ConfigError, match="'first' is not allowed; a Velodyne sends the strongest, the last, or dual"):
+        encode(
+            sensor, "first", fired, np.zeros((*fired.time_ns.shape, 1)), np.zeros((*fired.time_ns.shape, 1), np.uint8)
+        )
 
 
 @pytest.mark.parametrize("name", OTHERS)
