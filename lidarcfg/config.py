@@ -38,7 +38,7 @@ NODES_MAX = 1_000_000  # beyond this it is an alias bomb, not a configuration
 class Model(BaseModel):
     """A part of a file: frozen, only known keys, exact types, finite numbers."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
     renamed: ClassVar[dict[str, str]] = {}  # keys of earlier versions → their new names
 
 

@@ -143,7 +143,7 @@ class _Capture:
     def _family(self, key: int, payload: bytes) -> type[Codec] | None:
         """Whose packets these are: of the sensor that is given, or of whichever family claims them."""
         given = self._given(key)[0]
-        families = [type(codec(given))] if given else [family(name) for name in FAMILIES]
+        families = [type(codec(given))] if given else map(family, FAMILIES)  # each loaded when it is its turn
         source = self._source(key)
         return next((one for one in families if one.claims(source, len(payload), payload)), None)
 

@@ -7,7 +7,7 @@ A family is a subclass of `Codec`, entered in `FAMILIES`. Outside `packets/` nob
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +67,8 @@ class Payloads:
     fragments: bool = True  # above the MTU they leave as IP fragments, else whole
 
 
-@dataclass(frozen=True)
-class Returns:
-    """What packets hold: one entry a return, in the order of the packets."""
+class Returns(NamedTuple):
+    """What packets hold: one entry a return, in the order of the packets. Kernels fill it in."""
 
     xyz_m: Array  # (N, 3) in the sensor frame
     range_m: Array  # (N,) along the beam, or empty
@@ -79,6 +78,17 @@ class Returns:
     ring: Octets  # (N,) 0 is the lowest beam
     intensity: Octets  # (N,)
     return_type: Octets  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
+
+    @classmethod
+    def room(cls, size: int, polar: bool = False) -> "Returns":
+        """For so many; without `polar`, ranges and azimuths are empty."""
+        few = size if polar else 0
+        octets = (np.empty(size, np.uint8) for _ in range(4))
+        return cls(np.empty((size, 3)), np.empty(few), np.empty(few), np.empty(size, np.int64), *octets)
+
+    def first(self, count: int) -> "Returns":
+        """The first so many."""
+        return Returns._make(column[:count] for column in self)
 
 
 @dataclass(frozen=True)

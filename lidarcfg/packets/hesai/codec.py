@@ -5,14 +5,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Known, Octets, Pace, Payloads, Returns, Source, Tally, Times
-from lidarcfg.packets.hesai import corrections
-from lidarcfg.packets.hesai.decode import check, decode, device_time_ns
+from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
 from lidarcfg.packets.hesai.facts import Settings, Unit, unit
-from lidarcfg.packets.hesai.layout import encoder_rad, octets_of
-from lidarcfg.packets.hesai.losses import Losses
+from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.recognise import check_size, claims, identify
 from lidarcfg.sensor import Sensor
 
@@ -67,6 +63,8 @@ class Hesai:
 
     def companions(self, mount: "Mount") -> Mapping[str, bytes]:
         """The angle correction file."""
+        from lidarcfg.packets.hesai import corrections
+
         return corrections.written(self.unit, mount)
 
     @classmethod
@@ -79,8 +77,11 @@ class Hesai:
         """See `Codec`."""
         return identify(source.where, packets, _units(known)).sensor
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> "HesaiDecoder":
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
         """See `Codec`."""
+        from lidarcfg.packets.hesai import corrections
+        from lidarcfg.packets.hesai.decode import HesaiDecoder
+
         check_size(source.where, self.unit, packets)
         beams = corrections.found(source, self.unit.count)
         if beams is None:
@@ -94,45 +95,6 @@ class Hesai:
         """See `Codec`; of a laser that rests in the first loop, in the second."""
         fires, offset_ns = self.unit.fires, self.unit.offset_ns
         return np.asarray(np.where(fires[0], offset_ns[0], offset_ns[-1]))
-
-
-class HesaiDecoder:
-    """Packets of one Hesai sensor."""
-
-    def __init__(self, where: str, unit: Unit) -> None:
-        self._where, self._unit, self._losses = where, unit, Losses(unit)
-
-    @property
-    def period_ns(self) -> int:
-        """See `Decoder`."""
-        return self._unit.period_ns()
-
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """See `Decoder`."""
-        return device_time_ns(self._unit.packets_of(packets))
-
-    def heading_rad(self, packets: Octets) -> Array:
-        """See `Decoder`."""
-        return encoder_rad(self._unit.packets_of(packets)["blocks"]["azimuth"][:, 0])
-
-    def check(self, packets: Octets) -> None:
-        """See `Decoder`."""
-        try:
-            check(self._unit, self._unit.packets_of(packets))
-        except PacketError as error:
-            raise PacketError(f"{self._where}: {error}") from None
-
-    def count(self, packets: Octets, wanted: Flags) -> None:
-        """See `Decoder`."""
-        self._losses.add(self._unit.packets_of(packets), wanted)
-
-    def tally(self) -> Tally:
-        """See `Decoder`."""
-        return Tally((self._unit.name,), self._losses.return_modes, self._losses.lost, self._losses.rpm)
-
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
-        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
 
 
 def _units(known: Known) -> Sequence[Unit]:

@@ -1,16 +1,18 @@
 """Points of packets."""
 
-from dataclasses import fields
 from functools import lru_cache
 
 import numpy as np
 
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.codec import Flags, Returns, Times
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Flags, Octets, Returns, Tally, Times
 from lidarcfg.packets.hesai import decode_kernels as kernels
 from lidarcfg.packets.hesai.decode_kernels import BY_BLOCK, FIRST, LAST, STRONGEST
-from lidarcfg.packets.hesai.facts import Unit, read_only
-from lidarcfg.packets.hesai.layout import MODES, Packets, is_dual, time_ns_of
+from lidarcfg.packets.hesai.facts import Unit
+from lidarcfg.packets.hesai.layout import MODES, Packets, device_time_ns, encoder_rad, is_dual
+from lidarcfg.packets.hesai.losses import Losses
+from lidarcfg.packets.unit import read_only
 
 SINGLE = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
 PAIR = {  # the nearer return, the farther
@@ -19,6 +21,41 @@ PAIR = {  # the nearer return, the farther
     0x3C: (FIRST, STRONGEST),
     0x3E: (BY_BLOCK, BY_BLOCK),  # the strongest stands in the even block
 }
+
+
+class HesaiDecoder:
+    """Packets of one Hesai sensor."""
+
+    def __init__(self, where: str, unit: Unit) -> None:
+        self._where, self._unit, self._losses = where, unit, Losses(unit)
+        self.period_ns = unit.period_ns()
+
+    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+        """See `Decoder`."""
+        return device_time_ns(self._unit.packets_of(packets))
+
+    def heading_rad(self, packets: Octets) -> Array:
+        """See `Decoder`."""
+        return encoder_rad(self._unit.packets_of(packets)["blocks"]["azimuth"][:, 0])
+
+    def check(self, packets: Octets) -> None:
+        """See `Decoder`."""
+        try:
+            check(self._unit, self._unit.packets_of(packets))
+        except PacketError as error:
+            raise PacketError(f"{self._where}: {error}") from None
+
+    def count(self, packets: Octets, wanted: Flags) -> None:
+        """See `Decoder`."""
+        self._losses.add(self._unit.packets_of(packets), wanted)
+
+    def tally(self) -> Tally:
+        """See `Decoder`."""
+        return Tally((self._unit.name,), self._losses.return_modes, self._losses.lost, self._losses.rpm)
+
+    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+        """See `Decoder`."""
+        return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
 
 
 def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: bool = True) -> Returns:
@@ -51,20 +88,8 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         near[modes],
         far[modes],
     )
-    size = kernels.count(distance, wanted)
-    out = Returns(
-        xyz_m=np.empty((size, 3)),
-        range_m=np.empty(size if polar else 0),
-        azimuth_rad=np.empty(size if polar else 0),
-        time_ns=np.empty(size, np.int64),
-        laser=np.empty(size, np.uint8),
-        ring=np.empty(size, np.uint8),
-        intensity=np.empty(size, np.uint8),
-        return_type=np.empty(size, np.uint8),
-    )
-    columns = kernels.Columns(*(getattr(out, field.name) for field in fields(out)))
-    found = kernels.points(wire, wanted, _tables(unit), columns)
-    return Returns(*(getattr(out, field.name)[:found] for field in fields(out)))
+    out = Returns.room(kernels.count(distance, wanted), polar)
+    return out.first(kernels.points(wire, wanted, _tables(unit), out))
 
 
 def check(unit: Unit, packets: Packets) -> None:
@@ -87,11 +112,6 @@ def check(unit: Unit, packets: Packets) -> None:
         raise PacketError(f"{unit.name}: return mode 0x{mode[unknown][0]:02X}; read are {allowed}")
     if (header["unit_mm"] == 0).any():
         raise PacketError(f"{unit.name}: a distance unit of 0 mm")
-
-
-def device_time_ns(packets: Packets) -> Times:
-    """(P,) the packets' stamps, UTC."""
-    return time_ns_of(packets["tail"]["date"], packets["tail"]["microseconds"])
 
 
 @lru_cache

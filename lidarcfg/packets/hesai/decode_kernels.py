@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
+from lidarcfg.packets.codec import Returns
 
 RADIANS = math.pi / 18000
 STRONGEST, LAST, SECOND_STRONGEST, FIRST = range(4)  # types of returns, as `Returns` has them
@@ -47,19 +48,6 @@ class Tables(NamedTuple):
     pair_ns: Counts  # (B / 2,) dual: when each pair starts
 
 
-class Columns(NamedTuple):
-    """What is filled in, one entry a return."""
-
-    xyz: Array  # (M, 3)
-    range_m: Array
-    azimuth_rad: Array
-    time_ns: Counts
-    laser: Bytes
-    ring: Bytes
-    intensity: Bytes
-    return_type: Bytes
-
-
 @njit(cache=True, nogil=True)
 def count(distance: Words, wanted: Flags) -> int:
     """How many slots hold a distance in the packets that are wanted: distance (P, B, L), wanted (P,)."""
@@ -73,7 +61,7 @@ def count(distance: Words, wanted: Flags) -> int:
 
 
 @njit(cache=True, nogil=True)
-def points(wire: Wire, wanted: Flags, tables: Tables, out: Columns) -> int:
+def points(wire: Wire, wanted: Flags, tables: Tables, out: Returns) -> int:
     """Fill in the returns of the packets that are wanted (P,), in their order; returns how many."""
     lasers, loops = wire.distance.shape[2], len(tables.offset_ns)
     kind = np.empty(lasers, np.uint8)
@@ -135,7 +123,7 @@ def _write(
     offset_ns: Counts,
     tables: Tables,
     total: int,
-    out: Columns,
+    out: Returns,
 ) -> int:
     """Fill in a block's returns: distances, reflectivities and types (L,); azimuth, unit in metres and start."""
     distance, reflectivity, kind = block
@@ -145,9 +133,9 @@ def _write(
         if kind[k] != NONE:
             range_m = distance[k] * unit_m
             flat = range_m * tables.cos_elevation[k]
-            out.xyz[total, 0] = flat * (sin_a * tables.cos_offset[k] + cos_a * tables.sin_offset[k])
-            out.xyz[total, 1] = flat * (cos_a * tables.cos_offset[k] - sin_a * tables.sin_offset[k])
-            out.xyz[total, 2] = range_m * tables.sin_elevation[k]
+            out.xyz_m[total, 0] = flat * (sin_a * tables.cos_offset[k] + cos_a * tables.sin_offset[k])
+            out.xyz_m[total, 1] = flat * (cos_a * tables.cos_offset[k] - sin_a * tables.sin_offset[k])
+            out.xyz_m[total, 2] = range_m * tables.sin_elevation[k]
             out.time_ns[total] = start_ns + offset_ns[k]
             out.laser[total], out.ring[total] = k, tables.ring[k]
             out.intensity[total], out.return_type[total] = reflectivity[k], kind[k]

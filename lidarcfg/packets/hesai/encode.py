@@ -7,7 +7,7 @@ import numpy as np
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets, Times
 from lidarcfg.packets.hesai import safety
-from lidarcfg.packets.hesai.facts import Unit, read_only
+from lidarcfg.packets.hesai.facts import Unit
 from lidarcfg.packets.hesai.layout import (
     DISTANCE_MAX,
     FACTORY,
@@ -21,6 +21,7 @@ from lidarcfg.packets.hesai.layout import (
     date_of,
 )
 from lidarcfg.packets.hesai.schedule import within
+from lidarcfg.packets.unit import read_only
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:

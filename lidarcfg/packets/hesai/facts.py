@@ -1,11 +1,9 @@
 """What a sensor's file says under `hesai`."""
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidarcfg.config import Model, fault
@@ -13,7 +11,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.packets.codec import Flags, Octets, Times
 from lidarcfg.packets.hesai.layout import Packets, Protocol, packet
 from lidarcfg.packets.network import Header, Network
-from lidarcfg.sensor import Byte, Range, Sensor
+from lidarcfg.packets.unit import AnyUnit
+from lidarcfg.sensor import Byte, Sensor
 
 Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
 Loop = tuple[Nanoseconds | None, ...]
@@ -65,34 +64,13 @@ class Settings(Model):
     """All that a rig's file says of a mount under `hesai`: nothing yet."""
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(AnyUnit[Facts]):
     """A sensor with the facts of its packets."""
-
-    sensor: Sensor
-    facts: Facts
-
-    @property
-    def name(self) -> str:
-        """The model's."""
-        return self.sensor.name
-
-    @property
-    def count(self) -> int:
-        """The number of lasers."""
-        return self.sensor.count
 
     @property
     def dtype(self) -> np.dtype[np.void]:
         """Its packet."""
         return packet(self.facts.packet.protocol, self.count, self.facts.packet.blocks)
-
-    @property
-    def range(self) -> Range:
-        """Limits and resolution. Raises ConfigError if they are not known."""
-        if self.sensor.range is None:
-            raise ConfigError(f"sensor {self.name!r} is for placement only: it has no range facts")
-        return self.sensor.range
 
     @property
     def unit_mm(self) -> int:
@@ -147,10 +125,3 @@ def unit(sensor: Sensor) -> Unit:
     if sensor.count > 255:
         raise ConfigError(f"sensor {sensor.name!r} has {sensor.count} beams; a header says 255 at most")
     return Unit(sensor, facts)
-
-
-def read_only(values: NDArray[Any]) -> NDArray[Any]:
-    """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
-    view = values.view()
-    view.flags.writeable = False
-    return view

@@ -121,3 +121,8 @@ def time_ns_of(date: NDArray[np.uint8], microseconds: NDArray[np.uint32]) -> Tim
     seconds = ((day * 24 + part[:, 3]) * 60 + part[:, 4]) * 60 + part[:, 5]
     plain = part[:, 2:] @ (256 ** np.arange(3, -1, -1))
     return np.where(part[:, 0] == 0, plain, seconds) * SECOND_NS + microseconds.astype(np.int64) * 1000
+
+
+def device_time_ns(packets: Packets) -> Times:
+    """(P,) the packets' stamps, UTC."""
+    return time_ns_of(packets["tail"]["date"], packets["tail"]["microseconds"])

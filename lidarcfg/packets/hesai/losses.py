@@ -5,9 +5,8 @@ import math
 import numpy as np
 
 from lidarcfg.packets.codec import Flags, Times
-from lidarcfg.packets.hesai.decode import device_time_ns
 from lidarcfg.packets.hesai.facts import Unit
-from lidarcfg.packets.hesai.layout import MODES, Packets
+from lidarcfg.packets.hesai.layout import MODES, Packets, device_time_ns
 
 SEQUENCES = 1 << 32
 SLACK = 8  # packets more than the time allows: beyond that the sensor started anew

@@ -7,8 +7,7 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Known, Octets, Pace, Payloads, Source, Times
-from lidarcfg.packets.ouster.decode import OusterDecoder
+from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
 from lidarcfg.packets.ouster.facts import mode, unit
 from lidarcfg.packets.ouster.layout import PROFILES, TICKS, Layout, heads
 from lidarcfg.packets.ouster.metadata import Metadata, read, written
@@ -90,8 +89,10 @@ class Ouster:
                 return sensor
         return _unknown(found, known()[0])
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> OusterDecoder:
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
         """See `Codec`. Beams are those that the metadata says."""
+        from lidarcfg.packets.ouster.decode import OusterDecoder
+
         found, sensor = _of(source, packets), self.unit.sensor
         if found.layout.pixels != sensor.count:
             what = f"{found.name} is of {found.line} with {found.layout.pixels} beams"

@@ -19,15 +19,11 @@ class OusterDecoder:
 
     def __init__(self, where: str, metadata: Metadata, model: str) -> None:
         self._where, self._metadata, self._model = where, metadata, model
-        self._layout = metadata.layout
+        self._layout = layout = metadata.layout
+        self.period_ns = 100_000_000 * layout.columns_per_packet // layout.columns_per_frame  # as at 10 Hz
         self._in_frame = _packets_in_window(metadata)
         self._before: tuple[int, int, int] | None = None  # in the sequence of packets, of columns; device time
         self._lost = self._columns = self._time_ns = 0
-
-    @property
-    def period_ns(self) -> int:
-        """See `Decoder`: as at 10 Hz."""
-        return 100_000_000 * self._layout.columns_per_packet // self._layout.columns_per_frame
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """See `Decoder`: the first column's. Columns outside a window may say 0."""

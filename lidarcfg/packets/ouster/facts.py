@@ -12,7 +12,8 @@ from lidarcfg.config import Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
-from lidarcfg.sensor import Millimetres, Range, Sensor
+from lidarcfg.packets.unit import AnyUnit
+from lidarcfg.sensor import Millimetres, Sensor
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
@@ -80,19 +81,8 @@ class Settings(Model):
     imu: bool = True
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(AnyUnit[Facts]):
     """A sensor with the facts of its packets."""
-
-    sensor: Sensor
-    facts: Facts
-
-    @property
-    def range(self) -> Range:
-        """Limits. Raises ConfigError if they are not known."""
-        if self.sensor.range is None:
-            raise ConfigError(f"sensor {self.sensor.name!r} is for placement only: it has no range facts")
-        return self.sensor.range
 
     @property
     def start_mm(self) -> tuple[float, float]:

@@ -4,12 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Flags, Octets, Returns
+from lidarcfg.packets.codec import Flags, Octets, Returns, Source, Tally, Times
 from lidarcfg.packets.robosense import decode_kernels as kernels
+from lidarcfg.packets.robosense.difop import Difop
 from lidarcfg.packets.robosense.facts import Unit
-from lidarcfg.packets.robosense.layout import packets_of, read_time_ns
+from lidarcfg.packets.robosense.layout import BLOCK_ID, RADIANS, Packets, packets_of, read_time_ns
+from lidarcfg.packets.robosense.losses import Losses
+from lidarcfg.packets.robosense.recognise import check_msop, is_dual
 from lidarcfg.packets.robosense.slots import slots
+from lidarcfg.packets.unit import read_only
 
 SINGLE = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
 
@@ -29,6 +34,57 @@ class Reading:
         return self.return_mode == "dual"
 
 
+def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> Reading:
+    """With the DIFOP packet's angles; else the file's, if these packets (P,) are of that very model."""
+    mode = difop.return_mode if difop else ""
+    mode = mode or ("dual" if is_dual(unit, first) else "strongest")
+    count, sensor = unit.count, unit.sensor
+    if difop and difop.lasers >= count:
+        return Reading(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
+    missing = "its DIFOP has no angles" if difop else "no DIFOP near its start"
+    model = int(first["model"][0])
+    if model in unit.facts.packet.other_models:
+        raise PacketError(f"{source.where}: {missing}, and those of model 0x{model:02X} are not {sensor.name}'s")
+    source.on_warning(f"{source.where}: {missing}; those of {sensor.name}'s file are taken")
+    return Reading(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
+
+
+class RobosenseDecoder:
+    """Packets of one RoboSense sensor."""
+
+    def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
+        self._where, self._reading = source.where, reading
+        self.period_ns = reading.unit.spin(reading.dual).period_ns
+        self._losses = Losses(self.period_ns, full_fov)
+
+    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+        """See `Decoder`."""
+        return read_time_ns(packets_of(packets))
+
+    def heading_rad(self, packets: Octets) -> Array:
+        """See `Decoder`."""
+        return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
+
+    def check(self, packets: Octets) -> None:
+        """See `Decoder`."""
+        check_msop(self._where, packets_of(packets))
+
+    def count(self, packets: Octets, wanted: Flags) -> None:
+        """See `Decoder`."""
+        self._losses.add(packets_of(packets), wanted)
+
+    def tally(self) -> Tally:
+        """See `Decoder`."""
+        return Tally((self._reading.unit.name,), (self._reading.return_mode,), self._losses.lost, self._losses.rpm)
+
+    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+        """See `Decoder`."""
+        ids = packets_of(packets)["blocks"]["id"]
+        if (ids != BLOCK_ID).any():
+            raise PacketError(f"not a packet of {self._reading.unit.name}: block flag 0x{ids[ids != BLOCK_ID][0]:04X}")
+        return decode(self._reading, packets, wanted)
+
+
 def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
     """The returns of successive packets (P, 1248) that are wanted (P,); the others only say how the head turns."""
     unit, dual = reading.unit, reading.dual
@@ -36,20 +92,13 @@ def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
     azimuth = np.ascontiguousarray(packets["blocks"]["azimuth"][:, :: layout.blocks], np.int64)
     stamp_ns, group_ns = read_time_ns(packets), spin.per_azimuth * spin.sequence_ns
     step, late_ns = kernels.steps(azimuth, stamp_ns, spin.period_ns, group_ns)
-    data = np.ascontiguousarray(octets).view()
-    data.flags.writeable = False
-    size = kernels.count(data, wanted)
-    columns = kernels.Columns(
-        np.empty((size, 3)), np.empty(size, np.int64), *(np.empty(size, np.uint8) for _ in range(4))
-    )
+    data = read_only(np.ascontiguousarray(octets))
+    out = Returns.room(kernels.count(data, wanted))
     turning = azimuth, step, late_ns, stamp_ns
     unit_m = unit.range.resolution_m
-    found = kernels.points(
-        data, wanted, turning, layout, _lasers(reading), group_ns, unit_m, SINGLE[reading.return_mode], columns
-    )
-    none = np.empty(0)
-    kept = columns._asdict()
-    return Returns(kept.pop("xyz")[:found], none, none, **{key: column[:found] for key, column in kept.items()})
+    single = SINGLE[reading.return_mode]
+    found = kernels.points(data, wanted, turning, layout, _lasers(reading), group_ns, unit_m, single, out)
+    return out.first(found)
 
 
 def _lasers(reading: Reading) -> kernels.Lasers:

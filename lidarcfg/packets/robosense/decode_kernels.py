@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
+from lidarcfg.packets.codec import Returns
 from lidarcfg.units import SECOND_NS
 
 BLOCKS, SLOTS = 12, 32  # blocks in a packet, returns in a block
@@ -46,17 +47,6 @@ class Lasers(NamedTuple):
     left: Array
     up: Array
     ring: Bytes
-
-
-class Columns(NamedTuple):
-    """What is filled in, one entry a return."""
-
-    xyz: Array  # (M, 3)
-    time_ns: Counts
-    laser: Bytes
-    ring: Bytes
-    intensity: Bytes
-    return_type: Bytes
 
 
 @njit(cache=True, nogil=True)
@@ -117,7 +107,7 @@ def points(
     group_ns: int,
     unit_m: float,
     single: int,
-    out: Columns,
+    out: Returns,
 ) -> int:
     """Fill in one entry a return of the packets that are wanted (P,), in their order; returns how many.
 
@@ -164,9 +154,9 @@ def points(
                 cos_h, sin_h = cos_g * cos_d - sin_g * sin_d, sin_g * cos_d + cos_g * sin_d
                 c, s = cos_h * cos_o[k] - sin_h * sin_o[k], sin_h * cos_o[k] + cos_h * sin_o[k]
                 flat = raw * unit_m * cos_w[k]
-                out.xyz[total, 0] = flat * c + forward[k] * cos_h + left[k] * s
-                out.xyz[total, 1] = left[k] * c - flat * s - forward[k] * sin_h
-                out.xyz[total, 2] = raw * unit_m * sin_w[k] + up[k]
+                out.xyz_m[total, 0] = flat * c + forward[k] * cos_h + left[k] * s
+                out.xyz_m[total, 1] = left[k] * c - flat * s - forward[k] * sin_h
+                out.xyz_m[total, 2] = raw * unit_m * sin_w[k] + up[k]
                 out.time_ns[total] = time_ns + slots.offset_ns[k]
                 out.laser[total], out.ring[total] = slots.laser[k], lasers.ring[slots.laser[k]]
                 out.intensity[total], out.return_type[total] = strength, kind

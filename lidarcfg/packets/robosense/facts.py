@@ -1,6 +1,5 @@
 """What a sensor's file says under `robosense`."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
 
@@ -8,22 +7,12 @@ import numpy as np
 from pydantic import Field
 
 from lidarcfg.config import Model
-from lidarcfg.errors import ConfigError
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.spin import Spin
-from lidarcfg.sensor import Byte, Range, Sensor
+from lidarcfg.packets.unit import AnyUnit, Firing, check_firing
+from lidarcfg.sensor import Byte, Sensor
 
 BLOCKS, SLOTS = 12, 32  # blocks in a packet, returns in a block
-
-Nanoseconds = Annotated[int, Field(ge=0, le=10**6)]
-
-
-class Firing(Model):
-    """When each laser fires within a firing sequence."""
-
-    source: str
-    offset_ns: tuple[Nanoseconds, ...]  # by laser id, after the packet's stamp
-    sequence_ns: Annotated[int, Field(gt=0, le=10**6)]  # from one sequence to the next
 
 
 class Packet(Model):
@@ -57,29 +46,8 @@ class Facts(Model):
     headers: Headers
 
 
-@dataclass(frozen=True)
-class Unit:
-    """A sensor with the facts of its packets."""
-
-    sensor: Sensor
-    facts: Facts
-
-    @property
-    def name(self) -> str:
-        """The model's."""
-        return self.sensor.name
-
-    @property
-    def count(self) -> int:
-        """The number of lasers: 16 or 32."""
-        return self.sensor.count
-
-    @property
-    def range(self) -> Range:
-        """Limits and resolution. Raises ConfigError if they are not known."""
-        if self.sensor.range is None:
-            raise ConfigError(f"sensor {self.name!r} is for placement only: it has no range facts")
-        return self.sensor.range
+class Unit(AnyUnit[Facts]):
+    """A sensor of 16 or 32 lasers with the facts of its packets."""
 
     def spin(self, dual: bool) -> Spin:
         """Its firing pattern. A block holds all returns of 32 lasers once, of 16 lasers twice or dual."""
@@ -96,10 +64,5 @@ def unit(sensor: Sensor) -> Unit:
     facts = section.checked(Facts)
     if sensor.count not in (16, 32):
         raise section.error((), f"packets hold 16 or 32 lasers; {sensor.name} has {sensor.count}")
-    if len(facts.firing.offset_ns) != sensor.count:
-        what = f"has {len(facts.firing.offset_ns)} values; allowed: {sensor.count}, one a beam"
-        raise section.error(("firing", "offset_ns"), what)
-    if max(facts.firing.offset_ns) - min(facts.firing.offset_ns) >= facts.firing.sequence_ns:
-        what = f"a firing lies beyond the sequence's {facts.firing.sequence_ns} ns"
-        raise section.error(("firing", "offset_ns"), what)
+    check_firing(section, facts.firing, sensor)
     return Unit(sensor, facts)

@@ -16,22 +16,16 @@ from lidarcfg.packets.codec import (
     Octets,
     Pace,
     Payloads,
-    Returns,
     Source,
-    Tally,
     Times,
 )
-from lidarcfg.packets.velodyne.decode import decode
 from lidarcfg.packets.velodyne.facts import Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.layout import (
     PACKET,
-    RADIANS,
-    device_time_ns,
     octets_of,
     packets_of,
 )
-from lidarcfg.packets.velodyne.losses import Losses
-from lidarcfg.packets.velodyne.recognise import alike, check_ids, check_period, identify
+from lidarcfg.packets.velodyne.recognise import check_ids, check_period, identify
 from lidarcfg.packets.velodyne.status import Carried, carried
 from lidarcfg.sensor import Sensor, catalogue
 
@@ -103,8 +97,10 @@ class Velodyne(Codec):
         """See `Codec`."""
         return identify(source.where, packets_of(packets), _units(known)).sensor
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> "VelodyneDecoder":
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
         """See `Codec`."""
+        from lidarcfg.packets.velodyne.decode import VelodyneDecoder
+
         first = packets_of(packets)
         check_ids(source.where, self.unit, first, trusted)
         check_period(source.where, self.unit, first)
@@ -119,45 +115,6 @@ class Velodyne(Codec):
     def firing_ns(self) -> Times:
         """See `Codec`."""
         return np.array(self.unit.firing.offset_ns, np.int64)
-
-
-class VelodyneDecoder(Decoder):
-    """Packets of one Velodyne sensor. What status bytes carry stands in for the catalogue's example unit."""
-
-    def __init__(self, where: str, unit: Unit, found: Carried | None, known: Known, trusted: bool) -> None:
-        self._where, self._known, self._trusted = where, known, trusted
-        self._unit = found.unit(unit) if found else unit
-        self.period_ns = self._unit.period_ns()
-        self._last_only = found is not None and found.return_mode == "last"
-        self._losses = Losses(self._unit, self._last_only)
-
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """See `Decoder`."""
-        return device_time_ns(packets_of(packets)["stamp_us"], host_ns)
-
-    def heading_rad(self, packets: Octets) -> Array:
-        """See `Decoder`."""
-        return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
-
-    def check(self, packets: Octets) -> None:
-        """See `Decoder`."""
-        check_ids(self._where, self._unit, packets_of(packets), self._trusted)
-
-    def count(self, packets: Octets, wanted: Flags) -> None:
-        """See `Decoder`."""
-        self._losses.add(packets_of(packets), wanted)
-
-    def tally(self) -> Tally:
-        """See `Decoder`."""
-        models = alike(self._unit, _units(self._known))
-        return Tally(models, self._losses.return_modes, self._losses.lost, self._losses.rpm)
-
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
-        found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
-        if self._last_only:
-            found.return_type[:] = 1
-        return found
 
 
 def _units(known: Known) -> Sequence[Unit]:

@@ -1,19 +1,71 @@
 """Points of packets."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.codec import Flags, Returns, Times
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Decoder, Flags, Known, Octets, Returns, Tally, Times
+from lidarcfg.packets.unit import read_only
 from lidarcfg.packets.velodyne import decode_kernels as kernels
 from lidarcfg.packets.velodyne.facts import SLOTS, Unit
-from lidarcfg.packets.velodyne.layout import Packets, block_flags, device_time_ns, is_dual, one_of, slots
+from lidarcfg.packets.velodyne.facts import unit as unit_of
+from lidarcfg.packets.velodyne.layout import (
+    RADIANS,
+    Packets,
+    block_flags,
+    device_time_ns,
+    is_dual,
+    one_of,
+    packets_of,
+    slots,
+)
+from lidarcfg.packets.velodyne.losses import Losses
+from lidarcfg.packets.velodyne.recognise import alike, check_ids
+from lidarcfg.packets.velodyne.status import Carried
+
+
+class VelodyneDecoder(Decoder):
+    """Packets of one Velodyne sensor. What status bytes carry stands in for the catalogue's example unit."""
+
+    def __init__(self, where: str, unit: Unit, found: Carried | None, known: Known, trusted: bool) -> None:
+        self._where, self._known, self._trusted = where, known, trusted
+        self._unit = found.unit(unit) if found else unit
+        self.period_ns = self._unit.period_ns()
+        self._last_only = found is not None and found.return_mode == "last"
+        self._losses = Losses(self._unit, self._last_only)
+
+    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+        """See `Decoder`."""
+        return device_time_ns(packets_of(packets)["stamp_us"], host_ns)
+
+    def heading_rad(self, packets: Octets) -> Array:
+        """See `Decoder`."""
+        return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
+
+    def check(self, packets: Octets) -> None:
+        """See `Decoder`."""
+        check_ids(self._where, self._unit, packets_of(packets), self._trusted)
+
+    def count(self, packets: Octets, wanted: Flags) -> None:
+        """See `Decoder`."""
+        self._losses.add(packets_of(packets), wanted)
+
+    def tally(self) -> Tally:
+        """See `Decoder`."""
+        models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
+        return Tally(models, self._losses.return_modes, self._losses.lost, self._losses.rpm)
+
+    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+        """See `Decoder`."""
+        found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
+        if self._last_only:
+            found.return_type[:] = 1
+        return found
 
 
 def decode(
@@ -39,7 +91,7 @@ def decode(
         runs.append(_decode(unit, packets[run], host_time_ns[run], wanted[run], bool(dual[start:].any()), polar))
     if len(runs) == 1:
         return runs[0]
-    return Returns(**{f.name: np.concatenate([getattr(r, f.name) for r in runs]) for f in fields(Returns)})
+    return Returns(*map(np.concatenate, zip(*runs, strict=True)))
 
 
 def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
@@ -56,19 +108,9 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
     stamp = packets["stamp_us"].astype(np.int64)
     step, late_ns = kernels.steps(azimuth, stamp, unit.period_ns(dual), group_ns)
 
-    distance, intensity = (_read_only(used["returns"][key]) for key in ("distance", "intensity"))
+    distance, intensity = (read_only(used["returns"][key]) for key in ("distance", "intensity"))
     modes = facts.return_modes
-    size = kernels.count(distance, wanted)
-    out = Returns(
-        xyz_m=np.empty((size, 3)),
-        range_m=np.empty(size if polar else 0),
-        azimuth_rad=np.empty(size if polar else 0),
-        time_ns=np.empty(size, np.int64),
-        laser=np.empty(size, np.uint8),
-        ring=np.empty(size, np.uint8),
-        intensity=np.empty(size, np.uint8),
-        return_type=np.empty(size, np.uint8),
-    )
+    out = Returns.room(kernels.count(distance, wanted), polar)
     last = packets["return_mode"] == modes.last if modes else np.zeros(len(packets), np.bool_)
     count = kernels.points(
         kernels.Wire(
@@ -78,9 +120,9 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
         tables,
         lasers,
         unit.range.resolution_m,
-        kernels.Columns(*(getattr(out, field.name) for field in fields(out))),
+        out,
     )
-    return Returns(*(getattr(out, field.name)[:count] for field in fields(out)))
+    return out.first(count)
 
 
 @lru_cache
@@ -113,13 +155,6 @@ def _tables(unit: Unit, dual: bool) -> tuple[kernels.Slots, kernels.Lasers]:
         np.empty((0, 4)) if focal is None else focal,
     )
     return slots_of_packet, lasers
-
-
-def _read_only(field: NDArray[Any]) -> NDArray[Any]:
-    """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
-    view = field.view()
-    view.flags.writeable = False
-    return view
 
 
 def _check(got: NDArray[np.integer], right: Flags, what: str, allowed: Sequence[int]) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
+from lidarcfg.packets.codec import Returns
 from lidarcfg.units import SECOND_NS
 
 SLOTS = 32  # returns in a block
@@ -62,19 +63,6 @@ class Wire(NamedTuple):
     late_ns: Counts  # (P, G)
     stamp_ns: Counts  # (P,)
     last: Flags  # (P,) whether single returns are the last ones
-
-
-class Columns(NamedTuple):
-    """What is filled in, one entry a return. Ranges and azimuths may be empty: they are not asked for then."""
-
-    xyz: Array  # (M, 3)
-    range_m: Array
-    azimuth_rad: Array
-    time_ns: Counts
-    laser: Bytes
-    ring: Bytes
-    intensity: Bytes
-    return_type: Bytes
 
 
 @njit(cache=True, nogil=True)
@@ -198,7 +186,7 @@ def _focused(intensity: int, raw: int, focal: Array) -> int:
 
 
 @njit(cache=True, nogil=True)
-def points(wire: Wire, wanted: Flags, slots: Slots, lasers: Lasers, unit_m: float, out: Columns) -> int:
+def points(wire: Wire, wanted: Flags, slots: Slots, lasers: Lasers, unit_m: float, out: Returns) -> int:
     """Fill in one entry a return of the packets that are wanted (P,), in their order; returns how many.
 
     With near offsets x and y have corrections of their own up to 25.04 m, and z their mean, as velodyne_decoder 3.1
@@ -269,8 +257,8 @@ def points(wire: Wire, wanted: Flags, slots: Slots, lasers: Lasers, unit_m: floa
                 found += kept[k]
             began_ns = stamp_ns[p] + late_ns[p, g]
             rows = slice(total, total + found)
-            part = Columns(
-                out.xyz[rows],
+            part = Returns(
+                out.xyz_m[rows],
                 out.range_m[rows],
                 out.azimuth_rad[rows],
                 out.time_ns[rows],
@@ -281,7 +269,7 @@ def points(wire: Wire, wanted: Flags, slots: Slots, lasers: Lasers, unit_m: floa
             )
             for j in range(found):
                 k = which[j]
-                part.xyz[j, 0], part.xyz[j, 1], part.xyz[j, 2] = x[k], y[k], z[k]
+                part.xyz_m[j, 0], part.xyz_m[j, 1], part.xyz_m[j, 2] = x[k], y[k], z[k]
                 part.time_ns[j] = began_ns + offset_ns[g, k]
                 part.laser[j], part.ring[j] = laser[k], ring[k]
                 part.intensity[j], part.return_type[j] = strength[k], kind[k]

@@ -1,6 +1,5 @@
 """What a sensor's file says under `velodyne`, and what a rig's file says there of a mount."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -10,11 +9,11 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from lidarcfg.config import Model, fault
-from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.spin import Spin
-from lidarcfg.sensor import Byte, Millimetres, Range, Sensor, check_lengths
+from lidarcfg.packets.unit import AnyUnit, Firing, check_firing
+from lidarcfg.sensor import Byte, Millimetres, Sensor, check_lengths
 
 BLOCKS = 12  # in a data packet
 SLOTS = 32  # returns in a block
@@ -23,17 +22,8 @@ SLOTS = 32  # returns in a block
 GROUP_BLOCKS = tuple(n for n in range(1, BLOCKS) if BLOCKS % n == 0)
 
 Word = Annotated[int, Field(ge=0, le=65535)]
-Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
 Return = Literal["strongest", "last"]
 PpsState = Literal["absent", "synchronising", "locked", "error"]
-
-
-class Firing(Model):
-    """When each laser fires within a firing sequence."""
-
-    source: str
-    offset_ns: tuple[Nanoseconds, ...]  # by laser id; 0 is the packet's stamp, and so on a sequence later
-    sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one sequence to the next
 
 
 class Calibration(Model):
@@ -144,9 +134,7 @@ class Facts(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "Facts":
-        flags, offsets = self.packet.block_flags, self.firing.offset_ns
-        if offsets and max(offsets) - min(offsets) >= self.firing.sequence_ns:
-            raise fault(f"a firing lies beyond the sequence's {self.firing.sequence_ns} ns", "firing", "offset_ns")
+        flags = self.packet.block_flags
         if len(flags) not in GROUP_BLOCKS:
             what = f"has {len(flags)} values; allowed: {', '.join(map(str, GROUP_BLOCKS))}"
             raise fault(f"{what}, which divide a packet's {BLOCKS} blocks", "packet", "block_flags")
@@ -161,22 +149,8 @@ class Settings(Model):
     pps: PpsState = "locked"  # what position packets and status bytes say of the GPS receiver's pulse
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(AnyUnit[Facts]):
     """A sensor with the facts of its packets."""
-
-    sensor: Sensor
-    facts: Facts
-
-    @property
-    def name(self) -> str:
-        """The model's."""
-        return self.sensor.name
-
-    @property
-    def count(self) -> int:
-        """The number of lasers."""
-        return self.sensor.count
 
     @property
     def firing(self) -> Firing:
@@ -187,13 +161,6 @@ class Unit:
     def packet(self) -> Packet:
         """The facts of the data packet."""
         return self.facts.packet
-
-    @property
-    def range(self) -> Range:
-        """Limits and resolution. Raises ConfigError if they are not known."""
-        if self.sensor.range is None:
-            raise ConfigError(f"sensor {self.name!r} is for placement only: it has no range facts")
-        return self.sensor.range
 
     @property
     def head_offset_ns(self) -> int:
@@ -247,9 +214,7 @@ def unit(sensor: Sensor) -> Unit:
     """The sensor with what its file says under `velodyne`. Raises ConfigError with file, line and key."""
     section = sensor.section
     facts = section.checked(Facts)
-    if len(facts.firing.offset_ns) != sensor.count:
-        what = f"has {len(facts.firing.offset_ns)} values; allowed: {sensor.count}, one a beam"
-        raise section.error(("firing", "offset_ns"), what)
+    check_firing(section, facts.firing, sensor)
     if facts.packet.sequences_per_block * sensor.count != SLOTS * len(facts.packet.block_flags):
         what = f"{sensor.count} beams × {facts.packet.sequences_per_block} do not fill the blocks of {SLOTS} returns"
         raise section.error(("packet", "sequences_per_block"), what)

@@ -1,0 +1,63 @@
+"""What families share: a sensor with its facts, the firing sequence of a head that turns, read-only views."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Generic, TypeVar
+
+from numpy.typing import NDArray
+from pydantic import Field
+
+from lidarcfg.config import Model, Section
+from lidarcfg.errors import ConfigError
+from lidarcfg.sensor import Range, Sensor
+
+Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
+F = TypeVar("F", bound=Model)
+
+
+class Firing(Model):
+    """When each laser fires within a firing sequence."""
+
+    source: str
+    offset_ns: tuple[Nanoseconds, ...]  # by laser id; 0 is the packet's stamp, and so on a sequence later
+    sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one sequence to the next
+
+
+@dataclass(frozen=True)
+class AnyUnit(Generic[F]):
+    """A sensor with the facts of its packets."""
+
+    sensor: Sensor
+    facts: F
+
+    @property
+    def name(self) -> str:
+        """The model's."""
+        return self.sensor.name
+
+    @property
+    def count(self) -> int:
+        """The number of lasers."""
+        return self.sensor.count
+
+    @property
+    def range(self) -> Range:
+        """Limits and resolution. Raises ConfigError if they are not known."""
+        if self.sensor.range is None:
+            raise ConfigError(f"sensor {self.name!r} is for placement only: it has no range facts")
+        return self.sensor.range
+
+
+def check_firing(section: Section, firing: Firing, sensor: Sensor) -> None:
+    """Raises ConfigError unless each laser fires within the sequence, once."""
+    offsets, key = firing.offset_ns, ("firing", "offset_ns")
+    if len(offsets) != sensor.count:
+        raise section.error(key, f"has {len(offsets)} values; allowed: {sensor.count}, one a beam")
+    if max(offsets) - min(offsets) >= firing.sequence_ns:
+        raise section.error(key, f"a firing lies beyond the sequence's {firing.sequence_ns} ns")
+
+
+def read_only(values: NDArray[Any]) -> NDArray[Any]:
+    """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
+    view = values.view()
+    view.flags.writeable = False
+    return view
