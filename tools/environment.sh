@@ -4,6 +4,11 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 unset PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
+# ouster-sdk, by which the tests judge Ouster's packets, asks for older releases of click and rosbags than these tests
+# need: it comes without its dependencies; those that it loads stand under `test` in pyproject.toml.
+ouster_sdk="ouster-sdk==1.0.1"
+oldest_click=(click==8.1.3 cloup==3.0.5) # that pyproject.toml allows; ouster-sdk asks for click below 8.1.8
+
 say() { printf '%s\n' "$*" >&2; }
 
 find_python() {
@@ -62,9 +67,14 @@ install_packages() {
   DEBIAN_FRONTEND=noninteractive "${as_root[@]}" apt-get install -y -qq "$@" >/dev/null 2>&1 || true
 }
 
+pip_install() {
+  .venv/bin/python -m pip install --quiet --quiet --disable-pip-version-check "$@" >&2
+}
+
 prepare() {
-  local extra=$1 stamp python missing
+  local extra=$1 stamp python missing wanted
   stamp=.venv/installed${extra:+-$extra}
+  wanted=$(cat pyproject.toml tools/environment.sh)
   python=$(find_python)
   missing=$(missing_packages "$python" "$extra" | tr '\n' ' ')
   if [ -n "$missing" ]; then
@@ -73,7 +83,7 @@ prepare() {
     missing=$(missing_packages "$python" "$extra" | tr '\n' ' ')
   fi
   [ -z "$missing" ] || say "missing, and not to be installed from here: what Debian calls $missing"
-  if [ -f "$stamp" ] && cmp -s "$stamp" pyproject.toml && .venv/bin/python -c '' 2>/dev/null; then
+  if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && .venv/bin/python -c '' 2>/dev/null; then
     return
   fi
   say "making the environment in .venv (about a minute, once)"
@@ -84,8 +94,13 @@ prepare() {
       exit 2
     fi
   fi
-  .venv/bin/python -m pip install --quiet --quiet --disable-pip-version-check --editable ".${extra:+[$extra]}" >&2
-  cp pyproject.toml "$stamp"
+  pip_install --editable ".${extra:+[$extra]}"
+  if [ "$extra" = test ]; then
+    pip_install --no-deps --target .venv/oldest-click --upgrade "${oldest_click[@]}"
+    pip_install --no-deps --only-binary :all: "$ouster_sdk" 2>/dev/null ||
+      say "no wheel of $ouster_sdk for this Python and system: its tests are skipped"
+  fi
+  printf '%s\n' "$wanted" >"$stamp"
 }
 
 prepare "${1-}"
