@@ -7,8 +7,8 @@ import tempfile
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import copyfileobj
 from typing import Any
@@ -59,11 +59,12 @@ class PointCloud:
     return_type: NDArray[
         np.uint8
     ]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
+    driver: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) what a maker's driver has; no file keeps it
 
     @classmethod
     def none(cls, sensor_names: tuple[str, ...]) -> "PointCloud":
         """No points of these sensors."""
-        columns = {key: np.empty((0, 3) if key == "xyz" else 0, kind) for key, kind in FIELDS.items()}
+        columns: dict[str, Any] = {key: np.empty((0, 3) if key == "xyz" else 0, kind) for key, kind in FIELDS.items()}
         return cls(sensor_names=sensor_names, **columns)
 
 
@@ -77,7 +78,16 @@ def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
         if key != "sensor"
     }
     columns["sensor"] = np.concatenate([np.empty(0, np.uint16), *sensor])
-    return PointCloud(sensor_names=tuple(index), **columns)
+    return PointCloud(sensor_names=tuple(index), driver=_driver(clouds), **columns)
+
+
+def _driver(clouds: Sequence[PointCloud]) -> dict[str, NDArray[Any]]:
+    """The clouds' columns of their makers' drivers; 0 where a cloud has none of that name."""
+    kinds = {key: column.dtype for cloud in clouds for key, column in cloud.driver.items()}
+    return {
+        key: np.concatenate([c.driver.get(key, np.zeros(len(c.xyz), kind)) for c in clouds])
+        for key, kind in kinds.items()
+    }
 
 
 def _sensor(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.uint16]:
@@ -179,7 +189,8 @@ def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> P
                 raise CloudError(f"{path}: {what}; allowed: {allowed.min} to {allowed.max}")
     if len(xyz) and columns["sensor"].max() >= len(names):
         raise CloudError(f"{path}: a point is of sensor {columns['sensor'].max()}; there are {len(names)}")
-    return PointCloud(sensor_names=names, **{key: np.ascontiguousarray(columns[key], FIELDS[key]) for key in FIELDS})
+    fields: dict[str, Any] = {key: np.ascontiguousarray(columns[key], FIELDS[key]) for key in FIELDS}
+    return PointCloud(sensor_names=names, **fields)
 
 
 def _names(path: Path, names: Any) -> tuple[str, ...]:

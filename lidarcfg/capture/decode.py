@@ -20,6 +20,7 @@ from lidarcfg.capture.stream import OnHeads, Place, SourceStats, Stream
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, codec, family
+from lidarcfg.packets.point_fields import asked
 from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def decode_pcap(
     selection: Selection = ALL,
     on_heads: OnHeads | None = None,
     on_source: OnSource | None = None,
+    driver: bool = False,
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of about `chunk_packets` packets; memory does not grow with its length.
 
@@ -48,11 +50,12 @@ def decode_pcap(
     host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
     what the packets say. `on_warning` is told of a file that is cut off, `on_stats` at the end of each source,
     `on_heads` before each cloud where the heads pointed, and `on_source` of each source, before its first cloud, the
-    name and the family. What is selected comes as it does in the whole capture.
+    name and the family. With `driver` clouds have the columns of the makers' ROS drivers. What is selected comes as it
+    does in the whole capture.
     Raises PacketError and ConfigError.
     """
     override = load_sensor(model) if model else None
-    capture = _Capture(path, on_warning, rig, override, selection, on_heads, on_source)
+    capture = _Capture(path, on_warning, rig, override, selection, on_heads, on_source, driver)
     yield from _ahead(capture.jobs(chunk_packets))
     if on_stats:
         for stream in capture.streams:
@@ -86,9 +89,10 @@ class _Capture:
         selection: Selection,
         on_heads: OnHeads | None,
         on_source: OnSource | None,
+        driver: bool,
     ) -> None:
         self._path, self._on_warning, self._selection, self._on_heads = Path(path), on_warning, selection, on_heads
-        self._on_source = on_source
+        self._on_source, self._driver = on_source, driver
         self._rig, self._override = rig, override
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
         self._catalogue = cache(lambda codec: [load_sensor(name) for name in catalogue(codec)])
@@ -205,7 +209,7 @@ class _Capture:
             self._on_source(place.name, codec_name)
         known = partial(self._catalogue, codec_name)
         opened = partial(_decoder, self._source(key), found, sensor, known, self._override is None)
-        return Stream(place, opened, self._on_heads)
+        return Stream(place, opened, self._on_heads, asked(found.point_fields) if self._driver else ())
 
     def _check_found(self) -> None:
         """Raises PacketError if there is nothing, or nothing of what was selected."""

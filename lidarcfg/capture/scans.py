@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,13 @@ def scans(
     model: str | None = None,
     chunk_packets: int = CHUNK_PACKETS,
     on_source: OnSource | None = None,
+    driver: bool = False,
 ) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, as they end; memory does not grow with the length.
 
     A revolution begins with the first packet whose azimuth has passed 0, as velodyne_driver has it (a VLS-128's lasers
     that fire up to 8.7 us before the packet's stamp end the one before), and is no longer than a second.
-    `on_source` and errors are those of `decode_pcap`.
+    `on_source`, `driver` and errors are those of `decode_pcap`.
     """
     if rig:
         own = tuple(replace(mount, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0)) for mount in rig.mounts)
@@ -45,7 +47,10 @@ def scans(
 
     begun: dict[int, list[PointCloud]] = {}
     numbers: dict[int, int] = {}
-    for cloud in decode_pcap(path, on_warning, rig, model, chunk_packets, on_heads=on_heads, on_source=on_source):
+    clouds = decode_pcap(
+        path, on_warning, rig, model, chunk_packets, on_heads=on_heads, on_source=on_source, driver=driver
+    )
+    for cloud in clouds:
         for i in np.unique(cloud.sensor).tolist():
             mine = _rows(cloud, cloud.sensor == i, cloud.sensor_names[i])
             number = np.searchsorted(np.unique(heads[i].starts_ns), mine.time_ns, side="right")
@@ -61,7 +66,8 @@ def scans(
 
 def _rows(cloud: PointCloud, rows: slice | NDArray[np.bool_], name: str) -> PointCloud:
     """Some of the cloud's points, all of the sensor of this name."""
-    columns = {key: getattr(cloud, key)[rows] for key in FIELDS}
+    columns: dict[str, Any] = {key: getattr(cloud, key)[rows] for key in FIELDS}
+    columns["driver"] = {key: column[rows] for key, column in cloud.driver.items()}
     return PointCloud(sensor_names=(name,), **columns | {"sensor": np.zeros(len(columns["xyz"]), np.uint16)})
 
 

@@ -50,8 +50,18 @@ class Stream:
     `open_` makes the decoder of the first packets.
     """
 
-    def __init__(self, place: Place, open_: Callable[[Octets], Decoder], on_heads: OnHeads | None = None) -> None:
-        """`on_heads` is told sensor, device times and headings of the packets that are decoded, in their order."""
+    def __init__(
+        self,
+        place: Place,
+        open_: Callable[[Octets], Decoder],
+        on_heads: OnHeads | None = None,
+        driver: tuple[str, ...] = (),
+    ) -> None:
+        """`on_heads` is told sensor, device times and headings of the packets that are decoded, in their order.
+
+        Clouds also have the columns `driver`, which the decoder gives.
+        """
+        self._driver = driver
         self.name, self._place, self._open, self._on_heads = place.name, place, open_, on_heads
         self._decoder: Decoder | None = None  # not known until enough packets have come
         self._packets: list[Octets] = []
@@ -109,6 +119,7 @@ class Stream:
             sensor=np.full(len(xyz), self._place.index, np.uint16),
             sensor_names=names,
             return_type=returns.return_type,
+            driver=decoder.driver_columns(packets, wanted) if self._driver else {},
         )
 
     def _in_order(self, decoder: Decoder, packets: Octets, times_ns: Times) -> tuple[Octets, Times, Times]:

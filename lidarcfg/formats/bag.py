@@ -1,8 +1,7 @@
 """ROS 2 bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses.
 
-Points are laid out as the maker's driver has them, with nothing between the fields. Velodyne's PointXYZIRT has `time`,
-in seconds after the message's stamp, which is the scan's first point; Hesai's and RoboSense's points have `timestamp`,
-in seconds since 1970.
+Points are laid out as the maker's driver has them, by the `point_fields` of their family, with nothing between the
+fields. The message's stamp is the time of the scan's first point.
 """
 
 import sqlite3
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
@@ -18,13 +18,13 @@ from lidarcfg.errors import ConversionError, PacketError
 from lidarcfg.formats.extra import missing
 from lidarcfg.formats.folder import beside, replacing_folder
 from lidarcfg.formats.frames import BASE_LINK, quaternion_xyzw, ros_name, ros_names
+from lidarcfg.packets.codec import family
+from lidarcfg.packets.point_fields import PointField
 from lidarcfg.rig import Rig
 from lidarcfg.units import SECOND_NS
 
-POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
-STAMPED = np.dtype([*((key, POINT[key]) for key in ("x", "y", "z", "intensity", "ring")), ("timestamp", "<f8")])
-POINTS = {"hesai": STAMPED, "robosense": STAMPED}  # by family; else POINT
-FIELD_TYPES = {np.dtype(kind): code for kind, code in (("<f4", 7), ("<u2", 4), ("<f8", 8))}  # of sensor_msgs/PointField
+AXES = "xyz"
+FIELD_TYPES = {"<u2": 4, "<u4": 6, "<f4": 7, "<f8": 8}  # of sensor_msgs/PointField
 TIME_END_NS = 2**31 * SECOND_NS  # builtin_interfaces/Time counts its seconds in an int32
 BAG_VERSION: Final = 8  # of metadata.yaml: QoS as text, as rosbag2 had it before Jazzy
 TF_STATIC = "/tf_static"
@@ -90,7 +90,7 @@ def _messages(
     names = ros_names(rig, on_warning) if rig else {}
     seen: set[str] = set()
     families: dict[str, str] = {}
-    for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__):
+    for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__, driver=True):
         first_ns, last_ns = int(scan.time_ns.min()), int(scan.time_ns.max())
         if last_ns >= TIME_END_NS:
             raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2")
@@ -101,35 +101,49 @@ def _messages(
             names[name] = ros_name(name)
             on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
         seen.add(name)
-        layout = POINTS.get(families[name], POINT)
-        yield f"/{names[name]}/points", _points(types, scan, layout, names[name], first_ns), last_ns
+        fields = family(families[name]).point_fields
+        yield f"/{names[name]}/points", _points(types, scan, fields, names[name], first_ns), last_ns
     if absent := [name for name in names if name not in seen]:
         on_warning(f"{source}: holds nothing of {', '.join(absent)}")
 
 
-def _points(types: Any, scan: PointCloud, layout: np.dtype[np.void], frame: str, stamp_ns: int) -> Any:
-    rows = np.empty(len(scan.xyz), layout)
-    rows["x"], rows["y"], rows["z"] = scan.xyz.T
-    rows["intensity"], rows["ring"] = scan.intensity, scan.ring
-    if layout is POINT:
-        rows["time"] = (scan.time_ns - stamp_ns) / SECOND_NS
-    else:
-        rows["timestamp"] = scan.time_ns / SECOND_NS
-    field = types["sensor_msgs/msg/PointField"]
+def _points(types: Any, scan: PointCloud, fields: tuple[PointField, ...], frame: str, stamp_ns: int) -> Any:
+    rows = np.empty(len(scan.xyz), [(field.name, field.kind) for field in fields])
+    for field in fields:
+        rows[field.name] = _column(scan, field.column, stamp_ns)
+    layout: dict[str, Any] = dict(rows.dtype.fields or {})
+    message = types["sensor_msgs/msg/PointField"]
     return types["sensor_msgs/msg/PointCloud2"](
         header=_header(types, frame, stamp_ns),
         height=1,
         width=len(rows),
         fields=[
-            field(name=name, offset=offset, datatype=FIELD_TYPES[kind], count=1)
-            for name, (kind, offset, *_) in (layout.fields or {}).items()
+            message(name=field.name, offset=layout[field.name][1], datatype=FIELD_TYPES[field.kind], count=1)
+            for field in fields
         ],
         is_bigendian=False,
-        point_step=layout.itemsize,
+        point_step=rows.itemsize,
         row_step=rows.nbytes,
         data=rows.view(np.uint8),
         is_dense=True,
     )
+
+
+def _column(scan: PointCloud, name: str, stamp_ns: int) -> NDArray[Any]:
+    """What `PointField.column` calls so."""
+    if name in AXES:
+        return scan.xyz[:, AXES.index(name)]
+    if name == "intensity":
+        return scan.intensity
+    if name == "ring":
+        return scan.ring
+    if name == "time_s":
+        return scan.time_ns / SECOND_NS
+    if name == "since_stamp_ns":
+        return scan.time_ns - stamp_ns
+    if name == "since_stamp_s":
+        return (scan.time_ns - stamp_ns) / SECOND_NS
+    return scan.driver[name]
 
 
 def _transforms(types: Any, rig: Rig, names: dict[str, str], stamp_ns: int) -> Any:

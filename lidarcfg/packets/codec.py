@@ -7,7 +7,7 @@ A family is a subclass of `Codec`, entered in `FAMILIES`. Outside `packets/` nob
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.network import Header, Network
+from lidarcfg.packets.point_fields import TIMED, PointField
 from lidarcfg.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -140,9 +141,15 @@ class Decoder(Protocol):
         Raises PacketError, without saying where.
         """
 
+    def driver_columns(self, packets: Octets, wanted: Flags) -> Mapping[str, NDArray[Any]]:
+        """For the same returns, the columns that the family's `point_fields` have besides the cloud's."""
+        return {}
+
 
 class Codec(Protocol):
     """The packets of one sensor. Made from the sensor; raises ConfigError if its file says too little."""
+
+    point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
 
     def __init__(self, sensor: Sensor) -> None: ...
 

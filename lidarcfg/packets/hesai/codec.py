@@ -10,6 +10,7 @@ from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, P
 from lidarcfg.packets.hesai.facts import Settings, Unit, unit
 from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.recognise import check_size, claims, identify
+from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 class Hesai:
     """The packets of one Hesai sensor."""
+
+    point_fields = STAMPED
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Flags, Octets, Returns, Tally, Times
+from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
 from lidarcfg.packets.hesai import decode_kernels as kernels
 from lidarcfg.packets.hesai.decode_kernels import BY_BLOCK, FIRST, LAST, STRONGEST
 from lidarcfg.packets.hesai.facts import Unit
@@ -23,7 +23,7 @@ PAIR = {  # the nearer return, the farther
 }
 
 
-class HesaiDecoder:
+class HesaiDecoder(Decoder):
     """Packets of one Hesai sensor."""
 
     def __init__(self, where: str, unit: Unit) -> None:

@@ -11,6 +11,7 @@ from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, P
 from lidarcfg.packets.ouster.facts import mode, unit
 from lidarcfg.packets.ouster.layout import PROFILES, TICKS, Layout, heads
 from lidarcfg.packets.ouster.metadata import Metadata, read, written
+from lidarcfg.packets.point_fields import OUSTER
 from lidarcfg.sensor import Beams, Sensor
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ USUAL = {(name, Layout(name, pixels, 1024).size) for name in PROFILES for pixels
 
 class Ouster:
     """The packets of one Ouster."""
+
+    point_fields = OUSTER
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

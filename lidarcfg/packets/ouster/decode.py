@@ -1,20 +1,23 @@
 """Points of an Ouster's packets, by the metadata beside them."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Flags, Octets, Returns, Tally, Times
+from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
 from lidarcfg.packets.ouster import kernels
 from lidarcfg.packets.ouster.layout import columns, heads
 from lidarcfg.packets.ouster.metadata import Metadata
-from lidarcfg.packets.ouster.pixels import place, words_of
+from lidarcfg.packets.ouster.pixels import fields, place, words_of
 from lidarcfg.units import MINUTE_NS
 
 STRONGEST, LAST, SECOND = 0, 1, 2
 
 
-class OusterDecoder:
+class OusterDecoder(Decoder):
     """Packets of one source."""
 
     def __init__(self, where: str, metadata: Metadata, model: str) -> None:
@@ -97,6 +100,21 @@ class OusterDecoder:
             (xyz, time_ns, laser, ring, intensity, kind),
         )
         return Returns(xyz, np.empty(0), np.empty(0), time_ns, laser, ring, intensity, kind)
+
+    def driver_columns(self, packets: Octets, wanted: Flags) -> dict[str, NDArray[Any]]:
+        """See `Decoder`. What the profile does not have is 0, as with ouster-ros."""
+        layout, packets = self._layout, np.ascontiguousarray(packets[wanted])
+        found, ends = fields(layout, packets), ("", "2")[: layout.profile.returns]
+        ranges = np.stack([found[f"range{end}"] for end in ends], axis=-1)
+        there = (ranges > 0) & columns(layout, packets).valid[:, :, None, None]
+        none = np.zeros(ranges.shape[:3], np.uint32)
+        signal = np.stack([found.get(f"signal{end}", none) for end in ends], axis=-1)
+        return {
+            "range_mm": ranges[there],
+            "signal": signal[there],
+            "near_ir": np.broadcast_to(found["near_ir"][..., None], ranges.shape)[there],
+            "row": np.broadcast_to(np.arange(layout.pixels)[:, None], ranges.shape)[there],
+        }
 
 
 def beams(metadata: Metadata) -> Array:

@@ -19,6 +19,7 @@ from lidarcfg.packets.codec import (
     Source,
     Times,
 )
+from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense.facts import unit
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, octets_of, packets_of
 from lidarcfg.packets.robosense.recognise import check_model, check_msop, identify
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 class Robosense:
     """The packets of one RoboSense sensor."""
+
+    point_fields = STAMPED
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Flags, Octets, Returns, Source, Tally, Times
+from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Source, Tally, Times
 from lidarcfg.packets.robosense import decode_kernels as kernels
 from lidarcfg.packets.robosense.difop import Difop
 from lidarcfg.packets.robosense.facts import Unit
@@ -49,7 +49,7 @@ def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> 
     return Reading(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
 
 
-class RobosenseDecoder:
+class RobosenseDecoder(Decoder):
     """Packets of one RoboSense sensor."""
 
     def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
