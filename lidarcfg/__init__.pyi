@@ -1,9 +1,9 @@
 from .cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError
+from .placement.evaluation import evaluate as evaluate
 from .placement.optimize import optimize as optimize
 from .placement.region import Region as Region
 from .placement.study import Study as Study
-from .placement.study import evaluate as evaluate
 from .placement.study import load_study as load_study
 from .placement.subspace import Subspaces as Subspaces
 from .rig import Rig as Rig

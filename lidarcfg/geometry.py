@@ -27,6 +27,15 @@ def rotation(rpy_rad: Sequence[float] | Array) -> Array:
     )
 
 
+def level(rpy_rad: ArrayLike) -> Array:
+    """(…, 3, 2): where x and y of a frame turned by roll, pitch, yaw (…, 3) point; the first columns of R."""
+    roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
+    cr, sr, sp, cp = np.cos(roll), np.sin(roll), np.sin(pitch), np.cos(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    x, y = [cy * cp, sy * cp, -sp], [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr]
+    return np.stack([np.stack(x, axis=-1), np.stack(y, axis=-1)], axis=-1)
+
+
 def up(rpy_rad: ArrayLike) -> Array:
     """(…, 3): where z of a frame turned by roll, pitch, yaw (…, 3) points; the last column of R."""
     roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)

@@ -8,9 +8,21 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import yaml
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from lidarcfg.config import Angles, Model, Position, Positive, Section, Vec3, error_at, fault, load, unknown_key
+from lidarcfg.config import (
+    COORDINATE_MAX_M,
+    Angles,
+    Model,
+    Position,
+    Positive,
+    Section,
+    Vec3,
+    error_at,
+    fault,
+    load,
+    unknown_key,
+)
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
@@ -18,12 +30,29 @@ from lidarcfg.realism import Realism
 from lidarcfg.sensor import Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 
 Azimuth = Annotated[float, Field(ge=0, le=360)]
+Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest", "last", "first", "dual"]
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
 DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # where neither rig nor sensor says others
 RETURN_MODE: ReturnMode = "strongest"
+
+
+def _check_fov(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] == value[1]:
+        raise fault(f"{value[0]:g} to {value[1]:g} is empty")
+    return value
+
+
+def _check_range(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise fault(f"{value[0]:g} is not below {value[1]:g}", 0)
+    return value
+
+
+AzimuthFov = Annotated[tuple[Azimuth, Azimuth], AfterValidator(_check_fov)]  # from, to, clockwise from the x axis
+Range = Annotated[tuple[Distance, Distance], AfterValidator(_check_range)]  # least, greatest
 
 
 class MountFile(Model):
@@ -42,7 +71,8 @@ class MountFile(Model):
     telemetry_port: Port | None = None
     rpm: Positive = RPM
     return_mode: ReturnMode = RETURN_MODE
-    azimuth_fov_deg: tuple[Azimuth, Azimuth] | None = None
+    azimuth_fov_deg: AzimuthFov | None = None
+    range_m: Range | None = None  # none: the sensor's
     phase_deg: Azimuth | None = None
     realism: Realism | None = None
 
@@ -58,8 +88,6 @@ class MountFile(Model):
     @model_validator(mode="after")
     def _check(self) -> "MountFile":
         one_of(self, "model", "elevation_deg")
-        if self.azimuth_fov_deg is not None and self.azimuth_fov_deg[0] == self.azimuth_fov_deg[1]:
-            raise fault(f"{self.azimuth_fov_deg[0]:g} to {self.azimuth_fov_deg[1]:g} is empty", "azimuth_fov_deg")
         if self.phase_deg is not None and self.rpm % 60:
             raise fault(f"needs whole revolutions a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg")
         if self.rpy_rad is not None and self.rpy_deg is not None:
@@ -121,6 +149,7 @@ class Mount:
     azimuth_fov_deg: tuple[float, float] | None = (
         None  # from, to, clockwise: nothing is fired outside; None: all around
     )
+    range_m: tuple[float, float] | None = None  # least, greatest, in placement; None: the sensor's
     phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
     settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads
     realism: Realism | None = None  # None: exact
@@ -202,6 +231,7 @@ def load_rig(path: str | Path) -> Rig:
                 rpm=mount.rpm,
                 return_mode=mount.return_mode,
                 azimuth_fov_deg=mount.azimuth_fov_deg,
+                range_m=mount.range_m,
                 phase_deg=mount.phase_deg,
                 settings=Section(sections.get(sensor.codec or "", {}), str(path), ("sensors", i, sensor.codec or "")),
                 realism=mount.realism,
@@ -233,6 +263,7 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 "rpm": mount.rpm,
                 "return_mode": mount.return_mode,
                 **({"azimuth_fov_deg": list(mount.azimuth_fov_deg)} if mount.azimuth_fov_deg else {}),
+                **({"range_m": list(mount.range_m)} if mount.range_m else {}),
                 **({"phase_deg": mount.phase_deg} if mount.phase_deg is not None else {}),
                 **({str(mount.sensor.codec): dict(mount.settings.values)} if mount.settings.values else {}),
                 **({"realism": mount.realism.model_dump(exclude_none=True)} if mount.realism else {}),

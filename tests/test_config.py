@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError
 from lidarcfg.config import SENTENCES, Model, Section, load, loads, nested_models
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.study import StudyFile
+from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.rig import RigFile
 from lidarcfg.sensor import Sensor
 from lidarcfg.world.motion import Motion

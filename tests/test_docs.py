@@ -19,7 +19,7 @@ import lidarcfg
 from lidarcfg.cli import cli
 from lidarcfg.config import Model, load
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.placement.study import StudyFile
+from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.realism import Realism
 from lidarcfg.rig import RigFile
 from lidarcfg.sensor import Sensor

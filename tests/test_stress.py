@@ -367,9 +367,9 @@ def test_nan_from_an_objective_is_no_result(tmp_path, objective):
     study = load_study(path)
     broken = Broken(study.objective, study.region, study.detection)
     trials = BeeColony(int(study.free.sum()), 5, 100, 1).ask()
-    sines = [slot.sensor.sin_elevation for slot in study.slots]
+    lidars = [slot.lidar for slot in study.slots]
     with (
-        Evaluator(study.region, sines, threads=1, criterion=broken) as evaluator,
+        Evaluator(study.region, lidars, threads=1, criterion=broken) as evaluator,
         pytest.raises(LidarcfgError, match="is nan; allowed: numbers, and inf"),
     ):
         costs(study, evaluator, trials.x, trials, 5, math.inf)
@@ -588,7 +588,7 @@ def use_study(path):
     assert (corners >= study.lower)[:, np.isnan(study.mirror)].all()
     assert (corners <= study.upper)[:, np.isnan(study.mirror)].all()
     assert np.isfinite(study.violation(corners)).all()
-    with Evaluator(study.region, [slot.sensor.sin_elevation for slot in study.slots], threads=1) as evaluator:
+    with Evaluator(study.region, [slot.lidar for slot in study.slots], threads=1) as evaluator:
         cost = evaluator.costs(corners, np.zeros(3, int), corners[:1], np.full(3, np.inf))
     assert (cost > 0).all()
     assert np.isfinite(cost).all()

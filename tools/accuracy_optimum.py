@@ -45,7 +45,7 @@ def recut(study: Study, factor: float) -> Study:
 
 def evaluator(study: Study, threads: int = 1) -> Evaluator:
     """The study's."""
-    return Evaluator(study.region, [slot.sensor.sin_elevation for slot in study.slots], threads)
+    return Evaluator(study.region, [slot.lidar for slot in study.slots], threads)
 
 
 def values(judge: Evaluator, poses: Array) -> Array:

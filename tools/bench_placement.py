@@ -105,8 +105,7 @@ def rigs(study: Study) -> list[tuple[str, list[Lidar]]]:
 
 def scratch_for(grid: rows.Grid, study: Study) -> tuple[rows.Work, flood.Floods]:
     """Room for the study's LiDARs."""
-    work = rows.room(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
-    return work, flood.flood_room(grid, 0)
+    return flood.scratch_for(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
 
 
 def evaluations(study: Study) -> None:
@@ -137,7 +136,7 @@ from lidarcfg.placement.region import Region
 part, poses, sines = json.loads(sys.argv[1])
 region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
 grid, sines = rows.Grid.of(region), np.array(sines)
-scratch = rows.room(grid, len(poses[0]), sines.size), flood.flood_room(grid, 0)
+scratch = flood.scratch_for(grid, len(poses[0]), sines.size)
 seconds = []
 for number, rig in enumerate([poses[0], *poses]):
     lidars = [lidar(row[:3], row[3:], sines) for row in rig]

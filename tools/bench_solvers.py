@@ -40,7 +40,7 @@ def mealpy(study: Study, seed: int, evaluations: int) -> list[tuple[int, float]]
     """The best of mealpy's ABC as it goes on: after how many evaluations, and what it was."""
     dimensions = int(study.free.sum())
     asked, best = [], [np.inf]
-    with Evaluator(study.region, [slot.sensor.sin_elevation for slot in study.slots], 1) as evaluator:
+    with Evaluator(study.region, [slot.lidar for slot in study.slots], 1) as evaluator:
 
         def cost(x: np.ndarray) -> float:
             poses = study.poses(np.asarray(x)[None])

@@ -14,10 +14,13 @@ PAGE = ROOT / "docs" / "api.md"
 MODULES = {
     "The ground": ("errors", "geometry", "units"),
     "Sensors and rigs": ("sensor", "rig", "realism"),
-    "World": ("world.scene", "world.motion"),
+    "World": ("world.scene", "world.vehicle", "world.motion"),
     "Placement": (
         "placement.region",
+        "placement.study_file",
         "placement.study",
+        "placement.evaluation",
+        "placement.visibility",
         "placement.optimize",
         "placement.subspace",
         "placement.metric",

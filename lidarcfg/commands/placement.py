@@ -20,7 +20,7 @@ from lidarcfg.commands.progress import progress
 
 if TYPE_CHECKING:
     from lidarcfg.placement.optimize import Cycle, Log, Placement
-    from lidarcfg.placement.study import Solver
+    from lidarcfg.placement.study_file import Solver
     from lidarcfg.rig import Rig
 
 SAVE_EVERY_S = 5.0
@@ -147,7 +147,7 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     """
     from lidarcfg import report
     from lidarcfg.placement.details import details
-    from lidarcfg.placement.study import evaluate as evaluation
+    from lidarcfg.placement.evaluation import evaluate as evaluation
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
 
@@ -188,7 +188,7 @@ def compare(
     """
     from lidarcfg import report
     from lidarcfg.placement.details import details
-    from lidarcfg.placement.study import evaluate as evaluation
+    from lidarcfg.placement.evaluation import evaluate as evaluation
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
 

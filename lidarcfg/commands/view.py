@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lidarcfg.view.page import Page
     from lidarcfg.view.stage import Stage
 
-# as lidarcfg.view.colours and placement.study have them, which take a second to load
+# as lidarcfg.view.colours and placement.evaluation have them, which take a second to load
 COLOURS = ("sensor", "intensity", "ring", "height", "time", "object")
 SIDE_MIN, SIDE_MAX = 16, 16_384
 WORST_MAX = 10

@@ -10,36 +10,64 @@ others (docs/accuracy.md). It decides alike everywhere, because everything that 
 """
 
 # mypy: disallow-untyped-decorators=False
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array, up
+from lidarcfg.geometry import Array, level, up
 from lidarcfg.jit import njit
 from lidarcfg.rig import Rig
+from lidarcfg.sensor import Sensor
 
 FIRST = 6  # the column of the lowest beam in a row of `cone_rows`
 
 
 @dataclass(frozen=True)
 class Lidar:
-    """What placement knows of a LiDAR: cones about an axis. Spinning about the axis changes none of them."""
+    """What placement knows of a LiDAR: cones about an axis. Spinning about the axis changes none of them.
+
+    The rest is what `Visibility` asks for; there the spin matters, where the field of view is not all around.
+    """
 
     position_m: Array  # (3,)
     axis: Array  # (3,) unit, the sensor's z in the vehicle frame
     sin_elevation: Array  # (beams,) ascending
+    level: Array | None = None  # (3, 2) its x and y, of which there must be some if there is a field of view
+    range_m: tuple[float, float] | None = None  # least, greatest; None: any
+    azimuth_fov: tuple[float, float] | None = None  # radians from x, clockwise, from and to; None: all around
 
 
-def lidar(position_m: Sequence[float], rpy_rad: Sequence[float], sin_elevation: Array) -> Lidar:
-    """The cones of a sensor at this pose in the vehicle frame."""
-    return Lidar(np.asarray(position_m, np.float64), up(rpy_rad), sin_elevation)
+def lidar(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array, sin_elevation: Array) -> Lidar:
+    """The cones of a sensor at this pose in the vehicle frame, of any range and all around."""
+    return Lidar(np.asarray(position_m, np.float64), up(rpy_rad), sin_elevation, level(rpy_rad))
+
+
+def placed(one: Lidar, position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Lidar:
+    """The same LiDAR at another pose."""
+    return replace(one, position_m=np.asarray(position_m, np.float64), axis=up(rpy_rad), level=level(rpy_rad))
+
+
+def sensor_lidar(
+    sensor: Sensor, range_m: tuple[float, float] | None, azimuth_fov_deg: tuple[float, float] | None
+) -> Lidar:
+    """A sensor in the vehicle's origin; its range is the catalogue's unless another is given."""
+    if range_m is None and sensor.range:
+        range_m = sensor.range.min_m, sensor.range.max_m
+    fov = None
+    if azimuth_fov_deg is not None and (azimuth_fov_deg[1] - azimuth_fov_deg[0]) % 360:  # 0 to 360 is all around
+        fov = math.radians(azimuth_fov_deg[0]), math.radians(azimuth_fov_deg[1])
+    return replace(lidar(np.zeros(3), np.zeros(3), sensor.sin_elevation), range_m=range_m, azimuth_fov=fov)
 
 
 def rig_lidars(rig: Rig) -> tuple[Lidar, ...]:
-    """The cones of a rig's sensors."""
-    return tuple(lidar(m.position_m, m.rpy_rad, m.sensor.sin_elevation) for m in rig.mounts)
+    """A rig's sensors."""
+    return tuple(
+        placed(sensor_lidar(mount.sensor, mount.range_m, mount.azimuth_fov_deg), mount.position_m, mount.rpy_rad)
+        for mount in rig.mounts
+    )
 
 
 def cone_rows(lidars: Sequence[Lidar]) -> Array:

@@ -10,10 +10,11 @@ from lidarcfg.placement.analytic import analytic
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.coverage import Coverage, coverage
 from lidarcfg.placement.detection import Counts, Rings, counted_places, detection_by_distance
+from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import inscribed_radii_m, volume_m3
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.placement.study import Study
 from lidarcfg.rig import Rig
 
 CHEAP_CUBOIDS = 100_000  # up to this size another evaluation takes a fraction of a second
@@ -63,11 +64,11 @@ def details(
     A study with more than `cheap_cuboids` gets no error bar and no comparison that it does not bring along.
     """
     cheap = study.region.included.size <= cheap_cuboids
-    if found.analytic is None and cheap:
+    if found.analytic is None and cheap and study.visibility is None:
         found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING))
     if midpoint_max_vsr_m is None and cheap:
         midpoint = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
-        midpoint_max_vsr_m = max_vsr(study.region, study.lidars(midpoint))
+        midpoint_max_vsr_m = max_vsr(study.region, study.lidars(midpoint), study.visibility)
     subspaces, vehicle = found.subspaces, vehicle_m(study)
     edges = ring_edges_m(study.region, vehicle)
     return Details(

@@ -14,27 +14,29 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array, up
+from lidarcfg.geometry import Array, level, up
 from lidarcfg.placement import evaluator_kernels as kernels
 from lidarcfg.placement import rows
-from lidarcfg.placement.cones import FIRST, Lidar, cone_rows
+from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.objective import Criterion
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.visibility_kernels import LIMITS
 
 CACHE_BYTES = 256 * 2**20
 RESTS = 10  # so many batches go without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 
 
-def max_vsr(region: Region, lidars: Sequence[Lidar]) -> float:
+def max_vsr(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> float:
     """The paper's cost: the largest volume-to-surface ratio over all subspaces, in metres (eq. 10)."""
-    return float(vsr_m(segment(region, lidars)).max())
+    return float(vsr_m(segment(region, lidars, visibility)).max())
 
 
 class Evaluator:
-    """Evaluates poses (n, lidars, 6) of sensors with these sines of elevation; a context that owns its threads.
+    """Evaluates poses (n, lidars, 6) of LiDARs, whose own poses do not matter; a context that owns its threads.
 
     Without a criterion the cost is max VSR. Results depend neither on the number of threads, nor on `skip`, which
     turns the savings off, nor on cache_bytes: the links of the food sources are kept if they fit.
@@ -43,21 +45,23 @@ class Evaluator:
     def __init__(
         self,
         region: Region,
-        sines: Sequence[Array],
+        lidars: Sequence[Lidar],
         threads: int | None = None,
         skip: bool = True,
         criterion: Criterion | None = None,
         cache_bytes: int = CACHE_BYTES,
+        visibility: Visibility | None = None,
     ) -> None:
-        self._region, self._sines, self._skip, self._criterion = region, sines, skip, criterion
+        self._region, self._lidars, self._skip, self._criterion = region, lidars, skip, criterion
+        self._visibility = visibility
+        self._obstacles = visibility.obstacles if visibility else rows.EVERYTHING.obstacles
         self._threads, self._cache_bytes = threads or os.cpu_count() or 1, cache_bytes
         self._pool = ThreadPoolExecutor(self._threads)
-        origin = np.zeros(3)
-        self._square = cone_rows([Lidar(origin, origin, sine) for sine in sines])[:, FIRST:]
+        self._square = cone_rows(lidars)[:, FIRST:]
         self._grid = rows.Grid.of(region)
-        self._poses = np.empty((0, len(sines), 6))  # of the food sources, for _witness
+        self._poses = np.empty((0, len(lidars), 6))  # of the food sources, for _witness
         self._linked = self._poses  # and for _links
-        self._links = np.empty((0, len(sines), *self._grid.links.shape), np.uint64)  # (sources, …), or none
+        self._links = np.empty((0, len(lidars), *self._grid.links.shape), np.uint64)  # (sources, …), or none
         self._witness = np.empty((0, kernels.WITNESSES), np.int64)  # (sources, …)
         self._last: tuple[Index, Array, Index] = (np.empty(0, np.int64), self._poses, self._witness)
         self._rest = 0  # see RESTS
@@ -98,7 +102,7 @@ class Evaluator:
         trials = np.flatnonzero(np.isnan(out))
 
         def one(trial: int) -> tuple[float, Index]:
-            subspaces = segment(self._region, self._lidars(poses[trial]))
+            subspaces = segment(self._region, self._placed(poses[trial]), self._visibility)
             return criterion.of(subspaces, float(to_beat[trial])), self._worst(subspaces)
 
         refuter, fresh = np.full(len(poses), -1, np.int64), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
@@ -134,7 +138,8 @@ class Evaluator:
             if len(self._links):
                 moved = (poses != source_poses[source]).any(axis=2)
                 self._renew(np.unique(source[~moved.all(axis=1)]))
-        batch = kernels.Batch(cones, to_beat, moved, source, witness, self._links)
+        limits = self._limits(poses)
+        batch = kernels.Batch(cones, to_beat, moved, source, witness, self._links, limits, self._obstacles)
         verdicts = kernels.Verdicts(
             np.full(len(poses), np.inf), np.full(len(poses), -1, np.int64), np.full_like(witness, -1)
         )
@@ -152,8 +157,14 @@ class Evaluator:
         self._last = source, poses, verdicts.fresh
         return verdicts.cost, evaluated
 
-    def _lidars(self, poses: Array) -> list[Lidar]:
-        return [Lidar(row[:3], up(row[3:]), sine) for row, sine in zip(poses, self._sines, strict=True)]
+    def _placed(self, poses: Array) -> list[Lidar]:
+        return [placed(one, row[:3], row[3:]) for row, one in zip(poses, self._lidars, strict=True)]
+
+    def _limits(self, poses: Array) -> Array:
+        """(n, lidars, 9): Sight.limits of each of the poses; (n, 0, 9) where everything is seen."""
+        if self._visibility is None:
+            return np.empty((len(poses), 0, LIMITS))
+        return self._visibility.limits(self._lidars, level(poses[..., 3:]))
 
     def _cones(self, poses: Array) -> Array:
         """(n, lidars, 6 + beams): cone_rows of each of the poses."""
@@ -171,7 +182,7 @@ class Evaluator:
             self._poses = np.full_like(source_poses, np.nan)
             self._linked = np.full_like(source_poses, np.nan)
             self._witness = np.full((len(source_poses), kernels.WITNESSES), -1, np.int64)
-            fits = len(source_poses) * len(self._sines) * self._grid.links.nbytes <= self._cache_bytes
+            fits = len(source_poses) * len(self._lidars) * self._grid.links.nbytes <= self._cache_bytes
             self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
         changed = (self._poses != source_poses).any(axis=(1, 2))
         source, poses, fresh = (of[self._last[0] < len(source_poses)] for of in self._last)
@@ -185,10 +196,10 @@ class Evaluator:
         changed = np.zeros(self._poses.shape[:2], bool)
         changed[sources] = (self._linked[sources] != self._poses[sources]).any(axis=2)
         stale = np.flatnonzero(changed.any(axis=1))
-        cones = self._cones(self._poses)
+        cones, limits = self._cones(self._poses), self._limits(self._poses)
 
         def renew(part: Index) -> None:
-            kernels.renew(stale[part], self._links, changed, cones, self._grid)
+            kernels.renew(stale[part], self._links, changed, cones, limits, self._obstacles, self._grid)
 
         list(self._pool.map(renew, self._parts(len(stale))))
         self._linked[sources] = self._poses[sources]

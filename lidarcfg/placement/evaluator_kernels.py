@@ -14,6 +14,7 @@ from lidarcfg.jit import njit
 from lidarcfg.placement.cones import FIRST
 from lidarcfg.placement.flood import Walls, flood, flood_room, inner_cuboid, keep, vsr, worst
 from lidarcfg.placement.rows import Counts, Grid, Words, link, room
+from lidarcfg.placement.visibility_kernels import Obstacles, Sight, new_looks
 
 WITNESSES = 12
 
@@ -27,6 +28,8 @@ class Batch(NamedTuple):
     source: Counts  # (n,) a row of `links`
     witness: Counts  # (n, WITNESSES) cuboids whose subspaces may refute a trial, −1 for none
     links: Words  # (sources, lidars, 3, rows), see renew; no rows where all LiDARs count as moved
+    limits: Array  # (n, lidars, 9), see Sight; (n, 0, 9) where everything is seen
+    obstacles: Obstacles
 
 
 class Verdicts(NamedTuple):
@@ -54,13 +57,16 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
     only if `in_full`. Returns how many trials were evaluated in full, and how many rows were compared for the others.
     """
     lidars, beams = batch.cones.shape[1], batch.cones.shape[2] - FIRST
-    work, floods, fixed = room(grid, lidars, beams), flood_room(grid, lidars), np.empty_like(grid.links)
+    floods, fixed = flood_room(grid, lidars), np.empty_like(grid.links)
+    work = room(grid, lidars, beams, floods.looks)
     values, cuboids = np.empty(WITNESSES), np.empty(WITNESSES, np.int64)
     moved, source, links = batch.moved, batch.source, batch.links
     full = compared = stamp = 0
     for t in trials:
         to_beat = batch.to_beat[t]
-        walls = Walls(fixed, batch.cones[t], np.flatnonzero(batch.moved[t]))
+        sight = Sight(batch.limits[t], batch.obstacles)
+        walls = Walls(fixed, batch.cones[t], np.flatnonzero(batch.moved[t]), sight)
+        floods.looks.known[:] = False
         fixed[:] = grid.links
         for lidar in range(lidars):
             if not moved[t, lidar]:
@@ -85,8 +91,8 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
             compared += rows
             continue
         full += 1
-        link(grid, fixed, walls.cones, walls.moved, work)
-        worst(grid, work.links, to_beat, floods, values, cuboids)
+        link(grid, fixed, walls.cones, walls.moved, sight, work)
+        worst(grid, Walls(work.links, walls.cones, walls.moved[:0], sight), to_beat, floods, values, cuboids)
         if values[0] < to_beat:
             verdicts.cost[t], verdicts.fresh[t] = values[0], cuboids
         else:
@@ -95,12 +101,22 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
 
 
 @njit(cache=True, nogil=True)
-def renew(rows: Counts, links: Words, changed: NDArray[np.bool_], cones: Array, grid: Grid) -> None:
+def renew(
+    rows: Counts,
+    links: Words,
+    changed: NDArray[np.bool_],
+    cones: Array,
+    limits: Array,
+    obstacles: Obstacles,
+    grid: Grid,
+) -> None:
     """Compute the links of the LiDARs `changed` (sources, lidars) for some rows of `links`; see Batch."""
-    work = room(grid, 1, cones.shape[2] - FIRST)
+    work = room(grid, 1, cones.shape[2] - FIRST, new_looks(1, grid.included.size))
     for row in rows:
         for lidar in np.flatnonzero(changed[row]):
-            link(grid, grid.links, cones[row, lidar : lidar + 1], np.zeros(1, np.int64), work)
+            work.looks.known[:] = False
+            sight = Sight(limits[row, lidar : lidar + 1], obstacles)
+            link(grid, grid.links, cones[row, lidar : lidar + 1], np.zeros(1, np.int64), sight, work)
             links[row, lidar] = work.links
 
 

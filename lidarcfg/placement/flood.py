@@ -15,6 +15,7 @@ from lidarcfg.placement.cones import FIRST, Lidar, beam_gap, cone_rows
 from lidarcfg.placement.rows import (
     ALL,
     BIT,
+    EVERYTHING,
     NONE,
     ONE,
     Counts,
@@ -28,6 +29,7 @@ from lidarcfg.placement.rows import (
     square_up,
     steps,
 )
+from lidarcfg.placement.visibility_kernels import Looks, Sight, new_looks, seen_of_row
 
 Labels = NDArray[np.int32]
 
@@ -38,19 +40,21 @@ class Walls(NamedTuple):
     links: Words  # (3, rows) of all LiDARs but `moved`
     cones: Array  # (lidars, 6 + beams), see cone_rows
     moved: Counts  # the LiDARs whose beam gap is computed row by row, as a flood gets there
+    sight: Sight
 
 
 class Floods(NamedTuple):
     """Scratch memory of `flood`, and what the last flood found; each thread has its own."""
 
     left: Words  # (rows,) cuboids that no flood has reached
-    gaps: Array  # (lidars, 8) the subspace's beam gaps; see _bound
+    gaps: Array  # (lidars, 9) the subspace's beam gaps; see _bound
     known: Counts  # (rows,) the stamp of the flood that `inside` belongs to
     inside: Words  # (rows,) the centres in the gaps
     squares: Array  # (2, 64)
     stack: Words  # (192 rows, 2) a row and bits of it from which to go on
     reached: Words  # (32 rows, 2) the last flood, step by step: a row and bits of it
     counts: Counts  # (6,) cuboids, internal faces across x, y and z, steps, and the fullest step
+    looks: Looks  # what the LiDARs see
 
 
 @njit(cache=True, nogil=True)
@@ -59,13 +63,14 @@ def flood_room(grid: Grid, lidars: int) -> Floods:
     rows = grid.included.size
     return Floods(
         grid.included.copy(),
-        np.empty((lidars, FIRST + 2)),
+        np.empty((lidars, FIRST + 3)),
         np.full(rows, -1, np.int64),
         np.empty(rows, np.uint64),
         np.empty((2, 64)),
         np.empty((192 * rows, 2), np.uint64),
         np.empty((32 * rows, 2), np.uint64),
         np.empty(6, np.int64),
+        new_looks(lidars, rows),
     )
 
 
@@ -103,8 +108,11 @@ def _along(bits: np.uint64, links: np.uint64) -> np.uint64:
 
 
 @njit(cache=True, nogil=True)
-def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array) -> None:
-    """Write the gap of a cuboid for each moved LiDAR: position, axis, u_k of the beams below and above (else ∓inf)."""
+def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array, looks: Looks) -> None:
+    """Write the gap of a cuboid for each moved LiDAR: position, axis, u_k of the beams below and above (else ∓inf).
+
+    And 1 where the LiDAR sees the cuboid, 0 where it is blind to it.
+    """
     first, y, z = row_of(grid, cuboid >> 6)
     for n in range(walls.moved.size):
         cone = walls.cones[walls.moved[n]]
@@ -113,6 +121,30 @@ def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array) -> None:
             gaps[n, column] = cone[column]
         gaps[n, FIRST] = cone[FIRST + gap - 1] if gap > 0 else -np.inf
         gaps[n, FIRST + 1] = cone[FIRST + gap] if FIRST + gap < cone.size else np.inf
+        gaps[n, FIRST + 2] = 1.0
+        if walls.sight.limits.shape[0]:
+            gaps[n, FIRST + 2] = float(
+                _seen(grid, walls, walls.moved[n], cuboid >> 6, looks) >> np.uint64(cuboid & 63) & ONE
+            )
+
+
+@njit(cache=True, nogil=True)
+def _seen(grid: Grid, walls: Walls, lidar: int, row: int, looks: Looks) -> np.uint64:
+    """The cuboids of a row that a LiDAR sees."""
+    first, y, z = row_of(grid, row)
+    xs = grid.x[first : first + 64]
+    seen: np.uint64 = seen_of_row(lidar, row, xs, y, z, grid.included[row], walls.cones, walls.sight, looks)
+    return seen
+
+
+@njit(cache=True, nogil=True)
+def _alike(grid: Grid, walls: Walls, row: int, word: np.uint64, gaps: Array, looks: Looks) -> np.uint64:
+    """Those of some cuboids of a row that each moved LiDAR sees, or does not see, as it does the gaps' cuboid."""
+    for n in range(walls.moved.size):
+        if word != NONE:
+            seen = _seen(grid, walls, walls.moved[n], row, looks)
+            word &= seen if gaps[n, FIRST + 2] > 0.0 else ~seen
+    return word
 
 
 @njit(inline="always")
@@ -123,8 +155,9 @@ def _inside(x: Array, ys: Array, zs: Array, row: int, gaps: Array, lidars: int, 
     step_z = step_y * (ys.size + 2)
     first, y, z = row % step_y << 6, ys[row % step_z // step_y - 1], zs[row // step_z - 1]
     for n in range(lidars):
-        square_up(x, first, y, z, gaps, n, squares)
-        word &= at_or_above(gaps[n, FIRST], squares) & ~at_or_above(gaps[n, FIRST + 1], squares)
+        if gaps[n, FIRST + 2] > 0.0:
+            square_up(x, first, y, z, gaps, n, squares)
+            word &= at_or_above(gaps[n, FIRST], squares) & ~at_or_above(gaps[n, FIRST + 1], squares)
     return word
 
 
@@ -152,15 +185,17 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
     """
     links, left, stack, reached, counts = walls.links, floods.left, floods.stack, floods.reached, floods.counts
     known, inside, squares, x, ys, zs = floods.known, floods.inside, floods.squares, grid.x, grid.y, grid.z
-    gaps, lidars = floods.gaps, walls.moved.size
+    gaps, looks, lidars, limited = floods.gaps, floods.looks, walls.moved.size, walls.sight.limits.shape[0] > 0
     step_y, step_z = steps(grid)
     sides = 4 if step_y == 1 else 6
     lazily = lidars > 0
     cuboids = faces_x = faces_y = faces_z = computed = step = most = fullest = 0
     row = cuboid >> 6
     if lazily:
-        _bound(grid, walls, cuboid, gaps)
+        _bound(grid, walls, cuboid, gaps, looks)
         known[row], inside[row], computed = stamp, _inside(x, ys, zs, row, gaps, lidars, squares), 1
+        if limited:
+            inside[row] = _alike(grid, walls, row, inside[row], gaps, looks)
     stack[0, 0], stack[0, 1] = row, BIT[cuboid & 63]
     top = 1
     while top > 0:
@@ -190,9 +225,12 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
                     known[other], inside[other] = stamp, ALL  # _inside, whose arguments numba would count each time
                     first, y, z = other % step_y << 6, ys[other % step_z // step_y - 1], zs[other // step_z - 1]
                     for n in range(lidars):
-                        square_up(x, first, y, z, gaps, n, squares)
-                        inside[other] &= at_or_above(gaps[n, FIRST], squares)
-                        inside[other] &= ~at_or_above(gaps[n, FIRST + 1], squares)
+                        if gaps[n, FIRST + 2] > 0.0:
+                            square_up(x, first, y, z, gaps, n, squares)
+                            inside[other] &= at_or_above(gaps[n, FIRST], squares)
+                            inside[other] &= ~at_or_above(gaps[n, FIRST + 1], squares)
+                    if limited:
+                        inside[other] = _alike(grid, walls, other, inside[other], gaps, looks)
                     computed += 1
                 word &= inside[other]
             if side == 0:
@@ -281,15 +319,14 @@ def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def worst(grid: Grid, links: Words, enough: float, floods: Floods, values: Array, cuboids: Counts) -> None:
+def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts) -> None:
     """The worst subspaces: values (n,) their V / S, descending, and a cuboid in each; both may hold some already.
 
-    links (3, rows): of all LiDARs. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
+    walls: without moved LiDARs. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
     cannot be in one of the worst: see links_needed.
     """
     step_y, step_z = steps(grid)
-    left, included, edge = floods.left, grid.included, grid.edge
-    walls = Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64))
+    left, included, edge, links = floods.left, grid.included, grid.edge, walls.links
     need = np.empty(9, np.int64)
     links_needed(values[-1], edge, need)
     for row in range(step_z, included.size - step_z):
@@ -307,12 +344,11 @@ def worst(grid: Grid, links: Words, enough: float, floods: Floods, values: Array
 
 
 @njit(cache=True, nogil=True)
-def _label(grid: Grid, links: Words, label: Labels) -> tuple[Counts, Counts, Counts]:
+def _label(grid: Grid, walls: Walls, label: Labels) -> tuple[Counts, Counts, Counts]:
     """Write the number of each cuboid's component to label (nx, ny, nz): see `components`."""
     nx, ny, nz = label.shape
     step_y, step_z = steps(grid)
     floods = flood_room(grid, 0)
-    walls = Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64))
     most = nx * ny * nz
     first, cuboids, internal = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.int64)
     total = 0
@@ -337,6 +373,11 @@ def _label(grid: Grid, links: Words, label: Labels) -> tuple[Counts, Counts, Cou
     return first[:total].copy(), cuboids[:total].copy(), internal[:total].copy()
 
 
+def joined(links: Words) -> Walls:
+    """Walls of no moved LiDARs, by the links (3, rows) of all."""
+    return Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64), EVERYTHING)
+
+
 def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[Labels, Counts, Counts, Counts]:
     """The connected components of the cuboids under some links (3, rows), in raster order.
 
@@ -344,21 +385,30 @@ def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[L
     internal (n, 3), the faces inside each across x, y and z; and first (n,), its first cuboid as a flat index.
     """
     out = np.empty(shape, np.int32)
-    first, cuboids, internal = _label(grid, links, out)
+    first, cuboids, internal = _label(grid, joined(links), out)
     return out, cuboids, internal, first
 
 
 @njit(cache=True, nogil=True)
-def _max_vsr(grid: Grid, cones: Array, work: Work, floods: Floods) -> float:
+def _max_vsr(grid: Grid, cones: Array, sight: Sight, walls: Walls, work: Work, floods: Floods) -> float:
     values, cuboids = np.full(1, -1.0), np.empty(1, np.int64)
     floods.left[:] = grid.included
-    link(grid, grid.links, cones, np.arange(cones.shape[0]), work)
-    worst(grid, work.links, np.inf, floods, values, cuboids)
+    work.looks.known[:] = False
+    link(grid, grid.links, cones, np.arange(cones.shape[0]), sight, work)
+    worst(grid, walls, np.inf, floods, values, cuboids)
     return float(values[0])
 
 
-def max_vsr(grid: Grid, lidars: Sequence[Lidar], scratch: tuple[Work, Floods] | None = None) -> float:
+def scratch_for(grid: Grid, lidars: int, beams: int) -> tuple[Work, Floods]:
+    """Room for evaluations of up to so many LiDARs of so many beams."""
+    floods = flood_room(grid, 0)
+    return room(grid, lidars, beams, new_looks(lidars, grid.included.size)), floods
+
+
+def max_vsr(
+    grid: Grid, lidars: Sequence[Lidar], scratch: tuple[Work, Floods] | None = None, sight: Sight = EVERYTHING
+) -> float:
     """The largest V / S, in metres. `scratch`: room for as many LiDARs and beams, to be used again."""
     cones = cone_rows(lidars)
-    work, floods = scratch or (room(grid, len(cones), cones.shape[1] - FIRST), flood_room(grid, 0))
-    return float(_max_vsr(grid, cones, work, floods))
+    work, floods = scratch or scratch_for(grid, len(cones), cones.shape[1] - FIRST)
+    return float(_max_vsr(grid, cones, sight, joined(work.links), work, floods))

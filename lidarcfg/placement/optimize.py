@@ -9,10 +9,11 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.placement.evaluation import Evaluation, evaluate
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials, checked
-from lidarcfg.placement.study import Evaluation, Study, evaluate
+from lidarcfg.placement.study import Study
 from lidarcfg.rig import Rig
 
 SLICE = 100  # trials between two looks at the clock, where there is a deadline
@@ -79,9 +80,9 @@ def optimize(
     dimensions = int(study.free.sum())
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    sines = [slot.sensor.sin_elevation for slot in study.slots]
+    lidars = [slot.lidar for slot in study.slots]
     interrupted = False
-    with Evaluator(study.region, sines, threads, skip, study.criterion()) as evaluator:
+    with Evaluator(study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility) as evaluator:
         run = _Run(study, evaluator, start_search(study.solver, dimensions), log or Log.empty())
         try:
             while not (run.history and run.spent()):
@@ -99,7 +100,7 @@ def optimize(
         rig=rig,
         evaluation=evaluate(study, rig),
         objective=run.best_cost,
-        midpoint_max_vsr_m=max_vsr(study.region, study.lidars(midpoint)),
+        midpoint_max_vsr_m=max_vsr(study.region, study.lidars(midpoint), study.visibility),
         history=tuple(run.history),
         evaluations=run.asked["trial"],
         first_evaluations=run.asked["first"],

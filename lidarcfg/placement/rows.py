@@ -1,8 +1,9 @@
 """Links between neighbouring cuboids, as rows of bits: 64 cuboids along x at a time.
 
 Two neighbours lie in one subspace if no cone passes between them, that is if every digit of their base-n labels is
-the same. So each row of up to 64 cuboids has three words of bits, its links: whether each cuboid and the one before
-it along x, y and z have the same digits. The links of several LiDARs are those of each, joined by `and`.
+the same; a LiDAR that does not see a cuboid has one digit for it, whatever its beams. So each row of up to 64 cuboids
+has three words of bits, its links: whether each cuboid and the one before it along x, y and z have the same digits. The
+links of several LiDARs are those of each, joined by `and`.
 
 Rows are numbered ((k + 1)(ny + 2) + j + 1) · chunks + c, so that every neighbour exists; a cuboid is row · 64 + bit.
 """
@@ -18,11 +19,17 @@ from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, signed_squares
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.visibility_kernels import LIMITS, Looks, Obstacles, Sight, new_looks, seen_of_row
+from lidarcfg.world.bvh import NO_TREE
 
 Counts = NDArray[np.int64]
 Words = NDArray[np.uint64]
 
 NONE, ONE, ALL = np.uint64(0), np.uint64(1), ~np.uint64(0)
+EVERYTHING = Sight(  # no limits: all that counts is seen
+    np.empty((0, LIMITS)),
+    Obstacles(NO_TREE, np.zeros(3), np.inf),
+)
 BIT = ONE << np.arange(64, dtype=np.uint64)
 
 
@@ -74,10 +81,11 @@ class Work(NamedTuple):
     guess: Counts  # (lidars,) a beam that passes near the last row
     squares: Array  # (2, 64) signed_squares of a row's centres
     links: Words  # (3, rows) the result
+    looks: Looks  # what the LiDARs see
 
 
 @njit(cache=True, nogil=True)
-def room(grid: Grid, lidars: int, beams: int) -> Work:
+def room(grid: Grid, lidars: int, beams: int, looks: Looks) -> Work:
     """Work on a grid, for up to so many LiDARs of so many beams."""
     rows = grid.included.size
     return Work(
@@ -85,6 +93,7 @@ def room(grid: Grid, lidars: int, beams: int) -> Work:
         np.zeros(lidars, np.int64),
         np.empty((2, 64)),
         np.zeros((3, rows), np.uint64),
+        looks,
     )
 
 
@@ -148,13 +157,15 @@ def _compare(row: int, cones: Array, lidar: int, squares: Array, guess: Counts, 
 
 
 @njit(cache=True, nogil=True)
-def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, work: Work) -> None:
+def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, work: Work) -> None:
     """Write the links of the whole grid to work.links.
 
     moved: the LiDARs, by their rows in `cones` (see cone_rows), to compute; fixed (3, rows): the links of all others.
+    What work.looks knows is taken from there.
     """
     xs, ys, zs, included = grid.x, grid.y, grid.z, grid.included
-    beyond, guess, squares, links = work.beyond, work.guess, work.squares, work.links
+    beyond, guess, squares, links, looks = work.beyond, work.guess, work.squares, work.links, work.looks
+    limited = sight.limits.shape[0] > 0
     step_y, step_z = steps(grid)
     for k in range(zs.size):
         for j in range(ys.size):
@@ -164,6 +175,11 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, work: Work) -> N
                     for lidar in moved:
                         square_up(xs, chunk * 64, ys[j], zs[k], cones, lidar, squares)
                         _compare(row, cones, lidar, squares, guess, beyond)
+                        if limited:
+                            x = xs[chunk * 64 : chunk * 64 + 64]
+                            word = seen_of_row(lidar, row, x, ys[j], zs[k], included[row], cones, sight, looks)
+                            for beam in range(beyond.shape[2]):
+                                beyond[lidar, row, beam] &= word
     for row in range(step_z, included.size - step_z):
         if included[row] != NONE:
             x, y, z = fixed[0, row], fixed[1, row], fixed[2, row]
@@ -174,24 +190,52 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, work: Work) -> N
                     unlike_x |= here ^ (here << ONE | beyond[lidar, row - 1, beam] >> np.uint64(63))
                     unlike_y |= here ^ beyond[lidar, row - step_y, beam]
                     unlike_z |= here ^ beyond[lidar, row - step_z, beam]
+                if limited:
+                    here = looks.seen[lidar, row]
+                    unlike_x |= here ^ (here << ONE | looks.seen[lidar, row - 1] >> np.uint64(63))
+                    unlike_y |= here ^ looks.seen[lidar, row - step_y]
+                    unlike_z |= here ^ looks.seen[lidar, row - step_z]
                 x, y, z = x & ~unlike_x, y & ~unlike_y, z & ~unlike_z
             links[0, row], links[1, row], links[2, row] = x, y, z
 
 
-def linked(region: Region, lidars: Sequence[Lidar]) -> tuple[Grid, Work]:
+def linked(region: Region, lidars: Sequence[Lidar], sight: Sight = EVERYTHING) -> tuple[Grid, Work]:
     """A region's grid, and the links and comparisons of some LiDARs on it."""
     grid, cones = Grid.of(region), cone_rows(lidars)
-    work = room(grid, len(cones), cones.shape[1] - FIRST)
-    link(grid, grid.links, cones, np.arange(len(cones)), work)
+    work = room(grid, len(cones), cones.shape[1] - FIRST, new_looks(len(cones), grid.included.size))
+    link(grid, grid.links, cones, np.arange(len(cones)), sight, work)
     return grid, work
+
+
+@njit(cache=True, nogil=True)
+def _look_everywhere(grid: Grid, cones: Array, sight: Sight, looks: Looks) -> None:
+    _, step_z = steps(grid)
+    for row in range(step_z, grid.included.size - step_z):
+        if grid.included[row] != NONE:
+            first, y, z = row_of(grid, row)
+            for lidar in range(len(cones)):
+                seen_of_row(lidar, row, grid.x[first : first + 64], y, z, grid.included[row], cones, sight, looks)
+
+
+def seen_words(region: Region, lidars: Sequence[Lidar], sight: Sight) -> Words:
+    """(lidars, rows): which cuboids each LiDAR sees."""
+    grid, cones = Grid.of(region), cone_rows(lidars)
+    looks = new_looks(len(cones), grid.included.size)
+    _look_everywhere(grid, cones, sight, looks)
+    return looks.seen
+
+
+def unpacked(region: Region, words: Words) -> NDArray[np.bool_]:
+    """(…, nx, ny, nz) the bits of words (…, rows)."""
+    nx, ny, nz = region.shape
+    rows = words.reshape(*words.shape[:-1], nz + 2, ny + 2, -1)[..., 1:-1, 1:-1, :]
+    bits = np.unpackbits(np.ascontiguousarray(rows, "<u8").view(np.uint8), axis=-1, bitorder="little")
+    return bits[..., :nx].swapaxes(-1, -3).astype(np.bool_)
 
 
 def beam_gaps(region: Region, lidar: Lidar) -> Counts:
     """(nx, ny, nz) the beam gap index of each cuboid: how many of a LiDAR's cones lie at or below its centre."""
     _, work = linked(region, [lidar])
-    nx, ny, nz = region.shape
-    beyond = work.beyond.reshape(nz + 2, ny + 2, -1, work.beyond.shape[2])[1:-1, 1:-1]
-    words = np.ascontiguousarray(np.moveaxis(beyond, 3, 0), "<u8")
-    bits = np.unpackbits(words.view(np.uint8), axis=-1, bitorder="little")
-    out: Counts = bits.sum(axis=0, dtype=np.int64)[..., :nx].transpose(2, 1, 0)
+    bits = unpacked(region, np.moveaxis(work.beyond[0], 1, 0))
+    out: Counts = bits.sum(axis=0, dtype=np.int64)
     return out

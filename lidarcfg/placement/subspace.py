@@ -16,6 +16,10 @@ from lidarcfg.placement.region import Region
 if TYPE_CHECKING:
     import open3d
 
+    from lidarcfg.placement.visibility import Visibility
+
+BLIND = -1  # the gap index of a LiDAR that does not see a subspace
+
 
 @dataclass(frozen=True)
 class Subspaces:
@@ -25,11 +29,20 @@ class Subspaces:
     label: NDArray[np.int32]  # (nx, ny, nz), −1 for excluded cuboids
     cuboids: NDArray[np.int64]  # (n,) in each
     internal: NDArray[np.int64]  # (n, 3) faces inside each, across x, y and z
-    gap: NDArray[np.int64]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it
+    gap: NDArray[np.int64]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it, or BLIND
     first: NDArray[np.int64]  # (n,) the first cuboid of each, as an index into the flat region
+    seen: NDArray[np.bool_] | None = None  # (lidars, nx, ny, nz) what each LiDAR sees; None: all that counts
 
     def __len__(self) -> int:
         return len(self.cuboids)
+
+    @property
+    def seen_by(self) -> NDArray[np.int64]:
+        """(nx, ny, nz) by how many LiDARs each cuboid is seen; 0 where it is excluded."""
+        if self.seen is None:
+            return self.region.included * np.int64(self.gap.shape[1])
+        count: NDArray[np.int64] = self.seen.sum(axis=0, dtype=np.int64)
+        return count
 
     def voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
         """All cuboids as an Open3D voxel grid, coloured by a value (n,) of their subspace, blue to red.
@@ -42,12 +55,16 @@ class Subspaces:
         return self.region.voxel_grid(index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1))
 
 
-def segment(region: Region, lidars: Sequence[Lidar]) -> Subspaces:
+def segment(region: Region, lidars: Sequence[Lidar], visibility: "Visibility | None" = None) -> Subspaces:
     """Cut a region into its connected subspaces. Raises ConfigError where every cuboid is excluded."""
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
-    grid, work = rows.linked(region, lidars)
+    grid, work = rows.linked(region, lidars, visibility.sight(lidars) if visibility else rows.EVERYTHING)
     label, cuboids, internal, first = flood.components(grid, region.shape, work.links)
     index = np.unravel_index(first, region.shape)
     points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
-    return Subspaces(region, label, cuboids, internal, beam_gap_table(points, cone_rows(lidars)), first)
+    gap, seen = beam_gap_table(points, cone_rows(lidars)), None
+    if visibility:
+        seen = rows.unpacked(region, work.looks.seen)
+        gap[~seen.reshape(len(lidars), -1)[:, first].T] = BLIND
+    return Subspaces(region, label, cuboids, internal, gap, first, seen)

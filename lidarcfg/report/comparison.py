@@ -11,7 +11,8 @@ from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.details import Details
-from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.document import Commands
 from lidarcfg.report.html import Best, Figure, Table, render

@@ -10,8 +10,9 @@ from lidarcfg import __version__
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.detection import Rings
+from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
-from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.words import (

@@ -12,9 +12,10 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.coverage import Coverage
 from lidarcfg.placement.details import Details, Places
 from lidarcfg.placement.detection import Rings
+from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import (
     EXCLUDED,
     MARKERS,

@@ -7,8 +7,9 @@ import numpy as np
 
 from lidarcfg.files import replacing
 from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
-from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.placement.study import Study
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:

@@ -14,8 +14,10 @@ from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.details import Details
+from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Log, Placement
-from lidarcfg.placement.study import BUDGETS, Evaluation, Study
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_file import BUDGETS
 from lidarcfg.report.document import Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.rig import Rig, rig_to_dict, save_rig

@@ -10,8 +10,9 @@ from rich.table import Column, Table
 
 from lidarcfg.packets.codec import codec
 from lidarcfg.placement.analytic import Analytic
+from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
-from lidarcfg.placement.study import Evaluation, Study
+from lidarcfg.placement.study import Study
 from lidarcfg.report.comparison import Contender, rows
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor

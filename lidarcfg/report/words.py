@@ -17,7 +17,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import COORDINATES, Study
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
 from lidarcfg.rig import Rig
 

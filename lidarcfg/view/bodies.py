@@ -10,7 +10,8 @@ from lidarcfg.geometry import Array, up
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.metric import centroid_m, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import COORDINATES, Study
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig
 
@@ -38,7 +39,7 @@ class RigScore:
 
 def score(study: Study, rig: Rig, worst: int) -> RigScore:
     """The rig's max VSR and its worst subspaces."""
-    spaces = segment(study.region, rig_lidars(rig))
+    spaces = segment(study.region, rig_lidars(rig), study.visibility)
     vsr, volume = vsr_m(spaces), volume_m3(spaces)
     bodies = [
         Body(

@@ -15,7 +15,8 @@ from lidarcfg import __version__
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
-from lidarcfg.placement.study import WORST, Study
+from lidarcfg.placement.evaluation import WORST
+from lidarcfg.placement.study import Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
 from lidarcfg.view.bodies import faces, score, violations

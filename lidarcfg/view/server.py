@@ -13,7 +13,7 @@ import numpy as np
 from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.study import WORST
+from lidarcfg.placement.evaluation import WORST
 from lidarcfg.rig import Rig, rig_text
 from lidarcfg.view.page import ASSETS, MODULES, Page, evaluation, html, moved
 from lidarcfg.view.stage import Stage

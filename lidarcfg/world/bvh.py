@@ -39,6 +39,10 @@ class Tree(NamedTuple):
     object: Index  # (S,) it belongs to
 
 
+NO_INDEX = np.empty(0, np.int32)
+NO_TREE = Tree(EMPTY, np.empty(0, np.float32), NO_INDEX, np.empty(0), np.empty(0, np.uint8), NO_INDEX, NO_INDEX)
+
+
 @njit(cache=True, nogil=True)
 def outward(low: float, high: float) -> tuple[np.float32, np.float32]:
     """An interval in float32 that holds the one in float64."""

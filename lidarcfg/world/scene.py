@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Metres, Model, Position, Positive, Vec3, error_at, fault, load
+from lidarcfg.config import COORDINATE_MAX_M, Key, Metres, Model, Position, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
@@ -19,6 +19,7 @@ from lidarcfg.world.motion import Motion
 
 DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
 GROUND = "ground"
+KINDS = ("boxes", "spheres", "cylinders", "planes", "meshes")
 NO_MESH = np.empty((0, 3)), np.empty((0, 3), np.int64)
 PLACES = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
 
@@ -109,13 +110,18 @@ class SceneFile(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "SceneFile":
-        names = {GROUND}
-        for kind in ("boxes", "spheres", "cylinders", "planes", "meshes"):
-            for i, item in enumerate(getattr(self, kind)):
-                if item.name in names:
-                    raise fault(f"{item.name!r} is an object already; each name may be given once", kind, i, "name")
-                names.add(item.name)
+        check_names(self)
         return self
+
+
+def check_names(file: Model) -> None:
+    """A model's validator: no two of the objects of any kind have one name, nor is one called as the ground."""
+    names = {GROUND}
+    for kind in KINDS:
+        for i, item in enumerate(getattr(file, kind)):
+            if item.name in names:
+                raise fault(f"{item.name!r} is an object already; each name may be given once", kind, i, "name")
+            names.add(item.name)
 
 
 @dataclass(frozen=True)
@@ -155,6 +161,11 @@ def load_scene(path: str | Path) -> Scene:
     """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
     path = example(path)
     file = load(path, SceneFile)
+    return built(file, path)
+
+
+def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
+    """The scene that stands in a file under the key `at`; meshes are beside it. Raises as load_scene does."""
     objects: list[tuple[Ground | SceneObject, Mesh]] = [(file.ground, NO_MESH)] if file.ground else []
     objects += [(box, box_mesh(box)) for box in file.boxes]
     objects += [(item, NO_MESH) for item in (*file.spheres, *file.cylinders)]
@@ -163,7 +174,7 @@ def load_scene(path: str | Path) -> Scene:
         try:
             objects.append((item, placed(read_mesh(path.parent / item.file), item)))
         except SceneError as error:
-            raise error_at(path, ("meshes", i, "file"), error) from None
+            raise error_at(path, (*at, "meshes", i, "file"), error) from None
     if not objects:
         raise SceneError(f"{path}: the scene is empty; give a ground or an object")
     vertices_m, triangles = _joined([mesh for _, mesh in objects])

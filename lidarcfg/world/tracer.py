@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.bvh import CYLINDER, EMPTY, SPHERE, TRIANGLE, Tree, build, corners
+from lidarcfg.world.bvh import CYLINDER, EMPTY, NO_TREE, SPHERE, TRIANGLE, Tree, build, corners
 from lidarcfg.world.motion import MotionPath, packed, prepared
 from lidarcfg.world.scene import Cylinder, Scene, Sphere
 from lidarcfg.world.tracer_kernels import NONE, blocked, new_packet
 from lidarcfg.world.world_kernels import NOTHING, Dynamics, Found, World, cast, resolve
-
-NO_SHAPES = np.empty(0), np.empty(0, np.uint8), np.empty(0, np.int32), np.empty(0, np.int32)
 
 
 class Hits(NamedTuple):
@@ -95,6 +93,13 @@ class Tracer:
 
 def tree(scene: Scene, which: NDArray[np.bool_], origin_m: Array) -> Tree:
     """The tree over some of a scene's objects (objects,), relative to a point (3,)."""
+    return build(*shapes_of(scene, which, origin_m))
+
+
+def shapes_of(
+    scene: Scene, which: NDArray[np.bool_], origin_m: Array
+) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]:
+    """The shapes of some of a scene's objects, relative to a point (3,): see Tree for the four columns."""
     triangles = np.flatnonzero(which[scene.triangle_object]).astype(np.int32)
     rounds = [(i, item) for i, item in scene.rounds if which[i]]
     shapes = np.zeros(9 * (len(triangles) + len(rounds)))
@@ -105,7 +110,7 @@ def tree(scene: Scene, which: NDArray[np.bool_], origin_m: Array) -> Tree:
         shapes[9 * s : 9 * s + 5] = _round(item, origin_m)
     number = np.concatenate([triangles, np.full(len(rounds), NOTHING, np.int32)])
     objects = np.concatenate([scene.triangle_object[triangles], np.array([i for i, _ in rounds], np.int32)])
-    return build(shapes, kind, number, objects)
+    return shapes, kind, number, objects
 
 
 def _round(item: Sphere | Cylinder, origin_m: Array) -> Array:
@@ -117,7 +122,7 @@ def _round(item: Sphere | Cylinder, origin_m: Array) -> Array:
 
 def _dynamics(scene: Scene, dynamic: Sequence[Dynamic], origin_m: Array) -> Dynamics:
     """All trees of dynamic objects in one table."""
-    trees, roots, first, node = [Tree(EMPTY, np.empty(0, np.float32), np.empty(0, np.int32), *NO_SHAPES)], [], 0, 0
+    trees, roots, first, node = [NO_TREE], [], 0, 0
     which = np.zeros(len(scene.names), np.bool_)
     for one in dynamic:
         which[:] = False

@@ -109,7 +109,7 @@ def costs(beams, lidars, **settings):
     trials = sources[source].copy()
     trials[np.arange(30), rng.integers(lidars, size=30), rng.integers(5, size=30)] += rng.normal(0, 0.2, 30)
     plain = np.array([max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in trials])
-    with Evaluator(REGION, [sine] * lidars, threads=2, **settings) as evaluator:
+    with Evaluator(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2, **settings) as evaluator:
         to_beat = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf))[source]
         found = [evaluator.costs(trials, source, sources, to_beat) for _ in range(2)]
     own = [max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in sources]
@@ -138,6 +138,6 @@ def test_lidars_in_odd_places():
     for region in (REGION, Region.from_boxes((0, 0, 0), (6, 4, 0.25), (0.5, 0.5, 0.25))):
         for position in ((-50, 2, 1), (0.25, 0.25, 0.125), (2.5, 1.5, 0.5), (0, 0, 0)):
             pose = np.array([[[*position, 0.0, 0.0, 0.0]]])
-            with Evaluator(region, [sine], threads=1) as evaluator:
+            with Evaluator(region, [lidar((0, 0, 0), (0, 0, 0), sine)], threads=1) as evaluator:
                 cost = evaluator.costs(pose, np.zeros(1, int), pose, np.full(1, np.inf))[0]
             assert cost == max_vsr(region, [lidar(position, (0, 0, 0), sine)])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import evaluate, load_study, with_solver
+from lidarcfg.placement.study import load_study, with_solver
 
 STUDIES = Path(__file__).parents[2] / "data/studies"
 SMALL = """

@@ -11,8 +11,9 @@ from lidarcfg.cli import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import details
+from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import inscribed_radii_m
-from lidarcfg.placement.study import evaluate, load_study
+from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import rows
 from lidarcfg.rig import load_rig
 from tests.command_line import lidarcfg

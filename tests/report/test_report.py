@@ -12,8 +12,9 @@ import pytest
 from lidarcfg import report
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.details import details
+from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.study import evaluate, load_study
+from lidarcfg.placement.study import load_study
 from lidarcfg.report.words import date
 from lidarcfg.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints

@@ -19,7 +19,8 @@ import pytest
 
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.study import evaluate, load_study
+from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.study import load_study
 from lidarcfg.rig import load_rig
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.objects import Objects

@@ -17,9 +17,10 @@ from lidarcfg.commands.view import view
 from lidarcfg.errors import CloudError, ConfigError, PacketError
 from lidarcfg.geometry import pose, transform
 from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import bounds_m, surface_m2
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import evaluate, load_study
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig, load_rig, rig_text
 from lidarcfg.simulate.export import export, in_time_order

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from lidarcfg.placement.solvers.search import Search
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.study import Solver
+    from lidarcfg.placement.study_file import Solver
 
 
 def _auto(dimensions: int, solver: "Solver") -> Search:

@@ -1,0 +1,97 @@
+"""How well a rig does in a study."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.placement.analytic import Analytic, analytic
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.detection import Detection, detection
+from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.subspace import BLIND, Subspaces, segment
+from lidarcfg.rig import Rig
+from lidarcfg.sensor import Sensor
+
+WORST = 10  # how many of the worst subspaces an evaluation lists
+
+
+@dataclass(frozen=True)
+class Worst:
+    """One of the worst subspaces."""
+
+    vsr_m: float
+    volume_m3: float
+    surface_m2: float
+    inscribed_radius_m: float
+    centroid_m: list[float]
+    min_m: list[float]
+    max_m: list[float]
+    gap: list[int]  # by sensor: how many of its beams pass below
+    between_deg: list[list[float | None]]  # by sensor: the elevations of the beams below and above; None: no beam
+    # a sensor that does not see it has the gap −1, and no beams
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How well a rig does in a study."""
+
+    subspaces: Subspaces
+    vsr_m: Array  # (n,) by subspace
+    worst: tuple[Worst, ...]
+    detection: dict[str, Detection]  # by object
+    analytic: Analytic | None  # if a tolerance was asked for
+    seconds: float
+
+    @property
+    def max_vsr_m(self) -> float:
+        """The paper's cost, by the cuboids' faces."""
+        return float(self.vsr_m.max())
+
+
+def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count: int = WORST) -> Evaluation:
+    """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
+
+    With a relative tolerance also the analytic max VSR, to that tolerance. Raises ConfigError where it is not
+    above 0, or where the region has too many cuboids to refine.
+    """
+    started = time.perf_counter()
+    if tolerance is not None and study.visibility is not None:
+        raise ConfigError(
+            "a tolerance is for studies in which every LiDAR sees everything; this one limits their sight"
+        )
+    converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance)
+    subspaces = segment(study.region, rig_lidars(rig), study.visibility)
+    vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
+    radius = inscribed_radii_m(subspaces)
+    worst = []
+    for number in np.argsort(-vsr, kind="stable")[:worst_count].tolist():
+        low, high = bounds_m(subspaces, number)
+        worst.append(
+            Worst(
+                vsr_m=float(vsr[number]),
+                volume_m3=float(volume[number]),
+                surface_m2=float(surface[number]),
+                inscribed_radius_m=float(radius[number]),
+                centroid_m=centroid_m(subspaces, number).tolist(),
+                min_m=low.tolist(),
+                max_m=high.tolist(),
+                gap=subspaces.gap[number].tolist(),
+                between_deg=[
+                    _beams_around(mount.sensor, gap)
+                    for mount, gap in zip(rig.mounts, subspaces.gap[number].tolist(), strict=True)
+                ],
+            )
+        )
+    rates = {item.name: detection(subspaces, item) for item in study.detection}
+    return Evaluation(subspaces, vsr, tuple(worst), rates, converged, time.perf_counter() - started)
+
+
+def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:
+    if gap == BLIND:
+        return [None, None]
+    beams = [None, *sorted(sensor.beams.elevation_deg), None]
+    return [beams[gap], beams[gap + 1]]

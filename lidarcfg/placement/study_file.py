@@ -1,0 +1,129 @@
+"""A study file: its keys, what is allowed in each, and their defaults."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, fault
+from lidarcfg.placement.detection import DetectionObject
+from lidarcfg.placement.objective import Objective
+from lidarcfg.placement.region import RegionFile
+from lidarcfg.rig import AzimuthFov, MountName, Range, angles_rad, one_of
+from lidarcfg.sensor import Elevations
+from lidarcfg.world.vehicle import VehicleFile
+
+BUDGETS = {"cycles", "evaluations", "seconds"}
+COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+class PoseBound(Model):
+    """A bound on a pose."""
+
+    position_m: Position
+    rpy_rad: Angles | None = None
+    rpy_deg: Angles | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "PoseBound":
+        one_of(self, "rpy_rad", "rpy_deg")
+        return self
+
+    @property
+    def pose(self) -> tuple[float, ...]:
+        """x, y, z, roll, pitch, yaw."""
+        return *self.position_m, *angles_rad(self.rpy_rad, self.rpy_deg)
+
+
+class GroupFile(Model):
+    """Sensors of one model within the same bounds."""
+
+    model: str | None = None
+    elevation_deg: Elevations | None = None
+    name: MountName | None = None
+    count: Annotated[int, Field(ge=1, le=1000)] = 1
+    range_m: Range | None = None  # least, greatest; none: the sensor's
+    azimuth_fov_deg: AzimuthFov | None = None  # none: all around
+    mirror_y_m: Metres | None = None  # the sensors are pairs, each the other's image in the plane y = mirror_y_m
+    min: PoseBound
+    max: PoseBound
+
+    @model_validator(mode="after")
+    def _check(self) -> "GroupFile":
+        one_of(self, "model", "elevation_deg")
+        if self.mirror_y_m is not None and self.count % 2:
+            raise fault(f"needs pairs, and count is {self.count}; allowed: an even count", "mirror_y_m")
+        for i, (low, high) in enumerate(zip(self.min.pose, self.max.pose, strict=True)):
+            if low > high:
+                raise fault(f"its {COORDINATES[i]} is below min's; allowed: at or above it", "max")
+        return self
+
+
+class Constraints(Model):
+    """What a rig must satisfy."""
+
+    max_tilt_deg: Annotated[float, Field(ge=0, le=180)] = 180.0  # of every sensor's axis from the vertical
+    min_distance_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)] = 0.0  # between any two sensors' origins
+
+
+class Solver(Model):
+    """How to search. The first budget that is reached ends the run.
+
+    Without a budget: 800 cycles of `abc`, as in the paper, or 100,000 evaluations of another method.
+    """
+
+    method: Literal["auto", "abc", "cmaes", "de"] = "auto"
+    bees: Annotated[int, Field(ge=2, le=1_000_000)] = 200  # abc: food sources
+    limit: Annotated[int, Field(ge=1)] | None = None  # abc: failures of a source; default: bees × free dimensions
+    cycles: Annotated[int, Field(ge=1)] | None = None
+    evaluations: Annotated[int, Field(ge=1)] | None = None
+    seconds: Annotated[float, Field(gt=0)] | None = None
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_budget(cls, values: Any) -> Any:
+        if isinstance(values, dict) and all(values.get(key) is None for key in BUDGETS):
+            return values | ({"cycles": 800} if values.get("method") == "abc" else {"evaluations": 100_000})
+        return values
+
+
+class VisibilityFile(Model):
+    """What limits the sight of sensors, each where the study gives what it needs; with none of it, nothing does."""
+
+    range: bool = True
+    field_of_view: bool = True
+    occlusion: bool = True
+
+
+class StudyFile(Model):
+    """A study file."""
+
+    region: RegionFile
+    sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1)]
+    vehicle: VehicleFile | None = None
+    surroundings: str | None = None  # a scene's file, relative to the study's
+    visibility: VisibilityFile | None = None
+    objective: Objective = Objective()
+    constraints: Constraints = Constraints()
+    solver: Solver = Solver()
+    detection: tuple[DetectionObject, ...] = ()
+
+    @property
+    def limits_sight(self) -> bool:
+        """Whether anything in it says that sensors do not see everything; without, it is the paper's."""
+        own = [item for group in self.sensors for item in (group.range_m, group.azimuth_fov_deg)]
+        given = any(item is not None for item in (self.vehicle, self.surroundings, self.visibility, *own))
+        wanted = self.visibility or VisibilityFile()
+        return given and (wanted.range or wanted.field_of_view or wanted.occlusion)
+
+    @model_validator(mode="after")
+    def _check(self) -> "StudyFile":
+        names = [item.name for item in self.detection]
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                raise fault(f"{name!r} is an object already; each may stand once", "detection", i, "name")
+        for name in self.objective.detection:
+            if name not in names:
+                allowed = ", ".join(names) or "none, as the study has no detection"
+                raise fault(f"no object is called so; allowed: {allowed}", "objective", "detection", name)
+        return self

@@ -1,0 +1,89 @@
+"""What a LiDAR sees: within its range and its horizontal field of view, and not hidden by a body.
+
+A LiDAR sees a point if the open segment from its origin to the point hits nothing; neither a surface that the point
+lies on hides it, nor one that the LiDAR stands on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement import rows
+from lidarcfg.placement.cones import Lidar, cone_rows
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.visibility_kernels import (
+    BEYOND,
+    LIMITS,
+    WITHIN,
+    Obstacles,
+    Sight,
+    seen_points,
+)
+from lidarcfg.world.scene import Scene
+from lidarcfg.world.vehicle import obstacles
+
+ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
+EXACT = 1e-15  # a cosine or sine below it is 0
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """What limits the sight of LiDARs, beside their beams."""
+
+    obstacles: Obstacles
+    range: bool = True
+    field_of_view: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        scenes: Sequence[Scene],
+        region: Region,
+        range: bool = True,
+        field_of_view: bool = True,
+    ) -> "Visibility":
+        """With the static objects of scenes, in the region's frame, as obstacles."""
+        middle = 0.5 * (region.min_m + region.max_m)
+        origin_m = np.rint(middle / ROUND_M) * ROUND_M
+        grounds = [scene.file.ground.z_m for scene in scenes if scene.file.ground]
+        found = Obstacles(obstacles(scenes, origin_m), origin_m, max(grounds, default=np.inf))
+        return cls(found, range, field_of_view)
+
+    def limits(self, lidars: Sequence[Lidar], level: Array | None = None) -> Array:
+        """(…, lidars, 9): Sight.limits of LiDARs; `level` (…, lidars, 3, 2) if they are not at their own poses."""
+        shape = (len(lidars),) if level is None else level.shape[:-2]
+        out = np.zeros((*shape, LIMITS))
+        out[..., 1] = np.inf
+        for i, one in enumerate(lidars):
+            row = out[..., i, :]
+            if self.range and one.range_m:
+                row[..., :2] = np.square(one.range_m)
+            if self.field_of_view and one.azimuth_fov:
+                known = one.level if level is None else level[..., i, :, :]
+                if known is None:
+                    raise ValueError("a LiDAR with a field of view needs to say where its x axis points")
+                first, last = (np.array([np.cos(angle), np.sin(angle)]) for angle in one.azimuth_fov)
+                first[abs(first) < EXACT] = last[abs(last) < EXACT] = 0.0
+                row[..., 2:5] = known @ (-first[1], -first[0])
+                row[..., 5:8] = known @ (last[1], last[0])
+                width = (one.azimuth_fov[1] - one.azimuth_fov[0]) % (2 * np.pi)
+                row[..., 8] = WITHIN if width <= np.pi else BEYOND
+        return out
+
+    def sight(self, lidars: Sequence[Lidar]) -> Sight:
+        """What the compiled loops know of these LiDARs."""
+        return Sight(self.limits(lidars), self.obstacles)
+
+    def seen(self, region: Region, lidars: Sequence[Lidar]) -> NDArray[np.bool_]:
+        """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
+        return rows.unpacked(region, rows.seen_words(region, lidars, self.sight(lidars)))
+
+    def seen_points(self, points_m: Array, lidar: Lidar) -> NDArray[np.bool_]:
+        """(N,): which points (N, 3) a LiDAR sees."""
+        out = np.empty(len(points_m), np.bool_)
+        points = np.ascontiguousarray(np.asarray(points_m, np.float64).T)
+        seen_points(points, cone_rows([lidar])[0], self.limits([lidar])[0], self.obstacles, out)
+        return out

@@ -1,0 +1,86 @@
+"""Closed bodies: which points are inside, and which edges are open where a mesh is not closed."""
+
+# mypy: disallow-untyped-decorators=False
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from lidarcfg.geometry import Array
+from lidarcfg.jit import njit
+from lidarcfg.world.meshes import Mesh
+
+Index = NDArray[np.int64]
+Inside = NDArray[np.bool_]
+
+
+def welded(mesh: Mesh) -> Mesh:
+    """The mesh with vertices at the same place made one, and without triangles of fewer than three places."""
+    vertices, triangles = mesh
+    places, number = np.unique(vertices, axis=0, return_inverse=True)
+    corners = number.reshape(-1)[triangles]
+    a, b, c = corners.T
+    return places, corners[(a != b) & (b != c) & (c != a)]
+
+
+def open_edges(mesh: Mesh) -> Array:
+    """(E, 2, 3) the edges of a welded mesh that bound an odd number of triangles; none where it is closed."""
+    vertices, triangles = mesh
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    found: Array = vertices[unique[counts % 2 == 1]]
+    return found
+
+
+def parts(mesh: Mesh) -> list[Mesh]:
+    """The parts of a welded mesh that share no vertex."""
+    vertices, triangles = mesh
+    a, b, c = triangles.T
+    one, other = np.concatenate([a, b]), np.concatenate([b, c])
+    graph = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(len(vertices), len(vertices)))
+    part = connected_components(graph, directed=False)[1][a] if len(triangles) else np.empty(0, np.int64)
+    return [(vertices, triangles[part == number]) for number in np.unique(part)]
+
+
+def inside(mesh: Mesh, x: Array, y: Array, z: Array) -> Inside:
+    """(nx, ny, nz): which points of a grid are inside any part of a closed, welded mesh; x, y and z ascend.
+
+    A line along x enters and leaves a closed part an even number of times: whether it passes through a triangle is
+    told edge by edge, by the same numbers for both neighbours, so that it cannot pass between them.
+    """
+    found = np.zeros((len(x), len(y), len(z)), np.bool_)
+    odd = np.empty((len(y), len(z), len(x) + 1), np.bool_)
+    for vertices, triangles in parts(mesh):
+        odd[:] = False
+        _toggle(vertices, triangles, x, y, z, odd)
+        found |= np.logical_xor.accumulate(odd[..., :-1], axis=2).transpose(2, 0, 1)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _beside(ay: float, az: float, by: float, bz: float, y: float, z: float) -> bool:
+    """Whether a line at (y, z) in the direction of falling y crosses an edge; the same for both of its directions."""
+    if az > bz or (az == bz and ay > by):
+        ay, az, by, bz = by, bz, ay, az
+    if not az <= z < bz:
+        return False
+    return bool(y > ay + (by - ay) * ((z - az) / (bz - az)))
+
+
+@njit(cache=True, nogil=True)
+def _toggle(vertices: Array, triangles: Index, x: Array, y: Array, z: Array, odd: Inside) -> None:
+    """Toggle odd (ny, nz, nx + 1) at the first point beyond each triangle, on every line along x that crosses it."""
+    for t in range(len(triangles)):
+        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        low_x, high_x = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
+        ux, uy, uz, vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2], c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for j in range(np.searchsorted(y, min(a[1], b[1], c[1])), np.searchsorted(y, max(a[1], b[1], c[1]), "right")):
+            first, last = np.searchsorted(z, min(a[2], b[2], c[2])), np.searchsorted(z, max(a[2], b[2], c[2]), "right")
+            for k in range(first, last):
+                crossed = _beside(a[1], a[2], b[1], b[2], y[j], z[k])
+                crossed ^= _beside(b[1], b[2], c[1], c[2], y[j], z[k])
+                crossed ^= _beside(c[1], c[2], a[1], a[2], y[j], z[k])
+                if crossed:
+                    at = a[0] - (ny * (y[j] - a[1]) + nz * (z[k] - a[2])) / nx if nx != 0.0 else low_x
+                    odd[j, k, np.searchsorted(x, min(max(at, low_x), high_x))] ^= True

@@ -1,0 +1,123 @@
+"""Visibility: shadows, ranges and fields of view by hand, and what they make of labels."""
+
+import numpy as np
+import pytest
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.study import load_study
+from lidarcfg.placement.subspace import BLIND, segment
+
+STUDY = """
+region: {min_m: [0, 0, 0], max_m: [10, 4, 2], cuboid_m: [0.5, 0.5, 0.5]}
+sensors:
+  - {elevation_deg: [-20, 0, 20], min: {position_m: [1, 2, 1], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 2, 1], rpy_deg: [0, 0, 0]}}
+"""
+PLATE = "vehicle: {boxes: [{name: plate, center_m: [4, 2, 1], size_m: [0.1, 1, 9]}]}\n"
+
+
+def study(tmp_path, text):
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    return load_study(path)
+
+
+def at(loaded):
+    """The rig at the lower bounds, and the centres (nx, ny, nz, 3)."""
+    return loaded.rig(loaded.lower), np.stack(np.meshgrid(*loaded.region.centres(), indexing="ij"), axis=-1)
+
+
+def test_without_its_keys_a_study_is_the_papers(tmp_path):
+    loaded = study(tmp_path, STUDY)
+    assert loaded.visibility is None
+    off = "visibility: {range: false, field_of_view: false, occlusion: false}\n"
+    assert study(tmp_path, STUDY + PLATE + off).visibility is None
+    spaces = segment(loaded.region, loaded.lidars(loaded.lower))
+    assert (spaces.seen_by == 1).all()
+    assert spaces.gap.min() == 0
+
+
+def test_a_plates_shadow_by_similar_triangles(tmp_path):
+    loaded = study(tmp_path, STUDY + PLATE)
+    rig, centres = at(loaded)
+    x, y = centres[..., 0], centres[..., 1]
+    along = (x - 1) / np.where(x > 4, 4.05 - 1, np.inf)  # from the sensor to the plate's far side is 1
+    by_hand = (x > 4) & (abs(y - 2) < 0.5 * along)
+    assert by_hand.any()
+    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    near = abs(abs(y - 2) - 0.5 * along) < 0.05  # the near side casts the wider shadow
+    assert (seen == ~by_hand)[~near].all()
+    spaces = segment(loaded.region, rig_lidars(rig), loaded.visibility)
+    assert np.array_equal(spaces.seen_by, seen.astype(int))
+    assert ((spaces.gap[spaces.label, 0] == BLIND) == ~seen).all()
+
+
+def test_a_range_is_a_shell(tmp_path):
+    loaded = study(tmp_path, STUDY.replace("20], min", "20], range_m: [1.5, 6], min"))
+    rig, centres = at(loaded)
+    assert rig.mounts[0].range_m == (1.5, 6)
+    distance = np.linalg.norm(centres - (1, 2, 1), axis=-1)
+    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    assert np.array_equal(seen, (distance >= 1.5) & (distance <= 6))
+
+
+@pytest.mark.parametrize(("low", "high"), [(270, 90), (300, 20), (20, 300), (0, 180), (0, 360), (90.5, 91)])
+def test_a_field_of_view_is_a_sector(tmp_path, low, high):
+    text = STUDY.replace("20], min", f"20], azimuth_fov_deg: [{low}, {high}], min")
+    text = text.replace("[1, 2, 1], rpy_deg: [0, 0, 0]", "[5, 2, 1], rpy_deg: [0, 0, 30]")
+    loaded = study(tmp_path, text)
+    rig, centres = at(loaded)
+    clockwise = 30 - np.degrees(np.arctan2(centres[..., 1] - 2, centres[..., 0] - 5))
+    width = (high - low) % 360 or 360
+    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    assert np.array_equal(seen, (clockwise - low) % 360 <= width)
+
+
+def test_the_catalogues_range_counts_as_soon_as_anything_limits_sight(tmp_path):
+    text = STUDY.replace("elevation_deg: [-20, 0, 20]", "model: vlp-16").replace("10, 4, 2", "10, 4, 2")
+    assert study(tmp_path, text).visibility is None
+    for more, least in (("", 0.5), ("visibility: {range: false}\n", 0.0)):
+        loaded = study(tmp_path, text + "vehicle: {spheres: [{name: far, center_m: [0, 0, 90], radius_m: 1}]}\n" + more)
+        rig, centres = at(loaded)
+        seen = loaded.visibility.seen_points(centres.reshape(-1, 3), rig_lidars(rig)[0])
+        distance = np.linalg.norm(centres - (1, 2, 1), axis=-1).ravel()
+        assert np.array_equal(seen, distance >= least)
+
+
+def test_excluded_bodies_are_no_part_of_the_region(tmp_path):
+    box = "vehicle: {boxes: [{name: car, center_m: [5, 2, 0], size_m: [4, 2, 2.2], exclude: true}]}\n"
+    loaded = study(tmp_path, STUDY + box)
+    _, centres = at(loaded)
+    inside = (abs(centres - (5, 2, 0)) < (2, 1, 1.1)).all(axis=-1)
+    assert np.array_equal(loaded.region.included, ~inside)
+    with pytest.raises(ConfigError, match=r"vehicle\.planes\[0\]\.exclude: 'lid' is not closed.* 4 of its edges"):
+        study(tmp_path, STUDY + "vehicle: {planes: [{name: lid, size_m: [1, 1], exclude: true}]}\n")
+
+
+def test_what_a_region_hidden_from_all_is(tmp_path):
+    loaded = study(tmp_path, STUDY + "vehicle: {spheres: [{name: hood, center_m: [1, 2, 1], radius_m: 0.01}]}\n")
+    rig, _ = at(loaded)
+    spaces = segment(loaded.region, rig_lidars(rig), loaded.visibility)
+    assert len(spaces) == 1
+    assert spaces.gap.tolist() == [[BLIND]]
+    assert spaces.seen_by.max() == 0
+    found = evaluate(loaded, rig)
+    assert found.max_vsr_m == pytest.approx(10 * 4 * 2 / (2 * (40 + 20 + 8)))
+    assert found.worst[0].between_deg == [[None, None]]
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_a_search_sees_what_an_evaluation_sees(tmp_path, skip):
+    text = STUDY.replace(
+        "max: {position_m: [1, 2, 1], rpy_deg: [0, 0, 0]}",
+        "max: {position_m: [3, 3, 2], rpy_deg: [20, 20, 0]}, count: 2",
+    )
+    text = text.replace("20], min", "20], range_m: [0.3, 5], azimuth_fov_deg: [300, 100], min")
+    loaded = study(tmp_path, text + PLATE + "solver: {method: abc, bees: 8, cycles: 12, seed: 3}\n")
+    found = optimize(loaded, threads=2, skip=skip)
+    assert found.objective == max_vsr(loaded.region, rig_lidars(found.rig), loaded.visibility)
+    assert found.objective == optimize(loaded, threads=1, skip=not skip).objective
+    assert found.objective != max_vsr(loaded.region, rig_lidars(found.rig))
