@@ -55,6 +55,7 @@ SENTENCES = {  # by pydantic's error type, with the limits of its context
     "dict_type": "{got} is not a map of keys",
     "model_type": "{got} is not a map of keys",
     "literal_error": "{got} is not allowed; allowed: {expected}",
+    "none_required": "{got} is not allowed here; leave the key out",
     "greater_than": "{got} is too small; allowed: above {gt}",
     "greater_than_equal": "{got} is too small; allowed: at least {ge}",
     "less_than": "{got} is too large; allowed: below {lt}",
