@@ -61,4 +61,6 @@ def _summary(sensor: Sensor) -> str:
         parts.append(f"{apart} apart")
     if sensor.range:
         parts.append(f"{sensor.range.min_m:g} to {sensor.range.max_m:g} m")
+        if sensor.range.at_10_percent_m:
+            parts.append(f"{sensor.range.at_10_percent_m:g} m at 10 %")
     return ", ".join(parts)
