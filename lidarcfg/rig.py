@@ -218,6 +218,10 @@ def load_rig(path: str | Path) -> Rig:
             if (host, data_port) == (other.host, other.data_port):
                 what = f"{host}:{data_port} is {other.name!r}'s; give each sensor its own"
                 raise error_at(path, ("sensors", i), what)
+            if host == other.host and (data_port == other.telemetry_port or telemetry_port == other.data_port):
+                shared = data_port if data_port == other.telemetry_port else telemetry_port
+                what = f"{host}:{shared} would be data_port of one, telemetry_port of the other, it and {other.name!r}"
+                raise error_at(path, ("sensors", i), what)
         mounts.append(
             Mount(
                 name=mount.name,

@@ -68,6 +68,10 @@ def test_defaults(tmp_path):
             MINIMAL + "  - {name: b, model: vlp-16, position_m: [0, 0, 0], host: 192.168.1.201}\n",
             "rig.yaml:4:5: sensors[1]: 192.168.1.201:2368 is 'a''s; give each sensor its own",
         ),
+        (
+            MINIMAL + "  - {name: b, model: vlp-16, position_m: [0, 0, 0], host: 192.168.1.201, data_port: 8308}\n",
+            "rig.yaml:4:5: sensors[1]: 192.168.1.201:8308 would be data_port of one, telemetry_port of the other, it and 'a'",
+        ),
         (MINIMAL.replace("[1, 2, 3]", "[1, 2]"), "sensors[0].position_m[2]: missing"),
         ("name: r\nsensors: []\n", "rig.yaml:2:1: sensors: has 0 values; allowed: at least 1"),
     ],

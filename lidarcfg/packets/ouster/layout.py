@@ -180,6 +180,8 @@ def values(packets: Octets, dtype: str, at: int) -> NDArray[Any]:
 
 def column_values(layout: Layout, packets: Octets, dtype: str, at: int) -> NDArray[Any]:
     """(P, C) numbers that stand at a byte of each column; a view."""
+    if not len(packets):
+        return np.empty((0, layout.columns_per_packet), np.dtype(dtype))
     shape, strides = (len(packets), layout.columns_per_packet), (packets.strides[0], layout.column)
     return np.ndarray(shape, np.dtype(dtype), packets, layout.head + at, strides)
 
