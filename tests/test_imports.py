@@ -13,11 +13,12 @@ GROUND = {"errors", "units", "files", "geometry", "config", "jit", "realism"}
 BELOW = {
     "sensor": set(),
     "rig": {"sensor"},
+    "firing": {"rig", "sensor"},
     "world": {"rig", "sensor"},
-    "packets": {"world", "rig", "sensor"},
+    "packets": {"world", "firing", "rig", "sensor"},
     "cloud": {"cloud_rows"},
     "cloud_rows": {"cloud"},
-    "placement": {"world", "rig", "sensor"},
+    "placement": {"world", "firing", "rig", "sensor"},
     "simulate": {"capture", "packets", "world", "rig", "sensor", "cloud"},
     "capture": {"packets", "world", "rig", "sensor", "cloud"},
 }

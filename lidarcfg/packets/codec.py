@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
@@ -201,10 +202,13 @@ class Codec(Protocol):
         Raises PacketError.
         """
 
-    # for reports
+    # for reports and placement
 
     def firing_ns(self) -> Times:
         """(L,) when each laser fires after the first, in one firing of all."""
+
+    def pattern(self, mount: "Mount") -> Pattern:
+        """Where the mount's lasers fire in a revolution: what is scheduled, but for where it starts."""
 
 
 FAMILIES = {  # module and class, loaded when they are needed
@@ -229,3 +233,11 @@ def codec(sensor: Sensor) -> Codec:
     if sensor.codec is None:
         raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no codec")
     return family(sensor.codec)(sensor)
+
+
+def pattern(mount: "Mount") -> Pattern:
+    """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
+    sensor = mount.sensor
+    if sensor.codec is None:
+        raise ConfigError(f"sensor {sensor.name!r} has no codec, which would say where its lasers fire")
+    return codec(sensor).pattern(mount)

@@ -1,5 +1,6 @@
 """When and where each laser fires: a sensor fires on its own clock while its head turns."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Firings, Times
 from lidarcfg.units import MINUTE_NS, SECOND_NS
@@ -44,6 +46,19 @@ class Spin:
         """(P, azimuths): where the head points when the first laser of the sequences that share an azimuth fires."""
         encoder_rad = fired.encoder_rad.reshape(-1, self.sequences, len(self.offset_ns))
         return np.asarray(encoder_rad[:, :: self.per_azimuth, int(np.argmin(self.offset_ns))])
+
+
+def pattern(spin: Spin, mount: "Mount") -> Pattern:
+    """Where lasers fire in a revolution: see `Codec`. A field of view takes sequences that share an azimuth or none."""
+    sequences = 1 if mount.azimuth_fov_deg is None else spin.per_azimuth
+    turned_rad = 2 * math.pi * mount.rpm / MINUTE_NS  # in a nanosecond
+    since_ns = (np.arange(sequences)[:, None] * spin.sequence_ns + (spin.offset_ns - spin.offset_ns.min())).ravel()
+    return Pattern(
+        step_rad=sequences * spin.sequence_ns * turned_rad,
+        laser=np.tile(np.arange(len(spin.offset_ns)), sequences),
+        lag_rad=since_ns * turned_rad,
+        decides_rad=np.zeros(len(since_ns)),
+    )
 
 
 def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: float | None = None) -> Firings:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
 from lidarcfg.packets.hesai.facts import Settings, Unit, unit
@@ -12,6 +13,7 @@ from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.recognise import check_size, claims, identify
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.sensor import Sensor
+from lidarcfg.units import MINUTE_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
@@ -98,6 +100,15 @@ class Hesai:
         """See `Codec`; of a laser that rests in the first loop, in the second."""
         fires, offset_ns = self.unit.fires, self.unit.offset_ns
         return np.asarray(np.where(fires[0], offset_ns[0], offset_ns[-1]))
+
+    def pattern(self, mount: "Mount") -> Pattern:
+        """See `Codec`: all lasers of a group fire where the head is at its start."""
+        unit, loops = self.unit, len(self.unit.lasers)
+        groups = unit.groups(True) if mount.return_mode == "dual" and loops > 1 else 1  # of a packet are of one loop
+        loop = np.repeat(np.arange(loops), groups)
+        group_rad = unit.facts.firing.period_ns * (2 * np.pi * mount.rpm / MINUTE_NS)
+        lag_rad = np.repeat(np.arange(len(loop)) * group_rad, unit.lasers.shape[1])
+        return Pattern(len(loop) * group_rad, unit.lasers[loop].ravel(), lag_rad, lag_rad)
 
 
 def _units(known: Known) -> Sequence[Unit]:

@@ -1,11 +1,13 @@
 """Ouster's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.errors import PacketError
+from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
 from lidarcfg.packets.ouster.facts import mode, unit
@@ -105,6 +107,11 @@ class Ouster:
     def firing_ns(self) -> Times:
         """See `Codec`: all fire at once."""
         return np.zeros(self.unit.sensor.count, np.int64)
+
+    def pattern(self, mount: "Mount") -> Pattern:
+        """See `Codec`: a column at each of as many encoder angles, whichever way it points when it starts."""
+        columns, still = mode(self.unit.sensor, mount).layout.columns_per_frame, np.zeros(self.unit.sensor.count)
+        return Pattern(2 * math.pi / columns, np.arange(len(still)), still, still, start_rad=0.0)
 
 
 def _fits(profile: str, payload: bytes) -> bool:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets import spin
 from lidarcfg.packets.codec import (
@@ -112,3 +113,7 @@ class Robosense:
         """See `Codec`."""
         offset_ns = np.array(self.unit.facts.firing.offset_ns, np.int64)
         return np.asarray(offset_ns - offset_ns.min())
+
+    def pattern(self, mount: "Mount") -> Pattern:
+        """See `Codec`."""
+        return spin.pattern(self.unit.spin(mount.return_mode == "dual"), mount)

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError, PacketError
+from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
+from lidarcfg.packets import spin
 from lidarcfg.packets.codec import (
     Batch,
     Codec,
@@ -115,6 +117,10 @@ class Velodyne(Codec):
     def firing_ns(self) -> Times:
         """See `Codec`."""
         return np.array(self.unit.firing.offset_ns, np.int64)
+
+    def pattern(self, mount: "Mount") -> Pattern:
+        """See `Codec`."""
+        return spin.pattern(self.unit.spin(mount.return_mode == "dual"), mount)
 
 
 def _units(known: Known) -> Sequence[Unit]:

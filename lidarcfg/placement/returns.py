@@ -1,0 +1,141 @@
+"""The returns that LiDARs get from an object at a place in one revolution, whichever way their heads point at first.
+
+A return is counted where a beam hits the object first, within the sensor's range and field of view, as the simulator
+does without noise, before ranges are rounded for packets. Sensors turn independently of each other, each in any of
+PHASES phases, unless its encoder triggers it.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lidarcfg.firing import Pattern
+from lidarcfg.geometry import Array, rotation
+from lidarcfg.placement import returns_kernels as kernels
+from lidarcfg.placement.returns_kernels import Counts, Obstacles, Poses, Scans, Shape
+from lidarcfg.sensor import Sensor
+from lidarcfg.world.bvh import EMPTY, TRIANGLE, Tree, build, corners
+from lidarcfg.world.meshes import Mesh
+
+PHASES = 8  # a power of 2, so that means over phases are exact
+PLACES_PER_PART = 64  # that a thread takes at a time
+
+
+@dataclass(frozen=True)
+class Scanner:
+    """A sensor as it fires, wherever it is mounted."""
+
+    sensor: Sensor
+    pattern: Pattern
+    range_m: tuple[float, float]  # least, greatest
+    azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
+
+
+@dataclass(frozen=True)
+class Target:
+    """An object to be detected: its middle is over its place, and its lowest point on the ground."""
+
+    mesh: Mesh
+
+    @cached_property
+    def shape(self) -> Shape:
+        """What the compiled loops need of it."""
+        vertices, triangles = self.mesh
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        origin = np.array([*(low + high)[:2] / 2, low[2]])
+        shapes, which = np.empty(9 * len(triangles)), np.arange(len(triangles), dtype=np.int32)
+        corners(vertices, triangles, which, origin, shapes)
+        tree = build(shapes, np.full(len(triangles), TRIANGLE, np.uint8), which, np.zeros(len(triangles), np.int32))
+        return Shape(tree, low - origin, high - origin)
+
+    @property
+    def size_m(self) -> Array:
+        """(3,) of its bounding box."""
+        return np.asarray(self.shape.high_m - self.shape.low_m)
+
+
+@dataclass(frozen=True)
+class Returned:
+    """The returns from an object at P places."""
+
+    counts: Counts  # (P, sensors, PHASES)
+    phases: tuple[int, ...]  # (sensors,) so many of the last axis are a sensor's, the others are 0
+
+    @property
+    def worst(self) -> Array:
+        """(P,) where each sensor is in its worst phase."""
+        parts = [self.counts[:, s, :count].min(axis=1) for s, count in enumerate(self.phases)]
+        return np.asarray(np.sum(parts, axis=0, dtype=np.float64))
+
+    @property
+    def mean(self) -> Array:
+        """(P,) over all phases."""
+        parts = [self.counts[:, s, :count].mean(axis=1) for s, count in enumerate(self.phases)]
+        return np.asarray(np.sum(parts, axis=0, dtype=np.float64))
+
+    def probability(self, enough: int) -> Array:
+        """(P,) of so many returns or more in a revolution."""
+        return np.asarray(kernels.probabilities(self.counts, np.array(self.phases, np.int64), enough))
+
+
+NOTHING = Obstacles(
+    Tree(EMPTY, np.empty(0, np.float32), np.empty(0, np.int32), np.empty(0), np.empty(0, np.uint8),
+         np.empty(0, np.int32), np.empty(0, np.int32)),
+    np.zeros(3), np.inf,
+)  # fmt: skip
+
+
+def scans(scanners: Sequence[Scanner], phases: int = PHASES) -> Scans:
+    """What the compiled loops need of sensors."""
+    heads = [one.pattern.heads_rad(phases) for one in scanners]
+    head, laser = np.concatenate(heads), [one.pattern.laser for one in scanners]
+    fov = [one.azimuth_fov_deg or (0.0, 360.0) for one in scanners]
+
+    def column(name: str) -> Array:
+        return np.concatenate([getattr(one.sensor, name)[row] for one, row in zip(scanners, laser, strict=True)])
+
+    return Scans(
+        first_head=np.cumsum([0, *(len(row) for row in heads)]),
+        cos_head=np.cos(head),
+        sin_head=np.sin(head),
+        start_rad=np.array([row[0] for row in heads]),
+        fine_rad=np.array([one.pattern.step_rad / one.pattern.phases(phases) for one in scanners]),
+        phases=np.array([one.pattern.phases(phases) for one in scanners], np.int64),
+        first_firing=np.cumsum([0, *(len(row) for row in laser)]),
+        lag_rad=np.concatenate([one.pattern.lag_rad for one in scanners]),
+        decides_rad=np.concatenate([one.pattern.decides_rad for one in scanners]),
+        offset_rad=column("azimuth_offset_rad"),
+        elevation_rad=column("elevation_rad"),
+        start_m=np.stack([column(f"{way}_offset_m") for way in ("forward", "lateral", "vertical")], axis=1),
+        range_m=np.array([one.range_m for one in scanners]),
+        fov_rad=np.radians([(low, (high - low) % 360 or 360.0) for low, high in fov]),
+    )
+
+
+def placed(poses: Array) -> Poses:
+    """Sensors at poses (S, 6) of x, y, z, roll, pitch, yaw in the vehicle frame."""
+    return Poses(np.array([rotation(row[3:]) for row in poses]), np.ascontiguousarray(poses[:, :3]))
+
+
+def returns(
+    places: Array,
+    target: Target,
+    sensors: Scans,
+    poses: Poses,
+    obstacles: Obstacles = NOTHING,
+    threads: int | None = None,
+) -> Returned:
+    """The returns from an object at places (P, 4): x, y, the ground's z, heading in radians, of the vehicle frame."""
+    counts = np.zeros((len(places), len(sensors.phases), int(sensors.phases.max())), np.int32)
+
+    def run(part: Counts) -> None:
+        kernels.returns(places, sensors, poses, target.shape, obstacles, part, counts)
+
+    parts = max(-(-len(places) // PLACES_PER_PART), 1)
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        list(pool.map(run, [np.arange(first, len(places), parts) for first in range(parts)]))
+    return Returned(counts, tuple(sensors.phases.tolist()))

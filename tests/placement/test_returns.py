@@ -1,0 +1,179 @@
+"""Returns from objects beside the simulator, plain loops over all rays and triangles, and what geometry says."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidarcfg.packets.codec import pattern
+from lidarcfg.placement import returns_kernels as kernels
+from lidarcfg.placement.returns import NOTHING, Target, placed, returns, scans
+from lidarcfg.placement.returns_kernels import Obstacles
+from lidarcfg.world.tracer import tree
+from tests.naive import returns as naive
+from tests.returns_cases import at_place, box, mount, poses, revolution, scanner, scene_with, simulated
+
+BODY = box(4.5, 1.8, 1.45)
+SIZES = (0.5, 0.5, 1.75), (4.5, 1.8, 1.45), (0.63, 0.63, 0.2)
+MOUNTS = (
+    mount("vlp-16", (1, 0.5, 1.8), (5, 3, 20)),
+    mount("vls-128", (-1, 0.5, 1.8), (-5, 8, 120), 1200.0),
+    mount("os1-64", (0, 0, 2.0), (0, 0, 77)),
+    mount("qt128", (2.3, 0.9, 0.7), (0, 10, 45)),
+    mount("hdl-64e-s3", (0, -0.6, 2.1), (3, -4, 200)),
+    mount("vlp-16", (2.3, 0, 0.6), (0, 0, 0), 900.0, (280.0, 80.0)),
+    mount("qt128", (2.3, 0.9, 0.7), (0, 0, 0), 600.0, (350.0, 140.0)),
+    mount("helios-32", (-2.3, 0, 0.6), (0, 0, 180), 600.0, (280.0, 80.0)),
+    mount("os1-32", (0, 0, 2.0), (0, 0, 77), 600.0, (90.0, 225.0), {"columns": 512}),
+    mount("pandar-xt32", (0, 0.95, 1.0), (-90, 0, 0)),
+)
+
+
+def obstacles(mesh):
+    """A mesh in the way, relative to a point that is not the origin."""
+    point = np.array([3.0, -2.0, 1.0])
+    return Obstacles(tree(scene_with([mesh]), np.array([True]), point), point, math.inf)
+
+
+def places(rng, count, size_m, far_m=30.0):
+    """Places around the body that do not overlap it."""
+    far = rng.uniform(2.5 + math.hypot(*size_m[:2]) / 2, far_m, count)
+    angle, heading = rng.uniform(0, 2 * np.pi, (2, count))
+    return np.stack([far * np.cos(angle), far * np.sin(angle), 0 * far, heading], axis=1)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_counts_are_the_simulators(size):
+    """All families, at a random phase each, with the body in the way; tools/accuracy_returns.py has 10,000 places."""
+    rng = np.random.default_rng(7)
+    where, target, total = places(rng, 8, size), Target(box(*size)), 0
+    sensors = scans([scanner(one) for one in MOUNTS])
+    found = returns(where, target, sensors, placed(poses(MOUNTS)), obstacles(BODY))
+    for p in range(len(where)):
+        scene = scene_with([BODY, at_place(target.mesh, where[p])])
+        for s, one in enumerate(MOUNTS):
+            phase = int(rng.integers(found.phases[s]))
+            expected = simulated(one, s, revolution(one, phase, 8), scene, 1)
+            assert found.counts[p, s, phase] == expected, (p, one.sensor.name, phase)
+            total += expected
+    assert total > 1000
+
+
+@pytest.mark.parametrize("model", ["vlp-16", "hdl-64e-s3", "os1-32"])
+def test_counts_are_those_of_plain_loops(model):
+    one = replace(mount(model, (0.4, 0.1, 1.9), (3, 5, 170), 1200.0))
+    short = replace(scanner(one), pattern=coarse(pattern(one)), range_m=(2.0, 9.0))
+    rng, target = np.random.default_rng(3), Target(box(1.8, 0.6, 1.75))
+    where = places(rng, 4, (1.8, 0.6), 10.0)
+    found = returns(where, target, scans([short], 2), placed(poses([one])), obstacles(BODY))
+    body = BODY[0][BODY[1]]
+    for p, place in enumerate(where):
+        vertices, triangles = at_place(target.mesh, place)
+        for phase in range(found.phases[0]):
+            first_rad = (short.pattern.start_rad or 0.0) + phase * short.pattern.step_rad / found.phases[0]
+            expected = naive.returns(one, short.pattern, first_rad, short.range_m, vertices[triangles], body)
+            assert found.counts[p, 0, phase] == expected
+    assert found.counts.sum() > 20
+
+
+def coarse(fired):
+    """The pattern with an eighth of the cycles: the lasers' order and lags stay."""
+    return replace(fired, step_rad=8 * fired.step_rad)
+
+
+def test_an_upright_box_straight_ahead():
+    """A level VLP-16 1 m above the ground sees a wall 2 m high and 4 m wide, 10 m ahead, between angles on paper."""
+    one = mount("vlp-16", (0.0, 0.0, 1.0), (0, 0, 0))
+    bare = one.sensor.model_copy(update={"beams": one.sensor.beams.model_copy(update={"vertical_offset_mm": ()})})
+    wall = np.array([[10.5, 0.0, 0.0, 0.0]])
+    found = returns(
+        wall, Target(box(1.0, 4.0, 2.0)), scans([replace(scanner(one), sensor=bare)], 1), placed(poses([one]))
+    )
+    step_deg, expected = 360 * 10 * 55_296e-9, 0
+    for laser, rise_deg in enumerate(bare.beams.elevation_deg):
+        for cycle in range(1809):
+            azimuth = math.radians(step_deg * (cycle + laser * 2.304 / 55.296))
+            if math.cos(azimuth) > 0 and abs(10 * math.tan(azimuth)) <= 2:
+                expected += abs(10 / math.cos(azimuth) * math.tan(math.radians(rise_deg))) <= 1
+    assert found.counts.tolist() == [[[expected]]]
+
+
+def test_mean_over_phases_is_the_solid_angle():
+    """Of a fine sphere seen by one level beam: its chord's angle over the angle between firings."""
+    from lidarcfg.world.meshes import sphere_mesh
+    from lidarcfg.world.scene import Sphere
+
+    one = mount("vlp-16", (0.0, 0.0, 0.5), (0, 0, 0))
+    sensor = one.sensor.model_copy(
+        update={"beams": one.sensor.beams.model_copy(update={"elevation_deg": (0.0,) * 16, "vertical_offset_mm": ()})}
+    )
+    ball = sphere_mesh(Sphere(name="ball", reflectivity=1, center_m=(0, 0, 0), radius_m=0.5), 1e-6)
+    found = returns(
+        np.array([[8.0, 3.0, 0.0, 1.0]]),
+        Target(ball),
+        scans([replace(scanner(one), sensor=sensor)], 64),
+        placed(poses([one])),
+    )
+    expected = 16 * 2 * math.degrees(math.asin(0.5 / math.hypot(8, 3))) / (360 * 10 * 55_296e-9)
+    assert found.mean[0] == pytest.approx(expected, rel=2e-3)
+    assert found.worst[0] <= found.mean[0] <= found.counts.max()
+
+
+def test_a_field_of_view_and_ranges_end_what_returns():
+    target, where = Target(box(1.0, 1.0, 1.0)), np.array([[6.0, 0.0, 0.0, 0.3], [0.0, 6.0, 0.0, 0.3]])
+    one = mount("vlp-16", (0.0, 0.0, 1.0), (0, 0, 0))
+
+    def counts(changed):
+        return returns(where, target, scans([changed]), placed(poses([one]))).mean
+
+    around = scanner(one)
+    assert (counts(around) > 0).all()
+    ahead = counts(replace(around, azimuth_fov_deg=(315.0, 45.0)))
+    assert ahead.tolist() == [counts(around)[0], 0.0]
+    assert counts(replace(around, azimuth_fov_deg=(0.0, 360.0))).tolist() == counts(around).tolist()
+    assert counts(replace(around, range_m=(0.5, 5.0))).tolist() == [0.0, 0.0]
+    assert counts(replace(around, range_m=(7.5, 100.0))).tolist() == [0.0, 0.0]
+
+
+def test_the_ground_of_the_surroundings_hides():
+    target, where = Target(box(1.0, 1.0, 1.0)), np.array([[6.0, 0.0, 0.0, 0.0]])
+    one = mount("vlp-16", (0.0, 0.0, 2.0), (0, 0, 0))
+    count = [
+        returns(where, target, scans([scanner(one)]), placed(poses([one])), NOTHING._replace(ground_m=ground)).mean[0]
+        for ground in (0.0, 0.8, 1.5)
+    ]
+    assert count[0] > count[1] > count[2] == 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.lists(st.integers(0, 6), min_size=4, max_size=4), min_size=1, max_size=4), st.integers(1, 12))
+def test_probability_is_that_of_all_combinations(counts, enough):
+    table, phases = np.array(counts, np.int32), np.array([4 if i % 3 else 1 for i in range(len(counts))], np.int64)
+    rows = [row[:count] for row, count in zip(counts, phases.tolist(), strict=True)]
+    found = kernels.probability(table, phases, enough, np.empty(enough + 1))
+    assert found == naive.probability(rows, enough)
+
+
+def test_ending_early_changes_nothing():
+    """Beside counts in full: the sum over places of the probability to go undetected; and no less once it ends early."""
+    rng, mounts = np.random.default_rng(5), MOUNTS[:3]
+    where, target, around = places(rng, 60, (0.5, 0.5)), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
+    sensors, at = scans([scanner(one) for one in mounts]), placed(poses(mounts))
+    found = returns(where, target, sensors, at, around)
+    for enough in (1, 40, 200, 2000):
+        missed = float(sum(1.0 - found.probability(enough)))
+        assert kernels.undetected(where, sensors, at, target.shape, around, enough, math.inf) == missed
+        for most in (0.3 * missed, 0.99 * missed):
+            assert most <= kernels.undetected(where, sensors, at, target.shape, around, enough, most) <= missed
+    assert 0 < sum(1.0 - found.probability(200)) < len(where)
+
+
+def test_threads_change_nothing():
+    rng, mounts = np.random.default_rng(6), MOUNTS[:2]
+    where, target = places(rng, 200, (0.5, 0.5)), Target(box(0.5, 0.5, 1.75))
+    sensors, at = scans([scanner(one) for one in mounts]), placed(poses(mounts))
+    one, many = (returns(where, target, sensors, at, obstacles(BODY), threads).counts for threads in (1, 5))
+    assert np.array_equal(one, many)
