@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
@@ -12,13 +13,15 @@ from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.simulator_kernels import Frames, Lasers, trace_firings
+from lidarcfg.world.bvh import EMPTY, Tree
 from lidarcfg.world.motion import Trajectory, packed
 from lidarcfg.world.scene import Weather
-from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.tracer import NO_SHAPES, Tracer
 from lidarcfg.world.tracer_kernels import NONE
 from lidarcfg.world.world_kernels import Found, resolve
 
 EXACT, CLEAR = Realism(), Weather()
+NO_BODIES = Tree(EMPTY, np.empty(0, np.float32), np.empty(0, np.int32), *NO_SHAPES)
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
 
@@ -30,16 +33,25 @@ class Counts(NamedTuple):
 
 
 class Simulator:
-    """Sensor number `index` of a rig on a vehicle in a tracer's scene. Raises ConfigError."""
+    """Sensor number `index` of a rig on a vehicle in a tracer's scene, and among its bodies. Raises ConfigError.
 
-    def __init__(self, index: int, mount: Mount, tracer: Tracer, trajectory: Trajectory) -> None:
+    The bodies are those of a tracer in the vehicle frame; as objects they follow those of the scene.
+    """
+
+    def __init__(
+        self, index: int, mount: Mount, tracer: Tracer, trajectory: Trajectory, bodies: Tracer | None = None
+    ) -> None:
         self._index, self._mount, self._tracer, self._trajectory = index, mount, tracer, trajectory
+        self._bodies = bodies.world.static if bodies else NO_BODIES
+        own = bodies.scene.reflectivity if bodies else np.empty(0, np.uint8)
+        self._reflectivity = np.concatenate([tracer.scene.reflectivity, own, np.zeros(1, np.uint8)])  # nothing, -1: 0
         self._realism, self._weather = mount.realism or EXACT, tracer.scene.file.weather
         if self._realism.divergence and not mount.sensor.optics:
             raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
         self._exact = self._realism.model_copy(update={"seed": 0}) == EXACT and self._weather == CLEAR
         across, above, self._weights = beam(mount.sensor, self._realism)
-        self._lasers, self._frames = _lasers(mount.sensor, across, above), _frames(mount, trajectory, tracer.origin_m)
+        self._lasers = _lasers(mount.sensor, across, above)
+        self._frames = _frames(mount, trajectory, tracer.origin_m, self._bodies)
         cells = CELLS if extinction_per_m(self._weather) else 0
         self.width = len(across) + cells  # rays and cells per firing
 
@@ -62,15 +74,24 @@ class Simulator:
             columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), sensor.range.max_m + BEYOND_M
             trace_firings(self._tracer.world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m, found)
         counts = Counts(count * width, int(np.count_nonzero(found.range_m <= sensor.range.max_m)))
-        objects = np.empty((count, width), np.int32)
-        resolve(self._tracer.world, found.slot, objects.reshape(-1), np.empty(0, np.int32))
-        reflectivity = np.append(self._tracer.scene.reflectivity, np.uint8(0))[objects]  # nothing, -1, has 0
+        objects = self._objects(found.slot).reshape(count, width)
+        reflectivity = self._reflectivity[objects]
         range_m = found.range_m.reshape(count, width)
         if self._exact:
             return single(range_m, reflectivity, objects, mount.return_mode), counts
         sub_rays = SubRays(range_m, reflectivity, objects, found.cosine.reshape(count, width))
         candidates = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, sub_rays)
         return candidates.reported(mount.return_mode), counts
+
+    def _objects(self, slot: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The objects of slots (N,), -1 for none."""
+        world, objects = self._tracer.world, np.empty(len(slot), np.int32)
+        first = len(world.static.kind) + len(world.dynamic.trees.kind)
+        own = np.flatnonzero(slot >= first) if len(self._bodies.kind) else np.empty(0, np.intp)
+        own_slot, slot[own] = slot[own] - first, NONE
+        resolve(world, slot, objects, np.empty(0, np.int32))
+        objects[own] = len(self._tracer.scene.names) + self._bodies.object[own_slot]
+        return objects
 
     def _check_span(self, first_ns: int, last_ns: int) -> None:
         """Raises ConfigError unless vehicle and dynamic objects have poses from the first time to the last."""
@@ -95,7 +116,7 @@ def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
     )
 
 
-def _frames(mount: Mount, trajectory: Trajectory, origin_m: Array) -> Frames:
+def _frames(mount: Mount, trajectory: Trajectory, origin_m: Array, bodies: Tree) -> Frames:
     outer, inner = trajectory.T_world_start, mount.T_vehicle_sensor
     return Frames(
         R_world_start=np.ascontiguousarray(outer[:3, :3]),
@@ -104,4 +125,5 @@ def _frames(mount: Mount, trajectory: Trajectory, origin_m: Array) -> Frames:
         zero_ns=trajectory.zero_ns,
         R_vehicle_sensor=np.ascontiguousarray(inner[:3, :3]),
         t_vehicle_sensor=np.ascontiguousarray(inner[:3, 3]),
+        bodies=bodies,
     )

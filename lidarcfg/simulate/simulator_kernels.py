@@ -8,11 +8,13 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
+from lidarcfg.world.bvh import Tree, bounds
 from lidarcfg.world.motion_kernels import VELOCITY, Paths, column, matrix, poses, product, times
 from lidarcfg.world.shapes import FAST
-from lidarcfg.world.tracer_kernels import SIZE, alike, load, new_packet
+from lidarcfg.world.tracer_kernels import RANGE, SIZE, SLOT, alike, load, new_packet, normal_at, ray_of, trace
 from lidarcfg.world.world_kernels import hit, hit_dynamic, keep, keep_normals, new_poses, swept
 
+FLATTEST, SLACK_M = 1e-18, 1e-6  # of a direction's component; by which a box is larger
 BLOCK_NS = 50_000_000  # for which dynamic objects are held by the same spheres
 # pi / 2 in two parts, and the series of sin and cos up to pi / 4, as in fdlibm (k_sin.c, k_cos.c, Sun 1993)
 QUARTER, QUARTER_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
@@ -45,6 +47,7 @@ class Frames(NamedTuple):
     zero_ns: int  # the path's time 0
     R_vehicle_sensor: Array  # (3, 3)
     t_vehicle_sensor: Array  # (3,)
+    bodies: Tree  # of what travels along, in the vehicle frame
 
 
 @njit(cache=True, nogil=True)
@@ -105,8 +108,8 @@ def _drift(base, slope, seconds, t):
 
 
 @inner(fastmath=FAST)
-def _aim(lasers, k, encoder, R, t, axes, origins):
-    """Write where the beams of laser k start, in the world, (3, SIZE), and where they point in the sensor's frame."""
+def _aim(lasers, k, encoder, axes, starts):
+    """Write where the beams of laser k point in the sensor's frame, and where they start, (3, SIZE)."""
     cos_w, sin_w, cos_o, sin_o = (
         lasers.cos_elevation[k],
         lasers.sin_elevation[k],
@@ -118,15 +121,12 @@ def _aim(lasers, k, encoder, R, t, axes, origins):
         cos_h, sin_h = cos_sin(encoder[n])
         c, s = cos_h * cos_o - sin_h * sin_o, sin_h * cos_o + cos_h * sin_o
         axes[0, n], axes[1, n], axes[2, n] = cos_w * c, -cos_w * s, sin_w
-        x, y = left_m * s + forward_m * cos_h, left_m * c - forward_m * sin_h
-        origins[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * up_m + t[0, n]
-        origins[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * up_m + t[1, n]
-        origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * up_m + t[2, n]
+        starts[0, n], starts[1, n], starts[2, n] = left_m * s + forward_m * cos_h, left_m * c - forward_m * sin_h, up_m
 
 
 @inner(fastmath=FAST)
-def _spread(axes, across, above, R, directions):
-    """Write the directions in the world, (3, SIZE), of rays so far beside the axes, to the right and above."""
+def _spread(axes, across, above, beams):
+    """Write the directions (3, SIZE) of rays so far beside the axes, to the right and above."""
     for n in range(SIZE):
         x, y, z = axes[0, n], axes[1, n], axes[2, n]
         if across != 0 or above != 0:
@@ -135,16 +135,90 @@ def _spread(axes, across, above, R, directions):
             x, y, z = x + across * u + above * (v * z), y + across * v - above * (u * z), z + above * (u * y - v * x)
             length = math.sqrt(x * x + y * y + z * z)
             x, y, z = x / length, y / length, z / length
+        beams[0, n], beams[1, n], beams[2, n] = x, y, z
+
+
+@inner(fastmath=FAST)
+def _moved(R, t, starts, beams, origins, directions):
+    """Write points and directions (3, SIZE) in another frame: rotated by R (9, SIZE), and moved by t (3, SIZE)."""
+    for n in range(SIZE):
+        x, y, z = starts[0, n], starts[1, n], starts[2, n]
+        origins[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * z + t[0, n]
+        origins[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * z + t[1, n]
+        origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z + t[2, n]
+    for n in range(SIZE):
+        x, y, z = beams[0, n], beams[1, n], beams[2, n]
         directions[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * z
         directions[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * z
         directions[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z
 
 
 @njit(cache=True, nogil=True)
+def _mounted(frames):
+    """Where the sensor is in the vehicle frame, whatever the time: (9, SIZE) and (3, SIZE)."""
+    R, t = np.empty((9, SIZE)), np.empty((3, SIZE))
+    for n in range(SIZE):
+        R[:, n], t[:, n] = frames.R_vehicle_sensor.ravel(), frames.t_vehicle_sensor
+    return R, t
+
+
+@njit(cache=True, nogil=True)
+def _box(tree):
+    """A little more than the bounding box (6,) of a tree's triangles, spheres and cylinders."""
+    box = np.array([math.inf, math.inf, math.inf, -math.inf, -math.inf, -math.inf])
+    around = np.empty((len(tree.kind), 6), np.float32)
+    bounds(tree.shapes, tree.kind, around)
+    for k in range(3):
+        for s in range(len(tree.kind)):
+            box[k], box[3 + k] = min(box[k], around[s, k] - SLACK_M), max(box[3 + k], around[s, 3 + k] + SLACK_M)
+    return box
+
+
+@inner(fastmath=FAST, error_model="numpy")
+def _may_hit(box, origins, directions):
+    """Whether any of the rays (3, SIZE) enters a box (6,)."""
+    some = False
+    for n in range(SIZE):
+        near, far = 0.0, 1e300
+        for k in range(3):
+            way = directions[k, n]
+            steep = 1 / (way if abs(way) > FLATTEST else FLATTEST)
+            one, other = (box[k] - origins[k, n]) * steep, (box[3 + k] - origins[k, n]) * steep
+            near, far = max(near, min(one, other)), min(far, max(one, other))
+        some |= near <= far
+    return some
+
+
+@inner(error_model="numpy")
+def _hit_bodies(bodies, packet, origins, directions, rows, count, limit_m, first_slot, found):
+    """Keep what rays (3, count) of the vehicle frame hit of its bodies, where it is nearer than what `found` has.
+
+    The results of the rays are in rows (count,); slots count from `first_slot`.
+    """
+    rays, range_m, slot, cosine, first = packet.rays, found.range_m, found.slot, found.cosine, 0
+    while first < count:
+        some, face = alike(directions, first, count)
+        load(rays, packet.slabs, origins, directions, first, some, face)
+        for n in range(SIZE):
+            rays[RANGE + n] = min(range_m[rows[first + min(n, some - 1)]], limit_m)
+        trace(bodies, packet, face, False)
+        for n in range(some):
+            s, at = int(rays[SLOT + n]), rows[first + n]
+            if s >= 0:
+                range_m[at], slot[at] = rays[RANGE + n], first_slot + s
+                if len(cosine):
+                    x, y, z, dx, dy, dz = ray_of(rays, n, face)
+                    nx, ny, nz = normal_at(bodies.shapes, bodies.kind, s, x, y, z, dx, dy, dz, rays[RANGE + n])
+                    cosine[at] = abs(nx * dx + ny * dy + nz * dz)
+        first += some
+
+
+@njit(cache=True, nogil=True)
 def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
     """Find what the K rays of each of N firings hit within a limit, and write it to N K rows, firing by firing.
 
-    Firings are times, lasers and encoder angles; dynamic objects have their time 0 at `zero_ns`.
+    Firings are times, lasers and encoder angles; dynamic objects have their time 0 at `zero_ns`. Slots count through
+    the world's and then through the bodies'.
     """
     time_ns, laser, encoder_rad = firings
     static, dynamic, ground_m, range_m, slot = world.static, world.dynamic, world.ground_m, found.range_m, found.slot
@@ -153,6 +227,9 @@ def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
     seconds, encoder, path_s, rows = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.empty(SIZE, np.int64)
     packet, moved, R, t = new_packet(dynamics), new_poses(), np.empty((9, SIZE)), np.empty((3, SIZE))
     axes, origins, directions = np.empty((3, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
+    bodies, own, own_slots = frames.bodies, len(frames.bodies.kind) > 0, slots + len(dynamic.trees.kind)
+    (own_R, own_t), box = _mounted(frames), _box(bodies)
+    starts, beams = np.empty((3, SIZE)), np.empty((3, SIZE))
     turns, v = frames.paths.kind[0] > VELOCITY, frames.paths.values[0]
     slope = times(matrix(frames.R_world_start), v[0], v[1], v[2])
     _place(frames, path_s, SIZE, moved, R, t)
@@ -173,9 +250,10 @@ def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
             _place(frames, path_s, count, moved, R, t)
         else:
             _drift(base, slope, path_s, t)
-        _aim(lasers, here % len(lasers.left_m), encoder, R, t, axes, origins)
+        _aim(lasers, here % len(lasers.left_m), encoder, axes, starts)
         for ray in range(rays):
-            _spread(axes, lasers.across[ray], lasers.above[ray], R, directions)
+            _spread(axes, lasers.across[ray], lasers.above[ray], beams)
+            _moved(R, t, starts, beams, origins, directions)
             done = 0
             while done < count:
                 some, face = alike(directions, done, count)
@@ -189,4 +267,8 @@ def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
                 if cosines:
                     keep_normals(world, packet, moved, seconds, done, some, face, rows, found)
                 done += some
+            if own:
+                _moved(own_R, own_t, starts, beams, origins, directions)
+                if _may_hit(box, origins, directions):
+                    _hit_bodies(bodies, packet, origins, directions, rows, count, limit_m, own_slots, found)
         first += count
