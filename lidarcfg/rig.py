@@ -3,6 +3,7 @@
 import ipaddress
 import math
 import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -105,6 +106,7 @@ class RigFile(Model):
 
     name: Annotated[str, Field(min_length=1)]
     sensors: Annotated[tuple[MountFile, ...], Field(min_length=1)]
+    vehicle: dict[str, Any] | None = None  # the keys of world/vehicle.py's VehicleFile
 
     @model_validator(mode="after")
     def _check(self) -> "RigFile":
@@ -166,6 +168,7 @@ class Rig:
 
     name: str
     mounts: tuple[Mount, ...]
+    vehicle: Section | None = None  # what they are mounted on, as world/vehicle.py reads it; None: not known
 
 
 def resolve_sensor(
@@ -241,7 +244,24 @@ def load_rig(path: str | Path) -> Rig:
                 realism=mount.realism,
             )
         )
-    return Rig(file.name, tuple(mounts))
+    vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))
+    return Rig(file.name, tuple(mounts), vehicle)
+
+
+def _whole(vehicle: Mapping[str, Any], base: Path) -> dict[str, Any]:
+    """A vehicle's keys with whole paths instead of those relative to a folder."""
+    return _with_files(vehicle, lambda file: str((base / file).resolve()))
+
+
+def _with_files(vehicle: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """A vehicle's keys with the paths of its meshes changed; what is not as it must be is left for its reader."""
+
+    def changed(mesh: Any) -> Any:
+        has_file = isinstance(mesh, dict) and isinstance(mesh.get("file"), str)
+        return mesh | {"file": change(mesh["file"])} if has_file else mesh
+
+    meshes = vehicle.get("meshes")
+    return dict(vehicle) | ({"meshes": tuple(map(changed, meshes))} if isinstance(meshes, tuple) else {})
 
 
 def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
@@ -273,7 +293,10 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
                 **({"realism": mount.realism.model_dump(exclude_none=True)} if mount.realism else {}),
             }
         )
-    return {"name": rig.name, "sensors": sensors}
+    out: dict[str, object] = {"name": rig.name, "sensors": sensors}
+    if rig.vehicle:
+        out["vehicle"] = _with_files(rig.vehicle.values, lambda file: os.path.relpath(file, base) if base else file)
+    return out
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:

@@ -43,6 +43,12 @@ if TYPE_CHECKING:
         "--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scene.  [default: 0,0,0]"
     ),
     cloup.option("--trajectory", type=FILE, help="Motion from there: YAML, or timed poses as .tum."),
+    cloup.option(
+        "--vehicle",
+        type=FILE,
+        metavar="FILE|none",
+        help="What travels along: YAML, or a mesh.  [default: the rig's]",
+    ),
     cloup.option("--start", metavar="TIME", help=START_HELP),
     cloup.option("--duration", type=PositiveNumber(86_400), metavar="SECONDS", required=True, help="Simulated time."),
 )
@@ -63,6 +69,7 @@ def export(
     at: str,
     start: str | None,
     trajectory: Path | None,
+    vehicle: Path | None,
     truth: Path | None,
     stats: bool,
     quiet: bool,
@@ -79,11 +86,16 @@ def export(
     from lidarcfg.simulate import export as capture
     from lidarcfg.simulate.ground_truth import TruthFile
     from lidarcfg.world.scene import load_scene
+    from lidarcfg.world.vehicle import load_vehicle, rig_vehicle
 
     for path, suffix, option in ((output, ".pcap", "-o"), (truth, ".npz", "--truth")):
         if path and path.suffix != suffix:
             raise click.BadParameter(f"{str(path)!r} does not end in {suffix}", param_hint=option)
     mounted, world = load_rig(rig), load_scene(scene)
+    if vehicle:
+        bodies = None if str(vehicle) == "none" else load_vehicle(vehicle)
+    else:
+        bodies = rig_vehicle(mounted)
     duration_ns, began = round(duration * SECOND_NS), time.monotonic()
     total = [0, 0]
 
@@ -97,7 +109,7 @@ def export(
             on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
 
         names = [mount.name for mount in mounted.mounts]
-        beside = stack.enter_context(TruthFile(truth, names, world.names)) if truth else None
+        beside = stack.enter_context(TruthFile(truth, names, capture.object_names(world, bodies))) if truth else None
         start_ns = nanoseconds(start) if start else capture.START_NS
         streams = capture.export(
             mounted,
@@ -108,6 +120,7 @@ def export(
             on_progress,
             on_truth=beside.add if beside else None,
             on_rays=on_rays,
+            vehicle=bodies,
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]

@@ -119,7 +119,7 @@ class Study:
                     range_m=slot.range_m,
                 )
             )
-        return Rig(self.name, tuple(mounts))
+        return Rig(self.name, tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
 def load_study(path: str | Path) -> Study:

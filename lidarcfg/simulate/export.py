@@ -25,6 +25,7 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory, standing
 from lidarcfg.world.scene import GeoOrigin, Scene
 from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.vehicle import Vehicle, check_outside
 
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
 CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # at most, traced at a time: each chunk has a fixed cost
@@ -45,10 +46,12 @@ def export(
     on_truth: OnTruth | None = None,
     on_rays: OnRays = lambda counts: None,
     threads: int | None = None,
+    vehicle: Vehicle | None = None,
 ) -> list[Iterator[Frames]]:
     """What each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
+    The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
     Sensor i of n starts i/n of a packet after the first, so that packets interleave.
     `on_progress` gets the simulated time so far, of `duration_ns`; `on_truth` the records of `ground_truth`; `on_rays`
     the numbers of rays; all in the thread that reads. Neither the chunks nor the number of threads (by default that of
@@ -58,6 +61,8 @@ def export(
     for mount in rig.mounts:
         check_exportable(mount, duration_ns)
         check_place(mount.name, mount.position_m)
+    if vehicle:
+        check_outside(vehicle, rig.mounts)
     starts_ns = [
         start_ns + i * codec(mount.sensor).pace(mount).period_ns // len(rig.mounts)
         for i, mount in enumerate(rig.mounts)
@@ -67,16 +72,22 @@ def export(
         raise ConfigError("start and duration leave the time that a pcap can say, 1970 to 2106-02-07T06:28:16 UTC")
     tracer = Tracer(scene, _checked_start(trajectory, start_ns, end_ns), start_ns)
     tracer.check_span(0, (end_ns - start_ns) / SECOND_NS)
+    bodies = Tracer(vehicle.scene, np.zeros(3)) if vehicle else None
     workers = _Workers(threads or os.cpu_count() or 1)
     progress = _Progress(len(rig.mounts), on_progress)
     streams = []
     for i, (mount, first_ns) in enumerate(zip(rig.mounts, starts_ns, strict=True)):
-        simulator = Simulator(i, mount, tracer, trajectory)
+        simulator = Simulator(i, mount, tracer, trajectory, bodies)
         task = _Task(i, mount, simulator, first_ns, duration_ns, chunk_ns, on_truth is not None)
         data = _data_stream(task, workers, progress, on_truth, on_rays)
         housekeeping = _housekeeping_stream(task, trajectory, scene.file.geo_origin)
         streams.append(in_time_order([data, housekeeping]))
     return streams
+
+
+def object_names(scene: Scene, vehicle: Vehicle | None) -> tuple[str, ...]:
+    """What the ground truth calls the objects: those of the scene, and behind `vehicle/` those of the vehicle."""
+    return scene.names + (tuple(f"vehicle/{name}" for name in vehicle.scene.names) if vehicle else ())
 
 
 def save_companions(path: Path, mounts: Sequence[Mount]) -> list[Path]:

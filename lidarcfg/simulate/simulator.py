@@ -13,15 +13,14 @@ from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.simulator_kernels import Frames, Lasers, trace_firings
-from lidarcfg.world.bvh import EMPTY, Tree
+from lidarcfg.world.bvh import NO_TREE, Tree
 from lidarcfg.world.motion import Trajectory, packed
 from lidarcfg.world.scene import Weather
-from lidarcfg.world.tracer import NO_SHAPES, Tracer
+from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.tracer_kernels import NONE
 from lidarcfg.world.world_kernels import Found, resolve
 
 EXACT, CLEAR = Realism(), Weather()
-NO_BODIES = Tree(EMPTY, np.empty(0, np.float32), np.empty(0, np.int32), *NO_SHAPES)
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
 
@@ -42,7 +41,7 @@ class Simulator:
         self, index: int, mount: Mount, tracer: Tracer, trajectory: Trajectory, bodies: Tracer | None = None
     ) -> None:
         self._index, self._mount, self._tracer, self._trajectory = index, mount, tracer, trajectory
-        self._bodies = bodies.world.static if bodies else NO_BODIES
+        self._bodies = bodies.world.static if bodies else NO_TREE
         own = bodies.scene.reflectivity if bodies else np.empty(0, np.uint8)
         self._reflectivity = np.concatenate([tracer.scene.reflectivity, own, np.zeros(1, np.uint8)])  # nothing, -1: 0
         self._realism, self._weather = mount.realism or EXACT, tracer.scene.file.weather

@@ -1,14 +1,17 @@
 """A vehicle: the bodies that travel with the sensors and block their beams, in the vehicle frame."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic import model_validator
 
-from lidarcfg.config import Key, Model, Position, error_at, fault
+from lidarcfg.config import Key, Model, Position, Section, error_at, fault, load
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import example
 from lidarcfg.geometry import Array
+from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import Byte
 from lidarcfg.world.bvh import NO_TREE, Tree, build
 from lidarcfg.world.meshes import Mesh
@@ -94,6 +97,12 @@ class Vehicle:
     scene: Scene  # of static objects in the vehicle frame
     excluded: tuple[str, ...]  # the names of the closed bodies whose insides are no part of the region
     allow_inside: bool
+    file: VehicleFile  # what it was built from, with whole paths
+
+    @property
+    def section(self) -> Section:
+        """The same as a part of a rig's file."""
+        return Section(self.file.model_dump(exclude_defaults=True))
 
     def inside(self, name: str, x: Array, y: Array, z: Array) -> Inside:
         """(nx, ny, nz): which points of a grid are inside a body; x, y and z ascend. Nothing is inside an open one."""
@@ -130,7 +139,30 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                     if len(edges):
                         raise error_at(path, (*at, kind, i, "exclude"), _open(item.name, edges))
                 excluded.append(item.name)
-    return Vehicle(scene, tuple(excluded), file.allow_inside)
+    meshes = (mesh.model_copy(update={"file": str((path.parent / mesh.file).resolve())}) for mesh in file.meshes)
+    return Vehicle(scene, tuple(excluded), file.allow_inside, file.model_copy(update={"meshes": tuple(meshes)}))
+
+
+def load_vehicle(path: str | Path) -> Vehicle:
+    """The vehicle in a YAML file of its keys, or the body in a mesh file. Raises ConfigError."""
+    path = example(path)
+    if path.suffix in (".yaml", ".yml"):
+        return vehicle(load(path, VehicleFile), path, ())
+    return vehicle(VehicleFile(meshes=(BodyMesh(name="body", file=path.name),)), path)
+
+
+def rig_vehicle(rig: Rig) -> Vehicle | None:
+    """The vehicle that a rig's file names, if it names one. Raises ConfigError with file, line and key."""
+    section = rig.vehicle
+    return vehicle(section.checked(VehicleFile), Path(section.path), section.at) if section else None
+
+
+def check_outside(bodies: Vehicle, mounts: Iterable[Mount]) -> None:
+    """Raises ConfigError if a sensor is inside a closed body, unless the vehicle allows it."""
+    for mount in mounts:
+        body = None if bodies.allow_inside else bodies.around(np.array(mount.position_m))
+        if body:
+            raise ConfigError(f"{mount.name} is inside the vehicle's {body!r}; move it, or say allow_inside: true")
 
 
 def mesh_of(scene: Scene, index: int) -> Mesh:
