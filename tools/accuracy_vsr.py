@@ -20,7 +20,7 @@ from accuracy_page import ROOT, heading, table
 
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.placement.analytic import Level, error_bar, halved, level
+from lidarcfg.placement.analytic import Level, error_bar, level
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
@@ -85,7 +85,7 @@ def held(job: tuple[str, int]) -> Array:
     grid, levels = region(study, 4), []
     for _ in range(5):
         levels.append(level(grid, lidars))
-        grid = halved(grid)
+        grid = grid.halved()
     truth = levels[-1].max_vsr_m
     return np.array(
         [(error_bar(coarse, fine) / truth, abs(fine.max_vsr_m / truth - 1)) for coarse, fine in pairwise(levels[:4])]

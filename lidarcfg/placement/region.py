@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,8 @@ from lidarcfg.geometry import Array
 
 if TYPE_CHECKING:
     import open3d
+
+    from lidarcfg.world.vehicle import Vehicle
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
@@ -65,6 +67,13 @@ class RegionFile(BoxFile):
         return self
 
 
+class Cut(NamedTuple):
+    """What bodies have taken out of a region."""
+
+    bodies: "Vehicle"
+    included: NDArray[np.bool_]  # (nx, ny, nz) which cuboids counted before
+
+
 @dataclass(frozen=True)
 class Region:
     """A grid of equal cuboids; `included` says which of them count."""
@@ -72,6 +81,7 @@ class Region:
     min_m: Array  # (3,) the grid's lower corner in the vehicle frame
     max_m: Array  # (3,) its upper corner
     included: NDArray[np.bool_]  # (nx, ny, nz)
+    cut: Cut | None = None
 
     @classmethod
     def from_boxes(
@@ -101,6 +111,19 @@ class Region:
         """The region that a study file describes."""
         boxes = tuple((box.min_m, box.max_m) for box in file.exclude)
         return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
+
+    def without(self, bodies: "Vehicle") -> "Region":
+        """The region without the cuboids whose centres are inside of a vehicle's excluded bodies."""
+        included = self.included.copy()
+        for name in bodies.excluded:
+            included[bodies.inside(name, *self.centres())] = False
+        return Region(self.min_m, self.max_m, included, Cut(bodies, self.included))
+
+    def halved(self) -> "Region":
+        """The same region with every cuboid cut into eight; bodies are cut out anew."""
+        coarse = self.cut.included if self.cut else self.included
+        fine = Region(self.min_m, self.max_m, coarse.repeat(2, 0).repeat(2, 1).repeat(2, 2))
+        return fine.without(self.cut.bodies) if self.cut else fine
 
     @classmethod
     def from_voxel_grid(cls, grid: "open3d.geometry.VoxelGrid", cuboid_m: ArrayLike | None = None) -> "Region":

@@ -19,8 +19,8 @@ from lidarcfg import report
 from lidarcfg.cli import cli
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import up
-from lidarcfg.placement import analytic as module
-from lidarcfg.placement.analytic import analytic, crossings, error_bar, halved, integrate, level
+from lidarcfg.placement.analytic import Analytic, analytic, error_bar, integrate, level
+from lidarcfg.placement.analytic_kernels import GOLDEN, LINES, crossings
 from lidarcfg.placement.cones import Lidar, gaps_at, rig_lidars
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
@@ -124,9 +124,9 @@ angle = st.floats(-math.pi, math.pi)
 def test_crossings_are_where_small_steps_find_them(roll, pitch, position, u, v, elevation):
     assume(math.dist((u, v), position[1:]) > 1e-3)  # no line through the apex
     axis = up((roll, pitch, 0.0))
-    row = np.array([[*position, *axis, math.sin(math.radians(elevation)), np.nan]])
+    row = np.array([*position, *axis, math.sin(math.radians(elevation)), np.nan])
     at, weight = np.empty(4), np.empty(4)
-    count = crossings(u, v, row, -1.0, 1.0, at, weight)
+    count = crossings(u, v, row, -1.0, 1.0, at, weight, 0)
     wanted = naive.crossings((0.0, u, v), (1.0, 0.0, 0.0), -1.0, 1.0, position, axis, elevation)
     if count != len(wanted):  # two within a step, or one on an end
         assert (count - len(wanted)) % 2 == 0 or min(abs(at[:count]), default=1) > 1 - 1e-9
@@ -213,8 +213,8 @@ def on_a_line(region, axis, number):
     """A point of a line of the lattice along an axis, bit for bit; amid the region along it."""
     order = [axis, (axis + 1) % 3, (axis + 2) % 3]
     shape, low, edge = np.array(region.shape)[order], region.min_m[order], region.cuboid_m[order]
-    lines = module.LINES**2 * shape[1] * shape[2]
-    u, v = shape[1] * (number + 0.5) / lines, shape[2] * ((number * module.GOLDEN + 0.5) % 1.0)
+    lines = LINES**2 * shape[1] * shape[2]
+    u, v = shape[1] * (number + 0.5) / lines, shape[2] * ((number * GOLDEN + 0.5) % 1.0)
     point = np.empty(3)
     point[order] = low[0] + 0.52 * shape[0] * edge[0], low[1] + u * edge[1], low[2] + v * edge[2]
     return point
@@ -327,7 +327,7 @@ def test_tilted_lidars_are_what_marching_cubes_says(tmp_path, count, exclude):
     told = CliRunner().invoke(cli, ["evaluate", *map(str, files), "--tolerance", "0.003", "--json"]).output
     found = json.loads(told)["analytic"]
     region, lidars = load_study(files[0]).region, rig_lidars(load_rig(files[1]))
-    fine = halved(halved(halved(region)))
+    fine = region.halved().halved().halved()
     subspaces = segment(fine, lidars)
     parts = integrate(subspaces, lidars)
     seen = parts.joined()
@@ -359,8 +359,8 @@ def test_tilted_lidars_are_what_marching_cubes_says(tmp_path, count, exclude):
 def test_an_apex_in_the_region_and_lines_through_it():
     """A half-space cut by z = 0 and a double cone about x, on whose apex a line of every axis may pass."""
     at, weight = np.empty(16), np.empty(16)
-    row = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -0.5, 0.0, 0.5]])
-    assert crossings(0.0, 0.0, row, -1.0, 1.0, at, weight) > 0  # the piece ends at the apex
+    row = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -0.5, 0.0, 0.5])
+    assert crossings(0.0, 0.0, row, -1.0, 1.0, at, weight, 0) > 0  # the piece ends at the apex
     assert not at[0]
     assert not weight[0]
     region = Region.from_boxes((-1, -1, -1), (1, 1, 1), (0.1, 0.1, 0.1))
@@ -419,8 +419,8 @@ def test_error_bars_hold_on_the_papers_region(study):
     for poses in loaded.poses(rng.random((2, int(loaded.free.sum())))):
         lidars = loaded.lidars(poses)
         coarse = level(loaded.region, lidars)
-        fine = level(halved(loaded.region), lidars)
-        truth = level(halved(halved(loaded.region)), lidars)
+        fine = level(loaded.region.halved(), lidars)
+        truth = level(loaded.region.halved().halved(), lidars)
         assert abs(fine.max_vsr_m - truth.max_vsr_m) < error_bar(coarse, fine)
         assert fine.max_vsr_m == pytest.approx(truth.max_vsr_m, rel=0.01)
 
@@ -444,6 +444,6 @@ def test_evaluate_says_what_it_reached(tmp_path):
 
 
 def test_evaluate_says_plainly_what_it_did_not_reach():
-    found = module.Analytic(0.5, 0.01, 0.001, [0.5, 0.25, 0.1], 384_000, 0.1)
+    found = Analytic(0.5, 0.01, 0.001, [0.5, 0.25, 0.1], 384_000, 0.1)
     assert not found.reached
     assert "NOT within the tolerance of 0.001, but of 0.02" in report.analytic_line(found)

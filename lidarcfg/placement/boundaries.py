@@ -1,0 +1,182 @@
+"""Where straight lines come into what LiDARs see, and leave it; and where they pass through bodies.
+
+Where a line crosses what may bound a LiDAR's sight (outline.py) is known in closed form, and so is the normal there.
+Between two such places a LiDAR sees all of the line or nothing, and one ray says which. So what is no bound after all,
+as the shadow of an edge that is in shadow itself, does no harm.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.analytic_kernels import Counts, Flips, lines_across
+from lidarcfg.placement.boundary_kernels import (
+    BINS,
+    FULL,
+    Bounds,
+    Crossings,
+    Flipped,
+    Lattice,
+    candidates,
+    flipped,
+    middles,
+    round_crossings,
+    solid_flips,
+    triangle_crossings,
+)
+from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.outline import Outline, Quadrics, outline, quadrics, silhouette
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.visibility import Visibility
+from lidarcfg.world.scene import Cylinder, Sphere
+from lidarcfg.world.solids import parts
+from lidarcfg.world.vehicle import Vehicle, mesh_of
+
+WIDER = 1e-9  # rad, by which what is sorted by direction is wider than it is
+CHUNK = 8192  # lines
+
+
+def bounds(edges: Array, surfaces: Quadrics, position_m: Array, axis: int) -> Bounds:
+    """What may bound a LiDAR's sight, by lines along an axis; edges and surfaces relative to the LiDAR."""
+    order = axes_from(axis)
+    edges, m, centre = edges[:, :, order], surfaces.m[:, order][:, :, order], surfaces.centre[:, order]
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    length = np.linalg.norm(normal, axis=1)
+    edges, normal = edges[length > 0.0], normal[length > 0.0] / length[length > 0.0, None]
+    rows = np.concatenate([edges.reshape(-1, 6), abs(normal[:, :1])], axis=1)
+    upper = m[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    table = np.concatenate([upper, surfaces.b[:, order], surfaces.c[:, None]], axis=1)
+    middle, half = np.concatenate([_edge_spans(edges), _round_spans(centre, surfaces.radius)], axis=1)
+    first, item = _binned(middle, half)
+    return Bounds(position_m[order], rows, table, first, item)
+
+
+def axes_from(axis: int) -> list[int]:
+    """An axis and the two others in cyclic order."""
+    return [axis, (axis + 1) % 3, (axis + 2) % 3]
+
+
+def _edge_spans(edges: Array) -> Array:
+    """(2, E) middle and half of the angles that edges span around the origin, as seen along the first axis."""
+    angle = np.arctan2(edges[:, :, 2], edges[:, :, 1])
+    half = ((angle[:, 1] - angle[:, 0] + np.pi) % FULL - np.pi) / 2
+    over = (edges[:, :, 1:] == 0.0).all(axis=2).any(axis=1) | (abs(half) > np.pi / 2 - WIDER)
+    return np.stack([angle[:, 0] + half, np.where(over, np.pi, abs(half))])
+
+
+def _round_spans(centre: Array, radius: Array) -> Array:
+    """(2, Q) the same of spheres."""
+    distance = np.hypot(centre[:, 1], centre[:, 2])
+    sine = np.divide(radius, distance, out=np.ones(len(radius)), where=distance > radius)
+    return np.stack([np.arctan2(centre[:, 2], centre[:, 1]), np.where(sine < 1.0, np.arcsin(sine), np.pi)])
+
+
+def _binned(middle: Array, half: Array) -> tuple[Counts, Counts]:
+    """Items by bins of direction: the first in each, and the items."""
+    low, high = (
+        np.floor((middle + side * (half + WIDER) + np.pi) * (BINS / FULL)).astype(np.int64) for side in (-1, 1)
+    )
+    count = np.minimum(high - low + 1, BINS)
+    item = np.repeat(np.arange(len(count)), count)
+    where = (np.repeat(low - np.cumsum(count) + count, count) + np.arange(len(item))) % BINS
+    order = np.argsort(where, kind="stable")
+    return np.searchsorted(where[order], np.arange(BINS + 1)), item[order]
+
+
+class Surfaces(NamedTuple):
+    """What lines may pass through."""
+
+    triangles: Array  # (T, 3, 3)
+    rounds: Array  # (R, 5) see Outline
+    part: Counts  # (T + R,) the closed part that each belongs to
+
+    def crossings(self, lattice: Lattice) -> tuple[Crossings, Counts]:
+        """Where the lines along an axis pass through them, from wherever they come, and the part of each crossing."""
+        order = axes_from(lattice.axis)
+        triangles = np.ascontiguousarray(self.triangles[:, :, order])
+        rounds = np.ascontiguousarray(self.rounds[:, [*order, 3, 4]])
+        flat, curved = _rows(triangle_crossings, lattice, triangles), _rows(round_crossings, lattice, rounds)
+        curved[:, 3] += len(triangles)
+        found = np.concatenate([flat, curved])
+        found = found[np.lexsort((found[:, 1], found[:, 0]))]
+        first = np.searchsorted(found[:, 0], np.arange(lines_across(*lattice.shape[1:]) + 1))
+        at, weight = np.ascontiguousarray(found[:, 1]), np.ascontiguousarray(found[:, 2])
+        return Crossings(first, at, weight), self.part[found[:, 3].astype(np.int64)]
+
+
+def _rows(kernel: Callable[[Lattice, Array, Array], int], lattice: Lattice, shapes: Array) -> Array:
+    """The rows (N, 4) that a kernel writes."""
+    out = np.empty((16 * len(shapes) + 1024, 4))
+    count = kernel(lattice, shapes, out)
+    if count > len(out):
+        out = np.empty((count, 4))
+        kernel(lattice, shapes, out)
+    return out[:count]
+
+
+def solids(bodies: Vehicle) -> Surfaces:
+    """The surfaces of the bodies whose insides are no part of a region, by their closed parts."""
+    scene, triangles, rounds = bodies.scene, [np.empty((0, 3, 3))], []
+    rows = dict(scene.rounds)
+    for index in (scene.names.index(name) for name in bodies.excluded):
+        if index in rows:
+            rounds.append(_round(rows[index]))
+        else:
+            triangles += [vertices[corners] for vertices, corners in parts(mesh_of(scene, index))]
+    numbers = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles])
+    part = np.concatenate([numbers, len(triangles) + np.arange(len(rounds))])
+    return Surfaces(np.concatenate(triangles), np.array(rounds).reshape(-1, 5), part)
+
+
+def _round(item: Sphere | Cylinder) -> list[float]:
+    if isinstance(item, Sphere):
+        return [*item.center_m, item.radius_m, np.nan]
+    return [*item.base_m, item.radius_m, item.height_m]
+
+
+class Boundaries:
+    """What bounds the sight of LiDARs, and the region; along whichever axis is asked for."""
+
+    def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None) -> None:
+        self.lidars, self.visibility = lidars, visibility
+        self.solids = solids(region.cut.bodies) if region.cut else None
+        if visibility:
+            shape = outline(visibility.obstacles)
+            self.surfaces = Surfaces(shape.triangles, shape.rounds, np.zeros(len(shape.triangles) + len(shape.rounds), np.int64))
+            self.edges = [silhouette(shape, one.position_m) for one in lidars]
+            self.quadrics = [quadrics(shape, one, visibility) for one in lidars]
+
+    def flips(self, lattice: Lattice, pool: ThreadPoolExecutor) -> Flips:
+        """Where what LiDARs see of the lines along an axis changes, and where the lines enter and leave bodies."""
+        count = lines_across(*lattice.shape[1:])
+        chunks = [(begin, min(begin + CHUNK, count)) for begin in range(0, count, CHUNK)]
+        always = Flipped(np.ones(count, np.bool_), Crossings(np.zeros(count + 1, np.int64), np.empty(0), np.empty(0)))
+        rows = [always] * len(self.lidars)
+        if visibility := self.visibility:
+            surfaces, _ = self.surfaces.crossings(lattice)
+            jobs = [
+                (lattice, lines, bounds(edges, surface, one.position_m, lattice.axis), surfaces, one, visibility)
+                for edges, surface, one in zip(self.edges, self.quadrics, self.lidars, strict=True)
+                for lines in chunks
+            ]
+            rows = list(pool.map(lambda job: _changes(*job), jobs))
+        if self.solids:
+            surfaces, part = self.solids.crossings(lattice)
+            rows.append(solid_flips(lattice, surfaces, part, int(part.max(initial=-1)) + 1))
+        else:
+            rows.append(always)
+        first = np.cumsum(np.concatenate([[0], *(np.diff(row.crossed.first) for row in rows)]))
+        at, weight = (np.concatenate([getattr(row.crossed, name) for row in rows]) for name in ("at", "weight"))
+        return Flips(np.concatenate([row.start for row in rows]).reshape(-1, count), first, at, weight)
+
+
+def _changes(
+    lattice: Lattice, lines: tuple[int, int], limits: Bounds, surfaces: Crossings, lidar: Lidar, visibility: Visibility
+) -> Flipped:
+    """Where it changes whether a LiDAR sees lines [lines[0], lines[1])."""
+    found = candidates(lattice, lines, limits, surfaces)
+    return flipped(found, visibility.seen_points(middles(lattice, lines, found), lidar))
