@@ -132,8 +132,8 @@ def analytic(
     region: Region,
     lidars: Sequence[Lidar],
     tolerance: float,
-    cuboids_max: int = CUBOIDS_MAX,
     visibility: Visibility | None = None,
+    cuboids_max: int = CUBOIDS_MAX,
 ) -> Analytic:
     """Max VSR to a relative tolerance: the edges are halved until the error bar is within it, or no grid is left.
 

@@ -64,8 +64,8 @@ def details(
     A study with more than `cheap_cuboids` gets no error bar and no comparison that it does not bring along.
     """
     cheap = study.region.included.size <= cheap_cuboids
-    if found.analytic is None and cheap and study.visibility is None:
-        found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING))
+    if found.analytic is None and cheap:
+        found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING, study.visibility))
     if midpoint_max_vsr_m is None and cheap:
         midpoint = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(midpoint), study.visibility)

@@ -59,11 +59,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     above 0, or where the region has too many cuboids to refine.
     """
     started = time.perf_counter()
-    if tolerance is not None and study.visibility is not None:
-        raise ConfigError(
-            "a tolerance is for studies in which every LiDAR sees everything; this one limits their sight"
-        )
-    converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance)
+    converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
     subspaces = segment(study.region, rig_lidars(rig), study.visibility)
     vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
     radius = inscribed_radii_m(subspaces)

@@ -147,8 +147,7 @@ def load_study(path: str | Path) -> Study:
         raise error_at(path, ("region", "exclude"), "leaves no cuboid in the region")
     bodies = vehicle(file.vehicle, path) if file.vehicle else None
     if bodies:
-        for name in bodies.excluded:
-            region.included[bodies.inside(name, *region.centres())] = False
+        region = region.without(bodies)
         if not region.included.any():
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
     surroundings = _surroundings(file, path)
