@@ -74,9 +74,7 @@ def insert(here: float, towards: float, at: Array, weight: Array, count: int) ->
 
 
 @inner(error_model="numpy")
-def crossings(
-    u: float, v: float, cone: Array, low: float, high: float, at: Array, weight: Array, count: int
-) -> int:
+def crossings(u: float, v: float, cone: Array, low: float, high: float, at: Array, weight: Array, count: int) -> int:
     """Add to `count` crossings where the line at (u, v) crosses a LiDAR's cones between low and high; how many then.
 
     They stand in `at`, ascending, and |n·e| beside. cone (6 + beams): position and axis in the line's frame (along, u,

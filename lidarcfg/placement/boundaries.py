@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic_kernels import Counts, Flips, lines_across
@@ -29,7 +28,7 @@ from lidarcfg.placement.boundary_kernels import (
     triangle_crossings,
 )
 from lidarcfg.placement.cones import Lidar
-from lidarcfg.placement.outline import Outline, Quadrics, outline, quadrics, silhouette
+from lidarcfg.placement.outline import Quadrics, outline, quadrics, silhouette
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.scene import Cylinder, Sphere
@@ -146,7 +145,9 @@ class Boundaries:
         self.solids = solids(region.cut.bodies) if region.cut else None
         if visibility:
             shape = outline(visibility.obstacles)
-            self.surfaces = Surfaces(shape.triangles, shape.rounds, np.zeros(len(shape.triangles) + len(shape.rounds), np.int64))
+            self.surfaces = Surfaces(
+                shape.triangles, shape.rounds, np.zeros(len(shape.triangles) + len(shape.rounds), np.int64)
+            )
             self.edges = [silhouette(shape, one.position_m) for one in lidars]
             self.quadrics = [quadrics(shape, one, visibility) for one in lidars]
 

@@ -76,7 +76,8 @@ def _behind(edge: Array, du: float, dv: float) -> float:
     nearer = (du * u + dv * v) / (du * du + dv * dv)  # 1: the edge is on the line
     if not 0.0 < nearer <= 1.0:
         return np.nan
-    return (edge[0] + part * (edge[3] - edge[0])) / nearer
+    along: float = (edge[0] + part * (edge[3] - edge[0])) / nearer
+    return along
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -169,7 +170,7 @@ def _lines_between(lattice: Lattice, low: float, high: float) -> tuple[int, int]
 
 @njit(cache=True, nogil=True)
 def _left(au: float, av: float, bu: float, bv: float, u: float, v: float) -> bool:
-    """Whether the half-line from (u, v) in the direction of falling u crosses an edge; alike for both its directions."""
+    """Whether the half-line from (u, v) towards falling u crosses an edge; alike for both its directions."""
     if av > bv or (av == bv and au > bu):
         au, av, bu, bv = bu, bv, au, av
     return bool(av <= v < bv and u > au + (bu - au) * ((v - av) / (bv - av)))

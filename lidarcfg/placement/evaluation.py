@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.cones import rig_lidars

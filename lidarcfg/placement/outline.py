@@ -113,7 +113,7 @@ def quadrics(shape: Outline, lidar: Lidar, visibility: Visibility) -> Quadrics:
             if square > 0.0:
                 rows.append((np.outer(centre, centre) - square * np.eye(3), nothing, 0.0, centre, radius))
             continue
-        for rim in (centre, centre + (0.0, 0.0, height)):
+        for rim in (centre, np.array((x, y, z + height))):
             m, b = (_over_rim(rim, radius), nothing) if rim[2] != 0.0 else (flat, upright)  # a rim seen edge on
             rows.append((m, b, 0.0, rim, radius))
     columns = [np.array([row[i] for row in rows], np.float64) for i in range(5)]

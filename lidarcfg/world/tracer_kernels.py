@@ -225,7 +225,9 @@ def _test_round(shapes, kind, s, face, rays, after):
     """Keep a sphere or a cylinder where it is hit first."""
     found = False
     for n in range(SIZE):
-        far = _round(shapes, kind, s, *ray_of(rays, n, face))
+        ox, oy, oz, dx, dy, dz = ray_of(rays, n, face)
+        length = 1.0 if after == 0.0 else math.sqrt(dx * dx + dy * dy + dz * dz)  # of a segment
+        far = _round(shapes, kind, s, ox, oy, oz, dx / length, dy / length, dz / length) / length
         nearest = rays[RANGE + n]
         if far > after and (far < nearest or (far == nearest and s < rays[SLOT + n])):
             rays[RANGE + n], rays[SLOT + n], found = far, s, True

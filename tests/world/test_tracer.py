@@ -275,6 +275,25 @@ def test_blocked_is_a_first_hit_before_the_target():
     assert np.array_equal(tracer.blocked(origin, on), theirs < np.linalg.norm(on - origin, axis=1) * (1 - 1e-9))
 
 
+def test_spheres_and_cylinders_block_what_is_behind_them(tmp_path):
+    """As their first hits say, and those of the sphere in closed form."""
+    stage = scene(
+        tmp_path,
+        "spheres: [{name: s, center_m: [9, 0, 0], radius_m: 1, reflectivity: 9}]\n"
+        "cylinders: [{name: c, base_m: [0, 9, -1], radius_m: 1, height_m: 2, reflectivity: 9}]",
+    )
+    rng = np.random.default_rng(14)
+    targets = rng.uniform(-3, 3, (6000, 3)) + np.repeat([[12, 0, 0], [0, 12, 0]], 3000, axis=0)
+    length = np.linalg.norm(targets, axis=1)
+    way = targets / length[:, None]
+    tracer = Tracer(stage, HERE)
+    hidden = tracer.blocked(HERE, targets)
+    assert 0.05 < hidden.mean() < 0.5
+    assert np.array_equal(hidden, tracer.cast(np.zeros((6000, 3)), way).range_m < length)
+    ball = [naive.sphere(HERE, d, np.array([9, 0, 0]), 1) for d in way[:3000]]
+    assert np.array_equal(hidden[:3000], ball < length[:3000])
+
+
 def test_a_rotated_scene_has_rotated_hits():
     """Any rotation of mesh and rays together leaves the ranges, to rounding."""
     rng = np.random.default_rng(13)
