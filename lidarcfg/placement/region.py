@@ -81,7 +81,7 @@ class Region:
     min_m: Array  # (3,) the grid's lower corner in the vehicle frame
     max_m: Array  # (3,) its upper corner
     included: NDArray[np.bool_]  # (nx, ny, nz)
-    cut: Cut | None = None
+    cut: Cut | None = None  # None: nothing was cut out
 
     @classmethod
     def from_boxes(
