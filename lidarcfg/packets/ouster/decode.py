@@ -1,5 +1,6 @@
 """Points of an Ouster's packets, by the metadata beside them."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ from numpy.typing import NDArray
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
-from lidarcfg.packets.ouster import kernels
-from lidarcfg.packets.ouster.layout import columns, heads
+from lidarcfg.packets.ouster import decode_kernels as kernels
+from lidarcfg.packets.ouster.layout import Layout, columns, heads
 from lidarcfg.packets.ouster.metadata import Metadata
 from lidarcfg.packets.ouster.pixels import fields, place, words_of
 from lidarcfg.units import MINUTE_NS
@@ -24,6 +25,7 @@ class OusterDecoder(Decoder):
         self._where, self._metadata, self._model = where, metadata, model
         self._layout = layout = metadata.layout
         self.period_ns = 100_000_000 * layout.columns_per_packet // layout.columns_per_frame  # as at 10 Hz
+        self._pixels, self._beams = _pixels(layout), _beams(metadata)
         self._in_frame = _packets_in_window(metadata)
         self._before: tuple[int, int, int] | None = None  # in the sequence of packets, of columns; device time
         self._lost = self._columns = self._time_ns = 0
@@ -77,29 +79,20 @@ class OusterDecoder(Decoder):
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
-        layout, metadata = self._layout, self._metadata
-        packets = np.ascontiguousarray(packets[wanted])
-        said, words = columns(layout, packets), words_of(packets)
-        names = list(layout.profile.fields)
-        pairs = [("range", "reflectivity"), ("range2", "reflectivity2")][: layout.profile.returns]
-        ranges, bright = (layout.bits[[names.index(pair[k]) for pair in pairs]] for k in range(2))
-        count = kernels.count_returns(words, said.valid, ranges, *place(layout), layout.pixels)
-        laser, ring, intensity, kind = (np.empty(count, np.uint8) for _ in range(4))
-        xyz, time_ns = np.empty((count, 3)), np.empty(count, np.int64)
-        kernels.points(
+        if not wanted.all():
+            packets = packets[wanted]
+        said, words = columns(self._layout, packets), words_of(packets)
+        returns = Returns.room(said.valid.size * self._layout.pixels * self._layout.profile.returns)
+        count = kernels.points(
             words,
-            said.valid,
-            said.measurement,
-            said.time_ns,
-            ranges,
-            bright,
-            place(layout),
-            (beams(metadata), rings(metadata)),
-            (layout.columns_per_frame, metadata.start_m, metadata.T_sensor_lidar),
-            np.array([STRONGEST, LAST if metadata.nearest_first else SECOND], np.uint8),
-            (xyz, time_ns, laser, ring, intensity, kind),
+            (said.valid, said.measurement, said.time_ns),
+            float(self._layout.columns_per_frame),
+            self._pixels,
+            self._beams,
+            np.empty(3 * self._layout.pixels),
+            kernels.Returned(returns.xyz_m.reshape(-1), *returns[3:]),
         )
-        return Returns(xyz, np.empty(0), np.empty(0), time_ns, laser, ring, intensity, kind)
+        return returns.first(count)
 
     def driver_columns(self, packets: Octets, wanted: Flags) -> dict[str, NDArray[Any]]:
         """See `Decoder`. What the profile does not have is 0, as with ouster-ros."""
@@ -117,15 +110,34 @@ class OusterDecoder(Decoder):
         }
 
 
-def beams(metadata: Metadata) -> Array:
-    """(3, L) where beams point at encoder angle 0, in the lidar frame."""
-    flat, azimuth = np.cos(metadata.elevation_rad), metadata.azimuth_rad
-    return np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(metadata.elevation_rad)])
+def _pixels(layout: Layout) -> kernels.Pixels:
+    names, ends = list(layout.profile.fields), ("", "2")[: layout.profile.returns]
+    ranges, bright = (layout.bits[[names.index(f"{name}{end}") for end in ends]] for name in ("range", "reflectivity"))
+    return kernels.Pixels(*place(layout), ranges, bright)
 
 
-def rings(metadata: Metadata) -> Octets:
-    """(L,) 0 is the lowest beam."""
-    return np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8)
+def _beams(metadata: Metadata) -> kernels.Beams:
+    """All pixels of a column, in the sensor's frame."""
+    flat, azimuth, T = np.cos(metadata.elevation_rad), metadata.azimuth_rad, metadata.T_sensor_lidar
+    directions = np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(metadata.elevation_rad)], axis=1)
+    ahead_m, up_m = metadata.start_m
+    start = _turning(np.array([ahead_m, 0.0, up_m]), T[:3, :3])
+    start[0] += T[:3, 3]
+    kinds = STRONGEST, LAST if metadata.nearest_first else SECOND
+    return kernels.Beams(
+        _turning(directions, T[:3, :3]).reshape(3, -1),
+        start,
+        math.hypot(ahead_m, up_m),
+        np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8),  # 0 is the lowest
+        np.array(kinds[: metadata.layout.profile.returns], np.uint8),
+    )
+
+
+def _turning(vectors: Array, R: Array) -> Array:
+    """(3, …) what is summed up, times 1, cosine and sine of an angle, to the vectors (…, 3) turned by it about z."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    none = np.zeros_like(x)
+    return np.stack([np.stack(part, axis=-1) @ R.T for part in ((none, none, z), (x, y, none), (-y, x, none))])
 
 
 def _packets_in_window(metadata: Metadata) -> Times:
