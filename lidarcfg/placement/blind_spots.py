@@ -6,15 +6,18 @@ them. What lies between two beams, or above and below all of them, is not blind.
 
 # mypy: disallow-untyped-decorators=False
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.visibility import Visibility
 
 HEIGHTS_M = (0.25, 0.5, 1.0)  # above the region's floor
 AZIMUTHS = 360  # directions, evenly spaced
@@ -22,6 +25,7 @@ STEP_M = 0.1  # between two points of a direction: a shorter blind stretch may b
 STEPS_MAX = 2000  # of a direction; in a region larger than this allows, the steps are longer
 BISECTIONS = 7  # a step of 0.1 m is cut down to 0.8 mm
 CHUNK = 4096  # points that are looked at together
+NONE = np.empty(0, np.int64)
 Bools = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 SeenPoints = Callable[[Array], Bools]  # of points (N, 3) which are seen by any LiDAR
@@ -51,7 +55,7 @@ class Directions:
     start_m: Array  # (AZIMUTHS,) the first and the last point in the region that is not within the outline;
     end_m: Array  # end below start where there is none
 
-    @property
+    @cached_property
     def step_m(self) -> float:
         """Between two points of a direction."""
         return max(STEP_M, float((self.end_m - self.start_m).max()) / STEPS_MAX)
@@ -63,27 +67,34 @@ class Directions:
         x, y = (c + from_center_m * f(angle) for c, f in zip(self.center_m, (np.cos, np.sin), strict=True))
         return np.stack([x, y, z], axis=1)
 
-    def blind(self, azimuth: Indices, from_center_m: Array, seen: SeenPoints) -> Bools:
-        """(N,) which of these points no LiDAR sees; what is excluded from the region is not blind."""
-        points = self.points(azimuth, from_center_m)
+    def counts(self, points: Array) -> Bools:
+        """(N,) which points (N, 3) are not excluded from the region."""
         cell = ((points - self.region.min_m) / self.region.cuboid_m).astype(np.int64)
         i, j, k = np.clip(cell, 0, np.array(self.region.shape) - 1).T
-        out: Bools = self.region.included[i, j, k].copy()
-        out[out] = ~seen(points[out])
+        out: Bools = self.region.included[i, j, k]
         return out
+
+    @cached_property
+    def last(self) -> Indices:
+        """(AZIMUTHS,) the number of the last point of each direction; −1 where there is none."""
+        length = self.end_m - self.start_m
+        known = length >= 0
+        return np.where(known, np.ceil(np.where(known, length, 0.0) / self.step_m), -1).astype(np.int64)
+
+    def at(self, azimuth: Indices, number: Indices) -> Array:
+        """(N,) how far points are from the reference point; the last of a direction lies on the region's edge."""
+        at: Array = np.minimum(self.start_m[azimuth] + number * self.step_m, self.end_m[azimuth])
+        return at
 
 
 @dataclass(frozen=True)
-class Order:
-    """Points of directions, see `farthest`."""
+class Points:
+    """The points that are looked at, but those that are excluded from the region; see `looked_at`."""
 
     azimuth: Indices  # (N,) which direction
-    number: Indices  # (N,) the how manieth of it
-    distance_m: Array  # (N,) from the body's outline, descending
-
-    def at(self, around: Directions, points: Indices) -> Array:
-        """(n,) how far some of the points are from the reference point."""
-        return _at(around, self.azimuth[points], self.number[points])
+    number: Indices  # (N,) the how manieth of it, outwards
+    distance_m: Array  # (N,) from the body's outline
+    xyz: Array  # (N, 3)
 
 
 @dataclass(frozen=True)
@@ -110,10 +121,28 @@ class Contour:
         return float(self.azimuth_deg[int(np.nan_to_num(self.distance_m).argmax())])
 
     @property
+    def largest_reaches_edge(self) -> bool:
+        """Whether the largest distance ends at the region's edge."""
+        return bool(self.reaches_edge[int(np.nan_to_num(self.distance_m).argmax())])
+
+    @property
     def area_m2(self) -> float:
         """Of what lies between the body's outline and the contour."""
         inner, distance = self.directions.outline_m, np.nan_to_num(self.distance_m)
         return float((((inner + distance) ** 2 - inner**2) * (math.pi / AZIMUTHS)).sum())
+
+
+@dataclass(frozen=True)
+class BlindSpots:
+    """How much of a region how many LiDARs see, and how far from the vehicle nobody sees all."""
+
+    seen_by_m3: Array  # (LiDARs + 1,) the volume that exactly 0, 1, 2 … LiDARs see
+    contours: tuple[Contour, ...]  # by height, ascending; none where every LiDAR sees everything
+
+    @property
+    def volume_m3(self) -> float:
+        """What no LiDAR sees."""
+        return float(self.seen_by_m3[0])
 
 
 def directions(region: Region, center_m: Array, outline_m: Array, height_m: float) -> Directions:
@@ -131,86 +160,89 @@ def directions(region: Region, center_m: Array, outline_m: Array, height_m: floa
     return Directions(region, height_m, center_m, outline_m, start, np.where(start <= leave, leave, -np.inf))
 
 
+def seen_by_any(visibility: Visibility, lidars: Sequence[Lidar]) -> SeenPoints:
+    """Which of some points any of the LiDARs sees."""
+
+    def seen(points: Array) -> Bools:
+        out = np.zeros(len(points), np.bool_)
+        for lidar in lidars:
+            rest = np.flatnonzero(~out)
+            out[rest] = visibility.seen_points(points[rest], lidar)
+        return out
+
+    return seen
+
+
+def looked_at(around: Directions) -> Points:
+    """The points of all directions, the farthest from the body's outline first, by groups of CHUNK.
+
+    Within a group they go by direction, because what is seen of points in one direction is found fastest together.
+    """
+    counts = around.last + 1
+    azimuth = np.repeat(np.arange(AZIMUTHS), counts)
+    number = np.arange(len(azimuth)) - np.repeat(np.cumsum(counts) - counts, counts)
+    at = around.at(azimuth, number)
+    kept = np.flatnonzero(around.counts(around.points(azimuth, at)))
+    distance = at - around.outline_m[azimuth]
+    outside_in = kept[np.argsort(-distance[kept], kind="stable")]
+    order = np.concatenate(
+        [np.sort(outside_in[first : first + CHUNK]) for first in range(0, len(kept), CHUNK)] or [kept]
+    )
+    return Points(azimuth[order], number[order], distance[order], around.points(azimuth[order], at[order]))
+
+
 def contour(around: Directions, seen: SeenPoints) -> Contour:
-    """The blind-spot contour: points every `step_m` from the region's edge inwards, the last blind one refined.
+    """The blind-spot contour: the last blind point of each direction, refined.
 
     It is too large by at most step_m / 2**BISECTIONS, and too small where a blind stretch shorter than step_m was
     missed.
     """
-    known = around.end_m >= around.start_m
-    azimuth, number = _points(around)
-    blind = around.blind(azimuth, _at(around, azimuth, number), seen)
+    points = looked_at(around)
+    blind = ~seen(points.xyz)
     farthest = np.full(AZIMUTHS, -1)
-    np.maximum.at(farthest, azimuth[blind], number[blind])
-    distance = _refined(around, np.arange(AZIMUTHS), farthest, seen) - around.outline_m
-    distance = np.where(farthest < 0, 0.0, distance)
-    edge = (farthest >= 0) & (farthest == _last(around))
-    return Contour(around, np.where(known, distance, np.nan), edge)
-
-
-def farthest(around: Directions) -> Order:
-    """The points of all directions, those that are farthest from the body's outline first."""
-    azimuth, number = _points(around)
-    distance = _at(around, azimuth, number) - around.outline_m[azimuth]
-    order = np.argsort(-distance, kind="stable")
-    return Order(azimuth[order], number[order], distance[order])
+    np.maximum.at(farthest, points.azimuth[blind], points.number[blind])
+    end = _refined(around, np.arange(AZIMUTHS), farthest, seen)
+    distance = np.where(farthest < 0, 0.0, end - around.outline_m)
+    edge = (farthest >= 0) & (farthest == around.last)
+    return Contour(around, np.where(around.last < 0, np.nan, distance), edge)
 
 
 def largest_m(
-    around: Directions, order: Order, seen: SeenPoints, limit: float = math.inf, first: Indices | None = None
+    around: Directions, points: Points, seen: SeenPoints, limit: float = math.inf, first: Indices = NONE
 ) -> tuple[float, int]:
-    """The largest distance of `contour`, and the point of `order` that shows it; −1 where nothing is blind.
+    """The largest distance of `contour`, and the point that shows it; −1 where nothing is blind.
 
     Or, as soon as some point from `limit` up is found blind, its distance; those in `first` are looked at first.
     """
-    if first is not None and len(first := first[order.distance_m[first] >= limit]):
-        blind = first[around.blind(order.azimuth[first], order.at(around, first), seen)]
-        if len(blind):
-            return float(order.distance_m[blind[0]]), int(blind[0])
-    found = np.empty(0, np.int64)
-    for begin in range(0, len(order.azimuth), CHUNK):
-        some = np.arange(begin, min(begin + CHUNK, len(order.azimuth)))
-        if len(found):  # what is nearer by a step cannot end farther out
-            some = some[order.distance_m[some] > order.distance_m[found[0]] - around.step_m]
-        blind = some[around.blind(order.azimuth[some], order.at(around, some), seen)]
-        found = np.concatenate([found, blind])
-        if len(found) and order.distance_m[found[0]] >= limit:
-            return float(order.distance_m[found[0]]), int(found[0])
-        if len(some) < CHUNK:
+    far = points.distance_m
+    some = first[far[first] >= limit]
+    blind = some[~seen(points.xyz[some])]
+    if len(blind):
+        return float(far[blind[0]]), int(blind[0])
+    found, best = NONE, -math.inf
+    for begin in range(0, len(far), CHUNK):
+        some = np.arange(begin, min(begin + CHUNK, len(far)))
+        some = some[far[some] > best - around.step_m]  # what is nearer by a step cannot end farther out
+        if not len(some):
             break
+        found = np.concatenate([found, some[~seen(points.xyz[some])]])
+        best = float(far[found].max(initial=-math.inf))
+        if best >= limit:
+            return best, int(found[far[found].argmax()])
     if not len(found):
         return 0.0, -1
-    ends = _refined(around, order.azimuth[found], order.number[found], seen) - around.outline_m[order.azimuth[found]]
+    ends = _refined(around, points.azimuth[found], points.number[found], seen) - around.outline_m[points.azimuth[found]]
     return float(ends.max()), int(found[ends.argmax()])
-
-
-def _last(around: Directions) -> Indices:
-    """(AZIMUTHS,) the number of the last point of each direction; −1 where there is none."""
-    length = around.end_m - around.start_m
-    known = length >= 0
-    return np.where(known, np.ceil(np.where(known, length, 0.0) / around.step_m), -1).astype(np.int64)
-
-
-def _points(around: Directions) -> tuple[Indices, Indices]:
-    """(N,) direction and number of every point, by direction, outwards."""
-    counts = _last(around) + 1
-    azimuth = np.repeat(np.arange(AZIMUTHS), counts)
-    return azimuth, np.arange(len(azimuth)) - np.repeat(np.cumsum(counts) - counts, counts)
-
-
-def _at(around: Directions, azimuth: Indices, number: Indices) -> Array:
-    """(N,) how far points are from the reference point; the last of a direction lies on the region's edge."""
-    at: Array = np.minimum(around.start_m[azimuth] + number * around.step_m, around.end_m[azimuth])
-    return at
 
 
 def _refined(around: Directions, azimuth: Indices, number: Indices, seen: SeenPoints) -> Array:
     """(N,) how far from the reference point what is blind at these points ends, towards the next one."""
-    near, far = _at(around, azimuth, number), _at(around, azimuth, number + 1)
+    near, far = around.at(azimuth, number), around.at(azimuth, number + 1)
     open_ = (number >= 0) & (far > near)
     for _ in range(BISECTIONS):
         middle = (near + far) / 2
-        blind = around.blind(azimuth[open_], middle[open_], seen)
+        points = around.points(azimuth[open_], middle[open_])
+        blind = around.counts(points) & ~seen(points)
         near[open_] = np.where(blind, middle[open_], near[open_])
         far[open_] = np.where(blind, far[open_], middle[open_])
     return far

@@ -1,8 +1,8 @@
 """Coverage: how many beams cross a straight line of cuboids, as a map of the region from above, the side or the front.
 
-A beam is a whole cone, of any range. It crosses a line where the line's centres lie on both sides of it, so a thin
-pole that stood along the line would be hit by it; it counts once, however often it crosses. Excluded cuboids do
-not count.
+A beam is a whole cone. It crosses a line where the line's centres lie on both sides of it, so a thin pole that stood
+along the line would be hit by it; it counts once, however often it crosses. Cuboids that are excluded, and those that
+its sensor does not see, do not count.
 """
 
 from dataclasses import dataclass
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.placement.subspace import Subspaces
+from lidarcfg.placement.subspace import BLIND, Subspaces
 
 Counts = NDArray[np.int64]
+MOST = np.int32(2**31 - 1)
 
 
 def beams_across(subspaces: Subspaces, axis: int) -> NDArray[np.int64]:
@@ -24,10 +25,10 @@ def beams_across(subspaces: Subspaces, axis: int) -> NDArray[np.int64]:
     lidars = subspaces.gap.shape[1]
     beams = np.empty((lidars, *empty.shape), np.int64)
     for i, gap in enumerate(subspaces.gap.T.astype(np.int32)):
-        # an excluded cuboid, of label −1, takes the last entry, which is neither the least nor the greatest
-        low = np.append(gap, np.int32(2**31 - 1))[subspaces.label].min(axis=axis)
+        # what is blind, and an excluded cuboid, of label −1, which takes the last entry, is neither least nor greatest
+        low = np.append(np.where(gap == BLIND, MOST, gap), MOST)[subspaces.label].min(axis=axis)
         high = np.append(gap, np.int32(-1))[subspaces.label].max(axis=axis)
-        beams[i] = np.where(empty, -1, high - low)
+        beams[i] = np.where(empty, -1, np.where(high < low, 0, high - low))
     return beams
 
 

@@ -69,7 +69,7 @@ def details(
     if midpoint_max_vsr_m is None and cheap:
         midpoint = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(midpoint), study.visibility)
-    subspaces, vehicle = found.subspaces, vehicle_m(study)
+    subspaces, vehicle = found.subspaces, study.reference_m
     edges = ring_edges_m(study.region, vehicle)
     return Details(
         evaluation=found,
@@ -81,13 +81,6 @@ def details(
         rings={item.name: detection_by_distance(subspaces, item, vehicle, edges) for item in study.detection},
         places={item.name: Places(*counted_places(subspaces, item)) for item in study.detection if not item.samples},
     )
-
-
-def vehicle_m(study: Study) -> Array:
-    """(2,) where the vehicle is taken to stand: the sensors' mean position at the midpoint of their bounds."""
-    midpoint = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
-    where: Array = midpoint[:, :2].mean(axis=0)
-    return where
 
 
 def ring_edges_m(region: Region, centre_m: Array) -> Array:

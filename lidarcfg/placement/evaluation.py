@@ -1,13 +1,15 @@
 """How well a rig does in a study."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
-from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
+from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Detection, detection
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.study import Study
@@ -42,6 +44,7 @@ class Evaluation:
     vsr_m: Array  # (n,) by subspace
     worst: tuple[Worst, ...]
     detection: dict[str, Detection]  # by object
+    blind: BlindSpots
     analytic: Analytic | None  # if a tolerance was asked for
     seconds: float
 
@@ -82,7 +85,19 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
             )
         )
     rates = {item.name: detection(subspaces, item) for item in study.detection}
-    return Evaluation(subspaces, vsr, tuple(worst), rates, converged, time.perf_counter() - started)
+    blind = blind_spots(study, subspaces, rig_lidars(rig))
+    return Evaluation(subspaces, vsr, tuple(worst), rates, blind, converged, time.perf_counter() - started)
+
+
+def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:
+    """The volume by the number of LiDARs, and the blind-spot contours of the heights that the region has."""
+    volume = seen_by_m3(study.region, subspaces.seen_by, len(lidars))
+    if study.visibility is None:
+        return BlindSpots(volume, ())
+    seen = seen_by_any(study.visibility, lidars)
+    tall = float(study.region.max_m[2] - study.region.min_m[2])
+    contours = [contour(study.directions(height), seen) for height in HEIGHTS_M if height <= tall]
+    return BlindSpots(volume, tuple(contours))
 
 
 def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:

@@ -19,7 +19,7 @@ from lidarcfg.placement import evaluator_kernels as kernels
 from lidarcfg.placement import rows
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
 from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.objective import Criterion
+from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
@@ -102,22 +102,23 @@ class Evaluator:
         trials = np.flatnonzero(np.isnan(out))
 
         def one(trial: int) -> tuple[float, Index]:
-            subspaces = segment(self._region, self._placed(poses[trial]), self._visibility)
-            return criterion.of(subspaces, float(to_beat[trial])), self._worst(subspaces)
+            rig = Trial(self._region, self._placed(poses[trial]), self._visibility)
+            cost = criterion.of(rig, float(to_beat[trial]))
+            return cost, self._worst(rig.subspaces) if rig.is_cut else np.empty(0, np.int64)
 
         refuter, fresh = np.full(len(poses), -1, np.int64), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
         for trial, (cost, worst) in zip(trials.tolist(), self._pool.map(one, trials.tolist()), strict=True):
             out[trial], fresh[trial, : len(worst)] = cost, worst
-            if cost == np.inf:
-                refuter[trial] = worst[0]
-            else:
+            self.cuboids += self._region.included.size * (len(worst) > 0)
+            if cost < np.inf:
                 self.full_evaluations += 1
+            elif len(worst):
+                refuter[trial] = worst[0]
         if len(self._witness):
             kernels.remember(self._witness, source, refuter)
         self._last = source, poses, fresh
         for term in criterion.terms:
             term.learn()
-        self.cuboids += len(trials) * self._region.included.size
         return out
 
     def _worst(self, subspaces: Subspaces) -> Index:

@@ -8,19 +8,31 @@ trial is refuted, exactly: its cost in full would be no less.
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
-from typing import Annotated, Protocol
+from functools import cached_property
+from typing import Annotated, Generic, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
 
-from lidarcfg.config import Model
+from lidarcfg.config import COORDINATE_MAX_M, Model
+from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
+from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
 from lidarcfg.placement.metric import Node, clearance_m, largest_sphere, vsr_m
 from lidarcfg.placement.region import Region, cuboids_needed
-from lidarcfg.placement.subspace import Subspaces
+from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.placement.visibility import Visibility
 
 Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
-SPHERES = 32  # centres of the largest spheres of past trials that are tried in new ones
+RECENT = 32  # of what settled past trials, so many are tried first in new ones
+T = TypeVar("T", bound=Node | int)
+
+
+class BlindSpotObjective(Model):
+    """How much the largest distance of the blind-spot contour weighs, in metres, and at what height."""
+
+    height_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)] = 0.5  # above the region's floor
+    weight: Weight = 1.0
 
 
 class Objective(Model):
@@ -29,11 +41,31 @@ class Objective(Model):
     max_vsr: Weight | None = None  # metres
     inscribed_radius: Weight | None = None  # metres: the largest sphere that no beam touches
     detection: dict[str, Weight] = Field(default_factory=dict)  # by object: 1 − its detection rate
+    blind_volume: Weight | None = None  # the fraction of the region's volume that no LiDAR sees
+    seen_by_two: Weight | None = None  # the fraction that fewer than two see
+    blind_spot_m: BlindSpotObjective | None = None
 
     @property
     def is_max_vsr(self) -> bool:
         """Whether it is max VSR alone."""
-        return self.inscribed_radius is None and not self.detection
+        return not self.detection and all(getattr(self, key) is None for key in ("inscribed_radius", *SIGHT))
+
+
+SIGHT = ("blind_volume", "seen_by_two", "blind_spot_m")  # terms that tell rigs apart only where something limits sight
+
+
+class Trial:
+    """A rig that is evaluated: its LiDARs, and its subspaces once a term asks for them."""
+
+    def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None) -> None:
+        self.region, self.lidars, self.visibility = region, lidars, visibility
+        self.is_cut = False  # into subspaces
+
+    @cached_property
+    def subspaces(self) -> Subspaces:
+        """What the beams cut the region into."""
+        self.is_cut = True
+        return segment(self.region, self.lidars, self.visibility)
 
 
 class Term(Protocol):
@@ -41,7 +73,7 @@ class Term(Protocol):
 
     work: float  # roughly how long it takes: terms are computed in this order
 
-    def value(self, subspaces: Subspaces, limit: float = math.inf) -> float:
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
         """Its value; or some number from `limit` up, once the value is known to be no less than the limit."""
 
     def learn(self) -> None:
@@ -53,9 +85,9 @@ class MaxVsr:
 
     work = 0.0
 
-    def value(self, subspaces: Subspaces, limit: float = math.inf) -> float:
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
-        return float(vsr_m(subspaces).max())
+        return float(vsr_m(trial.subspaces).max())
 
     def learn(self) -> None:
         """Nothing: see Evaluator.max_vsr."""
@@ -68,50 +100,114 @@ class Undetected:
         self._item, self._free = item, free_places(region, item)
         self.work = float(sum(self._free) * math.prod(cuboids_needed(item.size_m, region.cuboid_m)))
 
-    def value(self, subspaces: Subspaces, limit: float = math.inf) -> float:
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
-        return undetected(subspaces, self._item, self._free, limit)
+        return undetected(trial.subspaces, self._item, self._free, limit)
 
     def learn(self) -> None:
         """Nothing."""
 
 
+class UnseenFraction:
+    """The fraction of the region's volume that fewer than some number of LiDARs see."""
+
+    work = 1.0
+
+    def __init__(self, least: int) -> None:
+        self._least = least
+
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
+        """See Term."""
+        return fraction_below(trial.region, trial.subspaces.seen_by, self._least)
+
+    def learn(self) -> None:
+        """Nothing."""
+
+
+class Recent(Generic[T]):
+    """What settled trials: what settled the most trials of the last batch first, then that of earlier ones."""
+
+    def __init__(self) -> None:
+        self.items: list[T] = []
+        self._seen: deque[T] = deque()  # of this batch
+
+    def add(self, item: T) -> None:
+        """Note what settled a trial, or would settle one like it."""
+        self._seen.append(item)
+
+    def learn(self) -> None:
+        """The order depends on what the batch held, not on which thread was first."""
+        counts: Counter[T] = Counter(self._seen)
+        self._seen.clear()
+        recent: list[T] = sorted(counts, key=lambda item: (-counts[item], item))
+        self.items = [*recent, *(item for item in self.items if item not in counts)][:RECENT]
+
+
 class InscribedRadius:
     """The radius of the largest sphere in any subspace, in metres.
 
-    It is too large if a sphere around the centre of an earlier trial's largest one is. These are tried first, those
-    that settled the most trials of the last batch before others.
+    It is too large if a sphere around the centre of an earlier trial's largest one is. These are tried first.
     """
 
     work = math.inf
 
     def __init__(self) -> None:
-        self._centres: list[Node] = []
-        self._seen: deque[Node] = deque()  # of this batch: what settled a trial, or was its largest sphere's
+        self._centres: Recent[Node] = Recent()
 
-    def value(self, subspaces: Subspaces, limit: float = math.inf) -> float:
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
         if limit < math.inf:
-            for centre in self._centres:
-                if (radius := clearance_m(subspaces, centre)) >= limit:
-                    self._seen.append(centre)
+            for centre in self._centres.items:
+                if (radius := clearance_m(trial.subspaces, centre)) >= limit:
+                    self._centres.add(centre)
                     return radius
-        radius, centre = largest_sphere(subspaces)
-        self._seen.append(centre)
+        radius, centre = largest_sphere(trial.subspaces)
+        self._centres.add(centre)
         return radius
 
     def learn(self) -> None:
-        """The order depends on what the batch held, not on which thread was first."""
-        counts = Counter(self._seen)
-        self._seen.clear()
-        recent = sorted(counts, key=lambda centre: (-counts[centre], centre))
-        self._centres = [*recent, *(centre for centre in self._centres if centre not in counts)][:SPHERES]
+        """See Recent."""
+        self._centres.learn()
+
+
+class BlindSpot:
+    """The largest distance of the blind-spot contour, in metres.
+
+    It is too large if a point that far from the body is blind. Points that were in earlier trials are tried first,
+    then all, from the outside inwards; the subspaces are not needed.
+    """
+
+    def __init__(self, around: Directions) -> None:
+        self._around, self._points = around, looked_at(around)
+        self._recent: Recent[int] = Recent()
+        self.work = float(len(self._points.number))
+
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
+        """See Term."""
+        if trial.visibility is None:
+            return 0.0
+        seen = seen_by_any(trial.visibility, trial.lidars)
+        first = np.array(self._recent.items, np.int64)
+        distance, point = largest_m(self._around, self._points, seen, limit, first)
+        if point >= 0:
+            self._recent.add(point)
+        return distance
+
+    def learn(self) -> None:
+        """See Recent."""
+        self._recent.learn()
 
 
 class Criterion:
-    """The weighted mean of an objective's terms, for a region and its objects."""
+    """The weighted mean of an objective's terms, for a region, its objects and the directions around the vehicle."""
 
-    def __init__(self, objective: Objective, region: Region, objects: Sequence[DetectionObject]) -> None:
+    def __init__(
+        self,
+        objective: Objective,
+        region: Region,
+        objects: Sequence[DetectionObject],
+        around: Directions | None = None,  # needed for a blind spot
+    ) -> None:
         wanted = objective.detection
         self.terms: list[Term] = [Undetected(region, item) for item in objects if item.name in wanted]
         self._weights = [wanted[item.name] for item in objects if item.name in wanted]
@@ -123,6 +219,13 @@ class Criterion:
         if objective.inscribed_radius is not None:
             self.terms.append(InscribedRadius())
             self._weights.append(objective.inscribed_radius)
+        for least, weight in ((1, objective.blind_volume), (2, objective.seen_by_two)):
+            if weight is not None:
+                self.terms.append(UnseenFraction(least))
+                self._weights.append(weight)
+        if objective.blind_spot_m is not None and around is not None:
+            self.terms.append(BlindSpot(around))
+            self._weights.append(objective.blind_spot_m.weight)
 
     @property
     def is_max_vsr(self) -> bool:
@@ -147,12 +250,12 @@ class Criterion:
             limit, step = limit + step, 2.0 * step
         return limit
 
-    def of(self, subspaces: Subspaces, to_beat: float = math.inf) -> float:
-        """The cost of a rig by its subspaces, or inf where it is not below `to_beat`; cheap terms first."""
+    def of(self, trial: Trial, to_beat: float = math.inf) -> float:
+        """The cost of a rig, or inf where it is not below `to_beat`; cheap terms first."""
         values = [0.0] * len(self.terms)
         for term in sorted(range(len(self.terms)), key=lambda term: self.terms[term].work):
             limit = self.limit(values, term, to_beat)
-            values[term] = self.terms[term].value(subspaces, limit)
+            values[term] = self.terms[term].value(trial, limit)
             if values[term] >= limit:
                 return math.inf
         return self.mean(values)

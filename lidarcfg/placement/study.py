@@ -14,12 +14,12 @@ from lidarcfg.config import error_at, load
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
+from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, sensor_lidar
 from lidarcfg.placement.detection import DetectionObject, check_fits
-from lidarcfg.placement.objective import Criterion, Objective
+from lidarcfg.placement.objective import Criterion, Objective, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study_file import BUDGETS, Constraints, Solver, StudyFile, VisibilityFile
-from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.rig import FIRST_HOST, HOSTS, RETURN_MODE, RPM, Mount, Rig, ports, resolve_sensor
 from lidarcfg.sensor import Sensor
@@ -88,11 +88,36 @@ class Study:
 
     def criterion(self) -> Criterion:
         """The objective, made ready for this region and these objects."""
-        return Criterion(self.objective, self.region, self.detection)
+        spot = self.objective.blind_spot_m
+        around = None if spot is None else self.directions(spot.height_m)
+        return Criterion(self.objective, self.region, self.detection, around)
+
+    @cached_property
+    def reference_m(self) -> Array:
+        """(2,) where the vehicle is taken to be: the midpoint of its bodies' bounds.
+
+        Without a vehicle the sensors' mean position at the midpoint of their bounds.
+        """
+        if self.vehicle:
+            flat = self.vehicle.scene.mesh()[0][:, :2]
+            middle: Array = (flat.min(axis=0) + flat.max(axis=0)) / 2
+            return middle
+        midpoint = self.poses(np.full((1, int(self.free.sum())), 0.5))[0]
+        where: Array = midpoint[:, :2].mean(axis=0)
+        return where
+
+    @cached_property
+    def outline_m(self) -> Array:
+        """(AZIMUTHS,) from there to the outline of the vehicle's bodies from above; 0 without a vehicle."""
+        return outline_m(self.reference_m, *self.vehicle.scene.mesh()) if self.vehicle else np.zeros(AZIMUTHS)
+
+    def directions(self, height_m: float) -> Directions:
+        """The directions around the vehicle at a height above the region's floor."""
+        return directions(self.region, self.reference_m, self.outline_m, height_m)
 
     def cost(self, poses: Array) -> float:
         """The objective of one rig's poses (slots, 6), computed in full: what a search minimises, by definition."""
-        return self.criterion().of(segment(self.region, self.lidars(poses), self.visibility))
+        return self.criterion().of(Trial(self.region, self.lidars(poses), self.visibility))
 
     def lidars(self, poses: Array) -> tuple[Lidar, ...]:
         """The sensors at these poses (slots, 6)."""

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, fault
 from lidarcfg.placement.detection import DetectionObject
-from lidarcfg.placement.objective import Objective
+from lidarcfg.placement.objective import SIGHT, Objective
 from lidarcfg.placement.region import RegionFile
 from lidarcfg.rig import AzimuthFov, MountName, Range, angles_rad, one_of
 from lidarcfg.sensor import Elevations
@@ -122,6 +122,11 @@ class StudyFile(Model):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise fault(f"{name!r} is an object already; each may stand once", "detection", i, "name")
+        if not self.limits_sight:
+            for key in SIGHT:
+                if getattr(self.objective, key) is not None:
+                    what = "is the same for every rig where nothing limits the sight"
+                    raise fault(f"{what}; give a vehicle, surroundings or ranges", "objective", key)
         for name in self.objective.detection:
             if name not in names:
                 allowed = ", ".join(names) or "none, as the study has no detection"

@@ -5,7 +5,7 @@ lies on hides it, nor one that the LiDAR stands on.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from lidarcfg.placement.visibility_kernels import (
     Sight,
     seen_points,
 )
+from lidarcfg.world.bvh import EMPTY
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import obstacles
 
@@ -51,6 +52,17 @@ class Visibility:
         grounds = [scene.file.ground.z_m for scene in scenes if scene.file.ground]
         found = Obstacles(obstacles(scenes, origin_m), origin_m, max(grounds, default=np.inf))
         return cls(found, range, field_of_view)
+
+    @property
+    def blocks(self) -> bool:
+        """Whether there is anything that hides what is behind it."""
+        return self.obstacles.tree.root != EMPTY or self.obstacles.ground_m < np.inf
+
+    def transparent(self) -> "Visibility":
+        """The same as if nothing hid anything."""
+        return replace(
+            self, obstacles=Obstacles(obstacles([], self.obstacles.origin_m), self.obstacles.origin_m, np.inf)
+        )
 
     def limits(self, lidars: Sequence[Lidar], level: Array | None = None) -> Array:
         """(…, lidars, 9): Sight.limits of LiDARs; `level` (…, lidars, 3, 2) if they are not at their own poses."""

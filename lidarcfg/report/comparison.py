@@ -14,6 +14,7 @@ from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
+from lidarcfg.report.blind_spots import compare_contours
 from lidarcfg.report.document import Commands
 from lidarcfg.report.html import Best, Figure, Table, render
 from lidarcfg.report.results import evaluation_dict, to_json
@@ -22,6 +23,7 @@ from lidarcfg.report.words import (
     beams,
     counted,
     date,
+    limits_in_words,
     mounts_table,
     object_in_words,
     region_rows,
@@ -102,12 +104,33 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
     ]
     for item in study.detection:
         out.append(row(f"detection of {item.name}", ".4f", partial(_rate, item.name), 1))
+    out += _blind_rows(rigs, row)
     out += [
         row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),
         row("positions with no beam", ".2%", lambda rig: rig.details.coverage.by_none, -1),
         row("positions with one sensor's beams", ".2%", lambda rig: rig.details.coverage.by_one_sensor, -1),
     ]
     return out
+
+
+def _blind_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
+    """Volumes by the number of LiDARs, and how far the blind spots reach; none where all see everything."""
+    if not rigs[0].found.blind.contours:
+        return []
+    out = [
+        row("blind volume (m³)", ",.2f", lambda rig: rig.found.blind.volume_m3, -1),
+        row("volume seen by one LiDAR (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[1]),
+        row("volume seen by two or more (m³)", ",.2f", lambda rig: rig.found.blind.seen_by_m3[2:].sum(), 1),
+    ]
+    for i, contour in enumerate(rigs[0].found.blind.contours):
+        what = f"blind spot {contour.directions.height_m:g} m above the ground"
+        out.append(row(f"{what}, largest (m)", ".2f", partial(_blind_spot, i, "largest_m"), -1))
+        out.append(row(f"{what}, area (m²)", ".2f", partial(_blind_spot, i, "area_m2"), -1))
+    return out
+
+
+def _blind_spot(i: int, what: str, rig: Contender) -> float:
+    return float(getattr(rig.found.blind.contours[i], what))
 
 
 def _rate(name: str, rig: Contender) -> float:
@@ -170,6 +193,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
     parts = [rigs[first : first + COLUMNS_MAX] for first in range(0, len(rigs), COLUMNS_MAX)]
     coverage = [(rig.title, rig.rig, rig.details.coverage) for rig in rigs]
     rings = [(item.name, {rig.title: rig.details.rings[item.name] for rig in rigs}) for item in study.detection]
+    blind = [(rig.title, rig.rig, rig.found.blind) for rig in rigs]
     return render(
         "comparison.html",
         title=f"Comparison: {study.name}",
@@ -194,6 +218,8 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         ],
         sizes=drawings.draw_sizes([(rig.title, rig.details) for rig in rigs]),
         rings=drawings.draw_rings(rings) if rings else None,
+        blind=compare_contours(study.region, blind) if blind[0][2].contours else None,
+        limits=limits_in_words(study),
         coverage=drawings.compare_coverage(study.region, coverage),
     )
 

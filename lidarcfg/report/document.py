@@ -10,10 +10,11 @@ from lidarcfg import __version__
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.detection import Rings
-from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
+from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.words import (
     as_yaml,
@@ -21,6 +22,7 @@ from lidarcfg.report.words import (
     constraints_in_words,
     counted,
     date,
+    limits_in_words,
     mounts_table,
     object_in_words,
     objective_in_words,
@@ -71,11 +73,15 @@ def report(
         mounts=mounts_table(rig),
         search=_search(placement),
         worst=_worst(found),
-        worst_is_outside=all(None in pair for pair in found.worst[0].between_deg),
+        worst_is_outside=_is_outside(found.worst[0]),
+        worst_is_blind=all(pair == [None, None] for pair in found.worst[0].between_deg),
         quantiles=[f"{value:.4f}" for value in np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0))],
         detection=_detection(study, found),
         rings=_rings(details.rings),
         vehicle=[f"{value:.2f}" for value in details.vehicle_m],
+        volumes=volumes_table(found.blind),
+        contours=contours_table(found.blind) if found.blind.contours else None,
+        limits=limits_in_words(study),
         coverage=_coverage(details, rig),
         analytic=_analytic(found, found.analytic) if found.analytic else None,
         exact_rates=any(not item.samples for item in study.detection),
@@ -95,6 +101,7 @@ def _drawings(study: Study, rig: Rig, details: Details, placement: Placement | N
         "sizes": drawings.draw_sizes([("", details)]),
         "rings": drawings.draw_rings([("", details.rings)]) if details.rings else None,
         "places": drawings.draw_places(region, rig, details.places) if details.places else None,
+        "blind": draw_blind_spots(found.subspaces, rig, found.blind) if found.blind.contours else None,
         "coverage": drawings.draw_coverage(region, rig, details.coverage),
     }
 
@@ -116,6 +123,13 @@ def _summary(details: Details) -> list[Figure]:
     else:
         figures.append(Figure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
     figures.append(Figure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at))
+    if found.blind.contours:
+        part = found.blind.volume_m3 / float(found.blind.seen_by_m3.sum())
+        figures.append(Figure("Blind volume", f"{found.blind.volume_m3:.2f} m³", f"{part:.2%} of the region"))
+        low = found.blind.contours[0]
+        where = f"{low.directions.height_m:g} m above the ground, at {low.largest_at_deg:.0f}°"
+        least = "≥ " if low.largest_reaches_edge else ""
+        figures.append(Figure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
     for name, rate in found.detection.items():
         how = f"± {rate.half_width:.2%}, of {rate.places:,} drawn positions" if rate.half_width else "of all positions"
         figures.append(Figure(f"Detection of {name}", f"{rate.rate:.2%}", how))
@@ -164,7 +178,15 @@ def _worst(found: Evaluation) -> Table:
     return Table(caption, ("", *sizes, "between the beams, by sensor"), rows, texts=(6,))
 
 
+def _is_outside(worst: Worst) -> bool:
+    """Whether a subspace lies above or below all beams of every sensor that sees it."""
+    seen = [pair for pair in worst.between_deg if pair != [None, None]]
+    return bool(seen) and all(None in pair for pair in seen)
+
+
 def _between(low: float | None, high: float | None) -> str:
+    if low is None and high is None:
+        return "blind"
     if low is None:
         return f"below {high:g}°"
     return f"above {low:g}°" if high is None else f"{low:g}…{high:g}°"

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import tempfile
 import zipfile
 from dataclasses import asdict
@@ -13,6 +14,7 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
+from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Log, Placement
@@ -38,10 +40,30 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "detection": {name: detection.rate for name, detection in found.detection.items()},
         "detection_half_width": {name: detection.half_width for name, detection in found.detection.items()},
         "detection_places": {name: detection.places for name, detection in found.detection.items()},
+        "seen_by_m3": found.blind.seen_by_m3.tolist(),
+        "blind_volume_m3": found.blind.volume_m3,
+        "blind_spots": [_contour(contour) for contour in found.blind.contours],
         "worst": [asdict(worst) for worst in found.worst],
         "skipped": {"full_evaluations": 0, "cuboids": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
+    }
+
+
+def _contour(contour: Contour) -> dict[str, Any]:
+    """A blind-spot contour; a distance of null where the region has no part in that direction."""
+    around = contour.directions
+    return {
+        "height_m": around.height_m,
+        "largest_m": contour.largest_m,
+        "largest_at_deg": contour.largest_at_deg,
+        "area_m2": contour.area_m2,
+        "center_m": around.center_m.tolist(),
+        "step_m": around.step_m,
+        "azimuth_deg": contour.azimuth_deg.tolist(),
+        "outline_m": around.outline_m.tolist(),
+        "distance_m": [None if math.isnan(distance) else distance for distance in contour.distance_m.tolist()],
+        "reaches_edge": contour.reaches_edge.tolist(),
     }
 
 

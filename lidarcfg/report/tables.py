@@ -10,6 +10,7 @@ from rich.table import Column, Table
 
 from lidarcfg.packets.codec import codec
 from lidarcfg.placement.analytic import Analytic
+from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
@@ -52,6 +53,8 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
         if not detection.half_width:
             how = f"all {detection.places:,} positions"
         console.print(f"detection rate of {name}: {detection.rate:.4f} ({how})")
+    for line in blind_lines(found.blind):
+        console.print(line)
     worst = Table(
         "VSR (m)", "volume (m³)", "inner radius (m)", "centroid (m)", "between the beams at (°), by sensor", box=SIMPLE
     )
@@ -61,7 +64,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
             f"{space.volume_m3:.2f}",
             f"{space.inscribed_radius_m:.3f}",
             ", ".join(f"{v:.2f}" for v in space.centroid_m),
-            "  ".join(f"{_degrees(low)}…{_degrees(high)}" for low, high in space.between_deg),
+            "  ".join(_between(low, high) for low, high in space.between_deg),
         )
     console.print("the worst subspaces:")
     console.print(worst)
@@ -90,6 +93,20 @@ def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
     console.print("* best of its row")
 
 
+def blind_lines(blind: BlindSpots) -> list[str]:
+    """The volume by the number of LiDARs, and how far the blind spot reaches; nothing where all see everything."""
+    if not blind.contours:
+        return []
+    total = float(blind.seen_by_m3.sum())
+    parts = [f"{n}: {volume:,.2f} m³ ({volume / total:.1%})" for n, volume in enumerate(blind.seen_by_m3.tolist())]
+    lines = [f"volume by the number of LiDARs that see it: {', '.join(parts)}"]
+    for contour in blind.contours:
+        height, least = contour.directions.height_m, "at least " if contour.largest_reaches_edge else ""
+        far = f"{least}{contour.largest_m:.2f} m from the body at {contour.largest_at_deg:.0f}°"
+        lines.append(f"blind spot {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
+    return lines
+
+
 def analytic_line(found: Analytic) -> str:
     """The analytic max VSR, its error bar, and whether that is the tolerance asked for."""
     edges = " × ".join(f"{edge:g}" for edge in found.cuboid_m)
@@ -103,8 +120,10 @@ def analytic_line(found: Analytic) -> str:
     )
 
 
-def _degrees(angle: float | None) -> str:
-    return "" if angle is None else f"{angle:g}"
+def _between(low: float | None, high: float | None) -> str:
+    if low is None and high is None:
+        return "blind"
+    return "…".join("" if angle is None else f"{angle:g}" for angle in (low, high))
 
 
 def print_sensors(sensors: Sequence[Sensor]) -> None:

@@ -102,8 +102,27 @@ def objective_in_words(study: Study) -> str:
     terms = [] if wanted.max_vsr is None else [f"{wanted.max_vsr:g} × max VSR in metres"]
     if wanted.inscribed_radius is not None:
         terms.append(f"{wanted.inscribed_radius:g} × the radius of the largest sphere in a subspace, in metres")
+    if wanted.blind_volume is not None:
+        terms.append(f"{wanted.blind_volume:g} × the fraction of the region that no LiDAR sees")
+    if wanted.seen_by_two is not None:
+        terms.append(f"{wanted.seen_by_two:g} × the fraction that fewer than two LiDARs see")
+    if spot := wanted.blind_spot_m:
+        what = f"the blind spot's largest distance from the body, {spot.height_m:g} m above the ground, in metres"
+        terms.append(f"{spot.weight:g} × {what}")
     terms += [f"{weight:g} × (1 − detection rate of {name})" for name, weight in wanted.detection.items()]
     return "the weighted mean of " + ", ".join(terms)
+
+
+def limits_in_words(study: Study) -> str:
+    """What limits the sight of the LiDARs beside their beams; empty where nothing does."""
+    if study.visibility is None:
+        return ""
+    what = ["their ranges"] * study.visibility.range
+    what += ["their horizontal fields of view"] * study.visibility.field_of_view
+    if study.visibility.blocks:
+        what += [f"the vehicle ({', '.join(study.vehicle.scene.names)})"] if study.vehicle else []
+        what += [f"the surroundings ({study.surroundings.file.name})"] if study.surroundings else []
+    return ", ".join(what)
 
 
 def constraints_in_words(study: Study) -> str:

@@ -7,12 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, up
+from lidarcfg.placement.blind_spots import fraction_below
 from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import centroid_m, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
-from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.placement.visibility import Visibility
 from lidarcfg.rig import Rig
 
 TOLERANCE = 1e-9  # metres and radians
@@ -29,17 +32,42 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Blind:
+    """What no LiDAR sees, to draw."""
+
+    volume_m3: float
+    fraction: float  # of the region's volume
+    faces_m: Array  # (F, 4, 3)
+
+
+@dataclass(frozen=True)
 class RigScore:
     """A rig's max VSR, the same as `evaluate` gives, and where it is worst."""
 
     max_vsr_m: float
     subspaces: int
     worst: tuple[Body, ...]  # worst first
+    blind: Blind | None  # None: nothing limits the sight of the LiDARs
 
 
-def score(study: Study, rig: Rig, worst: int) -> RigScore:
-    """The rig's max VSR and its worst subspaces."""
-    spaces = segment(study.region, rig_lidars(rig), study.visibility)
+def hides(study: Study) -> bool:
+    """Whether anything in a study hides what is behind it."""
+    return study.visibility is not None and study.visibility.blocks
+
+
+def visibility_of(study: Study, transparent: bool) -> Visibility | None:
+    """What limits the LiDARs' sight, where nothing hides anything if it is `transparent`."""
+    return study.visibility.transparent() if study.visibility and transparent else study.visibility
+
+
+def other_max_vsr_m(study: Study, rig: Rig, transparent: bool) -> float:
+    """Max VSR with what hides, if it is `transparent` now, or else without."""
+    return max_vsr(study.region, rig_lidars(rig), visibility_of(study, not transparent))
+
+
+def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigScore:
+    """The rig's max VSR, its worst subspaces and what is blind; nothing hides anything if it is `transparent`."""
+    spaces = segment(study.region, rig_lidars(rig), visibility_of(study, transparent))
     vsr, volume = vsr_m(spaces), volume_m3(spaces)
     bodies = [
         Body(
@@ -50,7 +78,13 @@ def score(study: Study, rig: Rig, worst: int) -> RigScore:
         )
         for number in np.argsort(-vsr, kind="stable")[:worst].tolist()
     ]
-    return RigScore(float(vsr.max()), len(spaces), tuple(bodies))
+    return RigScore(float(vsr.max()), len(spaces), tuple(bodies), _blind(spaces) if study.visibility else None)
+
+
+def _blind(spaces: Subspaces) -> Blind:
+    region, unseen = spaces.region, spaces.region.included & (spaces.seen_by == 0)
+    volume = float(np.count_nonzero(unseen) * np.prod(region.cuboid_m))
+    return Blind(volume, fraction_below(region, spaces.seen_by, 1), faces(region, unseen))
 
 
 def faces(region: Region, inside: NDArray[np.bool_]) -> Array:

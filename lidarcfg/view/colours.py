@@ -28,6 +28,8 @@ RETRO = "#FFFFFF"  # intensities above 100: retro-reflectors
 UNKNOWN = "#808890"  # object unknown, or none: rain and fog
 WORST = "#FF7F50"
 EXCLUDED = "#9AA4B2"
+BLIND = "#A98BFF"
+VEHICLE = "#C3CAD4"
 DIFFUSE = 100  # intensities up to here are diffuse, in per cent
 
 

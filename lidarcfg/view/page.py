@@ -19,7 +19,7 @@ from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
-from lidarcfg.view.bodies import faces, score, violations
+from lidarcfg.view.bodies import faces, hides, other_max_vsr_m, score, violations
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import COLOUR_BY, By, colour
 from lidarcfg.view.shades import span
@@ -55,6 +55,9 @@ def page_of(stage: Stage, by: By = "sensor", camera: Camera | None = None, worst
         raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
     points, arrays = _points(stage) if len(stage.cloud.xyz) else (None, {})
     center, radius_m = _extent(stage)
+    transparent = None
+    if stage.study and hides(stage.study):
+        transparent = evaluation(stage.study, stage.rigs[0], WORST, transparent=True)
     about = {
         "version": __version__,
         "by": by,
@@ -71,21 +74,33 @@ def page_of(stage: Stage, by: By = "sensor", camera: Camera | None = None, worst
             "unknown": colours.UNKNOWN,
             "worst": colours.WORST,
             "excluded": colours.EXCLUDED,
+            "blind": colours.BLIND,
+            "vehicle": colours.VEHICLE,
         },
         "sensors": [{"name": name, "colour": code} for name, code in stage.colours.items()],
         "points": points,
         "rigs": [{"name": rig.name, "mounts": [_mount(m) for m in rig.mounts]} for rig in stage.rigs],
         "study": stage.study and _study(stage.study, stage.rigs[0]),
         "evaluation": stage.study and evaluation(stage.study, stage.rigs[0], WORST),
+        "transparent": transparent,
+        "vehicle": stage.study and stage.study.vehicle and {"mesh": _mesh(*stage.study.vehicle.scene.mesh())},
         "scenes": [_scene(stage, i) for i in range(len(stage.scenes))],
     }
     return Page(about, arrays)
 
 
-def evaluation(study: Study, rig: Rig, worst: int) -> dict[str, Any]:
-    """What the page shows of a rig in a study."""
-    found = score(study, rig, worst)
+def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) -> dict[str, Any]:
+    """What the page shows of a rig in a study, where nothing hides anything if it is `transparent`."""
+    found = score(study, rig, worst, transparent)
     return {
+        "transparent": transparent,
+        "other_max_vsr_m": other_max_vsr_m(study, rig, transparent) if hides(study) else None,
+        "blind": found.blind
+        and {
+            "volume_m3": found.blind.volume_m3,
+            "fraction": found.blind.fraction,
+            "mesh": _quads(found.blind.faces_m),
+        },
         "max_vsr_m": found.max_vsr_m,
         "subspaces": found.subspaces,
         "violations": violations(study, rig),

@@ -80,7 +80,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._send("application/yaml", rig_text(rig).encode())
             elif self.path == "/evaluate" and stage.study:
                 with self.server.evaluating:
-                    found = evaluation(stage.study, rig, _count(request))
+                    found = evaluation(stage.study, rig, _count(request), _transparent(request))
                 self._send("application/json", json.dumps(found, allow_nan=False).encode())
             else:
                 self._refuse(HTTPStatus.NOT_FOUND, f"{self.path}: no such page")
@@ -138,6 +138,14 @@ def _poses(request: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:
     if poses.shape != (count, 6) or not (abs(poses) <= COORDINATE_MAX_M).all():
         raise ConfigError(f"poses: allowed are {count} of x, y, z, roll, pitch, yaw in metres and radians")
     return poses
+
+
+def _transparent(request: dict[str, Any]) -> bool:
+    """Whether nothing shall hide anything. Raises ConfigError."""
+    transparent = request.get("transparent", False)
+    if not isinstance(transparent, bool):
+        raise ConfigError("transparent: allowed is true or false")
+    return transparent
 
 
 def _count(request: dict[str, Any]) -> int:

@@ -18,6 +18,7 @@ from lidarcfg.view.colours import (
     NIGHT,
     RETRO,
     UNKNOWN,
+    VEHICLE,
     WORST,
     By,
     colour,
@@ -136,6 +137,9 @@ def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, w
             corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
             corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
             parts.append((_halved(corners[None]), EXCLUDED, 0.05))
+    if stage.study and stage.study.vehicle:
+        vertices, corners_of = stage.study.vehicle.scene.mesh()
+        parts.append((vertices[corners_of], VEHICLE, 0.8))
     parts += [(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
     if not parts:
         return 0

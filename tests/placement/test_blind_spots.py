@@ -1,25 +1,31 @@
 """Blind spots against similar triangles, areas by hand and plain loops."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lidarcfg.errors import ConfigError
 from lidarcfg.placement.blind_spots import (
     AZIMUTHS,
     BISECTIONS,
     STEP_M,
     contour,
     directions,
-    farthest,
     fraction_below,
     largest_m,
+    looked_at,
     outline_m,
     seen_by_m3,
 )
+from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import load_study
 from tests.naive import blind_spots as naive
 
+ROOT = Path(__file__).parents[2]
 REGION = Region.from_boxes((-30, -20, 0), (30, 20, 4), (1, 1, 0.5))
 FINE = STEP_M / 2**BISECTIONS
 CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
@@ -156,10 +162,108 @@ def test_the_largest_distance_is_the_contours_and_ends_early_only_above_the_limi
         seen = behind(origin, low, high)
         center = (low + high)[:2] / 2
         around = directions(REGION, center, outline_m(center, *box(low, high)), 0.5)
-        order = farthest(around)
-        value, point = largest_m(around, order, seen)
+        points = looked_at(around)
+        value, point = largest_m(around, points, seen)
         assert value == contour(around, seen).largest_m
         for limit in (0.0, value / 2, value, np.nextafter(value, 99), value + 1):
-            for first in (None, np.array([point]), np.array([0, 500, 900])):
-                early, _ = largest_m(around, order, seen, limit, first)
+            for first in (np.empty(0, int), np.array([point]), np.array([0, 500, 900])):
+                early, _ = largest_m(around, points, seen, limit, first)
                 assert early == value or limit <= early <= value
+
+
+BOXED = """
+region: {{min_m: [-12, -8, 0], max_m: [12, 8, 3], cuboid_m: [1, 1, 0.5]}}
+vehicle:
+  boxes: [{{name: cab, center_m: [0, 0, 0.75], size_m: [4, 2, 1.5], exclude: true}}]
+sensors:
+  - {{elevation_deg: [-20, -8, 3, 12], count: 2, min: {{position_m: [-1.5, -0.9, 1.6], rpy_deg: [-20, -20, 0]}}, max: {{position_m: [1.5, 0.9, 2.2], rpy_deg: [20, 20, 0]}}}}
+solver: {{method: {method}, bees: 6, {budget}, seed: 3}}
+detection: [{{name: post, size_m: [0.5, 0.5, 1], on_ground: true}}]
+objective: {objective}
+"""
+
+
+@pytest.fixture
+def boxed(tmp_path):
+    def make(objective="{}", method="abc", budget="cycles: 12"):
+        path = tmp_path / "s.yaml"
+        path.write_text(BOXED.format(objective=objective, method=method, budget=budget))
+        return load_study(path)
+
+    return make
+
+
+def test_a_study_with_a_box_has_the_contours_of_similar_triangles(boxed):
+    study = boxed()
+    rig = study.rig(np.array([[0, 0, 2, 0, 0, 0]] * 2, float))
+    found = evaluate(study, rig).blind
+    assert [contour.directions.height_m for contour in found.contours] == [0.25, 0.5, 1.0]
+    for one in found.contours:
+        expected = one.directions.outline_m * ((2 - one.directions.height_m) / 0.5 - 1)
+        inside = expected + one.directions.outline_m < one.directions.end_m
+        assert inside.any()
+        assert one.distance_m[inside] == pytest.approx(expected[inside], abs=1.001 * FINE)
+        assert one.reaches_edge[~inside].all()
+    assert found.seen_by_m3[1] == 0  # both sensors stand at one point
+    assert found.seen_by_m3.sum() == pytest.approx(24 * 16 * 3 - 4 * 2 * 1.5)
+
+
+def test_the_shadow_of_a_plate_has_the_volume_of_a_frustum(tmp_path):
+    """From the origin a plate of 0.8 m × 0.6 m at x = 1 hides a frustum: ∫ 0.48 x² dx from 1 to 4 m is 10.08 m³."""
+    text = """
+region: {min_m: [0.2, -2, -2], max_m: [4, 2, 2], cuboid_m: [0.05, 0.05, 0.05]}
+vehicle: {planes: [{name: plate, center_m: [1, 0, 0], size_m: [0.6, 0.8], rpy_deg: [0, 90, 0]}]}
+sensors: [{elevation_deg: [0], min: {position_m: [0, 0, 0], rpy_deg: [0, 0, 0]}, max: {position_m: [0, 0, 0], rpy_deg: [0, 0, 0]}}]
+"""
+    (tmp_path / "p.yaml").write_text(text)
+    study = load_study(tmp_path / "p.yaml")
+    volume = evaluate(study, study.rig(study.poses(np.zeros((1, 0)))[0])).blind.seen_by_m3
+    assert volume[0] == pytest.approx(0.48 * (4**3 - 1) / 3, rel=0.002)
+    assert volume.sum() == pytest.approx(3.8 * 16)
+
+
+def test_nothing_is_blind_where_nothing_limits_the_sight():
+    study = load_study(ROOT / "data/studies/liu2018-2x4.yaml")
+    found = evaluate(study, study.rig(study.poses(np.full((1, int(study.free.sum())), 0.5))[0])).blind
+    assert found.contours == ()
+    assert found.seen_by_m3[:2].tolist() == [0, 0]
+
+
+OBJECTIVES = [
+    "{blind_volume: 1}",
+    "{seen_by_two: 1}",
+    "{blind_spot_m: {height_m: 0.5}}",
+    "{max_vsr: 1, blind_volume: 2, seen_by_two: 1, blind_spot_m: {height_m: 0.25, weight: 0.02}}",
+    "{blind_spot_m: {height_m: 1.0, weight: 0.1}, detection: {post: 1}, inscribed_radius: 0.1}",
+]
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+@pytest.mark.parametrize(("method", "budget"), [("abc", "cycles: 4"), ("de", "evaluations: 300")])
+def test_skipping_changes_no_search(boxed, objective, method, budget):
+    study = boxed(objective, method, budget)
+    runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]
+    for run in runs[1:]:
+        assert run.rig == runs[0].rig
+        assert run.objective == runs[0].objective
+        assert [(c.best, c.mean) for c in run.history] == [(c.best, c.mean) for c in runs[0].history]
+        assert (run.full_evaluations, run.cuboids) == (runs[1].full_evaluations, runs[1].cuboids)
+        assert run.full_evaluations < runs[0].full_evaluations
+    poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
+    assert study.cost(poses) == runs[0].objective
+
+
+def test_the_objective_is_what_the_evaluation_says(boxed):
+    study = boxed(OBJECTIVES[3])
+    poses = study.poses(np.full((1, int(study.free.sum())), 0.3))[0]
+    found = evaluate(study, study.rig(poses))
+    part = found.blind.seen_by_m3 / found.blind.seen_by_m3.sum()
+    expected = found.max_vsr_m + 2 * part[0] + part[:2].sum() + 0.02 * found.blind.contours[0].largest_m
+    assert study.cost(poses) == pytest.approx(expected / 4.02, rel=1e-12)
+
+
+def test_the_objectives_need_something_that_limits_the_sight(tmp_path):
+    text = BOXED.format(objective="{max_vsr: 1, blind_volume: 2}", method="abc", budget="cycles: 2")
+    (tmp_path / "s.yaml").write_text(text.replace("vehicle:\n  boxes:", "# "))
+    with pytest.raises(ConfigError, match=r"s\.yaml:\d+:\d+: objective\.blind_volume: is the same for every rig"):
+        load_study(tmp_path / "s.yaml")

@@ -8,7 +8,7 @@ import pytest
 
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.coverage import beams_across, coverage
-from lidarcfg.placement.details import ring_edges_m, vehicle_m
+from lidarcfg.placement.details import ring_edges_m
 from lidarcfg.placement.detection import DetectionObject, detection, detection_by_distance
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
@@ -111,5 +111,5 @@ def test_few_rings_hold_the_whole_region(size_m):
 
 
 def test_where_the_vehicle_stands():
-    assert vehicle_m(load_study(ROOT / "data/studies/liu2018-2x16.yaml")).tolist() == [29.5, 10.0]
-    assert vehicle_m(load_study(ROOT / "data/studies/sedan.yaml")).tolist() == [0.0, 0.0]
+    assert load_study(ROOT / "data/studies/liu2018-2x16.yaml").reference_m.tolist() == [29.5, 10.0]
+    assert load_study(ROOT / "data/studies/sedan.yaml").reference_m.tolist() == [0.0, 0.0]

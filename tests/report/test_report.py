@@ -41,7 +41,7 @@ sensors:
     max: {position_m: [7, 5, 3.0], rpy_deg: [30, 30, 0]}
 solver: {method: abc, bees: 10, cycles: 4, seed: 1}
 """
-SECTIONS = ["asked", "rig", "search", "worst", "sizes", "detection", "coverage", "trust", "skipped", "repeat"]
+SECTIONS = ["asked", "rig", "search", "worst", "sizes", "blind", "detection", "coverage", "trust", "skipped", "repeat"]
 
 
 VOID = {"meta", "br", "path", "use", "image", "rect", "circle", "line", "polygon", "polyline"}

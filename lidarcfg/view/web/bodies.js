@@ -1,4 +1,4 @@
-// Region, what it excludes, worst subspaces and scenes.
+// Region, what it excludes, the vehicle's bodies, worst subspaces, what is blind, and scenes.
 
 import {
   BoxGeometry,
@@ -37,6 +37,40 @@ export function box(low, high, color) {
   return lines;
 }
 
+// The vehicle's bodies: they hide what is behind them, unless they are switched transparent.
+export class Vehicle {
+  constructor(vehicle, colours) {
+    this.object = new Group();
+    this.object.add(body(vehicle.mesh, colours.vehicle, 1));
+    this.transparent = false;
+  }
+
+  set transparent(on) {
+    for (const { material } of this.object.children) Object.assign(material, { opacity: on ? 0.15 : 1, depthWrite: !on });
+  }
+}
+
+// What no sensor sees.
+export class Blind {
+  constructor(colours) {
+    this.colours = colours;
+    this.object = new Group();
+  }
+
+  set(blind) {
+    emptied(this.object);
+    if (blind?.mesh) this.object.add(body(blind.mesh, this.colours.blind, 0.22));
+  }
+}
+
+function emptied(group) {
+  for (const mesh of group.children) {
+    mesh.geometry.dispose();
+    mesh.material.dispose();
+  }
+  group.clear();
+}
+
 export function region(study, colours) {
   const group = new Group();
   group.add(box(study.min_m, study.max_m, colours.excluded));
@@ -71,11 +105,7 @@ export class Worst {
 
   set(worst) {
     for (const label of this.labels) this.stage.labels.remove(label);
-    for (const mesh of this.object.children) {
-      mesh.geometry.dispose();
-      mesh.material.dispose();
-    }
-    this.object.clear();
+    emptied(this.object);
     this.labels = worst.map(({ vsr_m, centroid_m, mesh }, rank) => {
       this.object.add(body(mesh, this.colours.worst, rank ? 0.2 : 0.32));
       const at = new Vector3(...centroid_m);

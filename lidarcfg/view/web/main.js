@@ -3,7 +3,7 @@
 import { readArrays } from "lidarcfg/cloud";
 import { MODES } from "lidarcfg/colours";
 import { readAbout } from "lidarcfg/data";
-import { Worst, bounds, region, scenery } from "lidarcfg/bodies";
+import { Blind, Vehicle, Worst, bounds, region, scenery } from "lidarcfg/bodies";
 import { Evaluator, Handles, saveRig } from "lidarcfg/handles";
 import { Measure } from "lidarcfg/measure";
 import { EvaluationSection, RigSection, TimeSection, check, colourSection, el, help, push, section, sensorSection, slide } from "lidarcfg/panel";
@@ -37,7 +37,7 @@ function build(about, stage, cloud) {
   const say = (text) => {
     status.textContent = text;
   };
-  const view = { about, stage, cloud };
+  const view = { about, stage, cloud, transparent: false };
   panel.append(el("h1", {}, "lidarcfg ", el("small", { textContent: about.version })));
 
   if (cloud) {
@@ -123,6 +123,15 @@ function bodyControls(view, panel, mounts) {
     if (about.study.bounds.length) toggled("bounds", "bounds of the sensors", bounds(about.study));
     view.worst = new Worst(stage, about.colours);
     toggled("bodies", "worst subspaces", view.worst.object);
+    if (about.evaluation.blind) {
+      view.blind = new Blind(about.colours);
+      toggled("blind", "what no sensor sees", view.blind.object, false);
+    }
+    if (about.vehicle) {
+      view.vehicle = new Vehicle(about.vehicle, about.colours);
+      toggled("vehicle", "the vehicle's body", view.vehicle.object);
+    }
+    if (about.transparent) rows.push(check("transparent", "transparent: nothing is hidden", false, (on) => seeThrough(view, on)));
   }
   if (about.scenes.length) {
     const objects = about.scenes.reduce((sum, { objects }) => sum + objects, 0);
@@ -143,12 +152,22 @@ function bodyControls(view, panel, mounts) {
   show(view, about.evaluation, Math.min(about.worst, about.evaluation.worst.length));
 }
 
+// Evaluate as if nothing hid anything, or again with the bodies.
+function seeThrough(view, on) {
+  view.transparent = on;
+  if (view.vehicle) view.vehicle.transparent = on;
+  if (view.evaluator) view.evaluator.ask();
+  else show(view, on ? view.about.transparent : view.about.evaluation, view.count);
+  view.stage.redraw();
+}
+
 // The latest evaluation, with so many of the worst subspaces drawn.
 function show(view, evaluation, count) {
   if (view.evaluator && evaluation.worst.length < count) view.evaluator.ask();
   Object.assign(view, { evaluation, count });
   view.figures.set(evaluation, count);
   view.worst.set(evaluation.worst.slice(0, count));
+  view.blind?.set(evaluation.blind);
   view.stage.redraw();
 }
 
@@ -164,7 +183,7 @@ function rigControls(view, panel, mounts) {
     const fail = (error) => {
       view.figures.violations.textContent = error.message;
     };
-    view.evaluator = new Evaluator(() => ({ poses: view.handles.poses, worst: view.count }), (found) => show(view, found, view.count), fail);
+    view.evaluator = new Evaluator(() => ({ poses: view.handles.poses, worst: view.count, transparent: view.transparent }), (found) => show(view, found, view.count), fail);
   }
   view.rig = new RigSection(view.handles, {
     onSave: () => saveRig(view.handles.poses),

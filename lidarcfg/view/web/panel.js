@@ -165,11 +165,13 @@ export class TimeSection {
   }
 }
 
-// Max VSR, and the worst subspaces in a table.
+// Max VSR, what no sensor sees, and the worst subspaces in a table.
 export class EvaluationSection {
   constructor(about, onCount) {
     this.vsr = el("div", { className: "big", id: "vsr" });
     this.rest = el("div", { className: "dim", id: "subspaces" });
+    this.other = el("div", { id: "other-vsr" });
+    this.blind = el("div", { id: "blind-volume" });
     this.violations = el("div", { className: "bad", id: "violations" });
     this.rows = el("tbody");
     const head = el("tr", {}, ...["worst", "VSR (m)", "volume (m³)"].map((text) => el("th", { textContent: text, scope: "col" })));
@@ -177,17 +179,23 @@ export class EvaluationSection {
     this.element = section(
       `Study ${about.study.name}`,
       this.vsr,
+      this.other,
       this.rest,
+      this.blind,
       this.violations,
       slide("worst", "worst shown", [0, most, 1], Math.min(about.worst, most), String, onCount),
       el("table", {}, el("thead", {}, head), this.rows),
     );
   }
 
-  set({ max_vsr_m, subspaces, worst, violations }, count) {
+  set({ max_vsr_m, other_max_vsr_m, transparent, subspaces, blind, worst, violations }, count) {
     this.vsr.textContent = `max VSR ${max_vsr_m.toFixed(6)} m`;
     this.vsr.dataset.value = max_vsr_m;
     this.rest.textContent = `${number(subspaces)} subspaces`;
+    const more = other_max_vsr_m && `${number(100 * (other_max_vsr_m / max_vsr_m - 1), 1)} %`;
+    const which = transparent ? "with the bodies that hide" : "if nothing hid anything";
+    this.other.textContent = more ? `${other_max_vsr_m.toFixed(6)} m ${which} (${more})` : "";
+    this.blind.textContent = blind ? `${number(blind.volume_m3, 2)} m³ seen by no sensor (${number(100 * blind.fraction, 2)} %)` : "";
     this.violations.replaceChildren(...violations.map((text) => el("div", { textContent: text })));
     this.rows.replaceChildren(
       ...worst.slice(0, count).map(({ vsr_m, volume_m3 }, i) =>

@@ -1,0 +1,155 @@
+"""What a report shows of blind spots: volumes by the number of LiDARs, and contours around the vehicle from above."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.blind_spots import AZIMUTHS, BlindSpots, Contour, Directions
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import Subspaces
+from lidarcfg.report.canvas import (
+    EXCLUDED,
+    WIDTH_IN,
+    colour,
+    dashes,
+    drawing,
+    extent,
+    label,
+    panels,
+    sensor_dots,
+    thinned,
+)
+from lidarcfg.report.html import Table
+from lidarcfg.rig import Rig
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SIDES = {"ahead": 0, "left": 90, "behind": 180, "right": 270}  # azimuths in degrees
+MAP = "magma_r"
+LEAST_M = 4.0  # shown around the vehicle
+SCALE = 1.1  # of what is shown around the largest contour
+
+
+def volumes_table(blind: BlindSpots) -> Table:
+    """The volume that exactly so many LiDARs see."""
+    total = float(blind.seen_by_m3.sum())
+    rows = [[f"{n}", f"{volume:,.2f}", f"{volume / total:.2%}"] for n, volume in enumerate(blind.seen_by_m3.tolist())]
+    return Table("The region's volume by the number of LiDARs that see it", ("LiDARs", "volume (m³)", "part"), rows)
+
+
+def contours_table(blind: BlindSpots) -> Table:
+    """How far the blind spot reaches at each height."""
+    rows = [
+        [
+            f"{contour.directions.height_m:g} m",
+            f"{_distance(contour, int(contour.largest_at_deg))} at {contour.largest_at_deg:.0f}°",
+            *(_distance(contour, azimuth) for azimuth in SIDES.values()),
+            f"{contour.area_m2:.2f}",
+        ]
+        for contour in blind.contours
+    ]
+    head = ("above the ground", "largest (m)", *(f"{side} (m)" for side in SIDES), "area (m²)")
+    return Table("How far from the body something stays unseen", head, rows)
+
+
+def _distance(contour: Contour, azimuth: int) -> str:
+    """The distance at an azimuth in degrees; where it ends at the region's edge, at least that."""
+    distance = float(contour.distance_m[azimuth])
+    if np.isnan(distance):
+        return "–"
+    return f"{'≥ ' if contour.reaches_edge[azimuth] else ''}{distance:.2f}"
+
+
+def contours_view(axes: "Axes", region: Region, rig: Rig, contours: Sequence[Contour]) -> None:
+    """The body's outline and the contours around it, from above."""
+    around = contours[0].directions
+    for i, contour in enumerate(contours):
+        x, y = _ring(contour.directions, np.nan_to_num(contour.distance_m))
+        name = f"{contour.directions.height_m:g} m above the ground"
+        axes.fill(x, y, facecolor=colour(i), alpha=0.12)
+        axes.plot(x, y, color=colour(i), lw=1.2, ls=dashes(i), label=name)
+    if around.outline_m.any():
+        axes.fill(*_ring(around, 0.0), facecolor=EXCLUDED, edgecolor="0.25", lw=0.8)
+    sensor_dots(axes, rig, "top", 5)
+    left, right, bottom, top = extent(region, "top")
+    axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], color="0.6", lw=0.8, ls=":")
+    axes.set_aspect("equal")
+    axes.grid(True)
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+
+
+def _ring(around: Directions, beyond_m: Array | float) -> tuple[Array, Array]:
+    """A closed line (AZIMUTHS + 1,) around the reference point, so far beyond the outline."""
+    angle = np.append(np.arange(AZIMUTHS), 0) * (2 * np.pi / AZIMUTHS)
+    reach = around.outline_m + beyond_m
+    reach = np.append(reach, reach[0])
+    return around.center_m[0] + reach * np.cos(angle), around.center_m[1] + reach * np.sin(angle)
+
+
+def window(contours: Sequence[Contour], rigs: Sequence[Rig]) -> tuple[Array, Array]:
+    """The corners (2,) of what is worth showing: contours, body and sensors, and something around them."""
+    rings = [np.stack(_ring(c.directions, np.nan_to_num(c.distance_m)), axis=1) for c in contours]
+    sensors = np.array([mount.position_m[:2] for rig in rigs for mount in rig.mounts])
+    points = np.concatenate([*rings, sensors])
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = np.maximum(SCALE * (high - low) / 2, LEAST_M)
+    middle = (low + high) / 2
+    return middle - half, middle + half
+
+
+def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Markup:
+    """The contours around the body; and how high what no LiDAR sees stands at each position."""
+    region = subspaces.region
+    low, high = window(blind.contours, [rig])
+    width, height = high - low
+    size = region.max_m - region.min_m
+    tall = float(np.clip(0.72 * WIDTH_IN * height / width, 2.2, 5.5))
+    flat = float(np.clip(0.8 * WIDTH_IN * size[1] / size[0], 1.4, 3.5))
+
+    def draw(figure: "Figure") -> None:
+        grid = figure.add_gridspec(2, 1, height_ratios=(tall, flat))
+        axes = figure.add_subplot(grid[0])
+        contours_view(axes, region, rig, blind.contours)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="beyond the line, some LiDAR sees everything")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0)).set_in_layout(False)
+        _draw_heights(figure, figure.add_subplot(grid[1]), subspaces, rig)
+
+    alt = "the blind-spot contours around the vehicle from above, and a map of how much is blind above each position"
+    return drawing("blind", 0.9 + tall + flat, alt, draw)
+
+
+def _draw_heights(figure: "Figure", axes: "Axes", subspaces: Subspaces, rig: Rig) -> None:
+    """A map of how many metres of each upright line of cuboids no LiDAR sees."""
+    region = subspaces.region
+    blind = (subspaces.seen_by == 0) & region.included
+    metres = np.where(region.included.any(axis=2), blind.sum(axis=2) * region.cuboid_m[2], np.nan)
+    around = extent(region, "top")
+    look: dict[str, Any] = {"cmap": MAP, "vmin": 0, "vmax": max(float(np.nanmax(metres)), float(region.cuboid_m[2]))}
+    image = axes.imshow(thinned(metres).T, extent=around, origin="lower", aspect="auto", **look)
+    sensor_dots(axes, rig, "top", 4)
+    axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), xlabel="x (m)", ylabel="y (m)")
+    axes.set_title("metres of each upright line that no LiDAR sees")
+    figure.colorbar(image, ax=axes, label="m", pad=0.01)
+
+
+def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]]) -> Markup:
+    """The contours of each rig, on one scale."""
+    low, high = window([c for _, _, blind in named for c in blind.contours], [rig for _, rig, _ in named])
+    width, height = high - low
+
+    def draw(figure: "Figure") -> None:
+        grid = panels(figure, len(named))
+        for n, ((name, rig, blind), axes) in enumerate(zip(named, grid, strict=True)):
+            contours_view(axes, region, rig, blind.contours)
+            axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=label(name, 40))
+            axes.label_outer()
+            axes.set_ylabel("y (m)" if n % 2 == 0 else "")
+        grid[0].legend(fontsize=7)
+
+    each = float(np.clip(0.45 * WIDTH_IN * height / width, 1.5, 4.5))
+    return drawing("blind", 0.5 + (each + 0.4) * -(-len(named) // 2), "the blind-spot contours of each rig", draw)
