@@ -18,6 +18,7 @@ from lidarcfg.commands.options import (
     sensor_option,
     to_option,
     warn,
+    warn_of,
 )
 from lidarcfg.commands.progress import progress
 from lidarcfg.units import SECOND_NS
@@ -96,6 +97,7 @@ def export(
         bodies = None if str(vehicle) == "none" else load_vehicle(vehicle)
     else:
         bodies = rig_vehicle(mounted)
+    warn_of(bodies)
     duration_ns, began = round(duration * SECOND_NS), time.monotonic()
     total = [0, 0]
 

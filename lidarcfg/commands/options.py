@@ -16,6 +16,7 @@ from lidarcfg.units import SECOND_NS
 if TYPE_CHECKING:
     from lidarcfg.geometry import Array
     from lidarcfg.world.motion import Trajectory
+    from lidarcfg.world.vehicle import Vehicle
 
 FILE = click.Path(path_type=Path)
 START_HELP = "ISO 8601; UTC unless it names a zone.  [default: 2026-01-01T00:00:00]"
@@ -98,6 +99,12 @@ def command_line() -> str:
 def warn(message: str) -> None:
     """Print one line to stderr; the command goes on."""
     click.echo(f"lidarcfg: warning: {one_line(message)}", err=True)
+
+
+def warn_of(vehicle: "Vehicle | None") -> None:
+    """Print what looks wrong with a vehicle's meshes."""
+    for message in vehicle.warnings if vehicle else ():
+        warn(message)
 
 
 def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":

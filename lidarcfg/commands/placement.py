@@ -15,6 +15,7 @@ from lidarcfg.commands.options import (
     json_option,
     quiet_option,
     tolerance_option,
+    warn_of,
 )
 from lidarcfg.commands.progress import progress
 
@@ -79,6 +80,7 @@ def optimize(
 
     budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
     loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
+    warn_of(loaded.vehicle)
     folder = output or resume or Path("out") / loaded.name
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder)
@@ -152,6 +154,7 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     from lidarcfg.rig import load_rig
 
     loaded, mounted = load_study(study), load_rig(rig)
+    warn_of(loaded.vehicle)
     found = evaluation(loaded, mounted, tolerance)
     if output:
         typed = command_line()
@@ -194,6 +197,7 @@ def compare(
 
     report.check_count(len(rigs))
     loaded, mounted = load_study(study), [load_rig(rig) for rig in rigs]
+    warn_of(loaded.vehicle)
     if output:
         report.check_writable(output)
     named = []

@@ -12,23 +12,40 @@ from lidarcfg.world.meshes import Mesh
 
 Index = NDArray[np.int64]
 Inside = NDArray[np.bool_]
+# What mixes the bits of coordinates, so that hardly any two places share a sum: odd numbers, as in splitmix64 (Vigna)
+SHIFT = np.uint64(29)
+MIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
 def welded(mesh: Mesh) -> Mesh:
     """The mesh with vertices at the same place made one, and without triangles of fewer than three places."""
     vertices, triangles = mesh
-    places, number = np.unique(vertices, axis=0, return_inverse=True)
-    corners = number.reshape(-1)[triangles]
+    places, number = _places(vertices)
+    corners = number[triangles]
     a, b, c = corners.T
     return places, corners[(a != b) & (b != c) & (c != a)]
+
+
+def _places(vertices: Array) -> tuple[Array, Index]:
+    """The different ones of vertices (V, 3), and the number of each vertex among them."""
+    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)  # -0 is 0
+    mixed = (bits ^ (bits >> SHIFT)) * MIX
+    mixed = (mixed ^ (mixed >> SHIFT)).sum(axis=1, dtype=np.uint64)
+    _, first, number = np.unique(mixed, return_index=True, return_inverse=True)
+    places = vertices[first]
+    if (places[number] == vertices).all():
+        return places, number
+    places, number = np.unique(vertices, axis=0, return_inverse=True)  # slower; two places have the same sum
+    return places, number.reshape(-1)
 
 
 def open_edges(mesh: Mesh) -> Array:
     """(E, 2, 3) the edges of a welded mesh that bound an odd number of triangles; none where it is closed."""
     vertices, triangles = mesh
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, counts = np.unique(edges, axis=0, return_counts=True)
-    found: Array = vertices[unique[counts % 2 == 1]]
+    unique, counts = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
+    odd = unique[counts % 2 == 1]
+    found: Array = vertices[np.stack(np.divmod(odd, len(vertices)), axis=1)] if len(odd) else np.empty((0, 2, 3))
     return found
 
 

@@ -1,5 +1,7 @@
 """A vehicle: the bodies that travel with the sensors and block their beams, in the vehicle frame."""
 
+import math
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,14 +25,17 @@ from lidarcfg.world.scene import (
     Plane,
     Scene,
     SceneFile,
+    SceneObject,
     Sphere,
     built,
     check_names,
 )
-from lidarcfg.world.solids import Inside, inside, open_edges, welded
+from lidarcfg.world.solids import Inside, inside, open_edges, parts, welded
 from lidarcfg.world.tracer import shapes_of
 
-EDGES_SHOWN = 3
+MANY = 500_000  # triangles: reading and checking them takes seconds
+LEAST_M, TYPICAL_M, MOST_M = 0.05, 5.0, 40.0  # sizes of a vehicle's mesh: a part of one, a car, the longest bus
+UNITS = {1.0: "metre", 0.001: "millimetre", 0.01: "centimetre", 0.0254: "inch"}  # by the scale that makes them metres
 ORIGIN = 0.0, 0.0, 0.0
 
 
@@ -98,6 +103,8 @@ class Vehicle:
     excluded: tuple[str, ...]  # the names of the closed bodies whose insides are no part of the region
     allow_inside: bool
     file: VehicleFile  # what it was built from, with whole paths
+    closed: dict[str, Mesh]  # the welded triangles of closed boxes and meshes
+    warnings: tuple[str, ...]  # what looks wrong with its meshes
 
     @property
     def section(self) -> Section:
@@ -106,9 +113,10 @@ class Vehicle:
 
     def inside(self, name: str, x: Array, y: Array, z: Array) -> Inside:
         """(nx, ny, nz): which points of a grid are inside a body; x, y and z ascend. Nothing is inside an open one."""
-        index = self.scene.names.index(name)
+        if name in self.closed:
+            return inside(self.closed[name], x, y, z)
         for number, item in self.scene.rounds:
-            if number == index:
+            if self.scene.names[number] == name:
                 dx, dy = np.meshgrid(x, y, indexing="ij")
                 if isinstance(item, Sphere):
                     flat = (dx - item.center_m[0]) ** 2 + (dy - item.center_m[1]) ** 2
@@ -116,10 +124,7 @@ class Vehicle:
                 flat = (dx - item.base_m[0]) ** 2 + (dy - item.base_m[1]) ** 2
                 upright = (z > item.base_m[2]) & (z < item.base_m[2] + item.height_m)
                 return np.asarray((flat < item.radius_m**2)[..., None] & upright)
-        mesh = mesh_of(self.scene, index)
-        if len(open_edges(mesh)):
-            return np.zeros((len(x), len(y), len(z)), np.bool_)
-        return inside(mesh, x, y, z)
+        return np.zeros((len(x), len(y), len(z)), np.bool_)
 
     def around(self, point_m: Array) -> str | None:
         """The name of a body that a point (3,) is inside of, if any."""
@@ -129,18 +134,33 @@ class Vehicle:
 
 def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     """The vehicle that stands in a file under a key. Raises ConfigError for a bad mesh, and to exclude an open one."""
+    began = time.perf_counter()
     scene = built(SceneFile(name="vehicle", **{kind: getattr(file, kind) for kind in KINDS}), path, at)
-    excluded = []
-    for kind in KINDS:
+    closed, warnings = {}, []
+    for kind in ("boxes", "planes", "meshes"):
         for i, item in enumerate(getattr(file, kind)):
-            if item.exclude:
-                if kind not in ("spheres", "cylinders"):
-                    edges = open_edges(mesh_of(scene, scene.names.index(item.name)))
-                    if len(edges):
-                        raise error_at(path, (*at, kind, i, "exclude"), _open(item.name, edges))
-                excluded.append(item.name)
+            mesh = mesh_of(scene, scene.names.index(item.name))
+            edges = open_edges(mesh)
+            if len(edges) == 0:
+                closed[item.name] = mesh
+            elif item.exclude:
+                raise error_at(
+                    path, (*at, kind, i, "exclude"), f"{_open(item, edges)}; close the mesh, or leave exclude out"
+                )
+            elif kind == "meshes":
+                solid = sum(not len(open_edges(part)) for part in parts(mesh))
+                warnings.append(f"{_open(item, edges)}; {solid} closed parts; beams are blocked all the same")
+            if kind == "meshes":
+                warnings += _oddities(item, mesh)
+    if len(scene.triangles) > MANY:
+        seconds = time.perf_counter() - began
+        warnings.append(
+            f"{path}: the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
+        )
+    excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
     meshes = (mesh.model_copy(update={"file": str((path.parent / mesh.file).resolve())}) for mesh in file.meshes)
-    return Vehicle(scene, tuple(excluded), file.allow_inside, file.model_copy(update={"meshes": tuple(meshes)}))
+    whole = file.model_copy(update={"meshes": tuple(meshes)})
+    return Vehicle(scene, excluded, file.allow_inside, whole, closed, tuple(warnings))
 
 
 def load_vehicle(path: str | Path) -> Vehicle:
@@ -170,17 +190,26 @@ def mesh_of(scene: Scene, index: int) -> Mesh:
     return welded((scene.vertices_m, scene.triangles[scene.triangle_object == index]))
 
 
-def _open(name: str, edges: Array) -> str:
+def _open(item: SceneObject, edges: Array) -> str:
     """That a body is open, and where."""
-    shown = "; ".join(
-        " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edge)
-        for edge in edges[:EDGES_SHOWN]
-    )
-    more = f" and {len(edges) - EDGES_SHOWN} more" if len(edges) > EDGES_SHOWN else ""
+    shown = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
+    source = f" of {item.file}" if isinstance(item, MeshFile) else ""
     return (
-        f"{name!r} is not closed, so that nothing is inside: {len(edges)} of its edges bound an odd number of "
-        f"triangles, {shown}{more}; close the mesh, or leave exclude out"
+        f"{item.name!r}{source} is not closed, so that nothing is inside: {len(edges)} of its edges bound an odd "
+        f"number of triangles, the first from {shown}"
     )
+
+
+def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
+    """What looks wrong with the size of a vehicle's mesh: the unit of its file may be another one."""
+    size_m = np.ptp(mesh[0], axis=0)
+    if LEAST_M <= size_m.max() <= MOST_M or size_m.max() == 0:
+        return []
+    scale = min(UNITS, key=lambda one: abs(math.log(size_m.max() / item.scale * one / TYPICAL_M)))
+    if scale == item.scale:
+        return []
+    size = " × ".join(f"{value:.4g}" for value in size_m)
+    return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, say scale: {scale:g}"]
 
 
 def obstacles(scenes: Sequence[Scene], origin_m: Array) -> Tree:
