@@ -5,8 +5,9 @@
     .venv/bin/python tools/fuzz.py --case HEX              # one case again
 
 A case is a string of bytes that says which capture is made and what is changed in it: packets of every model and mode
-(and recordings, where LIDARCFG_CAPTURES names a folder of them), their fields, their order, headers, the file around
-them, and what the decoder is asked for. With atheris from the package index, cases that reach new branches of the
+(and recordings, where LIDARCFG_CAPTURES names a folder of them), their fields, their order, headers, fragments, files
+beside the capture, the file around them, and what the decoder is asked for. --makers takes the other makers' only, not
+Velodyne's. With atheris from the package index, cases that reach new branches of the
 decoder are kept and varied, and all is done on one thread, as atheris sees no other; without it, or with --random, they
 are random. Kernels are compiled with checks of their bounds.
 """
@@ -25,6 +26,7 @@ import tempfile
 import time
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +59,8 @@ with (
     from lidarcfg.packets.velodyne.facts import unit
     from lidarcfg.packets.velodyne.layout import PACKET, packets_of
     from lidarcfg.packets.velodyne.schedule import firings
-from lidarcfg.cloud import concatenate  # noqa: E402
+    from tools import fuzz_makers
+from lidarcfg.cloud import PointCloud, concatenate  # noqa: E402
 from lidarcfg.errors import LidarcfgError  # noqa: E402
 from lidarcfg.rig import Mount, Rig  # noqa: E402
 from lidarcfg.sensor import load_sensor  # noqa: E402
@@ -68,6 +71,7 @@ START_NS = 1_700_000_000 * 10**9
 ODD = (3, 4, 5, 6, 7, 8, 11)  # changes that no check of flags and ids refuses
 SLOW_S = 60.0  # a case that takes longer hangs
 REACH_M = 65535 * 0.004 + 100.0  # the largest distance on the wire, and offsets that a calibration may carry
+RETURNS_MAX, SPAN_S = 384, 4.0  # of a packet; of most captures
 CLASSIC = struct.pack("<I", 0xA1B2C3D4)
 ROUND = 1_000_000  # packets: atheris, not the decoder, keeps about a megabyte of each capture
 SYNTHETIC = len(MODELS) * len(MODES)
@@ -231,45 +235,78 @@ def rig(model: str) -> Rig:
     return Rig("three", tuple(mounts))
 
 
-def run(data: bytes, folder: Path) -> tuple[int, int, str]:
+@dataclass(frozen=True)
+class Question:
+    """A capture, and what the decoder is asked."""
+
+    content: bytes
+    count: int  # of packets
+    beside: dict[str, bytes]  # files, by the end of their names
+    rig: Rig | None
+    model: str | None
+    returns_max: int  # of a packet
+    reach_m: float
+    span_s: float  # within which windows lie
+
+
+def question(case: Case, makers: bool) -> Question | None:
+    """What the case is; None if it is of a recording that is not there."""
+    number = case.below(SEEDS + fuzz_makers.SEEDS) if not makers else SEEDS + case.below(fuzz_makers.SEEDS)
+    if number >= SEEDS:
+        odd = fuzz_makers.capture(case, number - SEEDS)
+        if odd is None:
+            return None
+        model = fuzz_makers.MADE[case.below(len(fuzz_makers.MADE))][0] if case.seldom(4) or not odd.model else odd.model
+        mounted = fuzz_makers.rig(model) if case.seldom(4) else None
+        named = model if case.seldom(3) else None
+        limits = fuzz_makers.RETURNS_MAX, fuzz_makers.REACH_M, fuzz_makers.SPAN_S
+        return Question(odd.content, odd.count, odd.beside, mounted, named, *limits)
+    content, count = capture(case, number)
+    model = MODELS[(case.below(len(MODELS)) if case.seldom(4) else number) % len(MODELS)]
+    mounted = rig(model) if case.seldom(4) else None
+    return Question(content, count, {}, mounted, model if case.seldom(3) else None, RETURNS_MAX, REACH_M, SPAN_S)
+
+
+def run(data: bytes, folder: Path, makers: bool) -> tuple[int, int, str]:
     """Decode a case; packets, points and, if it was refused, why. Raises AssertionError for what must not be."""
     case = Case(data)
-    number = case.below(SEEDS)
-    content, count = capture(case, number)
+    asked = question(case, makers)
+    if asked is None:
+        return 0, 0, ""
     path = folder / "case.pcap"
-    path.write_bytes(content)
-    model = MODELS[(case.below(len(MODELS)) if case.seldom(4) else number) % len(MODELS)]
+    for old in folder.glob("case*"):
+        old.unlink()
+    path.write_bytes(asked.content)
+    for suffix, content in asked.beside.items():
+        path.with_name(f"case{suffix}").write_bytes(content)
     began = time.perf_counter()
     points, why, clouds = 0, "", []
     try:
-        low_s = case.below(1000) / 500
-        selection = Selection(low_s, low_s + (1 + case.below(1000)) / 500) if case.seldom(4) else Selection()
-        clouds = list(
-            decoder.decode_pcap(
-                path,
-                lambda warning: None,
-                rig(model) if case.seldom(4) else None,
-                model if case.seldom(3) else None,
-                (1024, 1024, 64, 7)[case.below(4)],
-                lambda stats: None,
-                selection,
-            )
-        )
+        low_s, length_s = (asked.span_s / 2000 * one for one in (case.below(1000), 1 + case.below(1000)))
+        selection = Selection(low_s, low_s + length_s) if case.seldom(4) else Selection()
+        chunk = (1024, 1024, 64, 7)[case.below(4)]
+        options = asked.rig, asked.model, chunk, lambda stats: None, selection
+        clouds = list(decoder.decode_pcap(path, lambda warning: None, *options))
     except LidarcfgError as error:
         why = str(error)
         assert "\n" not in why, why
     if clouds:
-        cloud = concatenate(clouds)
-        points = len(cloud.xyz)
-        assert points <= (count + 3) * 384, f"{points} points of {count} packets"
-        assert np.isfinite(cloud.xyz).all(), "not finite"
-        assert abs(cloud.xyz).max(initial=0) <= REACH_M, f"{abs(cloud.xyz).max()} m away"
-        assert cloud.ring.max(initial=0) < 128, f"ring {cloud.ring.max()}"
-        assert cloud.return_type.max(initial=0) <= 2, f"return type {cloud.return_type.max()}"
-        assert cloud.sensor.max(initial=0) < len(cloud.sensor_names), "a sensor without a name"
+        points = checked(concatenate(clouds), asked)
     took = time.perf_counter() - began
-    assert took < SLOW_S, f"{took:.0f} s for {count} packets"
-    return count, points, why
+    assert took < SLOW_S, f"{took:.0f} s for {asked.count} packets"
+    return asked.count, points, why
+
+
+def checked(cloud: PointCloud, asked: Question) -> int:
+    """The number of points, which must be of this world."""
+    points = len(cloud.xyz)
+    assert points <= (asked.count + 3) * asked.returns_max, f"{points} points of {asked.count} packets"
+    assert np.isfinite(cloud.xyz).all(), "not finite"
+    assert abs(cloud.xyz).max(initial=0) <= asked.reach_m, f"{abs(cloud.xyz).max()} m away"
+    assert cloud.ring.max(initial=0) < 128, f"ring {cloud.ring.max()}"
+    assert cloud.return_type.max(initial=0) <= 3, f"return type {cloud.return_type.max()}"
+    assert cloud.sensor.max(initial=0) < len(cloud.sensor_names), "a sensor without a name"
+    return points
 
 
 def resident_mb() -> float:
@@ -302,13 +339,13 @@ class Tally:
         self._path.write_text(json.dumps({key: value for key, value in vars(self).items() if key != "_path"}))
 
 
-def work(folder: Path, packets: int, seed: int) -> None:
+def work(folder: Path, packets: int, seed: int, makers: bool) -> None:
     """Cases until so many packets are through."""
     tally = Tally(folder / "tally.json")
 
     def one(data: bytes) -> None:
         try:
-            tally.add(*run(bytes(data), folder))
+            tally.add(*run(bytes(data), folder, makers))
         except BaseException:  # whatever ends the case, it is to be found again
             (folder / "failed").write_text(bytes(data).hex())
             raise
@@ -335,15 +372,16 @@ def main() -> None:
     parser.add_argument("--packets", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--random", action="store_true", help="without atheris")
+    parser.add_argument("--makers", action="store_true", help="Ouster, Hesai and RoboSense only")
     parser.add_argument("--case", type=bytes.fromhex)
     parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.worker:
-        work(args.worker, args.packets, args.seed)
+        work(args.worker, args.packets, args.seed, args.makers)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if args.case is not None:
-            print(run(args.case, folder))
+            print(run(args.case, folder, args.makers))
             return
         began, whole = time.perf_counter(), Counter[str]()
         while whole["packets"] < args.packets:
@@ -351,7 +389,7 @@ def main() -> None:
             least = min(least, ROUND) if atheris else least
             number = str(args.seed + whole["rounds"])
             command = [sys.executable, __file__, "--worker", name, "--packets", str(least), "--seed", number]
-            command += ["--random"] * args.random
+            command += ["--random"] * args.random + ["--makers"] * args.makers
             done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
             if done.returncode:
                 failed = folder / "failed"

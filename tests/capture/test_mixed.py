@@ -1,5 +1,6 @@
 """Four makers in one capture: identified, decoded, merged and handed on; witnesses are the ground truth and Open3D."""
 
+import re
 import socket
 from dataclasses import replace
 from pathlib import Path
@@ -296,3 +297,54 @@ def test_default_ports_are_the_makers(rig):
     assert ports["helios-16p"] == (6699, 7788)
     assert ports["qt128"][0] == ports["pandar-xt32"][0] == 2368
     assert ports["vlp-16"] == (2368, 8308)
+
+
+@pytest.mark.parametrize("change", ["missing", "twice", "overlapping", "out of order"])
+def test_an_ousters_fragments(still, tmp_path, change):
+    """One datagram of its nine-fragment packets is lost or told twice; no other packet of anybody changes."""
+    path = tmp_path / "mixed.pcap"
+    for beside in still[0].parent.glob("mixed-*"):
+        (tmp_path / beside.name).write_bytes(beside.read_bytes())
+    raw = still[0].read_bytes()
+    records, at = [], 24
+    while at < len(raw):
+        end = at + 16 + int.from_bytes(raw[at + 8 : at + 12], "little")
+        records.append(raw[at:end])
+        at = end
+    second = [n for n, one in enumerate(records) if int.from_bytes(one[36:38]) & 0x1FFF == 1480 // 8]
+    chosen = second[len(second) // 2]  # the second fragment of a datagram in the middle
+    if change == "missing":
+        del records[chosen]
+    elif change == "twice":
+        records.insert(chosen, records[chosen])
+    elif change == "overlapping":  # 8 bytes nearer: a hole behind it, and octets that two fragments tell
+        moved = int.from_bytes(records[chosen][36:38]) - 1
+        records[chosen] = records[chosen][:36] + moved.to_bytes(2) + records[chosen][38:]
+    else:
+        records[chosen - 1 : chosen + 3] = reversed(records[chosen - 1 : chosen + 3])
+    path.write_bytes(raw[:24] + b"".join(records))
+    said, stats = [], []
+    cloud = concatenate(list(decode_pcap(path, said.append, on_stats=stats.append)))
+    whole = decoded(still[0])
+    lost = change in ("missing", "overlapping")
+    assert [one.lost for one in stats] == [int(lost and one.models[0] == "os1-64") for one in stats]
+    assert len(said) == int(lost)
+    for number, name in enumerate(whole.sensor_names):
+        theirs, ours = whole.xyz[whole.sensor == number], cloud.xyz[cloud.sensor == cloud.sensor_names.index(name)]
+        if lost and name == "192.168.1.201:7502":
+            assert 0 < len(theirs) - len(ours) <= 16 * 64
+            assert set(map(tuple, ours.tolist())) < set(map(tuple, theirs.tolist()))
+        else:
+            np.testing.assert_array_equal(ours, theirs)
+
+
+def test_metadata_of_another_sensor(still, tmp_path):
+    """One line that says whose it is."""
+    path = tmp_path / "mixed.pcap"
+    path.write_bytes(still[0].read_bytes())
+    text = (still[0].parent / "mixed-roof.json").read_text()
+    (tmp_path / "mixed-roof.json").write_text(re.sub(r'"prod_sn": "\d+"', '"prod_sn": "122001"', text))
+    with pytest.raises(PacketError) as error:
+        list(decode_pcap(path, lambda warning: None))
+    assert re.search(r"mixed.pcap: 192.168.1.201:7502: .* mixed-roof.json is of OS-1-64 122001$", str(error.value))
+    assert "\n" not in str(error.value)
