@@ -69,11 +69,12 @@ class Ouster:
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
         """Inertial measurements."""
-        from lidarcfg.packets.ouster.imu import imu_payloads
+        from lidarcfg.packets.ouster.imu import framed_payloads, legacy_payloads
 
-        settings = mode(self.unit.sensor, mount).settings
-        if settings.imu:
-            yield from imu_payloads(self.unit, mount, trajectory, start_ns, duration_ns, settings.fragments)
+        how = mode(self.unit.sensor, mount)
+        if how.settings.imu:
+            payloads = legacy_payloads if how.settings.imu_profile == "LEGACY" else framed_payloads
+            yield from payloads(self.unit, how, mount, trajectory, start_ns, duration_ns)
 
     def companions(self, mount: "Mount") -> Mapping[str, bytes]:
         """The metadata."""

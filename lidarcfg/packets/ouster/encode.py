@@ -7,10 +7,9 @@ from lidarcfg.packets.codec import Batch, Flags, Octets
 from lidarcfg.packets.ouster import kernels
 from lidarcfg.packets.ouster.facts import Mode, Unit
 from lidarcfg.packets.ouster.layout import Columns, Heads
-from lidarcfg.packets.ouster.pixels import Footer, assembled, fields
+from lidarcfg.packets.ouster.pixels import ALERTS, Footer, assembled, fields
 from lidarcfg.packets.ouster.schedule import in_window, measurements
 
-ALERTS = 0x90  # as two recordings of firmware 3.2 have it in normal operation
 MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
 
 

@@ -14,6 +14,7 @@ from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
 from lidarcfg.packets.unit import AnyUnit
 from lidarcfg.sensor import Millimetres, Sensor
+from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
@@ -31,6 +32,10 @@ SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
 RPM = (600.0, 1200.0)
 SERIAL_FIRST, SERIALS = 122_000_000_000, 10**9
 LASERS_MAX = 128
+IMU_PACKETS_HZ, IMU_MEASUREMENTS = (
+    80,
+    8,
+)  # as metadata of firmware 3.2 at 10 Hz has them: 8 packets of 8 in a revolution
 
 
 class Imu(Model):
@@ -79,6 +84,7 @@ class Settings(Model):
     firmware: Literal["2.3", "3.2"] = "2.3"
     fragments: bool = True  # whether datagrams above the MTU leave as IP fragments, as a sensor sends them
     imu: bool = True
+    imu_profile: Literal["LEGACY", "ACCEL32_GYRO32_NMEA"] = "LEGACY"
 
 
 class Unit(AnyUnit[Facts]):
@@ -111,6 +117,11 @@ class Mode:
     def period_ns(self) -> int:
         """From one packet to the next."""
         return self.revolution_ns // self.layout.packets_per_frame
+
+    @property
+    def imu_packets(self) -> int:
+        """In a revolution, of profile ACCEL32_GYRO32_NMEA: the rate of measurements is the same at 10 and 20 Hz."""
+        return round(IMU_PACKETS_HZ * self.revolution_ns / SECOND_NS)
 
     @property
     def modern(self) -> bool:
@@ -146,6 +157,9 @@ def mode(sensor: Sensor, mount: "Mount") -> Mode:
         raise mount.settings.error(("profile",), f"{name} needs return_mode: {needed}")
     if name in SINCE_3 and settings.firmware != "3.2":
         raise mount.settings.error(("profile",), f'{name} needs firmware: "3.2"')
+    if settings.imu_profile != "LEGACY" and (settings.firmware != "3.2" or PROFILES[name].header != "standard"):
+        needed = 'firmware: "3.2", and another profile than LEGACY and FUSA'
+        raise mount.settings.error(("imu_profile",), f"{settings.imu_profile} needs {needed}")
     if mount.rpm not in RPM:
         raise ConfigError(f"rpm: {mount.rpm:g} is not allowed; an Ouster turns at 600 or 1200")
     if settings.columns == 2048 and mount.rpm != 600:

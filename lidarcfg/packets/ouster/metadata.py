@@ -10,7 +10,7 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.ouster.facts import LASERS_MAX, Mode, Unit
+from lidarcfg.packets.ouster.facts import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
 
 if TYPE_CHECKING:
@@ -167,13 +167,13 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
         "udp_dest": unit.facts.headers.destination_ip,
         "udp_port_imu": mount.telemetry_port,
         "udp_port_lidar": mount.data_port,
-        "udp_profile_imu": "LEGACY",
+        "udp_profile_imu": mode.settings.imu_profile,
         "udp_profile_lidar": layout.name,
     }
     if mode.modern:
         config["return_order"] = "NEAREST_TO_FARTHEST"
         config["min_range_threshold_cm"] = round(unit.range.min_m * 100)
-    said = {
+    said: dict[str, Any] = {
         "beam_intrinsics": {
             "beam_altitude_angles": list(beams.elevation_deg),
             "beam_azimuth_angles": list(azimuth_deg),
@@ -189,7 +189,7 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
             "columns_per_packet": layout.columns_per_packet,
             "pixel_shift_by_row": [round(angle / 360 * layout.columns_per_frame) for angle in azimuth_deg],
             "pixels_per_column": layout.pixels,
-            "udp_profile_imu": "LEGACY",
+            "udp_profile_imu": mode.settings.imu_profile,
             "udp_profile_lidar": layout.name,
         },
         "lidar_intrinsics": {"lidar_to_sensor_transform": [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, up_mm, 0, 0, 0, 1]},
@@ -204,6 +204,12 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
             "status": "RUNNING",
         },
     }
+    if mode.settings.imu_profile != "LEGACY":
+        config["imu_packets_per_frame"] = mode.imu_packets
+        said["imu_data_format"] = {
+            "imu_measurements_per_packet": IMU_MEASUREMENTS,
+            "imu_packets_per_frame": mode.imu_packets,
+        }
     return (json.dumps(said, indent=2) + "\n").encode()
 
 

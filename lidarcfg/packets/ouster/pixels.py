@@ -13,6 +13,7 @@ from lidarcfg.packets.ouster.layout import Columns, Heads, Layout, values, write
 
 Footer = Literal["crc", "constant", "zero"]
 CONSTANT = bytes.fromhex("dec00000efbeadde")  # what firmware 2.3 and 2.5 write where the CRC stands later
+ALERTS = 0x90  # as two recordings of firmware 3.2 have it in normal operation
 POLYNOMIAL = 0xC96C5795D7870F42  # ECMA-182, reflected
 
 

@@ -15,7 +15,7 @@ def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: floa
     The first packet begins with column 0, which points backwards; with a phase lock, with the one that is due. Packets
     without a column in the azimuth window are not sent. Packet numbers count from the start of the first revolution.
     """
-    zero_ns, first = _phase(mode, start_ns, phase_deg)
+    zero_ns, first = phase(mode, start_ns, phase_deg)
     end_ns = start_ns + packets * mode.period_ns
     for at in range(first, first + packets, chunk):
         number = np.arange(at, min(at + chunk, first + packets))
@@ -48,7 +48,7 @@ def column_times_ns(mode: Mode, zero_ns: int, number: Times) -> Times:
     return np.asarray(begun_ns[:, None] + column * mode.revolution_ns // mode.layout.columns_per_frame)
 
 
-def _phase(mode: Mode, start_ns: int, phase_deg: float | None) -> tuple[int, int]:
+def phase(mode: Mode, start_ns: int, phase_deg: float | None) -> tuple[int, int]:
     """When the first revolution begins, and the number of the first packet not before the start."""
     if phase_deg is None:
         return start_ns, 0

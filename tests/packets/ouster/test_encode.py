@@ -281,6 +281,10 @@ def test_inertial_measurements_on_an_arc(tmp_path, street):
         ("ouster: {profile: RNG19_RFL8_SIG16_NIR16_DUAL}", r"ouster\.profile: .* needs return_mode: dual"),
         ("return_mode: dual, ouster: {profile: LEGACY}", r"ouster\.profile: LEGACY needs return_mode: strongest"),
         ("return_mode: dual, ouster: {profile: FUSA_RNG15_RFL8_NIR8_DUAL}", r'needs firmware: "3\.2"'),
+        (
+            "ouster: {imu_profile: ACCEL32_GYRO32_NMEA}",
+            r'ouster\.imu_profile: ACCEL32_GYRO32_NMEA needs firmware: "3\.2"',
+        ),
         ("return_mode: last", "'last' is not allowed; an Ouster sends the strongest, or dual"),
         ("return_mode: first", "'first' is not allowed; an Ouster sends the strongest, or dual"),
         ("rpm: 900", "rpm: 900 is not allowed; an Ouster turns at 600 or 1200"),
@@ -320,3 +324,41 @@ def test_a_rig_of_two_makers(tmp_path):
     assert [int((cloud.sensor == i).sum()) > 1000 for i in range(3)] == [True] * 3
     free = concatenate(list(decode_pcap(out, no_warning)))
     assert len(free.xyz) == len(cloud.xyz)
+
+
+@pytest.mark.parametrize("rpm", [600.0, 1200.0])
+def test_inertial_packets_of_firmware_3(tmp_path, street, rpm):
+    """As ouster-sdk reads them: in its units, 640 a second, numbered in each frame, with the frame's number and a CRC."""
+    speed, rate_deg = 8.0, 30.0
+    motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
+    way = Trajectory(np.eye(4), prepared(motion), START_NS)
+    one = mount(columns=512, rpm=rpm, firmware="3.2", imu_profile="ACCEL32_GYRO32_NMEA")
+    one = replace(one, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0))
+    path, metadata, _ = exported(tmp_path, street, one, 200_000_000, way=way)
+    info = core.SensorInfo(metadata.read_text())
+    form = core.PacketFormat.from_info(info)
+    assert (form.imu_packet_size, info.format.imu_measurements_per_packet) == (452, 8)
+    packets = []
+    for datagram in datagrams_of(path):
+        if len(datagram.payload) == 452:
+            packets.append(core.ImuPacket(form))
+            packets[-1].buf[:] = np.frombuffer(datagram.payload, np.uint8)
+    assert len(packets) == 16
+    per_turn = info.format.imu_packets_per_frame
+    assert [form.frame_id(one.buf) for one in packets] == [i // per_turn for i in range(16)]
+    assert {form.packet_type(one.buf) for one in packets} == {2}
+    assert all(form.crc(one.buf) == form.calculate_crc(one.buf) for one in packets)
+    assert {form.init_id(one.buf) for one in packets} == {info.init_id}
+    assert {form.prod_sn(one.buf) for one in packets} == {int(info.sn)}
+    times = np.concatenate([one.timestamp() for one in packets]).astype(np.int64)
+    np.testing.assert_array_equal(times, START_NS + np.arange(128) * 1_562_500)
+    numbers = np.concatenate([one.measurement_id() for one in packets])
+    np.testing.assert_array_equal(numbers, np.arange(128) % (8 * per_turn))
+    x, y, _ = (v / 1000 for v in one.sensor.section.values["imu"]["position_mm"])
+    rate = math.radians(rate_deg)
+    expected = np.array([-(rate**2) * x, speed * rate - rate**2 * y, 9.80665])
+    np.testing.assert_allclose(np.concatenate([one.accel() for one in packets]), np.tile(expected, (128, 1)), atol=1e-3)
+    np.testing.assert_allclose(
+        np.concatenate([one.gyro() for one in packets]), np.tile([0, 0, rate], (128, 1)), atol=1e-5
+    )
+    assert len(concatenate(list(decode_pcap(path, no_warning))).xyz) > 1000
