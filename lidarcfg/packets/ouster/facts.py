@@ -32,10 +32,7 @@ SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
 RPM = (600.0, 1200.0)
 SERIAL_FIRST, SERIALS = 122_000_000_000, 10**9
 LASERS_MAX = 128
-IMU_PACKETS_HZ, IMU_MEASUREMENTS = (
-    80,
-    8,
-)  # as metadata of firmware 3.2 at 10 Hz has them: 8 packets of 8 in a revolution
+IMU_PACKETS_HZ, IMU_MEASUREMENTS = 80, 8  # as metadata of firmware 3.2 at 10 Hz has them
 
 
 class Imu(Model):

@@ -24,7 +24,7 @@ GRAVITY_M_S2 = 9.80665
 PACKET = np.dtype([("time_ns", "<u8", (3,)), ("acceleration_g", "<f4", (3,)), ("rate_deg_s", "<f4", (3,))])
 MEASUREMENT = np.dtype(
     [
-        *[("time_ns", "<u8"), ("number", "<u2"), ("status", "<u2")],
+        *[("time_ns", "<u8"), ("column", "<u2"), ("status", "<u2")],
         *[("acceleration_m_s2", "<f4", (3,)), ("rate_rad_s", "<f4", (3,))],
     ]
 )
@@ -67,7 +67,8 @@ def framed_payloads(
         packets = np.zeros(len(number), FRAMED)
         values = packets["measured"]
         values["time_ns"] = zero_ns + revolution[:, None] * mode.revolution_ns + since_ns
-        values["number"], values["status"] = sample, 1
+        values["column"] = sample * mode.layout.columns_per_frame // (mode.imu_packets * IMU_MEASUREMENTS)
+        values["status"] = 1
         acceleration_g, rate_deg_s = measured(unit, mount, trajectory, values["time_ns"].ravel().astype(np.int64))
         values["acceleration_m_s2"] = (acceleration_g * GRAVITY_M_S2).reshape(*sample.shape, 3)
         values["rate_rad_s"] = np.radians(rate_deg_s).reshape(*sample.shape, 3)
@@ -76,10 +77,8 @@ def framed_payloads(
         octets[:, 0] = FRAMED_KIND
         packets["crc"] = crc64(octets[:, :-8])
         sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
-        headers = unit.facts.headers
-        yield Payloads(
-            sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, mode.settings.fragments
-        )
+        headers, fragments = unit.facts.headers, mode.settings.fragments
+        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
 
 
 def measured(unit: Unit, mount: "Mount", trajectory: "Trajectory", time_ns: Times) -> tuple[Array, Array]:

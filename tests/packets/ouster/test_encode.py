@@ -1,6 +1,7 @@
 """Exports of Ousters as ouster-sdk reads them, against the ground truth."""
 
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -140,6 +141,48 @@ def test_every_return_of_every_profile(tmp_path, street, profile):
     np.testing.assert_allclose(cloud.xyz, both[~np.isnan(both[..., 0])], rtol=0, atol=1e-9)
     sizes = {len(one.payload) for one in datagrams_of(path)}
     assert sizes == {theirs.packets.shape[1], 48}
+
+
+OUSTER_CLI = [sys.executable, "-c", "from ouster.cli.core import run; run()", "source"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "columns"),
+    [
+        ({"firmware": "3.2", "imu_profile": "ACCEL32_GYRO32_NMEA"}, 1024),
+        ({"profile": "RNG15_RFL8_NIR8", "fragments": False}, 512),
+        ({"profile": "LEGACY"}, 2048),
+    ],
+)
+def test_ouster_cli_reads_captures(tmp_path, street, settings, columns):
+    path, _, _ = exported(tmp_path, street, mount(columns=columns, **settings), 200_000_000)
+    datagrams = datagrams_of(path)
+    info = subprocess.run([*OUSTER_CLI, path, "info"], capture_output=True, text=True, check=True).stdout
+    assert re.search(r"Encapsulation: +ETHERNET", info)
+    sizes = {len(one.payload): one.port for one in datagrams}
+    assert len(sizes) == 2
+    for size, port in sizes.items():
+        assert re.search(rf"\b{port}\b.*\b{size}\b|\b{size}\b.*\b{port}\b", info, re.DOTALL)
+    stats = subprocess.run([*OUSTER_CLI, path, "stats"], capture_output=True, text=True, check=True).stdout
+    assert re.search(r"Count: 2\b", stats)
+    assert re.search(rf"Sizes: {columns}x32\b", stats)
+    assert re.search(r"Incomplete Frames: 0\b", stats) or "Incomplete" not in stats
+    lidar = sum(len(one.payload) == max(sizes) for one in datagrams)
+    assert lidar == columns // 16 * 2
+    assert int(re.search(r"Packet Count: (\d+)", stats)[1]) >= lidar
+
+
+@pytest.mark.parametrize("firmware", ["2.3", "3.2"])
+@pytest.mark.parametrize("columns", [512, 1024, 2048])
+@pytest.mark.parametrize("model", ["os1-32", "os1-64", "os0-128"])
+def test_every_count_of_beams_and_columns(tmp_path, street, model, columns, firmware):
+    """Of 16,384 firings, that is."""
+    one = mount(model, columns=columns, firmware=firmware, profile="RNG15_RFL8_NIR8")
+    path, metadata, truth = exported(tmp_path, street, one, 16384 * 100_000_000 // (one.sensor.count * columns))
+    theirs = check(path, metadata, truth, one, 8)
+    assert theirs.fields["range"].shape[1:] == (16, one.sensor.count)
+    if firmware == "3.2":
+        assert all(theirs.crc_right)
 
 
 @pytest.mark.parametrize("model", [name for name in catalogue() if name.startswith("os")])
@@ -328,7 +371,7 @@ def test_a_rig_of_two_makers(tmp_path):
 
 @pytest.mark.parametrize("rpm", [600.0, 1200.0])
 def test_inertial_packets_of_firmware_3(tmp_path, street, rpm):
-    """As ouster-sdk reads them: in its units, 640 a second, numbered in each frame, with the frame's number and a CRC."""
+    """As ouster-sdk reads them: in its units, 640 a second, by the columns of each frame, with the frame's number and a CRC."""
     speed, rate_deg = 8.0, 30.0
     motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
     way = Trajectory(np.eye(4), prepared(motion), START_NS)
@@ -352,8 +395,8 @@ def test_inertial_packets_of_firmware_3(tmp_path, street, rpm):
     assert {form.prod_sn(one.buf) for one in packets} == {int(info.sn)}
     times = np.concatenate([one.timestamp() for one in packets]).astype(np.int64)
     np.testing.assert_array_equal(times, START_NS + np.arange(128) * 1_562_500)
-    numbers = np.concatenate([one.measurement_id() for one in packets])
-    np.testing.assert_array_equal(numbers, np.arange(128) % (8 * per_turn))
+    columns = np.concatenate([one.measurement_id() for one in packets])  # where the head is, as ouster-cli wants it
+    np.testing.assert_array_equal(columns, np.arange(128) % (8 * per_turn) * 512 // (8 * per_turn))
     x, y, _ = (v / 1000 for v in one.sensor.section.values["imu"]["position_mm"])
     rate = math.radians(rate_deg)
     expected = np.array([-(rate**2) * x, speed * rate - rate**2 * y, 9.80665])
