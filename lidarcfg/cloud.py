@@ -150,16 +150,10 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except NPZ_ERRORS as error:
-        raise damaged(path, error) from None
+        raise CloudError.damaged(path, error) from None
     if odd := [name for name, array in found.items() if not isinstance(array, np.ndarray)]:
         raise CloudError(f"{path}: not a whole npz file: {odd[0]} is no array")
     return found
-
-
-def damaged(path: Path, error: Exception) -> CloudError:
-    """What a library says of a file that it cannot read, in one line."""
-    what = " ".join(str(error).split())[:200] or type(error).__name__
-    return CloudError(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}")
 
 
 def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> PointCloud:

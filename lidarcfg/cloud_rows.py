@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.cloud import damaged
 from lidarcfg.errors import CloudError
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
@@ -89,7 +88,7 @@ def _read_ply(path: Path) -> tuple[Column, list[str]]:
     try:
         data = plyfile.PlyData.read(str(path))
     except (plyfile.PlyParseError, ValueError, OverflowError, MemoryError) as error:  # absurd sizes are the last two
-        raise damaged(path, error) from None
+        raise CloudError.damaged(path, error) from None
     if "vertex" not in data:
         raise CloudError(f"{path}: not a whole ply file: it has no element vertex")
     return data["vertex"].data, data.comments
@@ -117,7 +116,7 @@ def _read_pcd(path: Path) -> tuple[Column, list[str]]:
                 warnings.simplefilter("ignore")  # numpy's, where there is no point
                 cloud = PointCloud.from_fileobj(stream)
         except PCD_ERRORS as error:
-            raise damaged(path, error) from None
+            raise CloudError.damaged(path, error) from None
     rows, points = np.atleast_1d(cloud.pc_data), cloud.metadata.points
     if len(rows) != points:
         raise CloudError(f"{path}: {points} points are announced, {len(rows)} are there")

@@ -1,5 +1,7 @@
 """The user's mistakes: each error is one line that says where, what, and what is allowed."""
 
+from pathlib import Path
+
 
 def one_line(text: str) -> str:
     """The text with control characters, which names may contain, written as escapes."""
@@ -27,6 +29,12 @@ class PacketError(LidarcfgError):
 
 class CloudError(LidarcfgError):
     """A point cloud cannot be read, written or shown."""
+
+    @classmethod
+    def damaged(cls, path: Path, error: Exception) -> "CloudError":
+        """What a library says of a file that it cannot read."""
+        what = " ".join(str(error).split())[:200] or type(error).__name__
+        return cls(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}")
 
 
 class ConversionError(LidarcfgError):

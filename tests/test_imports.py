@@ -17,7 +17,7 @@ BELOW = {
     "world": {"rig", "sensor"},
     "packets": {"world", "firing", "rig", "sensor"},
     "cloud": {"cloud_rows"},
-    "cloud_rows": {"cloud"},
+    "cloud_rows": set(),
     "placement": {"world", "firing", "rig", "sensor"},
     "simulate": {"capture", "packets", "world", "rig", "sensor", "cloud"},
     "capture": {"packets", "world", "rig", "sensor", "cloud"},

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lidarcfg
-from lidarcfg.cloud import PointCloud, checked, damaged
+from lidarcfg.cloud import PointCloud, checked
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.formats.extra import missing
@@ -109,7 +109,7 @@ def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) 
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except (laspy.LaspyException, lazrs.LazrsError, ValueError) as error:  # the last is Unicode's, JSON's and numpy's
-        raise damaged(path, error) from None
+        raise CloudError.damaged(path, error) from None
     if "gps_time" in columns:
         columns["time_ns"] = _time_ns(path, columns.pop("gps_time"), week)
     lacking = [key for key in ("time_ns", *EXTRA) if key not in columns]

@@ -4,7 +4,7 @@ They are built by the surface area heuristic, binned as in Wald, On fast Constru
 Hierarchies, 2007. A node holds the boxes of both children, in float32 and rounded outwards, relative to a local origin.
 """
 
-# mypy: disallow-untyped-decorators=False
+# mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
 from typing import NamedTuple
 
 import numpy as np
@@ -71,14 +71,14 @@ def bounds(shapes: Array, kind: NDArray[np.uint8], out: NDArray[np.float32]) -> 
 
 
 @njit(cache=True, nogil=True)
-def _area(low_x, low_y, low_z, high_x, high_y, high_z):  # type: ignore[no-untyped-def]
+def _area(low_x, low_y, low_z, high_x, high_y, high_z):
     """Half the surface of a box."""
     x, y, z = high_x - low_x, high_y - low_y, high_z - low_z
     return x * y + y * z + z * x
 
 
 @njit(cache=True, nogil=True)
-def _fill(box, first, end, bins, counts, low, scale):  # type: ignore[no-untyped-def]
+def _fill(box, first, end, bins, counts, low, scale):
     """Sort the boxes `first` to `end` of (S, 6) into bins by their centres, along each axis."""
     counts[:] = 0
     bins[:, :, :3], bins[:, :, 3:] = np.inf, -np.inf
@@ -92,7 +92,7 @@ def _fill(box, first, end, bins, counts, low, scale):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def _cheapest(bins, counts, scale, cost):  # type: ignore[no-untyped-def]
+def _cheapest(bins, counts, scale, cost):
     """The axis, the bin after which to split, and its cost: the areas of both sides, times their counts."""
     best, best_axis, best_bin, box = np.inf, -1, 0, np.empty(6, np.float32)
     for axis in range(3):
@@ -116,7 +116,7 @@ def _cheapest(bins, counts, scale, cost):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _swap(box, order, i, j):  # type: ignore[no-untyped-def]
+def _swap(box, order, i, j):
     for k in range(6):
         box[i, k], box[j, k] = box[j, k], box[i, k]
     order[i], order[j] = order[j], order[i]
