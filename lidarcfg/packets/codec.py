@@ -47,6 +47,11 @@ class Batch:
     number: Times  # (P,) as the family counts its packets
     sent_ns: Times  # (P,) host time at which each leaves
 
+    @property
+    def first(self) -> int:
+        """The number of its first packet; 0 without any."""
+        return int(self.number[0]) if len(self.number) else 0
+
 
 @dataclass(frozen=True)
 class Pace:
@@ -157,8 +162,12 @@ class Codec(Protocol):
     # writing
 
     def check(self, mount: "Mount") -> None:
-        """Raises ConfigError if the mount cannot be exported: its mode, its settings, its sensor."""
-        return
+        """Raises ConfigError if the mount cannot be exported: its mode, its settings, its sensor.
+
+        A family that has more than the strongest returns, or settings, checks its own.
+        """
+        if mount.return_mode != "strongest":
+            raise ConfigError(f"sensor {mount.sensor.name!r} has no {mount.return_mode} returns")
 
     def pace(self, mount: "Mount") -> Pace:
         """How the mount sends."""

@@ -4,13 +4,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Firings, Times
+from lidarcfg.packets.codec import Batch, Codec, Firings, Pace, Times
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 if TYPE_CHECKING:
@@ -59,6 +59,31 @@ def pattern(spin: Spin, mount: "Mount") -> Pattern:
         lag_rad=since_ns * turned_rad,
         decides_rad=np.zeros(len(since_ns)),
     )
+
+
+class Spinning(Codec, Protocol):
+    """A codec of a head that turns: `spin` says all of when its lasers fire."""
+
+    def spin(self, dual: bool) -> Spin:
+        """The firing pattern of a packet."""
+
+    def pace(self, mount: "Mount") -> Pace:
+        """See `Codec`."""
+        spin = self.spin(mount.return_mode == "dual")
+        return Pace(spin.period_ns, spin.offsets_ns.size)
+
+    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+        """See `Codec`."""
+        return batches(self.spin(mount.return_mode == "dual"), mount, start_ns, packets, chunk)
+
+    def firing_ns(self) -> Times:
+        """See `Codec`."""
+        offset_ns = self.spin(dual=False).offset_ns
+        return np.asarray(offset_ns - offset_ns.min())
+
+    def pattern(self, mount: "Mount") -> Pattern:
+        """See `Codec`."""
+        return pattern(self.spin(mount.return_mode == "dual"), mount)
 
 
 def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: float | None = None) -> Firings:

@@ -50,9 +50,8 @@ class Hesai:
         from lidarcfg.packets.hesai.encode import encode
 
         packets = encode(self.unit, mount, batch, range_m, reflectivity)
-        first = int(batch.number[0]) if len(batch.number) else 0
         headers = self.unit.facts.headers
-        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.data, first)
+        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.data, batch.first)
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
         """See `Codec`."""

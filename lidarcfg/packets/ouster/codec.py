@@ -55,9 +55,8 @@ class Ouster:
 
         how, headers = mode(self.unit.sensor, mount), self.unit.facts.headers
         packets = encode(self.unit, how, batch, range_m, reflectivity)
-        first = int(batch.number[0]) if len(batch.number) else 0
         fragments = how.settings.fragments
-        return Payloads(batch.sent_ns, packets, mount.data_port, headers, headers.data, first, fragments)
+        return Payloads(batch.sent_ns, packets, mount.data_port, headers, headers.data, batch.first, fragments)
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
         """See `Codec`."""

@@ -1,29 +1,26 @@
 """RoboSense's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
-from lidarcfg.packets import spin
 from lidarcfg.packets.codec import (
     Batch,
     Decoder,
     Flags,
     Known,
     Octets,
-    Pace,
     Payloads,
     Source,
-    Times,
 )
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense.facts import unit
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, octets_of, packets_of
 from lidarcfg.packets.robosense.recognise import check_model, check_msop, identify
+from lidarcfg.packets.spin import Spin, Spinning
 from lidarcfg.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -32,13 +29,17 @@ if TYPE_CHECKING:
     from lidarcfg.world.scene import GeoOrigin
 
 
-class Robosense:
+class Robosense(Spinning):
     """The packets of one RoboSense sensor."""
 
     point_fields = STAMPED
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
+
+    def spin(self, dual: bool) -> Spin:
+        """See `Spinning`."""
+        return self.unit.spin(dual)
 
     def check(self, mount: "Mount") -> None:
         """See `Codec`."""
@@ -50,23 +51,13 @@ class Robosense:
 
         difop_packets(self.unit, mount, np.zeros(1, np.int64))
 
-    def pace(self, mount: "Mount") -> Pace:
-        """See `Codec`."""
-        pattern = self.unit.spin(mount.return_mode == "dual")
-        return Pace(pattern.period_ns, pattern.offsets_ns.size)
-
-    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        """See `Codec`."""
-        return spin.batches(self.unit.spin(mount.return_mode == "dual"), mount, start_ns, packets, chunk)
-
     def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
         """See `Codec`."""
         from lidarcfg.packets.robosense.encode import encode
 
         headers = self.unit.facts.headers
         packets = encode(self.unit, mount.return_mode == "dual", batch, range_m, reflectivity)
-        first = int(batch.number[0]) if len(batch.number) else 0
-        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.msop, first)
+        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.msop, batch.first)
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
         """See `Codec`."""
@@ -81,10 +72,6 @@ class Robosense:
         from lidarcfg.packets.robosense.difop import difop_payloads
 
         return difop_payloads(self.unit, mount, start_ns, duration_ns)
-
-    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
-        """None: DIFOP packets say what a reader needs."""
-        return {}
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
@@ -108,12 +95,3 @@ class Robosense:
         if trusted:
             check_model(source.where, self.unit, first, difop)
         return RobosenseDecoder(source, reading(self.unit, source, first, difop), difop is None or difop.full_fov)
-
-    def firing_ns(self) -> Times:
-        """See `Codec`."""
-        offset_ns = np.array(self.unit.facts.firing.offset_ns, np.int64)
-        return np.asarray(offset_ns - offset_ns.min())
-
-    def pattern(self, mount: "Mount") -> Pattern:
-        """See `Codec`."""
-        return spin.pattern(self.unit.spin(mount.return_mode == "dual"), mount)

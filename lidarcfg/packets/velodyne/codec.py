@@ -6,21 +6,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
-from lidarcfg.packets import spin
 from lidarcfg.packets.codec import (
     Batch,
-    Codec,
     Decoder,
     Flags,
     Known,
     Octets,
-    Pace,
     Payloads,
     Source,
-    Times,
 )
+from lidarcfg.packets.spin import Spin, Spinning
 from lidarcfg.packets.velodyne.facts import Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.layout import (
     PACKET,
@@ -39,11 +35,15 @@ if TYPE_CHECKING:
 CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
 
 
-class Velodyne(Codec):
+class Velodyne(Spinning):
     """The packets of one Velodyne sensor."""
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
+
+    def spin(self, dual: bool) -> Spin:
+        """See `Spinning`."""
+        return self.unit.spin(dual)
 
     def check(self, mount: "Mount") -> None:
         """See `Codec`."""
@@ -54,17 +54,6 @@ class Velodyne(Codec):
         if self.unit.facts.headers is None:
             raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
 
-    def pace(self, mount: "Mount") -> Pace:
-        """See `Codec`."""
-        dual = mount.return_mode == "dual"
-        return Pace(self.unit.period_ns(dual), self.unit.offsets_ns(dual).size)
-
-    def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        """See `Codec`."""
-        from lidarcfg.packets.velodyne.schedule import batches
-
-        return batches(self.unit, mount, start_ns, packets, chunk)
-
     def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
         """See `Codec`."""
         from lidarcfg.packets.velodyne.encode import encode
@@ -72,8 +61,7 @@ class Velodyne(Codec):
         headers, pps = self.unit.facts.headers, mount.settings.checked(Settings).pps
         assert headers
         packets = encode(self.unit, mount.return_mode, batch.firings, range_m, reflectivity, pps)
-        first = int(batch.number[0]) if len(batch.number) else 0
-        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.data, first)
+        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.data, batch.first)
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
         """See `Codec`."""
@@ -113,14 +101,6 @@ class Velodyne(Codec):
                 what = f"no whole calibration in its packets; {self.unit.name}'s example unit is taken"
                 source.on_warning(f"{source.where}: {what}")
         return VelodyneDecoder(source.where, self.unit, found, known, trusted)
-
-    def firing_ns(self) -> Times:
-        """See `Codec`."""
-        return np.array(self.unit.firing.offset_ns, np.int64)
-
-    def pattern(self, mount: "Mount") -> Pattern:
-        """See `Codec`."""
-        return spin.pattern(self.unit.spin(mount.return_mode == "dual"), mount)
 
 
 def _units(known: Known) -> Sequence[Unit]:
