@@ -5,6 +5,7 @@ import socket
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cache, partial
 from glob import escape
 from pathlib import Path
@@ -32,6 +33,15 @@ Job = Callable[[], PointCloud]
 OnSource = Callable[[str, str], None]
 
 
+@dataclass(frozen=True)
+class Details:
+    """What of a capture is wanted besides its points."""
+
+    on_heads: OnHeads | None = None  # before each cloud: where the heads pointed
+    on_source: OnSource | None = None  # of each source, before its first cloud: the name and the family
+    driver: bool = False  # whether clouds have the columns of the makers' ROS drivers
+
+
 def decode_pcap(
     path: str | Path,
     on_warning: Callable[[str], None],
@@ -40,23 +50,16 @@ def decode_pcap(
     chunk_packets: int = CHUNK_PACKETS,
     on_stats: Callable[[SourceStats], None] | None = None,
     selection: Selection = ALL,
-    on_heads: OnHeads | None = None,
-    on_source: OnSource | None = None,
-    driver: bool = False,
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig they are in the vehicle frame and the sensors are its mounts; without, each source (called
     host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
-    what the packets say. `on_warning` is told of a file that is cut off, `on_stats` at the end of each source,
-    `on_heads` before each cloud where the heads pointed, and `on_source` of each source, before its first cloud, the
-    name and the family. With `driver` clouds have the columns of the makers' ROS drivers. What is selected comes as it
-    does in the whole capture.
-    Raises PacketError and ConfigError.
+    what the packets say. `on_warning` gets a line if the file is cut off, `on_stats` the figures of each source at the
+    end. What is selected comes as it does in the whole capture. Raises PacketError and ConfigError.
     """
-    override = load_sensor(model) if model else None
-    capture = _Capture(path, on_warning, rig, override, selection, on_heads, on_source, driver)
-    yield from _ahead(capture.jobs(chunk_packets))
+    capture = Capture(path, on_warning, rig, model, selection)
+    yield from capture.clouds(chunk_packets)
     if on_stats:
         for stream in capture.streams:
             if stream.packets:
@@ -77,23 +80,21 @@ def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
             yield waiting.popleft().result()
 
 
-class _Capture:
-    """A capture that is being read: what its sources sent."""
+class Capture:
+    """A capture that is being read, for those who want details besides the points; see `decode_pcap`."""
 
     def __init__(
         self,
         path: str | Path,
         on_warning: Callable[[str], None],
-        rig: "Rig | None",
-        override: Sensor | None,
-        selection: Selection,
-        on_heads: OnHeads | None,
-        on_source: OnSource | None,
-        driver: bool,
+        rig: "Rig | None" = None,
+        model: str | None = None,
+        selection: Selection = ALL,
+        details: Details | None = None,
     ) -> None:
-        self._path, self._on_warning, self._selection, self._on_heads = Path(path), on_warning, selection, on_heads
-        self._on_source, self._driver = on_source, driver
-        self._rig, self._override = rig, override
+        self._path, self._on_warning, self._selection = Path(path), on_warning, selection
+        self._details = details or Details()
+        self._rig, self._override = rig, load_sensor(model) if model else None
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
         self._catalogue = cache(lambda codec: [load_sensor(name) for name in catalogue(codec)])
         self._window_ns = window_ns(path, selection)
@@ -111,7 +112,11 @@ class _Capture:
         """In the order of their appearance."""
         return [stream for stream in self._streams.values() if stream]
 
-    def jobs(self, chunk_packets: int) -> Iterator[Job]:
+    def clouds(self, chunk_packets: int = CHUNK_PACKETS) -> Iterator[PointCloud]:
+        """The points of about so many packets at a time."""
+        return _ahead(self._jobs(chunk_packets))
+
+    def _jobs(self, chunk_packets: int) -> Iterator[Job]:
         """What is to be done of each so many packets. An error is raised in the place of its job, as the last."""
         try:
             waiting = 0
@@ -205,11 +210,12 @@ class _Capture:
         found = self._families[key]
         assert found
         codec_name = next(one for one in FAMILIES if family(one) is found)
-        if self._on_source:
-            self._on_source(place.name, codec_name)
+        details = self._details
+        if details.on_source:
+            details.on_source(place.name, codec_name)
         known = partial(self._catalogue, codec_name)
         opened = partial(_decoder, self._source(key), found, sensor, known, self._override is None)
-        return Stream(place, opened, self._on_heads, asked(found.point_fields) if self._driver else ())
+        return Stream(place, opened, details.on_heads, asked(found.point_fields) if details.driver else ())
 
     def _check_found(self) -> None:
         """Raises PacketError if there is nothing, or nothing of what was selected."""

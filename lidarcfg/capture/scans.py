@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import CHUNK_PACKETS, OnSource, decode_pcap
+from lidarcfg.capture.decode import CHUNK_PACKETS, Capture, Details, OnSource
 from lidarcfg.cloud import FIELDS, PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
@@ -35,7 +35,7 @@ def scans(
 
     A revolution begins with the first packet whose azimuth has passed 0, as velodyne_driver has it (a VLS-128's lasers
     that fire up to 8.7 us before the packet's stamp end the one before), and is no longer than a second.
-    `on_source`, `driver` and errors are those of `decode_pcap`.
+    `on_source` and `driver` are those of `Details`, errors those of `decode_pcap`.
     """
     if rig:
         own = tuple(replace(mount, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0)) for mount in rig.mounts)
@@ -47,10 +47,8 @@ def scans(
 
     begun: dict[int, list[PointCloud]] = {}
     numbers: dict[int, int] = {}
-    clouds = decode_pcap(
-        path, on_warning, rig, model, chunk_packets, on_heads=on_heads, on_source=on_source, driver=driver
-    )
-    for cloud in clouds:
+    details = Details(on_heads, on_source, driver)
+    for cloud in Capture(path, on_warning, rig, model, details=details).clouds(chunk_packets):
         for i in np.unique(cloud.sensor).tolist():
             mine = _rows(cloud, cloud.sensor == i, cloud.sensor_names[i])
             number = np.searchsorted(np.unique(heads[i].starts_ns), mine.time_ns, side="right")

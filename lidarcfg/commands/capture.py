@@ -119,10 +119,9 @@ def export(
             load_trajectory(trajectory, at, start_ns),
             duration_ns,
             start_ns,
-            on_progress,
-            on_truth=beside.add if beside else None,
-            on_rays=on_rays,
-            vehicle=bodies,
+            beside.add if beside else None,
+            bodies,
+            capture.Run(on_progress, on_rays),
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]

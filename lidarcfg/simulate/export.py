@@ -35,28 +35,35 @@ OnTruth = Callable[[NDArray[np.void]], None]
 OnRays = Callable[[Counts], None]
 
 
+@dataclass(frozen=True)
+class Run:
+    """How an export runs, and who follows it. Nothing of it changes a byte."""
+
+    on_progress: Callable[[int], None] = lambda done_ns: None  # the simulated time so far, of the duration
+    on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
+    chunk_ns: int = CHUNK_NS  # traced at a time, at most
+    threads: int | None = None  # none: as many as cores
+
+
 def export(
     rig: Rig,
     scene: Scene,
     at: Array | Trajectory,
     duration_ns: int,
     start_ns: int = START_NS,
-    on_progress: Callable[[int], None] = lambda done_ns: None,
-    chunk_ns: int = CHUNK_NS,
     on_truth: OnTruth | None = None,
-    on_rays: OnRays = lambda counts: None,
-    threads: int | None = None,
     vehicle: Vehicle | None = None,
+    run: Run | None = None,
 ) -> list[Iterator[Frames]]:
     """What each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
     Sensor i of n starts i/n of a packet after the first, so that packets interleave.
-    `on_progress` gets the simulated time so far, of `duration_ns`; `on_truth` the records of `ground_truth`; `on_rays`
-    the numbers of rays; all in the thread that reads. Neither the chunks nor the number of threads (by default that of
-    the cores) change the bytes. Raises ConfigError.
+    `on_truth` gets the records of `ground_truth`, in the thread that reads, as do the functions of `run`.
+    Raises ConfigError.
     """
+    run = run or Run()
     trajectory = at if isinstance(at, Trajectory) else standing(at)
     for mount in rig.mounts:
         check_exportable(mount, duration_ns)
@@ -73,13 +80,13 @@ def export(
     tracer = Tracer(scene, _checked_start(trajectory, start_ns, end_ns), start_ns)
     tracer.check_span(0, (end_ns - start_ns) / SECOND_NS)
     bodies = Tracer(vehicle.scene, np.zeros(3)) if vehicle else None
-    workers = _Workers(threads or os.cpu_count() or 1)
-    progress = _Progress(len(rig.mounts), on_progress)
+    workers = _Workers(run.threads or os.cpu_count() or 1)
+    progress = _Progress(len(rig.mounts), run.on_progress)
     streams = []
     for i, (mount, first_ns) in enumerate(zip(rig.mounts, starts_ns, strict=True)):
         simulator = Simulator(i, mount, tracer, trajectory, bodies)
-        task = _Task(i, mount, simulator, first_ns, duration_ns, chunk_ns, on_truth is not None)
-        data = _data_stream(task, workers, progress, on_truth, on_rays)
+        task = _Task(i, mount, simulator, first_ns, duration_ns, run.chunk_ns, on_truth is not None)
+        data = _data_stream(task, workers, progress, on_truth, run.on_rays)
         housekeeping = _housekeeping_stream(task, trajectory, scene.file.geo_origin)
         streams.append(in_time_order([data, housekeeping]))
     return streams

@@ -208,100 +208,127 @@ def crossings(origin, direction, low, high, position, axis, elevation_deg, steps
 def cone_crossings(u, v, low, high, position, axis, sines):
     """Where the line (s, u, v), low < s < high, crosses a LiDAR's cones, ascending: (s, |n·e|), e along the line.
 
-    The squares of axis·d = sine |d|, d from the apex, are a quadratic in s; of its roots those count that lie on the
-    cone and not on its mirror image. At the apex itself there is no normal; |n·e| is taken as 0.
+    A point is above a beam by axis·d − sine |d|, d from the LiDAR (paper, eq. 6). Along a line that is concave where the
+    sine is positive, convex where it is negative: it is zero once at most on each side of its extremum. A line through
+    the LiDAR itself crosses all cones there, where they have no normal: |n·e| is 0.
     """
-    du, dv = u - position[1], v - position[2]
+
+    def offset(s):
+        return s - position[0], u - position[1], v - position[2]
+
+    def above(s, sine):
+        d = offset(s)
+        return math.fsum(d[n] * axis[n] for n in range(3)) - sine * math.hypot(*d)
+
+    def weight(s, sine):
+        d = offset(s)
+        along = [component / math.hypot(*d) for component in d]  # a cone's normal is across it, towards the axis
+        normal = [axis[n] - math.fsum(axis[k] * along[k] for k in range(3)) * along[n] for n in range(3)]
+        return abs(normal[0]) / math.hypot(*normal)
+
     found = []
     for sine in sines:
         if abs(sine) >= 1:
             continue  # closed to its axis
         if abs(sine) < 1e-9:
-            sine = 0.0
-        height = du * axis[1] + dv * axis[2]
-        a, b, c = axis[0] ** 2 - sine**2, axis[0] * height, height**2 - sine**2 * (du**2 + dv**2)
-        if du == dv == 0:
-            roots = [0.0]
-        elif sine == 0:
-            roots = [-height / axis[0]] if axis[0] else []
-        elif a == 0:
-            roots = [-c / (2 * b)] if b else []
-        elif b * b < a * c:
-            roots = []
-        else:
-            roots = [(-b - math.sqrt(b * b - a * c)) / a, (-b + math.sqrt(b * b - a * c)) / a]
-        for s in roots:
-            distance = math.hypot(s, du, dv)
-            if not low < position[0] + s < high or (axis[0] * s + height) * sine < 0:
-                continue
-            normal = [axis[n] - sine * d / distance for n, d in enumerate((s, du, dv))] if distance else [0, 1, 0]
-            found.append((position[0] + s, abs(normal[0]) / math.hypot(*normal)))
+            sine = 0.0  # a level beam is a plane
+        if u == position[1] and v == position[2]:
+            found += [(position[0], 0.0)] * (low < position[0] < high)
+            continue
+        ends = [low, extremum(lambda s, sine=sine: above(s, sine) * (1 if sine > 0 else -1), low, high), high]
+        for a, b in itertools.pairwise(ends):
+            if (above(a, sine) >= 0) != (above(b, sine) >= 0):
+                s = zero(lambda s, sine=sine: above(s, sine), a, b)
+                found.append((s, weight(s, sine)))
     return sorted(found)
 
 
-def sweep(label, gap, low, edge, cones, lines=2):
-    """What straight lines along the first axis see of subspaces: (volume, shadow, surface, pairs that are one).
+def extremum(concave, low, high):
+    """Where a concave function is greatest, by thirds."""
+    for _ in range(200):
+        third = (high - low) / 3
+        if concave(low + third) < concave(high - third):
+            low += third
+        else:
+            high -= third
+    return (low + high) / 2
 
-    label[i][j][k] is a cuboid's subspace, −1 outside the region; gap[subspace] its digit for each of the cones, which
+
+def zero(function, low, high):
+    """Where a function changes its sign, by halves."""
+    for _ in range(80):
+        half = (low + high) / 2
+        low, high = (half, high) if (function(half) >= 0) == (function(low) >= 0) else (low, half)
+    return (low + high) / 2
+
+
+def sweep(label, gap, low, edge, cones, lines=2):
+    """What straight lines along the first axis see of subspaces: (volume, pieces, surface, pairs that are one).
+
+    label[i][j][k] is a cuboid's subspace, −1 outside the region; gap[subspace] its beam gap for each of the cones, which
     are (position, axis, sines). Each line stands for a part of the cuboids' faces across it, `lines`² of them to a
     face: they lie on the lattice whose first coordinate is even and whose second goes by golden sections. A piece of a
-    line from one crossing or wall to the next has length, two ends, and the digits of its middle. It belongs to the
-    subspaces of these digits in the cuboids that it passes, else in those and their neighbours all around; if they are
+    line from one crossing or wall to the next has length, two ends, and the gaps of its midpoint. It belongs to the
+    subspaces of these gaps in the cuboids that it passes, else in those and their neighbours all around; if they are
     several, they are one, and the first has it. Pieces shorter than 1e-9 of an edge are nobody's.
     """
     nx, ny, nz = len(label), len(label[0]), len(label[0][0])
-    count = ny * nz * lines**2
-    area = edge[1] * edge[2] / lines**2
-    volume, shadow, surface = [0.0] * len(gap), [0.0] * len(gap), [0.0] * len(gap)
-    pairs = []
+    count, area = ny * nz * lines**2, edge[1] * edge[2] / lines**2
+    volume, pieces, surface, pairs = [0.0] * len(gap), [0] * len(gap), [0.0] * len(gap), []
+
+    def wall(i):
+        return low[0] + i * edge[0]
+
+    def those(gaps, cells):
+        there = [label[a][b][c] for a, b, c in sorted(set(cells)) if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz]
+        return [one for one in there if one >= 0 and gap[one] == gaps]
+
     for number in range(count):
         across = ny * (number + 0.5) / count, nz * ((number * (math.sqrt(5) - 1) / 2 + 0.5) % 1.0)
-        j, k = int(across[0]), int(across[1])
+        j, k = math.floor(across[0]), math.floor(across[1])
         u, v = low[1] + across[0] * edge[1], low[2] + across[1] * edge[2]
-        inside = [label[i][j][k] >= 0 for i in range(nx)] + [False]
-        starts = [i for i in range(nx) if inside[i] and (i == 0 or not inside[i - 1])]
-        for start in starts:
-            end = inside.index(False, start)
-            walls = low[0] + start * edge[0], low[0] + end * edge[0]
-            ends = [(walls[0], 1.0)]
-            ends += sorted(c for one in cones for c in cone_crossings(u, v, *walls, *one))
-            ends.append((walls[1], 1.0))
-            for (here, face), (there, other) in itertools.pairwise(ends):
+        within = [label[i][j][k] >= 0 for i in range(nx)]
+        for inside, run in itertools.groupby(range(nx), within.__getitem__):
+            cells = list(run)
+            if not inside:
+                continue
+            first, last = wall(cells[0]), wall(cells[-1] + 1)
+            cuts = [crossing for one in cones for crossing in cone_crossings(u, v, first, last, *one)]
+            for (here, face), (there, other) in itertools.pairwise([(first, 1.0), *sorted(cuts), (last, 1.0)]):
                 if there - here <= 1e-9 * edge[0]:
                     continue
-                point = (0.5 * (here + there), u, v)
-                digits = [digit_of(point, *one) for one in cones]
-                first = max(int((here - low[0]) / edge[0]), start)
-                last = min(int((there - low[0]) / edge[0]), end - 1)
-                near = [label[i][j][k] for i in range(first, last + 1)]
-                own = [one for one in near if one >= 0 and gap[one] == digits]
+                gaps = [gap_of(((here + there) / 2, u, v), *one) for one in cones]
+                passed = [i for i in cells if wall(i) < there and wall(i + 1) > here]
+                own = those(gaps, [(i, j, k) for i in passed])
                 if not own:
-                    around = itertools.product(range(first - 1, last + 2), (j - 1, j, j + 1), (k - 1, k, k + 1))
-                    near = [label[a][b][c] for a, b, c in around if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz]
-                    own = [one for one in near if one >= 0 and gap[one] == digits]
+                    near = itertools.product((-1, 0, 1), repeat=3)
+                    own = those(gaps, [(i + a, j + b, k + c) for a, b, c in near for i in passed])
                 if own:
                     volume[own[0]] += (there - here) * area
-                    shadow[own[0]] += area
+                    pieces[own[0]] += 1
                     surface[own[0]] += (face + other) * area
-                    pairs += [(own[0], one) for one in own]
-    return volume, shadow, surface, pairs
+                    pairs += itertools.pairwise(own)
+    return volume, pieces, surface, pairs
 
 
-def digit_of(point, position, axis, sines):
+def gap_of(point, position, axis, sines):
     """How many beams a point lies on or above."""
     d = [point[n] - position[n] for n in range(3)]
-    height = sum(d[n] * axis[n] for n in range(3))
-    return sum(height >= sine * math.hypot(*d) for sine in sines)
+    return sum(sum(d[n] * axis[n] for n in range(3)) >= sine * math.hypot(*d) for sine in sines)
 
 
 def wholes(count, pairs):
-    """The least number of the group of each of so many, where pairs are in one group; by going round until all stays."""
-    least = list(range(count))
-    changed = True
-    while changed:
-        changed = False
-        for a, b in pairs:
-            if least[a] != least[b]:
-                least[a] = least[b] = min(least[a], least[b])
-                changed = True
+    """The least number of each one's group, where pairs are in one group: by walking from each least one to all others."""
+    beside = {number: set() for number in range(count)}
+    for a, b in pairs:
+        beside[a].add(b)
+        beside[b].add(a)
+    least = [None] * count
+    for number in range(count):
+        waiting = [number] if least[number] is None else []
+        while waiting:
+            one = waiting.pop()
+            if least[one] is None:
+                least[one] = number
+                waiting += beside[one]
     return least

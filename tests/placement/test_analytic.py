@@ -241,8 +241,8 @@ SWEEPS = {
 
 @pytest.mark.parametrize("name", SWEEPS)
 def test_lines_see_what_plain_loops_see(name):
-    """How many pieces a subspace has, and which belong together: bit for bit. Lengths and normals come from other
-    formulas, with roots that cancel: to 1e-9 of the largest.
+    """How many pieces a subspace has, and which belong together: the same. Lengths and normals come from bisection: to
+    1e-9 of the largest.
     """
     region, lidars = SWEEPS[name]
     subspaces = segment(region, lidars)
@@ -250,14 +250,16 @@ def test_lines_see_what_plain_loops_see(name):
     surface, pairs = np.zeros(len(subspaces)), []
     for axis in range(3):
         order = [axis, (axis + 1) % 3, (axis + 2) % 3]
-        volume, shadow, faces, joined = naive.sweep(
+        volume, pieces, faces, joined = naive.sweep(
             subspaces.label.transpose(order).tolist(),
             subspaces.gap.tolist(),
             region.min_m[order].tolist(),
             region.cuboid_m[order].tolist(),
             [(one.position_m[order].tolist(), one.axis[order].tolist(), one.sin_elevation.tolist()) for one in lidars],
         )
-        assert found.shadow[axis].tolist() == shadow
+        area = region.cuboid_m[order[1]] * region.cuboid_m[order[2]] / 4
+        assert np.rint(found.shadow[axis] / area).tolist() == pieces
+        np.testing.assert_allclose(found.shadow[axis], np.multiply(pieces, area), rtol=1e-12)
         np.testing.assert_allclose(found.volume[axis], volume, rtol=0, atol=1e-9 * max(volume))
         surface += faces
         pairs += joined

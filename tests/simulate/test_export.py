@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from datetime import UTC
@@ -19,7 +20,7 @@ from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import custom_sensor
-from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.simulate.export import START_NS, Run, export, in_time_order
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, prepared
 from lidarcfg.world.scene import load_scene
@@ -184,11 +185,46 @@ def test_the_same_bytes_again(street, second, tmp_path):
     """Whatever the chunks, and merged from one stream a sensor."""
     path = tmp_path / "again.pcap"
     done: list[int] = []
-    streams = export(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, on_progress=done.append, chunk_ns=7_000_000)
+    streams = export(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, run=Run(done.append, chunk_ns=7_000_000))
     write_pcap(path, in_time_order(streams))
     assert path.read_bytes() == second.read_bytes()
     assert done == sorted(done)
     assert done[-1] == SECOND_NS
+
+
+def stop_early(reader):
+    """The threads that work while one item was read, and those that are left when the reader lets go of the rest."""
+    before = set(threading.enumerate())
+    next(reader)
+    at_work = set(threading.enumerate()) - before
+    reader.close()
+    del reader
+    return at_work, set(threading.enumerate()) - before
+
+
+def test_no_thread_stays_when_a_reader_stops_early(street, second):
+    """Of an export whose streams are merged, of one of its streams alone, and of a capture that is decoded."""
+    run = Run(chunk_ns=20_000_000, threads=3)
+    for reader in (
+        in_time_order(export(tilted_rig(), street, np.eye(4), SECOND_NS, run=run)),
+        export(tilted_rig(), street, np.eye(4), SECOND_NS, run=run)[-1],
+        decode_pcap(second, no_warning, chunk_packets=100),
+    ):
+        at_work, left = stop_early(reader)
+        assert at_work
+        assert not left
+
+
+def test_no_thread_stays_after_an_error(street):
+    """Raised by whoever follows the progress, in the thread that reads."""
+    before = set(threading.enumerate())
+
+    def full(done_ns):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space"):
+        list(in_time_order(export(tilted_rig(), street, np.eye(4), SECOND_NS, run=Run(full, chunk_ns=20_000_000))))
+    assert set(threading.enumerate()) == before
 
 
 def test_neither_threads_nor_chunks_change_a_byte(tmp_path):
@@ -207,7 +243,7 @@ weather: {rain_mm_h: 20}
     along = Trajectory(np.eye(4), prepared(Motion(arc=Arc(speed_m_s=8, yaw_rate_deg_s=-30))), START_NS)
     written = set()
     for threads, chunk_ns in ((1, SECOND_NS), (2, 30_000_000), (5, 11_000_000)):
-        streams = export(rig, stage, along, 100_000_000, START_NS, chunk_ns=chunk_ns, threads=threads)
+        streams = export(rig, stage, along, 100_000_000, run=Run(chunk_ns=chunk_ns, threads=threads))
         write_pcap(tmp_path / "a.pcap", in_time_order(streams))
         written.add((tmp_path / "a.pcap").read_bytes())
     assert len(written) == 1

@@ -15,7 +15,7 @@ from lidarcfg.cloud import concatenate, load_cloud
 from lidarcfg.geometry import inverse, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.simulate.export import START_NS, Run, export, in_time_order
 from lidarcfg.simulate.ground_truth import TruthFile
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
@@ -113,7 +113,7 @@ def test_off_is_exact(street, tmp_path):
         rig = Rig("one", (mount(),))
         rig = replace(rig, mounts=(replace(rig.mounts[0], realism=realism),))
         chunk_ns = 20_000_000 if name == "again" else 50_000_000
-        streams = export(rig, street, np.eye(4), SECOND_NS // 20, chunk_ns=chunk_ns)
+        streams = export(rig, street, np.eye(4), SECOND_NS // 20, run=Run(chunk_ns=chunk_ns))
         made[name] = b"".join(record for frames in streams[0] for record in frames.records)
     assert made["seed"] == made["none"]
     assert made["again"] == made["noise"]
@@ -201,7 +201,7 @@ def test_a_full_disk_is_one_line(here, size, words, name):
 def test_streams_are_made_as_they_are_read(street):
     """The first datagram of a day comes after a chunk is cast, not after the day."""
     done = []
-    stream = in_time_order(export(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, on_progress=done.append))
+    stream = in_time_order(export(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, run=Run(done.append)))
     first = next(stream)
     assert first.time_ns[0] - START_NS < 10_000_000
     assert max(done, default=0) <= 200_000_000

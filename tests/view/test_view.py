@@ -192,7 +192,7 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
     seen, tilted = scene(tmp_path, text), tilted_rig()
     rig = replace(tilted, mounts=tuple(replace(mount, return_mode=mode) for mount in tilted.mounts))
     with TruthFile(tmp_path / "t.npz", [m.name for m in rig.mounts], seen.names) as truth:
-        streams = export(rig, seen, standing(np.eye(4)), 30_000_000, AT_NS, lambda done: None, on_truth=truth.add)
+        streams = export(rig, seen, standing(np.eye(4)), 30_000_000, AT_NS, truth.add)
         write_pcap(tmp_path / "t.pcap", in_time_order(streams))
         truth.save()
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]

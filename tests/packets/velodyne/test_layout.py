@@ -4,6 +4,7 @@ import math
 import struct
 from datetime import UTC, datetime
 
+import mpmath
 import numpy as np
 import pytest
 import velodyne_decoder as vd
@@ -21,9 +22,12 @@ from lidarcfg.packets.velodyne.layout import (
 from lidarcfg.packets.velodyne.position import gprmc, position_packets
 from lidarcfg.sensor import load_sensor
 from lidarcfg.units import HOUR_NS
+from lidarcfg.world.geodesy import geographic
+from lidarcfg.world.scene import GeoOrigin
 from tests.capture_fixtures import AT_NS
 from tests.naive import capture as naive
 from tests.packets.velodyne.shaped import Fired, decode, encode, firings, with_facts
+from tests.world.test_geodesy import by_mpmath
 
 VLP16 = load_sensor("vlp-16")
 
@@ -248,6 +252,21 @@ def test_position_packet_by_another_parser():
 )
 def test_course_is_a_compass_heading(yaw_deg, course):
     assert gprmc(0, (0.0, 0.0), math.radians(yaw_deg)).split(b",")[8].decode() == course
+
+
+@pytest.mark.parametrize("place_m", [(5e5, 5e6, 0), (-5e5, 9.9e6, 50), (8e5, 0, 0), (0.0123, -4.5, 2), (-3e6, -4e6, 0)])
+def test_every_digit_of_a_fix(place_m):
+    """At the distances of UTM coordinates too: to the last of the seven decimals, 0.2 mm, by 40 digits."""
+    with mpmath.workdps(40):
+        exact = [mpmath.degrees(angle) for angle in by_mpmath(36.8, -2.4, place_m)]
+        units = [int(mpmath.nint(abs(angle) * 60 * 10**7)) for angle in exact]
+    latitude, longitude = geographic(GeoOrigin(latitude_deg=36.8, longitude_deg=-2.4), place_m).tolist()
+    fields = gprmc(0, (latitude, longitude)).decode().split(",")
+    assert (fields[4], fields[6]) == ("NS"[exact[0] < 0], "EW"[exact[1] < 0])
+    for text, digits, unit in ((fields[3], 2, units[0]), (fields[5], 3, units[1])):
+        degrees, minutes, decimals = text[:digits], text[digits : digits + 2], text[digits + 3 :]
+        assert len(text) == digits + 10
+        assert (int(degrees) * 60 + int(minutes)) * 10**7 + int(decimals) == unit
 
 
 def test_minutes_never_reach_60():
