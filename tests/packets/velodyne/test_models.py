@@ -18,12 +18,11 @@ from lidarcfg.cli import cli
 from lidarcfg.cloud import FIELDS, concatenate, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import transform
-from lidarcfg.packets.codec import Firings
+from lidarcfg.packets.codec import Firings, codec
 from lidarcfg.packets.velodyne import decode_kernels as kernels
 from lidarcfg.packets.velodyne.encode import sent as are_sent
 from lidarcfg.packets.velodyne.facts import unit as unit_of
 from lidarcfg.packets.velodyne.layout import PACKET, device_time_ns, is_dual
-from lidarcfg.packets.velodyne.schedule import batches
 from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
@@ -672,7 +671,7 @@ def test_a_sector_and_back(name, mode, tmp_path):
     sensor, low, high, dual = load_sensor(name), 300.0, 40.0, mode == "dual"
     packets = 250_000_000 // packet_period_ns(sensor, dual)  # two turns and a half
     lidar = replace(mount(), sensor=sensor, return_mode=mode, azimuth_fov_deg=(low, high))
-    chunks = [batch.firings for batch in batches(unit_of(sensor), lidar, AT_NS, packets, 100)]
+    chunks = [batch.firings for batch in codec(sensor).schedule(lidar, AT_NS, packets, 100)]
     flat = Firings(*(np.concatenate([getattr(c, key) for c in chunks]) for key in ("time_ns", "laser", "encoder_rad")))
     assert (flat.laser == np.arange(len(flat.laser)) % sensor.count).all()
     fired = shaped(sensor, flat, dual)
