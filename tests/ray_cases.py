@@ -235,7 +235,7 @@ def case(rng, kind):
     return Case(corners, origin, way, (corners.mean(axis=0), np.zeros(3), origin)[rng.integers(3)])
 
 
-def judged(one):
+def settled(one):
     """What exact arithmetic says of the tracer's range."""
     tracer = Tracer(mesh_scene(one.corners, [[0, 1, 2]]), one.local_m)
     found = float(tracer.cast(one.origin[None], one.way[None]).range_m[0])

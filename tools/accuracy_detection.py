@@ -19,7 +19,7 @@ from lidarcfg.report import COLOURS, new_figure, save_figure
 
 SIZES = {"pedestrian": (0.5, 0.5, 1.7), "car": (4.5, 1.8, 1.5), "box": (0.5, 0.5, 0.5)}
 COUNT_MOST = 1e9  # cuboids of all places together, beyond which counting takes too long
-SHRINK_M = 1e-6  # a box on the grid is so much smaller, lest rounding makes it touch a neighbour
+SHRINK_M = 1e-6  # a box on the grid is so much smaller, so that rounding does not make it touch a neighbour
 
 
 def item(name: str, samples: int | None = None) -> DetectionObject:
@@ -91,26 +91,26 @@ def run(quick: bool, plots: Path) -> list[str]:
             drawn = detection(spaces, item(name, n))
             found[free, "Sobol", n].append((drawn.rate - truth, time.process_time() - started))
             covered.append(abs(drawn.rate - truth) <= drawn.half_width)
-            for where, way, rate, points in (
+            for where, method, rate, points in (
                 (free, "Monte Carlo", anywhere, lambda n: rng.random((n, 4))),
                 (grid, "Monte Carlo", on_grid, lambda n: rng.random((n, 3))),
                 (grid, "Sobol", on_grid, lambda n: qmc.Sobol(3, rng=rng).random(n)),
             ):
                 started = time.process_time()
                 error = rate(spaces, name, points(n)) - (exact if where == grid else truth)
-                found[where, way, n].append((error, time.process_time() - started))
+                found[where, method, n].append((error, time.process_time() - started))
 
     figure = new_figure(9, 4)
     rows = []
     exact_ms = 1e3 * float(np.median([seconds for _, seconds in counted]))
     bias = rms(counted)
     for axes, where in zip(figure.subplots(1, 2, sharey=True), (grid, free), strict=True):
-        for way, colour, mark in (("Monte Carlo", COLOURS[1], "o-"), ("Sobol", COLOURS[0], "s-")):
-            lines = [found[where, way, 2**power] for power in powers]
+        for method, colour, mark in (("Monte Carlo", COLOURS[1], "o-"), ("Sobol", COLOURS[0], "s-")):
+            lines = [found[where, method, 2**power] for power in powers]
             ms = [1e3 * float(np.median([seconds for _, seconds in line])) for line in lines]
-            axes.loglog(ms, [rms(line) for line in lines], mark, color=colour, label=way)
+            axes.loglog(ms, [rms(line) for line in lines], mark, color=colour, label=method)
             for n, line, took in [*zip((2**p for p in powers), lines, ms, strict=True)][:: 1 if quick else 4]:
-                rows.append((where, f"{way}, {n:,} places", f"{took:.2f}", f"{rms(line):.5f}"))
+                rows.append((where, f"{method}, {n:,} places", f"{took:.2f}", f"{rms(line):.5f}"))
         if where == grid:
             axes.axvline(exact_ms, color=COLOURS[2], ls="--", label="counted: no error")
         else:
@@ -122,12 +122,12 @@ def run(quick: bool, plots: Path) -> list[str]:
     save_figure(figure, plots / "detection.png")
     rows.insert(len(rows) // 2, (grid, "counted, all places", f"{exact_ms:.2f}", "0"))
     rows.append((free, "counted on the grid", f"{exact_ms:.2f}", f"{bias:.5f}"))
-    share = np.mean(covered)
+    held = np.mean(covered)
     return [
-        *table(("places", "way", "median processor time (ms)", "RMS error of the rate"), rows),
+        *table(("places", "method", "median processor time (ms)", "RMS error of the rate"), rows),
         "",
         f"{rigs} rigs of 4 × 16 beams at random, three objects, the paper's cuboids. Truth: the count on the grid; "
-        f"2^{most} Sobol points anywhere. The 95 % intervals that `detection` gives held {share:.1%} of "
+        f"2^{most} Sobol points anywhere. The 95 % intervals that `detection` gives held {held:.1%} of "
         f"{len(covered)} times.",
         "",
         *by_grid(study, study.poses(unit)[:4], (1,) if quick else (1, 2, 4)),

@@ -75,16 +75,16 @@ def labels(quick: bool) -> tuple[list[str], dict[str, list[float]]]:
     truth = [beam_gaps(region, lidar) for lidar in lidars]
     wrong: dict[str, list[float]] = {}
     seconds: dict[str, list[float]] = {}
-    ways = {"float64": (np.float64, False), "float32, relative": (np.float32, True), "float32": (np.float32, False)}
-    for name, (dtype, local) in ways.items():
+    methods = {"float64": (np.float64, False), "float32, relative": (np.float32, True), "float32": (np.float32, False)}
+    for name, (dtype, local) in methods.items():
         labelled(region, lidars[0], 0.0, dtype, local)  # compiles
         for away_m in AWAY_M:
-            share = []
+            fraction = []
             for lidar, right in zip(lidars, truth, strict=True):
                 found, took = labelled(region, lidar, away_m, dtype, local)
-                share.append(np.mean(found != right))
+                fraction.append(np.mean(found != right))
                 seconds.setdefault(name, []).append(took)
-            wrong.setdefault(name, []).append(1e6 * float(np.mean(share)))
+            wrong.setdefault(name, []).append(1e6 * float(np.mean(fraction)))
     cells = region.included.size
     rows = [
         (name, f"{cells / np.median(seconds[name]) / 1e6:.0f}", *(f"{value:,.2f}" for value in values))

@@ -101,7 +101,7 @@ def errors(found: Array, plot: Path) -> list[str]:
     """The table of errors and seconds, found (rigs, edges, 5); draws it."""
     truth = found[:, -1:, 2]
     faces, faces_s, lines, lines_s = (found[:, :, i] for i in range(4))
-    ways = {
+    methods = {
         "faces": (faces, faces_s),
         "faces, extrapolated": (2 * faces[:, 1:] - faces[:, :-1], faces_s[:, 1:] + faces_s[:, :-1]),
         "analytic": (lines[:, :-1], lines_s[:, :-1]),
@@ -111,10 +111,10 @@ def errors(found: Array, plot: Path) -> list[str]:
     figure = new_figure(7, 4.5)
     axes = figure.subplots()
     columns = []
-    for (way, (value, seconds)), colour, mark in zip(ways.items(), COLOURS, "osD^v", strict=False):
+    for (method, (value, seconds)), colour, mark in zip(methods.items(), COLOURS, "osD^v", strict=False):
         error = abs(value / truth - 1)
         middle, worst, cost = 100 * np.median(error, axis=0), 100 * error.max(axis=0), np.median(seconds, axis=0)
-        axes.plot(cost, middle, "-" + mark, color=colour, label=way)
+        axes.plot(cost, middle, "-" + mark, color=colour, label=method)
         axes.plot(cost, worst, ":" + mark, color=colour, ms=3, alpha=0.6)
         cells = [cell(error[:, i]) for i in range(error.shape[1])]
         columns.append(cells + ["–"] * (len(EDGES) - len(cells)))
@@ -127,7 +127,7 @@ def errors(found: Array, plot: Path) -> list[str]:
         costs = f"{np.median(faces_s[:, i]):.3f}", f"{np.median(lines_s[:, i]):.3f}"
         rows.append((f"{EDGES[i]:g}", *(column[i] for column in columns), *costs))
     return [
-        *table(("edges", *(f"{way} (%)" for way in ways), "faces (s)", "analytic (s)"), rows),
+        *table(("edges", *(f"{method} (%)" for method in methods), "faces (s)", "analytic (s)"), rows),
         "",
         f"Error of max VSR, median / worst over {len(found)} rigs of 1 to 5 LiDARs of 4, 8 or 16 beams, half of them "
         "at random in the paper's bounds and half from a short search. Edges as multiples of the paper's; truth: "

@@ -82,7 +82,7 @@ def ours(path: Path) -> int:
 
 
 def theirs(path: Path, model: vd.Model) -> int:
-    """The points of a capture by velodyne-decoder, the way its page shows."""
+    """The points of a capture by velodyne-decoder, as its page shows."""
     config = vd.Config(model=model, min_range=0, max_range=1000)
     return sum(len(points) for _, points in vd.read_pcap(str(path), config))
 

@@ -66,10 +66,10 @@ def timed(function: Callable[[], object], repeats: int) -> list[float]:
     return out
 
 
-def row(name: str, seconds: list[float], note: str = "") -> None:
+def row(name: str, seconds: list[float], remark: str = "") -> None:
     """One line of a table, in milliseconds."""
     middle, least, most = (1e3 * f(seconds) for f in (statistics.median, min, max))
-    print(f"| {name} | {middle:.2f} | {least:.2f} to {most:.2f} | {note} |", flush=True)
+    print(f"| {name} | {middle:.2f} | {least:.2f} to {most:.2f} | {remark} |", flush=True)
 
 
 def pipeline(region: Region, lidars: list[Lidar]) -> float:
@@ -186,10 +186,10 @@ def papers_run() -> None:
     for threads in (2, 1):
         words = [sys.executable, "-c", PAPERS_RUN, study, str(threads)]
         one = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
-        share = 1e3 * one["seconds"] / one["evaluations"]
+        each_ms = 1e3 * one["seconds"] / one["evaluations"]
         print(
-            f"| {threads} threads | {one['seconds']:.1f} | {share:.3f} | {one['skipped']:.1%} | {one['max_vsr_m']:.6f} "
-            f"| {one['mb']:.0f} |",
+            f"| {threads} threads | {one['seconds']:.1f} | {each_ms:.3f} | {one['skipped']:.1%} "
+            f"| {one['max_vsr_m']:.6f} | {one['mb']:.0f} |",
             flush=True,
         )
 

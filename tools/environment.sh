@@ -4,7 +4,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 unset PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
-# ouster-sdk, by which the tests judge Ouster's packets, asks for older releases of click and rosbags than these tests
+# ouster-sdk, by which the tests check Ouster's packets, asks for older releases of click and rosbags than these tests
 # need: it comes without its dependencies; those that it loads stand under `test` in pyproject.toml.
 ouster_sdk="ouster-sdk==1.0.1"
 oldest_click=(click==8.1.3 cloup==3.0.5) # that pyproject.toml allows; ouster-sdk asks for click below 8.1.8

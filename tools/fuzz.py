@@ -142,8 +142,8 @@ def changed(case: Case, packets: NDArray[Any]) -> NDArray[Any]:
     raw = packets.view(np.uint8).reshape(len(packets), -1)
     blocks = packets["blocks"]
     for _ in range(case.below(5)):
-        share = (0.001, 0.02, 0.3, 1.0)[case.below(4)]
-        which = np.flatnonzero(case.rng.random(len(packets)) < share)
+        fraction = (0.001, 0.02, 0.3, 1.0)[case.below(4)]
+        which = np.flatnonzero(case.rng.random(len(packets)) < fraction)
         what = case.below(12) if case.seldom(3) else ODD[case.below(len(ODD))]
         if what == 0:
             raw[which, case.below(1206)] = case.below(256)

@@ -109,8 +109,8 @@ def labels_moved(size: float) -> Iterator[Row]:
         ulp = np.spacing(max(np.abs(there.min_m).max(), np.abs(there.max_m).max()))
         for n in np.flatnonzero(digit != other).tolist():
             nearest = min(abs(exact.above(points[n], beam)) for beam in range(len(fan)))
-            share = float(nearest) / (BAND + 4 * ulp / float(np.linalg.norm(points[n] - position)))
-            farthest, wrong, differ = max(farthest, share), wrong + (share > 1), differ + 1
+            apart = float(nearest) / (BAND + 4 * ulp / float(np.linalg.norm(points[n] - position)))
+            farthest, wrong, differ = max(farthest, apart), wrong + (apart > 1), differ + 1
         if np.array_equal(digit, other):
             change = abs(max_vsr(there, [moved]) / max_vsr(here, [known]) - 1)
             off, wrong = max(off, change), wrong + (change > 1e-12 + 4 * ulp / (there.max_m - there.min_m).min())

@@ -62,8 +62,8 @@ def beside_open3d(size: float) -> Iterator[Row]:
         cases, differ, wrong, worst = max(int(RANDOM * size), 1), 0, 0, 0.0
         for first in range(0, cases, BATCH):
             count = min(BATCH, cases - first)
-            origins, way = rng.uniform(low, high, (count, 3)), ray_cases.unit(rng.normal(size=(count, 3)))
-            found = ray_cases.differences(tracer, theirs, origins, way)
+            origins, along = rng.uniform(low, high, (count, 3)), ray_cases.unit(rng.normal(size=(count, 3)))
+            found = ray_cases.differences(tracer, theirs, origins, along)
             hit = np.isfinite(found.truth)
             relative = abs(found.mine[hit] - found.truth[hit]) / np.maximum(found.truth[hit], NEAR_M)
             differ += len(found.rays)
@@ -94,7 +94,7 @@ def exactly(size: float) -> Iterator[Row]:
     """One ray and one triangle, of every difficult kind, up to 1e8 m from the origin, in exact arithmetic."""
     for kind in ray_cases.KINDS:
         rng = np.random.default_rng(SEED)
-        found = [ray_cases.judged(ray_cases.case(rng, kind)) for _ in range(max(int(EXACT * size), 1))]
+        found = [ray_cases.settled(ray_cases.case(rng, kind)) for _ in range(max(int(EXACT * size), 1))]
         plane, edge = max(one.plane for one in found), max(one.edge for one in found)
         steep = max((one.range for one in found if one.sine > ray_cases.GRAZING), default=0.0)
         text = f"plane {plane:.1e}, range {steep:.1e}, edge {edge:.1e} of the distance"

@@ -1,4 +1,4 @@
-"""Judging a rig: how large the gaps between its beams are, and what gets lost in them.
+"""Evaluating a rig: how large the gaps between its beams are, and what gets lost in them.
 
 .venv/bin/python docs/examples/evaluate.py
 """
@@ -20,7 +20,7 @@ for worst in found.worst[:3]:
 assert found.worst[0].vsr_m == found.max_vsr_m
 
 # %% Detection
-# The share of an object's places on the ground where it touches enough subspaces to be seen.
+# The fraction of an object's places on the ground where it touches enough subspaces to be seen.
 for name, detection in found.detection.items():
     print(f"{name:10} {detection.rate:6.1%}")
 assert found.detection["car"].rate > found.detection["lost_cargo"].rate  # what is larger is seen more often

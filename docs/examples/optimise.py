@@ -20,7 +20,7 @@ print(f"{len(study.slots)} sensors, {study.free.sum()} free coordinates, {study.
 # threads.
 study = with_solver(study, evaluations=400, seed=1)
 found = lidarcfg.optimize(study)
-print(f"max VSR {found.evaluation.max_vsr_m:.3f} m, in the middle of the bounds {found.midpoint_max_vsr_m:.3f} m")
+print(f"max VSR {found.evaluation.max_vsr_m:.3f} m, at the midpoint of the bounds {found.midpoint_max_vsr_m:.3f} m")
 assert found.evaluation.max_vsr_m < found.midpoint_max_vsr_m
 
 # %% How it got there

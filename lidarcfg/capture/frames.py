@@ -1,4 +1,4 @@
-"""UDP datagrams in Ethernet frames, both ways. The only module that knows Ethernet, IP and UDP."""
+"""UDP datagrams in Ethernet frames, written and read. The only module that knows Ethernet, IP and UDP."""
 
 import socket
 from dataclasses import dataclass, replace

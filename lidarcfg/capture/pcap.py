@@ -74,8 +74,8 @@ def read_batches(
 
     With `from_ns`, what is before the first record of that host time is passed over: in a classic pcap only the headers
     of its records are looked at. What is not UDP over IPv4 is passed over. Where the file is cut off
-    in mid-record, the records before it are read; `on_warning` is told that, and of datagrams that miss fragments.
-    Raises PacketError.
+    in mid-record, the records before it are read; `on_warning` gets a line on that, and on datagrams that miss
+    fragments. Raises PacketError.
     """
     reassembly = Reassembly(0 if from_ns is None else from_ns + SECOND_NS)
     try:

@@ -14,7 +14,7 @@ from lidarcfg.packets.codec import Decoder, Flags, Octets, Times
 
 ENOUGH = 16  # packets, to tell a model by
 HELD = 8  # packets at the end of a chunk that wait for those that they overtook
-ROWS = 1 << 14  # moved at once: BLAS starts threads of its own for more, which get in each other's way
+ROWS = 1 << 14  # moved at once: BLAS starts threads of its own for more, which hinder each other
 
 OnHeads = Callable[[int, Times, Array], None]
 
@@ -57,7 +57,7 @@ class Stream:
         on_heads: OnHeads | None = None,
         driver: tuple[str, ...] = (),
     ) -> None:
-        """`on_heads` is told sensor, device times and headings of the packets that are decoded, in their order.
+        """`on_heads` gets sensor, device times and headings of the packets that are decoded, in their order.
 
         Clouds also have the columns `driver`, which the decoder gives.
         """

@@ -54,7 +54,7 @@ class Frames(NamedTuple):
 def grouped(laser, time_ns, lasers, block_ns):
     """The group of each firing, by block of time (0: all is one) and laser; and their order by group.
 
-    Neighbours in that order point nearly the same way.
+    Neighbours in that order point in nearly the same direction.
     """
     group, first_ns = np.empty(len(laser), np.int64), time_ns.min()
     for n in range(len(laser)):
@@ -181,8 +181,8 @@ def _may_hit(box, origins, directions):
     for n in range(SIZE):
         near, far = 0.0, 1e300
         for k in range(3):
-            way = directions[k, n]
-            steep = 1 / (way if abs(way) > FLATTEST else FLATTEST)
+            along = directions[k, n]
+            steep = 1 / (along if abs(along) > FLATTEST else FLATTEST)
             one, other = (box[k] - origins[k, n]) * steep, (box[3 + k] - origins[k, n]) * steep
             near, far = max(near, min(one, other)), min(far, max(one, other))
         some |= near <= far

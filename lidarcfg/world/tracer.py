@@ -71,8 +71,8 @@ class Tracer:
         if count:
             seconds = np.zeros(count) if time_ns is None else (time_ns - self.zero_ns) / SECOND_NS
             self.check_span(float(seconds.min()), float(seconds.max()))
-            origins, ways = (np.ascontiguousarray(rows.T) for rows in (origins_m - self.origin_m, directions))
-            cast(self.world, origins, ways, seconds, limit_m, found)
+            starts, along = (np.ascontiguousarray(rows.T) for rows in (origins_m - self.origin_m, directions))
+            cast(self.world, starts, along, seconds, limit_m, found)
         objects, triangles = np.empty(count, np.int32), np.empty(count, np.int32)
         resolve(self.world, found.slot, objects, triangles)
         return Hits(found.range_m, objects, triangles, found.normal)

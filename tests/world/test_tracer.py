@@ -120,7 +120,7 @@ def test_a_limit_only_drops_what_is_beyond():
 def test_exact_arithmetic_agrees(kind):
     """Up to 1e8 m from the origin: the range, and whether there is a hit."""
     rng = np.random.default_rng(5)
-    found = [ray_cases.judged(ray_cases.case(rng, kind)) for _ in range(300)]
+    found = [ray_cases.settled(ray_cases.case(rng, kind)) for _ in range(300)]
     assert not any(map(ray_cases.wrong, found))
     assert any(one.hit for one in found) or kind == "without area"
     assert min(one.sine for one in found) < (1e-8 if kind == "grazing" else 0.1)

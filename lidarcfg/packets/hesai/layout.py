@@ -93,7 +93,7 @@ def encoder_rad(azimuth: NDArray[np.integer]) -> Array:
 
 
 def azimuth_of(encoder_rad: Array) -> NDArray[np.int64]:
-    """The other way, rounded."""
+    """The inverse, rounded."""
     return np.asarray((np.rint(encoder_rad / RADIANS).astype(np.int64) + QUARTER) % REVOLUTION)
 
 

@@ -81,7 +81,7 @@ class Ouster:
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
-        """By metadata beside the capture, or, so that its lack is told, by a usual size and a header that fits."""
+        """By metadata beside the capture, or, so that its lack is an error, by a usual size and a header that fits."""
         names = [name for name, usual in USUAL if usual == size and _fits(name, payload)]
         return bool(names) or any(_fits(one.layout.name, payload) for one in _metadata(source, size))
 
@@ -140,8 +140,8 @@ def _of(source: Source, packets: Octets) -> Metadata:
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
     if not same:
         serials = ", ".join(f"{one.name} is of {one.line} {one.serial}" for one in beside)
-        told = f"{_serial(fit[0], packets)}" if fit else "another profile"
-        raise PacketError(f"{source.where}: its packets are of {told}; {serials}")
+        said = f"{_serial(fit[0], packets)}" if fit else "another profile"
+        raise PacketError(f"{source.where}: its packets are of {said}; {serials}")
     first = same[0]
     if any(not _alike(first, one) for one in same[1:]):
         names = ", ".join(one.name for one in same)

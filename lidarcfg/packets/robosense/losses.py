@@ -15,7 +15,7 @@ RESTART = 2**16  # a counter that jumps further was set anew
 class Losses:
     """Counts over the packets of one source: by their counter; by their stamps where that is always the same.
 
-    Without a counter, what is missing may be what a narrow field of view leaves out, so then nothing counts as lost
+    Without a counter, what is missing may be beyond a narrow field of view, so then nothing counts as lost
     unless the sensor fires all around.
     """
 
