@@ -3,6 +3,7 @@
 Each module of `commands` reads inputs, makes one library call and prints one table.
 """
 
+import io
 import os
 import signal
 import sys
@@ -18,7 +19,9 @@ from lidarcfg.commands.placement import compare, evaluate, optimize
 from lidarcfg.commands.progress import Interrupts
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.view import view
-from lidarcfg.errors import LidarcfgError, one_line
+from lidarcfg.errors import ConfigError, LidarcfgError, one_line
+
+EPOCH_DIGITS = 11  # of the seconds since 1970, to the year 5138
 
 
 def main() -> None:
@@ -31,7 +34,11 @@ def main() -> None:
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end quietly if the reader of our output is gone
     sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):  # where a terminal's encoding lacks a character, there is a ? instead
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
+        _check_environment()
         code = cli.main(standalone_mode=False, obj=interrupts)
     except click.ClickException as error:
         message = " ".join(error.format_message().split())
@@ -51,6 +58,13 @@ def main() -> None:
         sys.stdout.flush()
         os._exit(130)  # without waiting for threads that still cast
     sys.exit(code or 0)
+
+
+def _check_environment() -> None:
+    """Raises ConfigError for what libraries would raise ValueError for, as they are imported."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
+    if not epoch.isdecimal() or len(epoch) > EPOCH_DIGITS:
+        raise ConfigError(f"SOURCE_DATE_EPOCH: {epoch[:40]!r} is not a number of seconds since 1970")
 
 
 def _command_path(error: click.ClickException) -> str:

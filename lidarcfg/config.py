@@ -33,6 +33,8 @@ Position = tuple[Metres, Metres, Metres]
 Angle = Annotated[float, Field(ge=-ANGLE_MAX, le=ANGLE_MAX)]
 Angles = tuple[Angle, Angle, Angle]
 NODES_MAX = 1_000_000  # beyond this it is an alias bomb, not a configuration
+NUMBER_MAX = 400  # characters of a number: no float needs more
+FILE_MAX = 64_000_000  # bytes: a file without an end, such as /dev/zero, is larger
 
 
 class Model(BaseModel):
@@ -180,6 +182,8 @@ class _Document:
 
     def _scalar(self, node: yaml.ScalarNode, key: Key) -> Any:
         text, kind = node.value, node.tag.removeprefix(_TAG)
+        if kind in ("int", "float") and len(text) > NUMBER_MAX:
+            raise self.error(key, f"{text[:40]!r}… has {len(text)} characters; a number has {NUMBER_MAX} at most")
         try:
             if kind == "str":
                 return text
@@ -246,7 +250,11 @@ class Section:
 
 def _read(path: str | Path) -> str:
     try:
-        return Path(path).read_bytes().decode("utf-8-sig")
+        with open(path, "rb") as file:
+            content = file.read(FILE_MAX + 1)
+        if len(content) > FILE_MAX:
+            raise ConfigError(f"{path}: larger than the {FILE_MAX // 10**6} MB that are read of such a file")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}:1:1: not text in UTF-8 (byte {error.start})") from None
     except OSError as error:

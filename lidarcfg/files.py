@@ -27,8 +27,11 @@ def example(path: str | Path) -> Path:
 
 @contextmanager
 def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A file to write that takes the place of `path` only when whole: a killed run leaves the old one."""
-    path = Path(path)
+    """A file to write that takes the place of `path` only when whole: a killed run leaves the old one.
+
+    Where `path` is a symbolic link, that stays, and what it leads to is replaced. Raises OSError.
+    """
+    path = _target(Path(path))
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a directory", str(path))
     if path.exists() and not path.is_file():  # a device or a pipe, which a rename would replace
@@ -44,3 +47,12 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
         if isinstance(error, OSError) and error.filename in (None, temporary):  # a full disk names no file
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise
+
+
+def _target(path: Path) -> Path:
+    """What the path leads to, whether it is there yet or not. Raises OSError for links that lead in a circle."""
+    if not path.is_symlink():
+        return path
+    with suppress(FileNotFoundError):  # a link may be there before its target
+        path.stat()
+    return Path(os.path.realpath(path))

@@ -56,6 +56,9 @@ def refused(text: str) -> str:
         ("a: " + "[" * 3000, "f.yaml:"),
         ("a: \x07", "f.yaml:1:1: not YAML"),
         ("a: " + "9" * 5000, "f.yaml:1:1: a: '9999"),
+        ("a: 0x" + "f" * 5000, "f.yaml:1:1: a: '0xff"),
+        ("name: a\nbeams:\n  elevation_deg: [0x" + "f" * 390 + "]", "f.yaml:3:19: beams.elevation_deg[0]: "),
+        ("a: 1e" + "9" * 5000, "f.yaml:1:1: a: '1e99"),
     ],
 )  # fmt: skip
 def test_refused(text, message):

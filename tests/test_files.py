@@ -6,7 +6,7 @@ import pytest
 
 import lidarcfg
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import example, shipped
+from lidarcfg.files import example, replacing, shipped
 
 ROOT = Path(__file__).parents[1]
 
@@ -42,3 +42,27 @@ def test_the_package_finds_its_own(tmp_path, monkeypatch):
     (tmp_path / "_sensors").mkdir()
     monkeypatch.setattr("lidarcfg.files.__file__", str(tmp_path / "files.py"))
     assert shipped("sensors") == tmp_path / "_sensors"
+
+
+def test_a_link_stays_and_its_target_is_replaced(tmp_path):
+    """Whether the target is there yet or not; also through two links in other folders."""
+    (tmp_path / "real").mkdir()
+    (tmp_path / "links").mkdir()
+    (tmp_path / "links/one").symlink_to("../real/file")
+    (tmp_path / "two").symlink_to("links/one")
+    for text in ("new", "newer"):
+        with replacing(tmp_path / "two") as file:
+            file.write(text)
+        assert (tmp_path / "real/file").read_text() == text
+    assert (tmp_path / "two").is_symlink()
+    assert (tmp_path / "links/one").is_symlink()
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "links", "one", "real", "two"]
+
+
+def test_links_in_a_circle_are_refused(tmp_path):
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    with pytest.raises(OSError, match="symbolic links") as error, replacing(tmp_path / "a") as file:
+        file.write("x")
+    assert error.value.filename == str(tmp_path / "a")
+    assert (tmp_path / "a").is_symlink()

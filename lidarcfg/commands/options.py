@@ -22,6 +22,19 @@ FILE = click.Path(path_type=Path)
 START_HELP = "ISO 8601; UTC unless it names a zone.  [default: 2026-01-01T00:00:00]"
 
 
+class Png(click.Path):
+    """A file to draw into: its name ends in .png."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Raises click.BadParameter for another suffix."""
+        if Path(value).suffix.lower() != ".png":
+            self.fail(f"{str(value)!r} does not end in .png", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class PositiveNumber(click.FloatRange):
     """A number above zero; click's own range lets NaN pass."""
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 import cloup
 
-from lidarcfg.commands.options import FILE, complete_model, quiet_option
+from lidarcfg.commands.options import Png, complete_model, quiet_option
 
 
 @cloup.group(
@@ -44,7 +44,7 @@ def list_sensors(quiet: bool = False) -> None:
     """,
 )
 @cloup.argument("name", metavar="MODEL", shell_complete=complete_model, help="A name from the list, or a YAML file.")
-@cloup.option("--png", type=FILE, help="Draw the beam table: elevations, azimuth offsets, firing times.")
+@cloup.option("--png", type=Png(), help="Draw the beam table: elevations, azimuth offsets, firing times.")
 @quiet_option
 def show_sensor(name: str, png: Path | None, quiet: bool) -> None:
     """Show a model: beam table, timing and packet facts with their sources."""

@@ -9,6 +9,7 @@ import cloup
 
 from lidarcfg.commands.options import (
     FILE,
+    Png,
     from_option,
     load_trajectory,
     model_option,
@@ -96,7 +97,7 @@ def camera_numbers(text: str) -> tuple[float, ...]:
 @cloup.option_group(
     "Output",
     cloup.option("--html", type=FILE, help="Write the page as one file that needs no server."),
-    cloup.option("--png", type=FILE, help="Draw a still; needs no screen."),
+    cloup.option("--png", type=Png(), help="Draw a still; needs no screen."),
     cloup.option(
         "--size",
         type=size,

@@ -4,7 +4,6 @@ import csv
 import json
 import math
 import tempfile
-import zipfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from lidarcfg import __version__
-from lidarcfg.errors import ConfigError
+from lidarcfg.cloud import read_arrays
+from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.details import Details
@@ -122,6 +122,9 @@ def save_placement(
     _write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
 
 
+LOG = {"cost": ("f", 1), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
+
+
 def check_writable(folder: Path) -> None:
     """Make the folder. Raises OSError at once, not after hours, if nothing can be written into it."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -143,12 +146,13 @@ def load_log(study: Study, folder: Path) -> Log:
     """The log in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
     path = folder / "search.npz"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            log, asked = Log(np.asarray(file["cost"], np.float64), float(file["seconds"])), str(file["asked"])
-    except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    except (KeyError, ValueError, zipfile.BadZipFile):
-        raise ConfigError(f"{path}: is not the log of a search") from None
+        arrays = read_arrays(path, ("cost", "seconds", "asked"))
+    except CloudError as error:
+        raise ConfigError(str(error)) from None
+    shapes = {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()}
+    if shapes != LOG or np.isnan(arrays["cost"]).any() or not 0 <= arrays["seconds"] < np.inf:
+        raise ConfigError(f"{path}: is not the log of a search")
+    log, asked = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"])), str(arrays["asked"])
     if asked != _fingerprint(study):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
     return log

@@ -9,6 +9,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lidarcfg import __version__
@@ -322,7 +323,23 @@ def test_names_that_look_like_markup_or_mathematics(tmp_path):
 def test_resuming_from_what_is_none(tmp_path, out):
     assert "search.npz: no such file" in one_line("optimize", STUDY, "--resume", tmp_path, "-o", tmp_path / "x")
     (tmp_path / "search.npz").write_text("no")
-    assert "search.npz: is not the log of a search" in one_line("optimize", STUDY, "--resume", tmp_path)
+    assert "search.npz: not a whole npz file" in one_line("optimize", STUDY, "--resume", tmp_path)
+    good = {"cost": np.array([3.0, np.inf]), "seconds": np.float64(2), "asked": np.str_("x")}
+    for key, odd in (
+        *(
+            ("cost", array)
+            for array in (np.float64(3), np.ones((2, 2)), np.array([1j]), np.array([True]), np.array([np.nan]))
+        ),
+        *(("seconds", number) for number in (np.float64(np.inf), np.float64(np.nan), np.float64(-1), np.ones(2))),
+        ("asked", np.ones(1)),
+    ):
+        np.savez(tmp_path / "search.npz", **good | {key: odd})
+        assert "search.npz: is not the log of a search" in one_line("optimize", STUDY, "--resume", tmp_path)
+    np.savez(tmp_path / "search.npz", **good)
+    assert "search.npz: is of another search" in one_line("optimize", STUDY, "--resume", tmp_path)
+    np.save(tmp_path / "search.npy", np.ones(3))
+    (tmp_path / "search.npy").replace(tmp_path / "search.npz")
+    assert "search.npz: not a whole npz file" in one_line("optimize", STUDY, "--resume", tmp_path)
     words = ("optimize", STUDY, "--resume", out / "two", "-o", tmp_path / "x", "--seed", 6, "--evaluations", 500)
     assert "is of another search; study, solver and seed must be the same" in one_line(*words)
 
@@ -343,3 +360,41 @@ def test_whole_paths_in_a_result(tmp_path):
     assert result["study"]["sensors"][0]["model"] == whole
     assert result["rig"]["sensors"][0]["model"] == whole
     run("evaluate", tmp_path / "s.yaml", tmp_path / "a/b/rig.yaml", "--quiet", cwd="/")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_without_unicode(encoding):
+    """Tables are drawn in what it has; what it lacks is a question mark."""
+    words = [sys.executable, "-m", "lidarcfg", "sensors", "show", "vlp-16"]
+    done = subprocess.run(words, capture_output=True, env=os.environ | {"PYTHONIOENCODING": encoding})
+    assert (done.returncode, done.stderr) == (0, b"")
+    text = done.stdout.decode(encoding)
+    assert "elevation" in text
+    assert "-15" in text
+
+
+@pytest.mark.parametrize("text", ["abc", "-1", "1e9", "9" * 30, "\u0663x"])
+def test_an_epoch_that_is_none(monkeypatch, text):
+    """scipy would raise it as a ValueError as it is imported."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", text)
+    assert "SOURCE_DATE_EPOCH: " in one_line("evaluate", STUDY, "data/rigs/roof.yaml")
+
+
+def test_files_without_an_end(tmp_path):
+    """A device, and a file of ten gigabytes that takes no room."""
+    with open(tmp_path / "large.yaml", "wb") as file:
+        file.truncate(10**10)
+    for path in ("/dev/zero", tmp_path / "large.yaml"):
+        assert "larger than the 64 MB that are read" in one_line("evaluate", path, "data/rigs/roof.yaml")
+        assert "not a capture" in one_line("decode", path, "-o", tmp_path / "a.ply")
+
+
+def test_a_name_that_is_no_unicode(tmp_path):
+    path = tmp_path / os.fsdecode(b"\xff.pcap")
+    path.write_bytes(b"x")
+    assert "\\udcff.pcap: not a capture" in one_line("decode", path, "-o", tmp_path / "a.ply")
+
+
+def test_a_picture_is_a_png(tmp_path):
+    assert "a.gif' does not end in .png" in one_line("view", "data/rigs/roof.yaml", "--png", tmp_path / "a.gif")
+    assert "a.jpg' does not end in .png" in one_line("sensors", "show", "vlp-16", "--png", tmp_path / "a.jpg")
