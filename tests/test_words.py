@@ -31,7 +31,7 @@ BANNED = {
     r"stands? still|movers?": ("static and dynamic objects", "a mover"),
     r"sectors?": ("horizontal field of view", "a narrow sector"),
     r"balls?": ("bounding sphere", "the ball around an object"),
-    r"hairs?|rims?": ("tolerance, epsilon", "larger by a hair"),
+    r"hairs?|rim (of|for) rounding": ("tolerance, epsilon", "larger by a hair"),
     r"(the|this|what|a|their) share|shares? of (the|all|its|a)|share =": (
         "fraction",
         "the share of the beam",
@@ -48,8 +48,6 @@ BANNED = {
 ALLOWED = {  # the place, and what stands there
     ("docs/scene.md", "ball"),  # an object that is one
     ("data/scenes/street.yaml", "ball"),
-    ("tools/make_vehicles.py", "rim"),  # of a wheel
-    ("tools/make_vehicles.py", "rims"),
 }
 
 
