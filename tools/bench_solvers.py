@@ -24,7 +24,11 @@ from lidarcfg.placement.optimize import INFEASIBLE, optimize
 from lidarcfg.placement.study import Study, load_study, with_solver
 
 ROOT = Path(__file__).parent.parent
-STUDIES = {"2 × 8 beams": "liu2018-2x8", "4 × 16 beams": "liu2018-4x16", "sedan": "sedan"}
+STUDIES = {
+    "2 × 8 beams": "data/studies/liu2018-2x8.yaml",
+    "4 × 16 beams": "data/studies/liu2018-4x16.yaml",
+    "sedan without its body": "tests/placement/studies/sedan.yaml",
+}
 METHODS = {
     "auto": "`auto`",
     "cmaes": "`cma` alone, restarts of doubled populations",
@@ -59,7 +63,7 @@ def mealpy(study: Study, seed: int, evaluations: int) -> list[tuple[int, float]]
 def run(job: tuple[str, str, int, int]) -> tuple[tuple[str, str, int, int], list[float], float]:
     """One search: the best at each mark, and the seconds it took."""
     name, method, seed, evaluations = job
-    study = load_study(ROOT / f"data/studies/{STUDIES[name]}.yaml")
+    study = load_study(ROOT / STUDIES[name])
     started = time.perf_counter()
     if method == "mealpy":
         history = mealpy(study, seed, evaluations)

@@ -2,15 +2,15 @@
 # Usage: source tools/demo-commands.sh BIN OUT   (the folder of lidarcfg and python; where the results go)
 bin=$1
 out=$2
-study=data/studies/liu2018-2x16.yaml
+study=data/studies/sedan.yaml
 scene=data/scenes/street.yaml
 
 rm -rf "$out"
 mkdir -p "$out"
-say "1/4 placing two VLP-16 as the paper does, for a short budget"
-"$bin/lidarcfg" optimize "$study" -o "$out" --evaluations 16000 >"$out/optimize.txt"
-say "2/4 one second of what they send, parked in $scene"
-"$bin/lidarcfg" export "$out/rig.yaml" --scene "$scene" --at=-30,-10,0 --duration 1 -o "$out/capture.pcap"
+say "1/4 placing four VLP-16 on a saloon whose body blocks their beams, for a short budget"
+"$bin/lidarcfg" optimize "$study" -o "$out" --evaluations 4000 >"$out/optimize.txt"
+say "2/4 one second of what they send, the body with them, standing in $scene"
+"$bin/lidarcfg" export "$out/rig.yaml" --scene "$scene" --at=0,-1.8,0 --duration 1 -o "$out/capture.pcap"
 say "3/4 decoding it and merging the clouds by the rig's poses"
 "$bin/lidarcfg" decode "$out/capture.pcap" --rig "$out/rig.yaml" -o "$out/cloud.ply"
 say "4/4 a picture, and a page to walk through"
