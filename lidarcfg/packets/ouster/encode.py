@@ -14,7 +14,10 @@ MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signa
 
 
 def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Octets) -> Octets:
-    """(P, size): as `Codec.encode` says. The nearer of two returns comes first; near-infrared light is none."""
+    """(P, size): as `Codec.encode` says. Near-infrared light is none.
+
+    Of two returns the nearer comes first, or the stronger, as the metadata says.
+    """
     layout, width = mode.layout, mode.layout.profile.returns
     names = list(layout.profile.fields)
     least_m, most_m = unit.range.min_m, unit.range.max_m
@@ -26,6 +29,7 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
         np.ascontiguousarray(reflectivity),
         limits,
         unit.facts.signal.scale,
+        not mode.nearest_first,
         raw,
     )
     measurement = measurements(mode, batch.number)

@@ -121,6 +121,11 @@ class Mode:
         return round(IMU_PACKETS_HZ * self.revolution_ns / SECOND_NS)
 
     @property
+    def nearest_first(self) -> bool:
+        """Whether the nearer of two returns comes first, which firmware 3 can be told; else the stronger."""
+        return self.modern
+
+    @property
     def modern(self) -> bool:
         """Whether packets carry checksums and alerts."""
         return self.settings.firmware == "3.2"

@@ -170,8 +170,9 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
         "udp_profile_imu": mode.settings.imu_profile,
         "udp_profile_lidar": layout.name,
     }
-    if mode.modern:
+    if mode.nearest_first:
         config["return_order"] = "NEAREST_TO_FARTHEST"
+    if mode.modern:
         config["min_range_threshold_cm"] = round(unit.range.min_m * 100)
     said: dict[str, Any] = {
         "beam_intrinsics": {

@@ -201,6 +201,20 @@ def test_every_model(tmp_path, street, model):
     assert (stats[0].models, stats[0].lost, stats[0].packets) == ((sensor,), 0, columns // 16)
 
 
+def test_the_stronger_of_two_returns_comes_first_with_firmware_2(tmp_path, street):
+    one = mount(dual=True, columns=512)
+    one = replace(one, realism=Realism(seed=3, divergence=True))
+    path, metadata, truth = exported(tmp_path, street, one)
+    theirs = judged(path, metadata)
+    assert "return_order" not in config(metadata)["config_params"]
+    near, far = theirs.fields["range"].astype(np.int64), theirs.fields["range2"].astype(np.int64)
+    two = (near > 0) & (far > 0)
+    assert (theirs.fields["signal"][two].astype(np.int64) >= theirs.fields["signal2"][two]).all()
+    assert (near[two] > far[two]).sum() > 20 < (near[two] < far[two]).sum()
+    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    assert (set(cloud.return_type), len(cloud.xyz)) == ({0, 2}, len(truth))
+
+
 @pytest.mark.parametrize(("columns", "rpm"), [(512, 600.0), (512, 1200.0), (1024, 1200.0), (2048, 600.0)])
 def test_modes(tmp_path, street, columns, rpm):
     one = mount(columns=columns, rpm=rpm)
