@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from lidarcfg.units import SECOND_NS
 
 TIMEOUT_NS = 30 * SECOND_NS  # of host time, for the fragments of a datagram to come
+SETTLED_MAX = 16  # whole and damaged datagrams that are remembered, to know what comes late of them
 PENDING_MAX = 1024  # datagrams that wait for fragments: at most 64 MB
 DATAGRAM_MAX = 65535 - 20  # bytes after the IP header
 
@@ -32,13 +33,15 @@ class _Datagram:
 class Reassembly:
     """Puts fragments together, in whatever order they come.
 
-    A repeated fragment counts once. Fragments that overlap otherwise, or reach beyond the datagram's end, make it
-    damaged. Incomplete datagrams are dropped after 30 s, and the oldest where too many wait. Those that began before
-    `from_ns`, where reading began in the middle of a capture, do not count.
+    A repeated fragment counts once, also soon after its datagram is whole. Fragments that overlap otherwise, or reach
+    beyond the datagram's end, make it damaged, with what comes of it up to a new beginning. Incomplete datagrams are
+    dropped after 30 s, and the oldest where too many wait. Those that began before `from_ns`, where reading began in
+    the middle of a capture, do not count.
     """
 
     def __init__(self, from_ns: int = 0) -> None:
         self._pending: dict[bytes, _Datagram] = {}  # the oldest first
+        self._settled: dict[bytes, dict[int, bytes] | None] = {}  # the last, the oldest first: parts; none: damaged
         self._dropped, self._from_ns = 0, from_ns
 
     @property
@@ -53,11 +56,14 @@ class Reassembly:
     def add(self, fragment: Fragment) -> bytes | None:
         """The datagram that this fragment completes, if it does."""
         self._drop_old(fragment.time_ns)
+        if fragment.key not in self._pending and self._late(fragment):
+            return None
         datagram = self._pending.setdefault(fragment.key, _Datagram(fragment.time_ns))
         if datagram.parts.get(fragment.offset) == fragment.data:
             return None
         if not self._fits(datagram, fragment):
             self._drop(fragment.key)
+            self._settle(fragment.key, None)
             return None
         datagram.parts[fragment.offset] = fragment.data
         if fragment.last:
@@ -65,7 +71,21 @@ class Reassembly:
         if sum(map(len, datagram.parts.values())) != datagram.size:
             return None
         del self._pending[fragment.key]
+        self._settle(fragment.key, datagram.parts)
         return b"".join(data for _, data in sorted(datagram.parts.items()))
+
+    def _settle(self, key: bytes, parts: dict[int, bytes] | None) -> None:
+        self._settled.pop(key, None)
+        self._settled[key] = parts
+        if len(self._settled) > SETTLED_MAX:
+            del self._settled[next(iter(self._settled))]
+
+    def _late(self, fragment: Fragment) -> bool:
+        """Whether it repeats one of a whole datagram, or goes on with a damaged one; a first one begins anew."""
+        if fragment.key not in self._settled or fragment.offset == 0:
+            return False
+        parts = self._settled[fragment.key]
+        return parts is None or parts.get(fragment.offset) == fragment.data
 
     def _fits(self, datagram: _Datagram, fragment: Fragment) -> bool:
         start, stop = fragment.offset, fragment.offset + len(fragment.data)

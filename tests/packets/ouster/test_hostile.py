@@ -2,6 +2,7 @@
 
 import json
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -89,3 +90,53 @@ def test_mutated_packets(tmp_path, profile):
         whole += 1
     assert whole > 5
     assert not any("\n" in one for one in messages)
+
+
+def records(path: Path) -> list[bytes]:
+    """Of a pcap."""
+    data, at, found = path.read_bytes(), 24, []
+    while at < len(data):
+        size = 16 + int.from_bytes(data[at + 8 : at + 12], "little")
+        found.append(data[at : at + size])
+        at += size
+    return found
+
+
+def moved(record: bytes, octets: int) -> bytes:
+    """A fragment that claims to stand so much earlier in its datagram."""
+    flags = int.from_bytes(record[36:38], "big") - octets // 8
+    return record[:36] + flags.to_bytes(2, "big") + record[38:]
+
+
+@pytest.mark.parametrize("how", ["out of order", "duplicated", "missing", "overlapping"])
+def test_fragments(tmp_path, how):
+    """Datagrams whose fragments come in any order, or twice, are whole; others are passed over, and count as lost."""
+    one = mount("os1-32", columns=512)
+    payloads, metadata = packets(one, 32)
+    for name in ("whole", "odd"):
+        (tmp_path / f"{name}.json").write_bytes(metadata)
+    write_pcap(tmp_path / "whole.pcap", [frames(one.host, payloads)])
+    whole = concatenate(list(decode_pcap(tmp_path / "whole.pcap", pytest.fail)))
+    found, rng = records(tmp_path / "whole.pcap"), random.Random(1)
+    each = len(found) // 32
+    assert each == 5  # 6,400 bytes and the UDP header
+    datagrams = [found[i : i + each] for i in range(0, len(found), each)]
+    damaged = {4, 9, 17} if how in ("missing", "overlapping") else set()
+    for i, parts in enumerate(datagrams):
+        if how == "out of order":
+            rng.shuffle(parts)
+        elif how == "duplicated":
+            parts.insert(rng.randrange(each), rng.choice(parts))
+        elif i in damaged:
+            parts[2:3] = [] if how == "missing" else [moved(parts[2], 8)]
+    head = (tmp_path / "whole.pcap").read_bytes()[:24]
+    (tmp_path / "odd.pcap").write_bytes(head + b"".join(part for parts in datagrams for part in parts))
+    stats, warnings = [], []
+    cloud = concatenate(list(decode_pcap(tmp_path / "odd.pcap", warnings.append, on_stats=stats.append)))
+    assert (stats[0].packets, stats[0].lost) == (32 - len(damaged), len(damaged))
+    kept = ~np.isin(np.searchsorted(np.unique(whole.time_ns), whole.time_ns) // 16, list(damaged))
+    np.testing.assert_array_equal(cloud.xyz, whole.xyz[kept])
+    np.testing.assert_array_equal(cloud.time_ns, whole.time_ns[kept])
+    said = [one.split(": ", 1)[1] for one in warnings]
+    expected = "3 datagrams passed over: fragments of theirs are missing or damaged"
+    assert said == ([expected] if damaged else [])
