@@ -108,7 +108,7 @@ def moved(record: bytes, octets: int) -> bytes:
     return record[:36] + flags.to_bytes(2, "big") + record[38:]
 
 
-@pytest.mark.parametrize("how", ["out of order", "duplicated", "missing", "overlapping"])
+@pytest.mark.parametrize("how", ["out of order", "duplicated", "sent twice", "missing", "overlapping"])
 def test_fragments(tmp_path, how):
     """Datagrams whose fragments come in any order, or twice, are whole; others are passed over, and count as lost."""
     one = mount("os1-32", columns=512)
@@ -127,6 +127,8 @@ def test_fragments(tmp_path, how):
             rng.shuffle(parts)
         elif how == "duplicated":
             parts.insert(rng.randrange(each), rng.choice(parts))
+        elif how == "sent twice":
+            parts.extend(parts[:])
         elif i in damaged:
             parts[2:3] = [] if how == "missing" else [moved(parts[2], 8)]
     head = (tmp_path / "whole.pcap").read_bytes()[:24]
@@ -134,6 +136,7 @@ def test_fragments(tmp_path, how):
     stats, warnings = [], []
     cloud = concatenate(list(decode_pcap(tmp_path / "odd.pcap", warnings.append, on_stats=stats.append)))
     assert (stats[0].packets, stats[0].lost) == (32 - len(damaged), len(damaged))
+    assert stats[0].duplicates == (32 if how == "sent twice" else 0)
     kept = ~np.isin(np.searchsorted(np.unique(whole.time_ns), whole.time_ns) // 16, list(damaged))
     np.testing.assert_array_equal(cloud.xyz, whole.xyz[kept])
     np.testing.assert_array_equal(cloud.time_ns, whole.time_ns[kept])
