@@ -133,8 +133,11 @@ def _octets(mac: str) -> list[int]:
 def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
     """(n,): the sum of the 16-bit words of each part (n, …); an odd octet at the end is a word's upper half."""
     octets = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
-    upper, lower = (octets[:, i::2].sum(axis=1, dtype=np.uint32) for i in range(2))
-    return np.asarray(256 * upper + lower)
+    if octets.shape[1] % 2:
+        octets = np.pad(octets, ((0, 0), (0, 1)))
+    total = octets.view("<u2").sum(axis=1, dtype=np.uint64)  # in the wrong order of octets, which commutes with folding
+    folded = (total % 0xFFFF + 0xFFFF * (total > 0) * (total % 0xFFFF == 0)).astype(np.uint32)
+    return np.asarray((folded & 255) << 8 | folded >> 8)
 
 
 def _checksum(total: NDArray[np.uint32]) -> NDArray[np.uint32]:

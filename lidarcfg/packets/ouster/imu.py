@@ -75,7 +75,7 @@ def framed_payloads(
         octets = packets.view(np.uint8).reshape(len(packets), FRAMED.itemsize)
         write_heads(mode.layout, octets, Heads(revolution, mode.init, mode.serial, ALERTS))
         octets[:, 0] = FRAMED_KIND
-        packets["crc"] = crc64(octets[:, :-8])
+        packets["crc"] = crc64(octets)
         sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
         headers, fragments = unit.facts.headers, mode.settings.fragments
         yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, fragments)

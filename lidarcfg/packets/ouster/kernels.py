@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 
 NO_FIELD = -1
 
@@ -57,10 +57,17 @@ def pack(fields, rows, bits, first_word, column_words, pixel_words, shape, words
             for f in range(len(rows)):
                 if rows[f] == NO_FIELD:
                     continue
-                word, shift, mask = bits[rows[f], 0], np.uint32(bits[rows[f], 1]), bits[rows[f], 2]
-                for i in range(pixels):
-                    value = np.uint32(fields[f, n + i] & mask)
-                    words[p, at + i * pixel_words + word] |= np.uint32(value << shift)
+                shift, mask = np.uint32(bits[rows[f], 1]), np.uint32(bits[rows[f], 2])
+                _put(fields[f, n : n + pixels], mask, shift, pixel_words, words[p, at + bits[rows[f], 0] :])
+
+
+@inner
+def _put(values, mask, shift, step, words):
+    """Put a field's values where they belong in every so many words."""
+    at, step = np.uint64(0), np.uint64(step)
+    for value in values:
+        words[at] |= (value & mask) << shift
+        at += step
 
 
 @njit(cache=True, nogil=True)
@@ -79,21 +86,36 @@ def unpack(words, bits, first_word, column_words, pixel_words, shape):
 
 
 @njit(cache=True, nogil=True)
-def crc64(packets, count, tables, out):
-    """CRC-64 of the first `count` bytes of each packet: eight at a time, by the tables (8, 256) of the polynomial."""
-    ones = np.uint64(0xFFFFFFFFFFFFFFFF)
-    eight, low = np.uint64(8), np.uint64(255)
-    for p in range(len(packets)):
-        value = ones
-        whole = count // 8 * 8
-        for i in range(0, whole, 8):
-            data = np.uint64(0)
-            for k in range(8):
-                data |= np.uint64(packets[p, i + k]) << np.uint64(8 * k)
-            data ^= value
-            value = np.uint64(0)
-            for k in range(8):
-                value ^= tables[7 - k, (data >> np.uint64(8 * k)) & low]
-        for i in range(whole, count):
-            value = tables[0, (value ^ np.uint64(packets[p, i])) & low] ^ (value >> eight)
-        out[p] = value ^ ones
+def crc64(words, tables, out):
+    """CRC-64 of packets in 32-bit words (P, n), by the tables (8, 256) of the polynomial.
+
+    Two packets together, as the processor waits for each word's remainder; two of their words at a time.
+    """
+    for p in range(0, len(words), 2):
+        other = min(p + 1, len(words) - 1)
+        out[p], out[other] = _crc64(words[p], words[other], tables)
+
+
+@inner
+def _crc64(first, second, tables):
+    ones, one = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(1)
+    a, b, at, whole = ones, ones, np.uint64(0), np.uint64(len(first) // 2 * 2)
+    while at < whole:
+        a = _reduced(a ^ (np.uint64(first[at]) | np.uint64(first[at + one]) << np.uint64(32)), tables)
+        b = _reduced(b ^ (np.uint64(second[at]) | np.uint64(second[at + one]) << np.uint64(32)), tables)
+        at += np.uint64(2)
+    if len(first) % 2:
+        a, b = a ^ np.uint64(first[at]), b ^ np.uint64(second[at])
+        for _ in range(4):
+            a = tables[0, a & np.uint64(255)] ^ (a >> np.uint64(8))
+            b = tables[0, b & np.uint64(255)] ^ (b >> np.uint64(8))
+    return a ^ ones, b ^ ones
+
+
+@inner
+def _reduced(data, tables):
+    """The remainder of eight octets."""
+    value = np.uint64(0)
+    for k in range(8):
+        value ^= tables[7 - k, (data >> np.uint64(8 * k)) & np.uint64(255)]
+    return value

@@ -50,16 +50,16 @@ def assembled(
     kernels.pack(raw, rows, layout.bits, *place(layout), shape, words_of(packets))
     if not layout.legacy:
         if footer == "crc":
-            values(packets, "<u8", layout.size - 8)[:] = crc64(packets[:, : layout.size - 8])
+            values(packets, "<u8", layout.size - 8)[:] = crc64(packets)
         elif footer == "constant":
             packets[:, -8:] = np.frombuffer(CONSTANT, np.uint8)
     return packets
 
 
 def crc64(octets: Octets) -> NDArray[np.uint64]:
-    """(P,) CRC-64/XZ of rows (P, n)."""
+    """(P,) CRC-64/XZ of rows (P, n), n being a multiple of four, but for its last eight octets."""
     out = np.empty(len(octets), np.uint64)
-    kernels.crc64(octets, octets.shape[1], _tables(), out)
+    kernels.crc64(words_of(octets)[:, :-2], _tables(), out)
     return out
 
 
