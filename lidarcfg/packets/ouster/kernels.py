@@ -5,6 +5,7 @@ import numpy as np
 from lidarcfg.jit import inner, njit
 
 NO_FIELD = -1
+loop = inner(error_model="numpy")
 
 
 @njit(cache=True, nogil=True)
@@ -61,7 +62,7 @@ def pack(fields, rows, bits, first_word, column_words, pixel_words, shape, words
                 _put(fields[f, n : n + pixels], mask, shift, pixel_words, words[p, at + bits[rows[f], 0] :])
 
 
-@inner
+@loop
 def _put(values, mask, shift, step, words):
     """Put a field's values where they belong in every so many words."""
     at, step = np.uint64(0), np.uint64(step)
@@ -96,7 +97,7 @@ def crc64(words, tables, out):
         out[p], out[other] = _crc64(words[p], words[other], tables)
 
 
-@inner
+@loop
 def _crc64(first, second, tables):
     ones, one = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(1)
     a, b, at, whole = ones, ones, np.uint64(0), np.uint64(len(first) // 2 * 2)
@@ -112,7 +113,7 @@ def _crc64(first, second, tables):
     return a ^ ones, b ^ ones
 
 
-@inner
+@loop
 def _reduced(data, tables):
     """The remainder of eight octets."""
     value = np.uint64(0)
