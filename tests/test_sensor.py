@@ -1,6 +1,7 @@
 """The catalogue against the manuals' numbers."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,24 @@ def test_the_catalogue_of_a_codec_is_found_without_reading_every_file():
     assert {"velodyne", "ouster", "hesai", "robosense", None} == set(codecs.values())
     for codec in set(codecs.values()) - {None}:
         assert list(catalogue(codec)) == [name for name in codecs if codecs[name] == codec]
+
+
+def test_the_page_has_each_sensor_of_a_maker():
+    """With its number of lasers, its range, and its range at 10 % where the file has it."""
+    page = (Path(__file__).parents[1] / "docs/sensors.md").read_text()
+    rows = {
+        row.split("`")[1]: [cell.strip() for cell in row.split("|")] for row in page.splitlines() if row[:3] == "| `"
+    }
+    for name in catalogue():
+        sensor = load_sensor(name)
+        if not sensor.maker:
+            continue
+        cells = rows[name]
+        assert str(sensor.count) in cells
+        if sensor.maker != "Velodyne":
+            known = sensor.range
+            assert cells[5] == (f"{known.min_m:g} to {known.max_m:g}" if known else "not known")
+            assert cells[6] == (f"{known.at_10_percent_m:g}" if known and known.at_10_percent_m else "not known")
 
 
 def test_the_catalogue_is_read_as_any_file_is():
