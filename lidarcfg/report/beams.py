@@ -25,12 +25,13 @@ def draw_sensor(sensor: Sensor) -> "Figure":
     by_laser, by_azimuth, by_time = figure.subplots(1, 3, sharey=True)
     _mark(by_laser, laser, elevation, numbered=False)
     by_laser.set(xlabel="laser, as packets have them", ylabel="elevation (°)")
+    by_laser.xaxis.get_major_locator().set_params(integer=True)
     _mark(by_azimuth, offset, elevation, numbered=sensor.count <= NUMBERED)
     by_azimuth.set(xlabel="azimuth offset (°), clockwise")
     if sensor.codec:
-        time_us = codec(sensor).firing_ns() / MICROSECOND_NS
-        _mark(by_time, time_us, elevation, numbered=sensor.count <= NUMBERED)
-        by_time.set(xlabel="fires at (µs), in one firing of all lasers")
+        firing_ns = codec(sensor).firing_ns()
+        _mark(by_time, (firing_ns - firing_ns.min()) / MICROSECOND_NS, elevation, numbered=sensor.count <= NUMBERED)
+        by_time.set(xlabel="fires so many µs after the first laser")
     else:
         by_time.set_axis_off()
         by_time.text(
