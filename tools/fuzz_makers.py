@@ -150,8 +150,8 @@ def changed(case, payloads: Payloads) -> Payloads:
 def reordered(case, records: list[bytes]) -> list[bytes]:
     """The frames with some missing, twice, out of order, or as fragments that overlap or leave gaps."""
     for _ in range(case.below(3)):
-        share, what = (0.01, 0.2)[case.below(2)], case.below(5)
-        drawn = case.rng.random(len(records)) < share
+        fraction, what = (0.01, 0.2)[case.below(2)], case.below(5)
+        drawn = case.rng.random(len(records)) < fraction
         if what == 0:
             records = [one for one, gone in zip(records, drawn, strict=True) if not gone]
         elif what == 1:
