@@ -213,7 +213,11 @@ def test_one_sensor_needs_what_is_its_own_only(rig, still, tmp_path):
     assert len(front.xyz) == (still[1]["sensor"] == 3).sum()
     with pytest.raises(PacketError, match=r"mixed.pcap: 192.168.1.201:7502: an Ouster's .* need the sensor's metadata"):
         decoded(path)
-    (tmp_path / "mixed-roof.json").write_bytes((still[0].parent / "mixed-roof.json").read_bytes())
+    metadata = (still[0].parent / "mixed-roof.json").read_bytes()
+    (tmp_path / "mixed-roof.json").write_bytes(metadata[:3000])
+    with pytest.raises(PacketError, match=r"in a .json beside the capture, called as it; mixed-roof.json is not that$"):
+        decoded(path)
+    (tmp_path / "mixed-roof.json").write_bytes(metadata)
     (tmp_path / "mixed-left-192.168.1.202-2368-angles.csv").unlink()
     said = []
     concatenate(list(decode_pcap(path, said.append)))

@@ -135,7 +135,8 @@ def _of(source: Source, packets: Octets) -> Metadata:
     beside = _metadata(source, size)
     if not beside:
         what = f"an Ouster's packets of {size} bytes need the sensor's metadata in a .json beside the capture"
-        raise PacketError(f"{source.where}: {what}, called as it")
+        there = ", ".join(source.companions(SUFFIX))
+        raise PacketError(f"{source.where}: {what}, called as it" + (f"; {there} is not that" if there else ""))
     fit = [one for one in beside if _fits(one.layout.name, payload)]
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
     if not same:
