@@ -14,7 +14,7 @@ from lidarcfg.jit import njit
 from lidarcfg.placement.cones import FIRST
 from lidarcfg.placement.flood import Walls, flood, flood_room, inner_cuboid, keep, vsr, worst
 from lidarcfg.placement.rows import Counts, Grid, Words, link, room
-from lidarcfg.placement.visibility_kernels import Obstacles, Sight, new_looks
+from lidarcfg.placement.visibility_kernels import NONE, Obstacles, Sight, new_looks
 
 WITNESSES = 12
 
@@ -66,7 +66,7 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
         to_beat = batch.to_beat[t]
         sight = Sight(batch.limits[t], batch.obstacles)
         walls = Walls(fixed, batch.cones[t], np.flatnonzero(batch.moved[t]), sight)
-        floods.looks.known[:] = False
+        floods.looks.clear[:], floods.looks.known[:] = NONE, NONE
         fixed[:] = grid.links
         for lidar in range(lidars):
             if not moved[t, lidar]:
@@ -114,7 +114,7 @@ def renew(
     work = room(grid, 1, cones.shape[2] - FIRST, new_looks(1, grid.included.size))
     for row in rows:
         for lidar in np.flatnonzero(changed[row]):
-            work.looks.known[:] = False
+            work.looks.clear[:], work.looks.known[:] = NONE, NONE
             sight = Sight(limits[row, lidar : lidar + 1], obstacles)
             link(grid, grid.links, cones[row, lidar : lidar + 1], np.zeros(1, np.int64), sight, work)
             links[row, lidar] = work.links

@@ -123,17 +123,17 @@ def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array, looks: Looks) -> 
         gaps[n, FIRST + 1] = cone[FIRST + gap] if FIRST + gap < cone.size else np.inf
         gaps[n, FIRST + 2] = 1.0
         if walls.sight.limits.shape[0]:
-            gaps[n, FIRST + 2] = float(
-                _seen(grid, walls, walls.moved[n], cuboid >> 6, looks) >> np.uint64(cuboid & 63) & ONE
-            )
+            bit = BIT[cuboid & 63]
+            gaps[n, FIRST + 2] = 0.0 if _seen(grid, walls, walls.moved[n], cuboid >> 6, bit, looks) == NONE else 1.0
 
 
 @njit(cache=True, nogil=True)
-def _seen(grid: Grid, walls: Walls, lidar: int, row: int, looks: Looks) -> np.uint64:
-    """The cuboids of a row that a LiDAR sees."""
+def _seen(grid: Grid, walls: Walls, lidar: int, row: int, wanted: np.uint64, looks: Looks) -> np.uint64:
+    """Which cuboids of a row, of those wanted, a LiDAR sees."""
     first, y, z = row_of(grid, row)
-    xs = grid.x[first : first + 64]
-    seen: np.uint64 = seen_of_row(lidar, row, xs, y, z, grid.included[row], walls.cones, walls.sight, looks)
+    seen: np.uint64 = seen_of_row(
+        lidar, row, grid.x, first, grid.edge[0], y, z, wanted & grid.included[row], walls.cones, walls.sight, looks
+    )
     return seen
 
 
@@ -142,7 +142,7 @@ def _alike(grid: Grid, walls: Walls, row: int, word: np.uint64, gaps: Array, loo
     """Those of some cuboids of a row that each moved LiDAR sees, or does not see, as it does the gaps' cuboid."""
     for n in range(walls.moved.size):
         if word != NONE:
-            seen = _seen(grid, walls, walls.moved[n], row, looks)
+            seen = _seen(grid, walls, walls.moved[n], row, word, looks)
             word &= seen if gaps[n, FIRST + 2] > 0.0 else ~seen
     return word
 
@@ -393,7 +393,7 @@ def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[L
 def _max_vsr(grid: Grid, cones: Array, sight: Sight, walls: Walls, work: Work, floods: Floods) -> float:
     values, cuboids = np.full(1, -1.0), np.empty(1, np.int64)
     floods.left[:] = grid.included
-    work.looks.known[:] = False
+    work.looks.clear[:], work.looks.known[:] = NONE, NONE
     link(grid, grid.links, cones, np.arange(cones.shape[0]), sight, work)
     worst(grid, walls, np.inf, floods, values, cuboids)
     return float(values[0])

@@ -19,7 +19,17 @@ from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, signed_squares
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.visibility_kernels import LIMITS, Looks, Obstacles, Sight, new_looks, seen_of_row
+from lidarcfg.placement.visibility_kernels import (
+    LIMITS,
+    Looks,
+    Obstacles,
+    Sight,
+    clear_up,
+    in_field,
+    new_looks,
+    settle,
+    start,
+)
 from lidarcfg.world.bvh import NO_TREE
 
 Counts = NDArray[np.int64]
@@ -28,7 +38,7 @@ Words = NDArray[np.uint64]
 NONE, ONE, ALL = np.uint64(0), np.uint64(1), ~np.uint64(0)
 EVERYTHING = Sight(  # no limits: all that counts is seen
     np.empty((0, LIMITS)),
-    Obstacles(NO_TREE, np.zeros(3), np.inf),
+    Obstacles(NO_TREE, np.empty((0, 6)), np.zeros(3), np.inf),
 )
 BIT = ONE << np.arange(64, dtype=np.uint64)
 
@@ -81,7 +91,8 @@ class Work(NamedTuple):
     guess: Counts  # (lidars,) a beam that passes near the last row
     squares: Array  # (2, 64) signed_squares of a row's centres
     links: Words  # (3, rows) the result
-    looks: Looks  # what the LiDARs see
+    looks: Looks
+    seen: Words  # (lidars, rows) the cuboids that each LiDAR sees, where something limits that
 
 
 @njit(cache=True, nogil=True)
@@ -94,6 +105,7 @@ def room(grid: Grid, lidars: int, beams: int, looks: Looks) -> Work:
         np.empty((2, 64)),
         np.zeros((3, rows), np.uint64),
         looks,
+        np.zeros((lidars, rows), np.uint64),
     )
 
 
@@ -157,6 +169,26 @@ def _compare(row: int, cones: Array, lidar: int, squares: Array, guess: Counts, 
 
 
 @njit(cache=True, nogil=True)
+def look(grid: Grid, cones: Array, moved: Counts, sight: Sight, looks: Looks, seen: Words) -> None:
+    """Write to seen (lidars, rows) what some LiDARs see of the whole grid."""
+    xs, ys, zs, included, edge = grid.x, grid.y, grid.z, grid.included, grid.edge[0]
+    limits = sight.limits
+    step_y, step_z = steps(grid)
+    for lidar in moved:
+        start(lidar, cones, sight.obstacles, looks)
+        for row in range(step_z, included.size - step_z):
+            if included[row] != NONE:
+                first, y, z = row % step_y << 6, ys[row % step_z // step_y - 1], zs[row // step_z - 1]
+                clear_up(lidar, row, xs, first, edge, y, z, included[row], cones, sight, looks)
+        settle(lidar, sight, looks)
+        for row in range(step_z, included.size - step_z):
+            if included[row] != NONE:
+                first, y, z = row % step_y << 6, ys[row % step_z // step_y - 1], zs[row // step_z - 1]
+                seen[lidar, row] = looks.clear[lidar, row] & included[row]
+                seen[lidar, row] &= in_field(xs, first, y, z, cones, limits, lidar)
+
+
+@njit(cache=True, nogil=True)
 def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, work: Work) -> None:
     """Write the links of the whole grid to work.links.
 
@@ -164,8 +196,10 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, wo
     What work.looks knows is taken from there.
     """
     xs, ys, zs, included = grid.x, grid.y, grid.z, grid.included
-    beyond, guess, squares, links, looks = work.beyond, work.guess, work.squares, work.links, work.looks
+    beyond, guess, squares, links, seen = work.beyond, work.guess, work.squares, work.links, work.seen
     limited = sight.limits.shape[0] > 0
+    if limited:
+        look(grid, cones, moved, sight, work.looks, seen)
     step_y, step_z = steps(grid)
     for k in range(zs.size):
         for j in range(ys.size):
@@ -176,10 +210,8 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, wo
                         square_up(xs, chunk * 64, ys[j], zs[k], cones, lidar, squares)
                         _compare(row, cones, lidar, squares, guess, beyond)
                         if limited:
-                            x = xs[chunk * 64 : chunk * 64 + 64]
-                            word = seen_of_row(lidar, row, x, ys[j], zs[k], included[row], cones, sight, looks)
                             for beam in range(beyond.shape[2]):
-                                beyond[lidar, row, beam] &= word
+                                beyond[lidar, row, beam] &= seen[lidar, row]
     for row in range(step_z, included.size - step_z):
         if included[row] != NONE:
             x, y, z = fixed[0, row], fixed[1, row], fixed[2, row]
@@ -191,10 +223,10 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, wo
                     unlike_y |= here ^ beyond[lidar, row - step_y, beam]
                     unlike_z |= here ^ beyond[lidar, row - step_z, beam]
                 if limited:
-                    here = looks.seen[lidar, row]
-                    unlike_x |= here ^ (here << ONE | looks.seen[lidar, row - 1] >> np.uint64(63))
-                    unlike_y |= here ^ looks.seen[lidar, row - step_y]
-                    unlike_z |= here ^ looks.seen[lidar, row - step_z]
+                    here = seen[lidar, row]
+                    unlike_x |= here ^ (here << ONE | seen[lidar, row - 1] >> np.uint64(63))
+                    unlike_y |= here ^ seen[lidar, row - step_y]
+                    unlike_z |= here ^ seen[lidar, row - step_z]
                 x, y, z = x & ~unlike_x, y & ~unlike_y, z & ~unlike_z
             links[0, row], links[1, row], links[2, row] = x, y, z
 
@@ -207,22 +239,12 @@ def linked(region: Region, lidars: Sequence[Lidar], sight: Sight = EVERYTHING) -
     return grid, work
 
 
-@njit(cache=True, nogil=True)
-def _look_everywhere(grid: Grid, cones: Array, sight: Sight, looks: Looks) -> None:
-    _, step_z = steps(grid)
-    for row in range(step_z, grid.included.size - step_z):
-        if grid.included[row] != NONE:
-            first, y, z = row_of(grid, row)
-            for lidar in range(len(cones)):
-                seen_of_row(lidar, row, grid.x[first : first + 64], y, z, grid.included[row], cones, sight, looks)
-
-
 def seen_words(region: Region, lidars: Sequence[Lidar], sight: Sight) -> Words:
     """(lidars, rows): which cuboids each LiDAR sees."""
     grid, cones = Grid.of(region), cone_rows(lidars)
-    looks = new_looks(len(cones), grid.included.size)
-    _look_everywhere(grid, cones, sight, looks)
-    return looks.seen
+    out = np.zeros((len(cones), grid.included.size), np.uint64)
+    look(grid, cones, np.arange(len(cones)), sight, new_looks(len(cones), grid.included.size), out)
+    return out
 
 
 def unpacked(region: Region, words: Words) -> NDArray[np.bool_]:

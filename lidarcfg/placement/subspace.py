@@ -65,6 +65,6 @@ def segment(region: Region, lidars: Sequence[Lidar], visibility: "Visibility | N
     points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
     gap, seen = beam_gap_table(points, cone_rows(lidars)), None
     if visibility:
-        seen = rows.unpacked(region, work.looks.seen)
+        seen = rows.unpacked(region, work.seen)
         gap[~seen.reshape(len(lidars), -1)[:, first].T] = BLIND
     return Subspaces(region, label, cuboids, internal, gap, first, seen)

@@ -24,6 +24,7 @@ from lidarcfg.placement.visibility_kernels import (
 )
 from lidarcfg.world.bvh import EMPTY
 from lidarcfg.world.scene import Scene
+from lidarcfg.world.shadow_kernels import boxes_of
 from lidarcfg.world.vehicle import obstacles
 
 ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
@@ -50,7 +51,8 @@ class Visibility:
         middle = 0.5 * (region.min_m + region.max_m)
         origin_m = np.rint(middle / ROUND_M) * ROUND_M
         grounds = [scene.file.ground.z_m for scene in scenes if scene.file.ground]
-        found = Obstacles(obstacles(scenes, origin_m), origin_m, max(grounds, default=np.inf))
+        tree = obstacles(scenes, origin_m)
+        found = Obstacles(tree, boxes_of(tree), origin_m, max(grounds, default=np.inf))
         return cls(found, range, field_of_view)
 
     @property
@@ -97,5 +99,5 @@ class Visibility:
         """(N,): which points (N, 3) a LiDAR sees."""
         out = np.empty(len(points_m), np.bool_)
         points = np.ascontiguousarray(np.asarray(points_m, np.float64).T)
-        seen_points(points, cone_rows([lidar])[0], self.limits([lidar])[0], self.obstacles, out)
+        seen_points(points, cone_rows([lidar]), self.sight([lidar]), out)
         return out

@@ -1,25 +1,27 @@
 """Which cuboids a LiDAR sees, a row at a time: by range, by field of view, and by what stands in between."""
 
-# mypy: disallow-untyped-decorators=False
+# mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
-from lidarcfg.world.bvh import EMPTY, Tree
-from lidarcfg.world.tracer_kernels import Packet, blocked, new_packet
+from lidarcfg.jit import inner, njit
+from lidarcfg.world.bvh import Tree
+from lidarcfg.world.shadow_kernels import ROW, Shadows, begin, behind, finish, new_shadows, shade
 
 LIMITS = 9  # columns of Sight.limits
 ANY, WITHIN, BEYOND = 0.0, 1.0, 2.0  # kinds of fields of view: all around; up to half a turn; more
-ROW = 64
+Words = NDArray[np.uint64]
+NONE, ALL = np.uint64(0), ~np.uint64(0)
 
 
 class Obstacles(NamedTuple):
     """What blocks beams, relative to a point."""
 
     tree: Tree
+    boxes: Array  # (B, 6) that hold its shapes
     origin_m: Array  # (3,) the point, in the vehicle frame
     ground_m: float  # height of the ground in the vehicle frame; inf: none
 
@@ -32,89 +34,105 @@ class Sight(NamedTuple):
 
 
 class Looks(NamedTuple):
-    """What LiDARs see, as far as it is known, and working memory; each thread has its own."""
+    """What is near enough and not hidden from LiDARs, as far as it is known; each thread has its own."""
 
-    seen: NDArray[np.uint64]  # (lidars, rows) the cuboids that each sees
-    known: NDArray[np.bool_]  # (lidars, rows) where that is known
-    points: Array  # (3, 64) to look at
-    starts: Array  # (3, 64) segments to cast
-    ways: Array  # (3, 64)
-    which: NDArray[np.int64]  # (64,) the points that they lead to
-    blocked: NDArray[np.bool_]  # (64,)
-    out: NDArray[np.bool_]  # (64,) whether each point is seen
-    packet: Packet
+    clear: Words  # (lidars, rows)
+    known: Words  # (lidars, rows) the cuboids of which that is known
+    shadows: Shadows
 
 
 @njit(cache=True, nogil=True)
 def new_looks(lidars: int, rows: int) -> Looks:
     """Nothing known yet."""
-    return Looks(
-        np.zeros((lidars, rows), np.uint64),
-        np.zeros((lidars, rows), np.bool_),
-        np.empty((3, ROW)),
-        np.empty((3, ROW)),
-        np.empty((3, ROW)),
-        np.empty(ROW, np.int64),
-        np.empty(ROW, np.bool_),
-        np.empty(ROW, np.bool_),
-        new_packet(0),
-    )
+    return Looks(np.zeros((lidars, rows), np.uint64), np.zeros((lidars, rows), np.uint64), new_shadows())
 
 
-@njit(cache=True, nogil=True)
-def look(cone: Array, limit: Array, obstacles: Obstacles, count: int, looks: Looks) -> None:
-    """Write to looks.out which of the first `count` of looks.points the LiDAR at cone[:3] sees; see Sight."""
-    points, starts, ways, which, out = looks.points, looks.starts, looks.ways, looks.which, looks.out
-    x, y, z, ground_m, origin_m = cone[0], cone[1], cone[2], obstacles.ground_m, obstacles.origin_m
-    some = 0
-    for i in range(count):
-        dx, dy, dz = points[0, i] - x, points[1, i] - y, points[2, i] - z
+@inner()
+def _near(xs, first, y, z, cones, limits, lidar, ground_m):
+    """The centres of a row, xs[first : first + 64], y, z, within a LiDAR's range, and not across the ground."""
+    x, least, most, word = cones[lidar, 0], limits[lidar, 0], limits[lidar, 1], NONE
+    dy, dz = y - cones[lidar, 1], z - cones[lidar, 2]
+    if min(z, cones[lidar, 2]) < ground_m < max(z, cones[lidar, 2]):
+        return NONE
+    for i in range(ROW):
+        dx = xs[first + i] - x
         square = (dx * dx + dy * dy) + dz * dz
-        out[i] = limit[0] <= square <= limit[1]
-        if limit[8] != ANY:
-            one = (dx * limit[2] + dy * limit[3]) + dz * limit[4] >= 0.0
-            other = (dx * limit[5] + dy * limit[6]) + dz * limit[7] >= 0.0
-            out[i] &= one and other if limit[8] == WITHIN else one or other
-        out[i] &= not min(z, points[2, i]) < ground_m < max(z, points[2, i])
-        if out[i] and square > 0.0:
-            starts[0, some], starts[1, some], starts[2, some] = x - origin_m[0], y - origin_m[1], z - origin_m[2]
-            ways[0, some], ways[1, some], ways[2, some] = dx, dy, dz
-            which[some] = i
-            some += 1
-    if obstacles.tree.root != EMPTY and some:
-        blocked(obstacles.tree, looks.packet, starts, ways, some, looks.blocked)
-        for n in range(some):
-            out[which[n]] = not looks.blocked[n]
+        word |= (np.uint64(1) << np.uint64(i)) if (square >= least) & (square <= most) else NONE
+    return word
+
+
+@inner()
+def in_field(xs, first, y, z, cones, limits, lidar):
+    """The centres of a row within a LiDAR's field of view."""
+    kind, word = limits[lidar, 8], NONE
+    if kind == ANY:
+        return ALL
+    x, dy, dz = cones[lidar, 0], y - cones[lidar, 1], z - cones[lidar, 2]
+    ax, ay, az, bx, by, bz = (
+        limits[lidar, 2], limits[lidar, 3], limits[lidar, 4], limits[lidar, 5], limits[lidar, 6], limits[lidar, 7],
+    )  # fmt: skip
+    for i in range(ROW):
+        dx = xs[first + i] - x
+        one, other = (dx * ax + dy * ay) + dz * az >= 0.0, (dx * bx + dy * by) + dz * bz >= 0.0
+        within = (one & other) if kind == WITHIN else (one | other)
+        word |= (np.uint64(1) << np.uint64(i)) if within else NONE
+    return word
+
+
+@inner()
+def start(lidar, cones, obstacles, looks):
+    """Have segments start at a LiDAR."""
+    origin = obstacles.origin_m
+    begin(looks.shadows, cones[lidar, 0] - origin[0], cones[lidar, 1] - origin[1], cones[lidar, 2] - origin[2])
+
+
+@inner()
+def clear_up(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks):
+    """Find which of the cuboids `wanted` of a row, xs[first : first + 64], y, z, are clear; after `start`.
+
+    What segments have to say comes with `settle`.
+    """
+    clear, known, obstacles = looks.clear, looks.known, sight.obstacles
+    need = wanted & ~known[lidar, row]
+    if need != NONE:
+        word = need & _near(xs, first, y, z, cones, sight.limits, lidar, obstacles.ground_m)
+        clear[lidar, row] |= word
+        known[lidar, row] |= need
+        if word != NONE and obstacles.boxes.shape[0]:
+            ox, oy, oz = obstacles.origin_m[0], obstacles.origin_m[1], obstacles.origin_m[2]
+            x, y, z = xs[first] - ox, y - oy, z - oz
+            word &= behind(
+                obstacles.boxes, cones[lidar, 0] - ox, cones[lidar, 1] - oy, cones[lidar, 2] - oz, x, edge, y, z
+            )
+            if word != NONE:
+                shade(obstacles.tree, looks.shadows, xs, ox, first, y, z, word, row, clear[lidar])
+
+
+@inner()
+def settle(lidar, sight, looks):
+    """Cast the segments that wait."""
+    finish(sight.obstacles.tree, looks.shadows, looks.clear[lidar])
 
 
 @njit(cache=True, nogil=True)
-def seen_of_row(
-    lidar: int, row: int, xs: Array, y: float, z: float, wanted: np.uint64, cones: Array, sight: Sight, looks: Looks
-) -> np.uint64:
-    """Which of the cuboids `wanted` of a row, centred at xs (64,), y, z, a LiDAR sees; from memory if it is known."""
-    if not looks.known[lidar, row]:
-        one, count = np.uint64(1), 0
-        for i in range(ROW):
-            if wanted >> np.uint64(i) & one:
-                looks.points[0, count], looks.points[1, count], looks.points[2, count] = xs[i], y, z
-                count += 1
-        look(cones[lidar], sight.limits[lidar], sight.obstacles, count, looks)
-        word, n = np.uint64(0), 0
-        for i in range(ROW):
-            if wanted >> np.uint64(i) & one:
-                word |= np.uint64(looks.out[n]) << np.uint64(i)
-                n += 1
-        looks.seen[lidar, row], looks.known[lidar, row] = word, True
-    seen: np.uint64 = looks.seen[lidar, row]
-    return seen
+def seen_of_row(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks):
+    """Which of the cuboids `wanted` of a row, xs[first : first + 64], y, z, a LiDAR sees."""
+    if wanted & ~looks.known[lidar, row]:
+        start(lidar, cones, sight.obstacles, looks)
+        clear_up(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks)
+        settle(lidar, sight, looks)
+    return wanted & looks.clear[lidar, row] & in_field(xs, first, y, z, cones, sight.limits, lidar)
 
 
 @njit(cache=True, nogil=True)
-def seen_points(points: Array, cone: Array, limit: Array, obstacles: Obstacles, out: NDArray[np.bool_]) -> None:
-    """Write to out (N,) which of points (3, N) a LiDAR sees."""
-    looks = new_looks(1, 1)
-    for first in range(0, len(out), ROW):
-        count = min(ROW, len(out) - first)
-        looks.points[:, :count] = points[:, first : first + count]
-        look(cone, limit, obstacles, count, looks)
-        out[first : first + count] = looks.out[:count]
+def seen_points(points: Array, cones: Array, sight: Sight, out: NDArray[np.bool_]) -> None:
+    """Write to out (N,) which of points (3, N) a LiDAR, the first of some, sees."""
+    looks, xs, one = new_looks(1, len(out)), np.empty(ROW), np.uint64(1)
+    start(0, cones, sight.obstacles, looks)
+    for n in range(len(out)):
+        xs[:] = points[0, n]
+        clear_up(0, n, xs, 0, 1.0, points[1, n], points[2, n], one, cones, sight, looks)
+    settle(0, sight, looks)
+    for n in range(len(out)):
+        xs[:] = points[0, n]
+        out[n] = looks.clear[0, n] & in_field(xs, 0, points[1, n], points[2, n], cones, sight.limits, 0) & one != NONE

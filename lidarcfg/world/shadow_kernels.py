@@ -1,0 +1,165 @@
+"""What a tree hides from one point, for targets in rows along x: most by boxes, the rest by packets of segments.
+
+The segments to a row lie in one plane through the point. Where that plane cuts a box is found for the whole row at
+once, so only targets behind some box are worth a segment; segments that face the same way wait until they fill a
+packet, from whichever rows they are.
+"""
+
+# mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.jit import inner, njit
+from lidarcfg.world.bvh import Tree
+from lidarcfg.world.tracer_kernels import (
+    ENDS,
+    FACES,
+    NONE,
+    RANGE,
+    SIZE,
+    SLOT,
+    Packet,
+    facing,
+    load,
+    new_packet,
+    trace,
+)
+
+ROW = 64  # targets in a row
+BOXES = 24  # around a tree's shapes
+LARGER_M = 1e-6  # by which these are larger, for rounding
+ALL = ~np.uint64(0)
+
+
+class Shadows(NamedTuple):
+    """Segments from one point that wait for others that face the same way; each thread has its own."""
+
+    packet: Packet
+    starts: Array  # (3, SIZE) the point
+    ways: Array  # (FACES, 3, SIZE)
+    numbers: NDArray[np.int64]  # (FACES, SIZE) of the targets
+    waiting: NDArray[np.int64]  # (FACES,)
+    cast: NDArray[np.int64]  # (1,) how many were cast
+
+
+@njit(cache=True, nogil=True)
+def new_shadows():
+    """Working memory."""
+    return Shadows(
+        new_packet(0),
+        np.zeros((3, SIZE)),
+        np.empty((FACES, 3, SIZE)),
+        np.empty((FACES, SIZE), np.int64),
+        np.zeros(FACES, np.int64),
+        np.zeros(1, np.int64),
+    )
+
+
+def boxes_of(tree: Tree) -> Array:
+    """(B, 6): at most BOXES boxes, low and high corner, that together hold a tree's shapes."""
+    if not len(tree.kind):
+        return np.empty((0, 6))
+    low, high = -np.full(3, np.inf), np.full(3, np.inf)
+    found = [(np.inf, tree.root, np.concatenate([low, high]))]
+    while len(found) < BOXES and any(code >= 0 for _, code, _ in found):
+        widest = max((item for item in found if item[1] >= 0), key=lambda item: item[0])
+        found = [item for item in found if item is not widest]
+        for child in (2 * widest[1], 2 * widest[1] + 1):
+            box = tree.boxes[6 * child : 6 * child + 6].astype(np.float64)
+            x, y, z = box[3:] - box[:3]
+            found.append((x * y + y * z + z * x, int(tree.children[child]), box))
+    boxes: Array = np.array([box for _, _, box in found]) + np.repeat([-LARGER_M, LARGER_M], 3)
+    return boxes
+
+
+@inner()
+def behind(boxes, ox, oy, oz, first_x, edge_x, y, z):
+    """The targets of a row, at first_x + i edge_x, y, z, to which a segment from a point may hit a box (B, 6)."""
+    word = np.uint64(0)
+    dy, dz = y - oy, z - oz
+    for b in range(boxes.shape[0]):
+        t0, t1 = 0.0, 1.0
+        low, high = boxes[b, 1] - oy, boxes[b, 4] - oy
+        if dy > 0.0:
+            t0, t1 = max(t0, low / dy), min(t1, high / dy)
+        elif dy < 0.0:
+            t0, t1 = max(t0, high / dy), min(t1, low / dy)
+        elif low > 0.0 or high < 0.0:
+            continue
+        low, high = boxes[b, 2] - oz, boxes[b, 5] - oz
+        if dz > 0.0:
+            t0, t1 = max(t0, low / dz), min(t1, high / dz)
+        elif dz < 0.0:
+            t0, t1 = max(t0, high / dz), min(t1, low / dz)
+        elif low > 0.0 or high < 0.0:
+            continue
+        if t0 > t1:
+            continue
+        low, high = boxes[b, 0] - ox, boxes[b, 3] - ox
+        t = t1 if low > 0.0 else t0
+        least = low / t if t > 0.0 else -np.inf
+        t = t0 if high > 0.0 else t1
+        most = high / t if t > 0.0 else np.inf
+        start = min(max((least + ox - first_x) / edge_x - 1e-3, 0.0), 64.0)
+        end = min(max((most + ox - first_x) / edge_x + 1e-3, -1.0), 63.0)
+        one, other = int(np.ceil(start)), int(np.floor(end))
+        if one <= other:
+            word |= (ALL >> np.uint64(63 - other + one)) << np.uint64(one)
+    return word
+
+
+@inner()
+def _shade(tree, shadows, face, seen):
+    """Cast the segments that wait at a face, and take the targets that are hidden from `seen`."""
+    packet, waiting, numbers = shadows.packet, shadows.waiting, shadows.numbers
+    some = waiting[face]
+    waiting[face] = 0
+    shadows.cast[0] += some
+    rays = packet.rays
+    load(rays, packet.slabs, shadows.starts, shadows.ways[face], 0, some, face)
+    for n in range(SIZE):
+        rays[RANGE + n] = 1 - ENDS
+    trace(tree, packet, face, True)
+    for n in range(some):
+        if rays[SLOT + n] != NONE:
+            number = numbers[face, n]
+            seen[number >> 6] &= ~(np.uint64(1) << np.uint64(number & 63))
+
+
+@inner()
+def begin(shadows, ox, oy, oz):
+    """Segments start at this point from now on."""
+    starts = shadows.starts
+    for n in range(SIZE):
+        starts[0, n], starts[1, n], starts[2, n] = ox, oy, oz
+
+
+@inner()
+def shade(tree, shadows, xs, off, first, y, z, word, row, seen):
+    """Take the hidden targets from seen (rows,), of those that a word names of the row at xs[first:] - off, y, z.
+
+    Some of them wait until `finish`.
+    """
+    starts, ways, numbers, waiting = shadows.starts, shadows.ways, shadows.numbers, shadows.waiting
+    ox, dy, dz = starts[0, 0], y - starts[1, 0], z - starts[2, 0]
+    for i in range(ROW):
+        if word >> np.uint64(i) & np.uint64(1):
+            dx = (xs[first + i] - off) - ox
+            if dx != 0.0 or dy != 0.0 or dz != 0.0:
+                face = facing(dx, dy, dz)
+                n = waiting[face]
+                ways[face, 0, n], ways[face, 1, n], ways[face, 2, n], numbers[face, n] = dx, dy, dz, row << 6 | i
+                waiting[face] = n + 1
+                if n + 1 == SIZE:
+                    _shade(tree, shadows, face, seen)
+
+
+@inner()
+def finish(tree, shadows, seen):
+    """Cast all segments that wait."""
+    for face in range(FACES):
+        if shadows.waiting[face]:
+            _shade(tree, shadows, face, seen)
