@@ -54,7 +54,6 @@ class Evaluator:
     ) -> None:
         self._region, self._lidars, self._skip, self._criterion = region, lidars, skip, criterion
         self._visibility = visibility
-        self._obstacles = visibility.obstacles if visibility else rows.EVERYTHING.obstacles
         self._threads, self._cache_bytes = threads or os.cpu_count() or 1, cache_bytes
         self._pool = ThreadPoolExecutor(self._threads)
         self._square = cone_rows(lidars)[:, FIRST:]
@@ -62,11 +61,13 @@ class Evaluator:
         self._poses = np.empty((0, len(lidars), 6))  # of the food sources, for _witness
         self._linked = self._poses  # and for _links
         self._links = np.empty((0, len(lidars), *self._grid.links.shape), np.uint64)  # (sources, …), or none
+        self._clear = np.empty((0, len(lidars), self._grid.included.size), np.uint64)  # (sources, …), or none
         self._witness = np.empty((0, kernels.WITNESSES), np.int64)  # (sources, …)
         self._last: tuple[Index, Array, Index] = (np.empty(0, np.int64), self._poses, self._witness)
         self._rest = 0  # see RESTS
         self.full_evaluations = 0
         self.cuboids = 0  # evaluated
+        self.segments = 0  # cast from LiDARs to cuboids
 
     def __enter__(self) -> "Evaluator":
         return self
@@ -102,7 +103,7 @@ class Evaluator:
         trials = np.flatnonzero(np.isnan(out))
 
         def one(trial: int) -> tuple[float, Index]:
-            rig = Trial(self._region, self._placed(poses[trial]), self._visibility)
+            rig = Trial(self._region, self._rig(poses[trial]), self._visibility)
             cost = criterion.of(rig, float(to_beat[trial]))
             return cost, self._worst(rig.subspaces) if rig.is_cut else np.empty(0, np.int64)
 
@@ -131,46 +132,46 @@ class Evaluator:
         self, poses: Array, source: Index, source_poses: Array, to_beat: Array, in_full: bool = True
     ) -> tuple[Array, int]:
         """(n,) max VSR or inf, and how many were evaluated in full; NaN where that was needed, but not `in_full`."""
-        cones = self._cones(poses)
         moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
+        stays = np.zeros(poses.shape[:2], bool)
         if np.isfinite(to_beat).any():
             self._follow(source_poses)
             witness = self._witness[source]
             if len(self._links):
-                moved = (poses != source_poses[source]).any(axis=2)
-                self._renew(np.unique(source[~moved.all(axis=1)]))
-        limits = self._limits(poses)
-        batch = kernels.Batch(cones, to_beat, moved, source, witness, self._links, limits, self._obstacles)
+                differs = poses != source_poses[source]
+                moved = differs.any(axis=2)
+                stays = ~differs[..., :3].any(axis=2) & (len(self._clear) > 0)
+                self._renew(np.unique(source[(~moved | stays).any(axis=1)]))
+        batch = kernels.Batch(self._placed(poses), to_beat, moved, source, witness, self._links, stays, self._clear)
         verdicts = kernels.Verdicts(
             np.full(len(poses), np.inf), np.full(len(poses), -1, np.int64), np.full_like(witness, -1)
         )
 
-        def run(trials: Index) -> tuple[int, int]:
+        def run(trials: Index) -> tuple[int, int, int]:
             return kernels.try_out(trials, batch, self._grid, in_full, verdicts)
 
         nx, ny, nz = self._region.shape
         evaluated = 0
-        for full, compared in self._pool.map(run, self._parts(len(poses))):
+        for full, compared, cast in self._pool.map(run, self._parts(len(poses))):
             evaluated += full
+            self.segments += cast
             self.cuboids += full * nx * ny * nz + compared * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, verdicts.refuter)
         self._last = source, poses, verdicts.fresh
         return verdicts.cost, evaluated
 
-    def _placed(self, poses: Array) -> list[Lidar]:
+    def _rig(self, poses: Array) -> list[Lidar]:
         return [placed(one, row[:3], row[3:]) for row, one in zip(poses, self._lidars, strict=True)]
 
-    def _limits(self, poses: Array) -> Array:
-        """(n, lidars, 9): Sight.limits of each of the poses; (n, 0, 9) where everything is seen."""
-        if self._visibility is None:
-            return np.empty((len(poses), 0, LIMITS))
-        return self._visibility.limits(self._lidars, level(poses[..., 3:]))
-
-    def _cones(self, poses: Array) -> Array:
-        """(n, lidars, 6 + beams): cone_rows of each of the poses."""
+    def _placed(self, poses: Array) -> kernels.Placed:
+        """The LiDARs at poses (n, lidars, 6)."""
         square = np.broadcast_to(self._square, (len(poses), *self._square.shape))
-        return np.concatenate([poses[..., :3], up(poses[..., 3:]), square], axis=-1)
+        cones = np.concatenate([poses[..., :3], up(poses[..., 3:]), square], axis=-1)
+        if self._visibility is None:
+            return kernels.Placed(cones, np.empty((len(poses), 0, LIMITS)), rows.EVERYTHING.obstacles)
+        limits = self._visibility.limits(self._lidars, level(poses[..., 3:]))
+        return kernels.Placed(cones, limits, self._visibility.obstacles)
 
     def _parts(self, count: int) -> list[Index]:
         """The numbers 0 … count − 1 in enough parts that no thread waits long for another."""
@@ -183,8 +184,11 @@ class Evaluator:
             self._poses = np.full_like(source_poses, np.nan)
             self._linked = np.full_like(source_poses, np.nan)
             self._witness = np.full((len(source_poses), kernels.WITNESSES), -1, np.int64)
-            fits = len(source_poses) * len(self._lidars) * self._grid.links.nbytes <= self._cache_bytes
+            words = self._grid.links.nbytes + (self._grid.included.nbytes if self._visibility else 0)
+            fits = len(source_poses) * len(self._lidars) * words <= self._cache_bytes
             self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
+            clear = len(self._links) if self._visibility else 0
+            self._clear = np.empty((clear, *self._clear.shape[1:]), np.uint64)
         changed = (self._poses != source_poses).any(axis=(1, 2))
         source, poses, fresh = (of[self._last[0] < len(source_poses)] for of in self._last)
         self._witness[changed] = -1
@@ -197,10 +201,11 @@ class Evaluator:
         changed = np.zeros(self._poses.shape[:2], bool)
         changed[sources] = (self._linked[sources] != self._poses[sources]).any(axis=2)
         stale = np.flatnonzero(changed.any(axis=1))
-        cones, limits = self._cones(self._poses), self._limits(self._poses)
+        stays = (self._linked[..., :3] == self._poses[..., :3]).all(axis=2)
+        known = kernels.Sources(self._placed(self._poses), changed, self._links, stays, self._clear)
 
         def renew(part: Index) -> None:
-            kernels.renew(stale[part], self._links, changed, cones, limits, self._obstacles, self._grid)
+            kernels.renew(stale[part], known, self._grid)
 
         list(self._pool.map(renew, self._parts(len(stale))))
         self._linked[sources] = self._poses[sources]

@@ -14,22 +14,41 @@ from lidarcfg.jit import njit
 from lidarcfg.placement.cones import FIRST
 from lidarcfg.placement.flood import Walls, flood, flood_room, inner_cuboid, keep, vsr, worst
 from lidarcfg.placement.rows import Counts, Grid, Words, link, room
-from lidarcfg.placement.visibility_kernels import NONE, Obstacles, Sight, new_looks
+from lidarcfg.placement.visibility_kernels import ALL, NONE, Looks, Obstacles, Sight, new_looks
 
 WITNESSES = 12
+Flags = NDArray[np.bool_]
+
+
+class Placed(NamedTuple):
+    """LiDARs at poses."""
+
+    cones: Array  # (n, lidars, 6 + beams), see cone_rows
+    limits: Array  # (n, lidars, 9), see Sight; (n, 0, 9) where everything is seen
+    obstacles: Obstacles
 
 
 class Batch(NamedTuple):
     """Trials to evaluate, and what is known of the food sources that they were drawn around."""
 
-    cones: Array  # (n, lidars, 6 + beams), see cone_rows
+    placed: Placed
     to_beat: Array  # (n,) max VSR that a trial has to be below
-    moved: NDArray[np.bool_]  # (n, lidars) the LiDARs whose pose differs from the source's
+    moved: Flags  # (n, lidars) the LiDARs whose pose differs from the source's
     source: Counts  # (n,) a row of `links`
     witness: Counts  # (n, WITNESSES) cuboids whose subspaces may refute a trial, −1 for none
     links: Words  # (sources, lidars, 3, rows), see renew; no rows where all LiDARs count as moved
-    limits: Array  # (n, lidars, 9), see Sight; (n, 0, 9) where everything is seen
-    obstacles: Obstacles
+    stays: Flags  # (n, lidars) the LiDARs of which `clear` of the source is true, because they are where its are
+    clear: Words  # (sources, lidars, rows), see Looks; no rows where `stays` is false
+
+
+class Sources(NamedTuple):
+    """Food sources, and what is to be renewed of them."""
+
+    placed: Placed
+    changed: Flags  # (sources, lidars) whose links are those of another pose
+    links: Words  # as in Batch
+    stays: Flags  # (sources, lidars) whose `clear` is not
+    clear: Words  # as in Batch
 
 
 class Verdicts(NamedTuple):
@@ -49,24 +68,36 @@ def _keep_common(out: Words, links: Words) -> None:
 
 
 @njit(cache=True, nogil=True)
-def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: Verdicts) -> tuple[int, int]:
+def remind(looks: Looks, lidar: int, stays: bool, clear: Words, source: int, number: int) -> None:
+    """Have a LiDAR know what is clear of LiDAR `number` of a source, if it is where that is, or else nothing."""
+    for row in range(looks.clear.shape[1]):
+        looks.clear[lidar, row] = clear[source, number, row] if stays else NONE
+        looks.known[lidar, row] = ALL if stays else NONE
+
+
+@njit(cache=True, nogil=True)
+def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: Verdicts) -> tuple[int, int, int]:
     """Write the verdicts on some trials (t,) of a batch.
 
     First the subspaces of a trial's witnesses are flooded, and rows are compared with cones as the flood gets to them;
     one whose VSR is no less than what has to be beaten refutes the trial. Only without one are all links computed, and
-    only if `in_full`. Returns how many trials were evaluated in full, and how many rows were compared for the others.
+    only if `in_full`. Returns how many trials were evaluated in full, how many rows were compared for the others, and
+    how many segments were cast.
     """
-    lidars, beams = batch.cones.shape[1], batch.cones.shape[2] - FIRST
+    lidars, beams = batch.placed.cones.shape[1], batch.placed.cones.shape[2] - FIRST
     floods, fixed = flood_room(grid, lidars), np.empty_like(grid.links)
     work = room(grid, lidars, beams, floods.looks)
     values, cuboids = np.empty(WITNESSES), np.empty(WITNESSES, np.int64)
     moved, source, links = batch.moved, batch.source, batch.links
     full = compared = stamp = 0
+    limited = batch.placed.limits.shape[1] > 0
     for t in trials:
         to_beat = batch.to_beat[t]
-        sight = Sight(batch.limits[t], batch.obstacles)
-        walls = Walls(fixed, batch.cones[t], np.flatnonzero(batch.moved[t]), sight)
-        floods.looks.clear[:], floods.looks.known[:] = NONE, NONE
+        sight = Sight(batch.placed.limits[t], batch.placed.obstacles)
+        walls = Walls(fixed, batch.placed.cones[t], np.flatnonzero(batch.moved[t]), sight)
+        if limited:
+            for lidar in walls.moved:
+                remind(floods.looks, lidar, batch.stays[t, lidar], batch.clear, source[t], lidar)
         fixed[:] = grid.links
         for lidar in range(lidars):
             if not moved[t, lidar]:
@@ -97,27 +128,24 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
             verdicts.cost[t], verdicts.fresh[t] = values[0], cuboids
         else:
             verdicts.refuter[t] = cuboids[0]
-    return full, compared
+    return full, compared, floods.looks.shadows.cast[0]
 
 
 @njit(cache=True, nogil=True)
-def renew(
-    rows: Counts,
-    links: Words,
-    changed: NDArray[np.bool_],
-    cones: Array,
-    limits: Array,
-    obstacles: Obstacles,
-    grid: Grid,
-) -> None:
-    """Compute the links of the LiDARs `changed` (sources, lidars) for some rows of `links`; see Batch."""
-    work = room(grid, 1, cones.shape[2] - FIRST, new_looks(1, grid.included.size))
+def renew(rows: Counts, sources: Sources, grid: Grid) -> None:
+    """Compute links and clear for some food sources, of the LiDARs that have changed."""
+    cones, limits, obstacles = sources.placed.cones, sources.placed.limits, sources.placed.obstacles
+    links, clear, looks = sources.links, sources.clear, new_looks(1, grid.included.size)
+    work, alone = room(grid, 1, cones.shape[2] - FIRST, looks), np.zeros(1, np.int64)
     for row in rows:
-        for lidar in np.flatnonzero(changed[row]):
-            work.looks.clear[:], work.looks.known[:] = NONE, NONE
+        for lidar in np.flatnonzero(sources.changed[row]):
+            if limits.shape[1]:
+                remind(looks, 0, sources.stays[row, lidar], clear, row, int(lidar))
             sight = Sight(limits[row, lidar : lidar + 1], obstacles)
-            link(grid, grid.links, cones[row, lidar : lidar + 1], np.zeros(1, np.int64), sight, work)
+            link(grid, grid.links, cones[row, lidar : lidar + 1], alone, sight, work)
             links[row, lidar] = work.links
+            if limits.shape[1]:
+                clear[row, lidar] = looks.clear[0]
 
 
 @njit(cache=True, nogil=True)

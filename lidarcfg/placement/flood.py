@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.placement.cones import FIRST, Lidar, beam_gap, cone_rows
 from lidarcfg.placement.rows import (
     ALL,
@@ -107,7 +107,7 @@ def _along(bits: np.uint64, links: np.uint64) -> np.uint64:
     return bits | (bits & links) >> np.uint64(32)
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array, looks: Looks) -> None:
     """Write the gap of a cuboid for each moved LiDAR: position, axis, u_k of the beams below and above (else ∓inf).
 
@@ -127,7 +127,7 @@ def _bound(grid: Grid, walls: Walls, cuboid: int, gaps: Array, looks: Looks) -> 
             gaps[n, FIRST + 2] = 0.0 if _seen(grid, walls, walls.moved[n], cuboid >> 6, bit, looks) == NONE else 1.0
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _seen(grid: Grid, walls: Walls, lidar: int, row: int, wanted: np.uint64, looks: Looks) -> np.uint64:
     """Which cuboids of a row, of those wanted, a LiDAR sees."""
     first, y, z = row_of(grid, row)
@@ -137,7 +137,7 @@ def _seen(grid: Grid, walls: Walls, lidar: int, row: int, wanted: np.uint64, loo
     return seen
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _alike(grid: Grid, walls: Walls, row: int, word: np.uint64, gaps: Array, looks: Looks) -> np.uint64:
     """Those of some cuboids of a row that each moved LiDAR sees, or does not see, as it does the gaps' cuboid."""
     for n in range(walls.moved.size):

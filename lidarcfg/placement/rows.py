@@ -38,7 +38,7 @@ Words = NDArray[np.uint64]
 NONE, ONE, ALL = np.uint64(0), np.uint64(1), ~np.uint64(0)
 EVERYTHING = Sight(  # no limits: all that counts is seen
     np.empty((0, LIMITS)),
-    Obstacles(NO_TREE, np.empty((0, 6)), np.zeros(3), np.inf),
+    Obstacles(NO_TREE, np.empty((6, 0)), np.zeros(3), np.inf),
 )
 BIT = ONE << np.arange(64, dtype=np.uint64)
 

@@ -21,7 +21,7 @@ class Obstacles(NamedTuple):
     """What blocks beams, relative to a point."""
 
     tree: Tree
-    boxes: Array  # (B, 6) that hold its shapes
+    boxes: Array  # (6, BOXES) that hold its shapes, see boxes_of
     origin_m: Array  # (3,) the point, in the vehicle frame
     ground_m: float  # height of the ground in the vehicle frame; inf: none
 
@@ -98,11 +98,19 @@ def clear_up(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks):
         word = need & _near(xs, first, y, z, cones, sight.limits, lidar, obstacles.ground_m)
         clear[lidar, row] |= word
         known[lidar, row] |= need
-        if word != NONE and obstacles.boxes.shape[0]:
+        if word != NONE and obstacles.boxes.shape[1]:
             ox, oy, oz = obstacles.origin_m[0], obstacles.origin_m[1], obstacles.origin_m[2]
             x, y, z = xs[first] - ox, y - oy, z - oz
             word &= behind(
-                obstacles.boxes, cones[lidar, 0] - ox, cones[lidar, 1] - oy, cones[lidar, 2] - oz, x, edge, y, z
+                looks.shadows,
+                obstacles.boxes,
+                cones[lidar, 0] - ox,
+                cones[lidar, 1] - oy,
+                cones[lidar, 2] - oz,
+                x,
+                edge,
+                y,
+                z,
             )
             if word != NONE:
                 shade(obstacles.tree, looks.shadows, xs, ox, first, y, z, word, row, clear[lidar])
@@ -114,7 +122,7 @@ def settle(lidar, sight, looks):
     finish(sight.obstacles.tree, looks.shadows, looks.clear[lidar])
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def seen_of_row(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks):
     """Which of the cuboids `wanted` of a row, xs[first : first + 64], y, z, a LiDAR sees."""
     if wanted & ~looks.known[lidar, row]:

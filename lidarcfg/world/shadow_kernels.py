@@ -17,11 +17,14 @@ from lidarcfg.world.bvh import Tree
 from lidarcfg.world.tracer_kernels import (
     ENDS,
     FACES,
+    FAST,
     NONE,
     RANGE,
     SIZE,
     SLOT,
+    TRIANGLE,
     Packet,
+    blocked_by,
     facing,
     load,
     new_packet,
@@ -29,8 +32,10 @@ from lidarcfg.world.tracer_kernels import (
 )
 
 ROW = 64  # targets in a row
-BOXES = 24  # around a tree's shapes
+BOXES = 16  # around a tree's shapes
 LARGER_M = 1e-6  # by which these are larger, for rounding
+FLAT = 1e-300
+SLACK = 1e-3  # of a cuboid
 ALL = ~np.uint64(0)
 
 
@@ -42,6 +47,8 @@ class Shadows(NamedTuple):
     ways: Array  # (FACES, 3, SIZE)
     numbers: NDArray[np.int64]  # (FACES, SIZE) of the targets
     waiting: NDArray[np.int64]  # (FACES,)
+    last: NDArray[np.int64]  # (FACES, 2) slots of triangles that hid others; -1: none
+    spans: Array  # (2, BOXES)
     cast: NDArray[np.int64]  # (1,) how many were cast
 
 
@@ -54,14 +61,19 @@ def new_shadows():
         np.empty((FACES, 3, SIZE)),
         np.empty((FACES, SIZE), np.int64),
         np.zeros(FACES, np.int64),
+        np.full((FACES, 2), -1, np.int64),
+        np.empty((2, BOXES)),
         np.zeros(1, np.int64),
     )
 
 
 def boxes_of(tree: Tree) -> Array:
-    """(B, 6): at most BOXES boxes, low and high corner, that together hold a tree's shapes."""
+    """(6, BOXES): low and high corners of boxes that together hold a tree's shapes; not all of them need be different.
+
+    (6, 0) if there are none.
+    """
     if not len(tree.kind):
-        return np.empty((0, 6))
+        return np.empty((6, 0))
     low, high = -np.full(3, np.inf), np.full(3, np.inf)
     found = [(np.inf, tree.root, np.concatenate([low, high]))]
     while len(found) < BOXES and any(code >= 0 for _, code, _ in found):
@@ -71,50 +83,50 @@ def boxes_of(tree: Tree) -> Array:
             box = tree.boxes[6 * child : 6 * child + 6].astype(np.float64)
             x, y, z = box[3:] - box[:3]
             found.append((x * y + y * z + z * x, int(tree.children[child]), box))
-    boxes: Array = np.array([box for _, _, box in found]) + np.repeat([-LARGER_M, LARGER_M], 3)
-    return boxes
+    boxes = np.array([box for _, _, box in (found * BOXES)[:BOXES]]) + np.repeat([-LARGER_M, LARGER_M], 3)
+    return np.ascontiguousarray(boxes.T)
 
 
-@inner()
-def behind(boxes, ox, oy, oz, first_x, edge_x, y, z):
-    """The targets of a row, at first_x + i edge_x, y, z, to which a segment from a point may hit a box (B, 6)."""
-    word = np.uint64(0)
-    dy, dz = y - oy, z - oz
-    for b in range(boxes.shape[0]):
-        t0, t1 = 0.0, 1.0
-        low, high = boxes[b, 1] - oy, boxes[b, 4] - oy
-        if dy > 0.0:
-            t0, t1 = max(t0, low / dy), min(t1, high / dy)
-        elif dy < 0.0:
-            t0, t1 = max(t0, high / dy), min(t1, low / dy)
-        elif low > 0.0 or high < 0.0:
-            continue
-        low, high = boxes[b, 2] - oz, boxes[b, 5] - oz
-        if dz > 0.0:
-            t0, t1 = max(t0, low / dz), min(t1, high / dz)
-        elif dz < 0.0:
-            t0, t1 = max(t0, high / dz), min(t1, low / dz)
-        elif low > 0.0 or high < 0.0:
-            continue
-        if t0 > t1:
-            continue
-        low, high = boxes[b, 0] - ox, boxes[b, 3] - ox
-        t = t1 if low > 0.0 else t0
-        least = low / t if t > 0.0 else -np.inf
-        t = t0 if high > 0.0 else t1
-        most = high / t if t > 0.0 else np.inf
-        start = min(max((least + ox - first_x) / edge_x - 1e-3, 0.0), 64.0)
-        end = min(max((most + ox - first_x) / edge_x + 1e-3, -1.0), 63.0)
-        one, other = int(np.ceil(start)), int(np.floor(end))
-        if one <= other:
-            word |= (ALL >> np.uint64(63 - other + one)) << np.uint64(one)
+@inner(fastmath=FAST, error_model="numpy")
+def _cut(boxes, spans, ox, oy, oz, y, z):
+    """Where the plane from a point to a row at y, z cuts boxes: write spans (2, B) of the row's x, empty if nowhere."""
+    by, bz = y - oy, z - oz
+    steep_y = 1 / (by if abs(by) > FLAT else FLAT)
+    steep_z = 1 / (bz if abs(bz) > FLAT else FLAT)
+    for b in range(spans.shape[1]):
+        one, other = (boxes[1, b] - oy) * steep_y, (boxes[4, b] - oy) * steep_y
+        near, far = min(one, other), max(one, other)
+        one, other = (boxes[2, b] - oz) * steep_z, (boxes[5, b] - oz) * steep_z
+        near, far = max(near, min(one, other)), min(far, max(one, other))
+        near, far = max(near, 0.0), min(far, 1.0)
+        low, high = boxes[0, b] - ox, boxes[3, b] - ox
+        least = low / max(far if low > 0.0 else near, FLAT)
+        most = high / max(near if high > 0.0 else far, FLAT)
+        spans[0, b], spans[1, b] = (least if near <= far else np.inf), (most if near <= far else -np.inf)
+
+
+@inner(error_model="numpy")
+def behind(shadows, boxes, ox, oy, oz, first_x, edge_x, y, z):
+    """The targets of a row, at first_x + i edge_x, y, z, to which a segment from a point may hit a box of (6, B)."""
+    spans, word = shadows.spans, np.uint64(0)
+    _cut(boxes, spans, ox, oy, oz, y, z)
+    for b in range(spans.shape[1]):
+        if spans[0, b] <= spans[1, b]:
+            start = min(max((spans[0, b] + ox - first_x) / edge_x - SLACK, 0.0), 64.0)
+            end = min(max((spans[1, b] + ox - first_x) / edge_x + SLACK, -1.0), 63.0)
+            one, other = int(np.ceil(start)), int(np.floor(end))
+            if one <= other:
+                word |= (ALL >> np.uint64(63 - other + one)) << np.uint64(one)
     return word
 
 
 @inner()
 def _shade(tree, shadows, face, seen):
-    """Cast the segments that wait at a face, and take the targets that are hidden from `seen`."""
-    packet, waiting, numbers = shadows.packet, shadows.waiting, shadows.numbers
+    """Cast the segments that wait at a face, and take the targets that are hidden from `seen`.
+
+    The triangles that hid the last ones are tried first.
+    """
+    packet, waiting, numbers, last = shadows.packet, shadows.waiting, shadows.numbers, shadows.last
     some = waiting[face]
     waiting[face] = 0
     shadows.cast[0] += some
@@ -122,11 +134,20 @@ def _shade(tree, shadows, face, seen):
     load(rays, packet.slabs, shadows.starts, shadows.ways[face], 0, some, face)
     for n in range(SIZE):
         rays[RANGE + n] = 1 - ENDS
-    trace(tree, packet, face, True)
+    hidden = 0
+    if last[face, 0] >= 0:
+        hidden = blocked_by(tree, packet, face, last[face, 0])
+        if hidden < SIZE and last[face, 1] != last[face, 0]:
+            hidden = blocked_by(tree, packet, face, last[face, 1])
+    if hidden < SIZE:
+        trace(tree, packet, face, True)
     for n in range(some):
-        if rays[SLOT + n] != NONE:
+        slot = int(rays[SLOT + n])
+        if slot != NONE:
             number = numbers[face, n]
             seen[number >> 6] &= ~(np.uint64(1) << np.uint64(number & 63))
+            if tree.kind[slot] == TRIANGLE and slot != last[face, 1]:
+                last[face, 0], last[face, 1] = last[face, 1], slot
 
 
 @inner()

@@ -360,6 +360,20 @@ def normal_at(shapes, kind, s, x, y, z, dx, dy, dz, range_m):
     return nx / length, ny / length, nz / length
 
 
+@inner(fastmath=FAST)
+def blocked_by(tree, packet, face, s):
+    """Whether triangle s blocks a packet's segments, as `trace` with any_hit would find out; how many are blocked."""
+    rays = packet.rays
+    _shear(rays)
+    _test_triangle(tree.shapes, s, face, rays, ENDS)
+    count = 0
+    for n in range(SIZE):
+        hit = rays[SLOT + n] >= 0
+        rays[RANGE + n] = -1.0 if hit else rays[RANGE + n]
+        count += hit
+    return count
+
+
 @njit(cache=True, nogil=True)
 def blocked(tree, packet, origins, directions, count, out):
     """Which of the open segments (3, count) from origins along directions, to their ends, a tree blocks.
