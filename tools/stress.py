@@ -22,6 +22,7 @@ import numpy as np
 from accuracy_page import heading, table, write_section
 from hypothesis import HealthCheck, given, settings
 from stress_rays import SEED, Row, rays
+from stress_sight import visibility
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
@@ -177,6 +178,7 @@ CASES = {
     "moved": labels_moved,
     "cuboids": fifty_million,
     "rays": rays,
+    "visibility": visibility,
     "files": files,
 }
 

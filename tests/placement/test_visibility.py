@@ -1,15 +1,25 @@
 """Visibility: shadows, ranges and fields of view by hand, and what they make of labels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.cones import lidar, rig_lidars
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import BLIND, segment
+from lidarcfg.placement.visibility import Visibility
+from lidarcfg.world.meshes import lathe
+from tests import visibility_cases
+from tests.naive import visibility as naive
+from tests.ray_cases import mesh_scene
+from tests.visibility_cases import GOBLET
 
 STUDY = """
 region: {min_m: [0, 0, 0], max_m: [10, 4, 2], cuboid_m: [0.5, 0.5, 0.5]}
@@ -121,3 +131,38 @@ def test_a_search_sees_what_an_evaluation_sees(tmp_path, skip):
     assert found.objective == max_vsr(loaded.region, rig_lidars(found.rig), loaded.visibility)
     assert found.objective == optimize(loaded, threads=1, skip=not skip).objective
     assert found.objective != max_vsr(loaded.region, rig_lidars(found.rig))
+
+
+@pytest.mark.parametrize("triangles", visibility_cases.SHARE)
+def test_what_is_hidden_is_what_a_loop_over_all_triangles_says(triangles):
+    """Sensors in bowls, under a table's edge, on surfaces and inside; segments that touch an edge may go either way."""
+    pairs = 1_000 if triangles == 50_000 else 30_000
+    found = visibility_cases.compared(triangles, pairs, np.random.default_rng(triangles))
+    assert found.pairs >= pairs
+    assert found.wrong == 0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_whole_pipeline_cuboid_by_cuboid(seed):
+    """Labels, blind ones too, and max VSR, against asin, atan2 and breadth-first search, with bodies, ranges and fields."""
+    rng = np.random.default_rng(seed)
+    low, edges, shape = rng.uniform(-4, -2, 3), rng.uniform(0.5, 1, 3), (9, 7, 6)
+    high = low + np.array(shape) * edges
+    region = Region(low, high, rng.random(shape) < 0.95)
+    mesh = lathe(GOBLET * (1.5, 1.2), 9, tuple(rng.uniform(-1, 0, 3)))
+    known, plain = [], []
+    for _ in range(rng.integers(1, 4)):
+        position, rpy = rng.uniform(low, high), rng.uniform(-0.6, 0.6, 3)
+        elevation_deg = np.sort(rng.uniform(-40, 40, 3))
+        range_m = tuple(np.sort(rng.uniform(0, 7, 2))) if rng.random() < 0.7 else None
+        fov_deg = tuple(rng.uniform(0, 360, 2)) if rng.random() < 0.7 else None
+        one = lidar(position, rpy, np.sin(np.radians(elevation_deg)))
+        known.append(replace(one, range_m=range_m, azimuth_fov=fov_deg and tuple(np.radians(fov_deg))))
+        plain.append((position.tolist(), rpy.tolist(), elevation_deg.tolist(), range_m, fov_deg))
+    visibility = Visibility.of([mesh_scene(*mesh)], region)
+    spaces = segment(region, known, visibility)
+    label, seen, worst = naive.subspaces(low, high, edges, region.included, plain, mesh[0][mesh[1]])
+    assert np.array_equal(spaces.label, label)
+    assert np.array_equal(visibility.seen(region, known), np.array(seen) & region.included)
+    assert np.array_equal(spaces.seen_by, np.sum(seen, axis=0) * region.included)
+    assert vsr_m(spaces).max() == pytest.approx(worst, rel=1e-12)
