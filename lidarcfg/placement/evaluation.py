@@ -16,6 +16,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
+from lidarcfg.world.vehicle import check_outside
 
 WORST = 10  # how many of the worst subspaces an evaluation lists
 
@@ -58,9 +59,11 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
 
     With a relative tolerance also the analytic max VSR, to that tolerance. Raises ConfigError where it is not
-    above 0, or where the region has too many cuboids to refine.
+    above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
     """
     started = time.perf_counter()
+    if study.vehicle:
+        check_outside(study.vehicle, rig.mounts)
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
     subspaces = segment(study.region, rig_lidars(rig), study.visibility)
     vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)

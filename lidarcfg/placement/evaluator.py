@@ -67,7 +67,8 @@ class Evaluator:
         self._rest = 0  # see RESTS
         self.full_evaluations = 0
         self.cuboids = 0  # evaluated
-        self.segments = 0  # cast from LiDARs to cuboids
+        self.segments = 0  # cast from LiDARs to cuboids, at most
+        self._segments = len(lidars) * int(region.included.sum()) if visibility and visibility.blocks else 0
 
     def __enter__(self) -> "Evaluator":
         return self
@@ -111,6 +112,7 @@ class Evaluator:
         for trial, (cost, worst) in zip(trials.tolist(), self._pool.map(one, trials.tolist()), strict=True):
             out[trial], fresh[trial, : len(worst)] = cost, worst
             self.cuboids += self._region.included.size * (len(worst) > 0)
+            self.segments += self._segments * (len(worst) > 0)
             if cost < np.inf:
                 self.full_evaluations += 1
             elif len(worst):

@@ -58,6 +58,7 @@ class Placement:
     scout_evaluations: int
     full_evaluations: int  # of all these, how many were evaluated in full
     cuboids: int  # evaluated
+    segments: int  # cast from sensors to cuboids, at most
     log: Log
     seconds: float
     interrupted: bool
@@ -107,6 +108,7 @@ def optimize(
         scout_evaluations=run.asked["scout"],
         full_evaluations=evaluator.full_evaluations,
         cuboids=evaluator.cuboids,
+        segments=evaluator.segments,
         log=log,
         seconds=log.seconds,
         interrupted=interrupted,

@@ -78,13 +78,24 @@ class Study:
         return out
 
     def violation(self, poses: Array) -> Array:
-        """(n,) by how much poses (n, slots, 6) violate the constraints, radians and metres summed; 0 if they do not."""
+        """(n,) by how much poses (n, slots, 6) violate the constraints, radians and metres summed; 0 if they do not.
+
+        A sensor inside a closed body of the vehicle does, unless that is allowed.
+        """
         tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
         total: Array = np.maximum(tilt - math.radians(self.constraints.max_tilt_deg) - 1e-12, 0.0).sum(axis=1)
         for i, j in combinations(range(len(self.slots)), 2):
             apart = np.linalg.norm(poses[:, i, :3] - poses[:, j, :3], axis=1)
             total += np.maximum(self.constraints.min_distance_m - apart, 0.0)
+        if self.vehicle and not self.vehicle.allow_inside:
+            total += self.vehicle.depth_m(poses[..., :3].reshape(-1, 3)).reshape(len(poses), -1).sum(axis=1)
         return total
+
+    @property
+    def segments(self) -> int:
+        """From sensors to cuboids: how many there are to ask whether bodies hide the cuboids."""
+        hidden = self.visibility is not None and self.visibility.blocks
+        return len(self.slots) * int(self.region.included.sum()) * hidden
 
     def criterion(self) -> Criterion:
         """The objective, made ready for this region and these objects."""
@@ -175,6 +186,7 @@ def load_study(path: str | Path) -> Study:
         region = region.without(bodies)
         if not region.included.any():
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
+        _check_bounds(file, path, bodies)
     surroundings = _surroundings(file, path)
     for i, item in enumerate(file.detection):
         try:
@@ -195,8 +207,20 @@ def load_study(path: str | Path) -> Study:
         vehicle=bodies,
         surroundings=surroundings,
         visibility=_visibility(file, region, bodies, surroundings),
-        file=_resolved(file, slots),
+        file=_resolved(file, slots, bodies, path),
     )
+
+
+def _check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
+    """Raises ConfigError where a sensor could only be placed inside a body."""
+    for i, group in enumerate(file.sensors):
+        low, high = np.array(group.min.position_m), np.array(group.max.position_m)
+        name = None if bodies.allow_inside else bodies.holds(low, high)
+        if name:
+            what = (
+                f"every place within its bounds is inside the vehicle's {name!r}; move them, or say allow_inside: true"
+            )
+            raise error_at(path, ("sensors", i), what)
 
 
 def _surroundings(file: StudyFile, path: Path) -> Scene | None:
@@ -218,9 +242,13 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
     return Visibility.of(scenes if given.occlusion else [], region, given.range, given.field_of_view)
 
 
-def _resolved(file: StudyFile, slots: list[Slot]) -> dict[str, Any]:
-    """The file with its defaults filled in and the paths of its models resolved."""
+def _resolved(file: StudyFile, slots: list[Slot], bodies: Vehicle | None, path: Path) -> dict[str, Any]:
+    """The file with its defaults filled in and the paths of its models, meshes and scene resolved."""
     values = file.model_dump(mode="json", exclude_none=True)
+    if bodies:
+        values["vehicle"] = bodies.file.model_dump(mode="json", exclude_none=True)
+    if file.surroundings is not None:
+        values["surroundings"] = str((path.parent / file.surroundings).resolve())
     models = iter(slots)
     for group in values["sensors"]:
         for slot in islice(models, group["count"]):

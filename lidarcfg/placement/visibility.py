@@ -62,9 +62,7 @@ class Visibility:
 
     def transparent(self) -> "Visibility":
         """The same as if nothing hid anything."""
-        return replace(
-            self, obstacles=Obstacles(obstacles([], self.obstacles.origin_m), self.obstacles.origin_m, np.inf)
-        )
+        return replace(self, obstacles=rows.EVERYTHING.obstacles)
 
     def limits(self, lidars: Sequence[Lidar], level: Array | None = None) -> Array:
         """(…, lidars, 9): Sight.limits of LiDARs; `level` (…, lidars, 3, 2) if they are not at their own poses."""

@@ -256,7 +256,15 @@ def _skipped(values: dict[str, Any], placement: Placement | None) -> Facts:
     return [
         ("trials settled without a full evaluation", f"{full:,} of {trials:,} ({full / every:.1%})"),
         ("cuboids that were not evaluated", f"{cuboids:,} of {all_cuboids:,} ({cuboids / all_cuboids:.1%})"),
+        *_segments(values["skipped"]["segments"], placement.segments),
     ]
+
+
+def _segments(skipped: int, cast: int) -> Facts:
+    if not skipped + cast:
+        return []
+    share = f"{skipped:,} of {skipped + cast:,} ({skipped / (skipped + cast):.1%})"
+    return [("segments from sensors to cuboids that were not cast", share)]
 
 
 def _repeat(values: dict[str, Any]) -> Facts:

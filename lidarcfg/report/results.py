@@ -44,7 +44,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "blind_volume_m3": found.blind.volume_m3,
         "blind_spots": [_contour(contour) for contour in found.blind.contours],
         "worst": [asdict(worst) for worst in found.worst],
-        "skipped": {"full_evaluations": 0, "cuboids": 0},
+        "skipped": {"full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
     }
@@ -83,6 +83,7 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
         "skipped": {
             "full_evaluations": trials - found.full_evaluations,
             "cuboids": trials * study.region.included.size - found.cuboids,
+            "segments": trials * study.segments - found.segments,
         },
     }
 

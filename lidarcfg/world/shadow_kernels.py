@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
-from lidarcfg.world.bvh import Tree
+from lidarcfg.world.bvh import TRIANGLE, Tree
+from lidarcfg.world.shapes import FAST
 from lidarcfg.world.tracer_kernels import (
     ENDS,
     FACES,
-    FAST,
     NONE,
     RANGE,
     SIZE,
     SLOT,
-    TRIANGLE,
     Packet,
     blocked_by,
     facing,

@@ -74,6 +74,62 @@ def inside(mesh: Mesh, x: Array, y: Array, z: Array) -> Inside:
     return found
 
 
+def inside_points(mesh: Mesh, points: Array) -> Inside:
+    """(N,): which points (N, 3) are inside any part of a closed, welded mesh, as `inside` has it."""
+    found = np.zeros(len(points), np.bool_)
+    for vertices, triangles in parts(mesh):
+        found |= _odd(vertices, triangles, points)
+    return found
+
+
+def holds(mesh: Mesh, low: Array, high: Array) -> bool:
+    """Whether a box is inside a closed, welded mesh for certain: its corners are, and no triangle's bounds touch it."""
+    vertices, triangles = mesh
+    corners = vertices[triangles]
+    away = (corners.min(axis=1) > high) | (corners.max(axis=1) < low)
+    return bool(away.any(axis=1).all() and inside_points(mesh, np.array([low]))[0])
+
+
+@njit(cache=True, nogil=True)
+def _odd(vertices: Array, triangles: Index, points: Array) -> Inside:
+    """(N,): whether an odd number of triangles is crossed on the way along x to points (N, 3)."""
+    odd = np.zeros(len(points), np.bool_)
+    for t in range(len(triangles)):
+        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+        low_y, high_y, low_z, high_z = (
+            min(a[1], b[1], c[1]),
+            max(a[1], b[1], c[1]),
+            min(a[2], b[2], c[2]),
+            max(a[2], b[2], c[2]),
+        )
+        for n in range(len(points)):
+            y, z = points[n, 1], points[n, 2]
+            if low_y <= y <= high_y and low_z <= z <= high_z and _crossed(a, b, c, y, z):
+                odd[n] ^= _along(a, b, c, y, z) <= points[n, 0]
+    return odd
+
+
+@njit(cache=True, nogil=True)
+def _crossed(a: Array, b: Array, c: Array, y: float, z: float) -> bool:
+    """Whether a line along x at (y, z) passes through a triangle."""
+    one, other, last = (
+        _beside(a[1], a[2], b[1], b[2], y, z),
+        _beside(b[1], b[2], c[1], c[2], y, z),
+        _beside(c[1], c[2], a[1], a[2], y, z),
+    )
+    return bool(one ^ other ^ last)
+
+
+@njit(cache=True, nogil=True)
+def _along(a: Array, b: Array, c: Array, y: float, z: float) -> float:
+    """Where it does, no farther than the corners."""
+    uy, uz, vy, vz = b[1] - a[1], b[2] - a[2], c[1] - a[1], c[2] - a[2]
+    ux, vx, nx = b[0] - a[0], c[0] - a[0], uy * vz - uz * vy
+    low, high = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
+    at = a[0] - ((uz * vx - ux * vz) * (y - a[1]) + (ux * vy - uy * vx) * (z - a[2])) / nx if nx != 0.0 else low
+    return float(min(max(at, low), high))
+
+
 @njit(cache=True, nogil=True)
 def _beside(ay: float, az: float, by: float, bz: float, y: float, z: float) -> bool:
     """Whether a line at (y, z) in the direction of falling y crosses an edge; the same for both of its directions."""
@@ -89,15 +145,8 @@ def _toggle(vertices: Array, triangles: Index, x: Array, y: Array, z: Array, odd
     """Toggle odd (ny, nz, nx + 1) at the first point beyond each triangle, on every line along x that crosses it."""
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        low_x, high_x = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
-        ux, uy, uz, vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2], c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         for j in range(np.searchsorted(y, min(a[1], b[1], c[1])), np.searchsorted(y, max(a[1], b[1], c[1]), "right")):
             first, last = np.searchsorted(z, min(a[2], b[2], c[2])), np.searchsorted(z, max(a[2], b[2], c[2]), "right")
             for k in range(first, last):
-                crossed = _beside(a[1], a[2], b[1], b[2], y[j], z[k])
-                crossed ^= _beside(b[1], b[2], c[1], c[2], y[j], z[k])
-                crossed ^= _beside(c[1], c[2], a[1], a[2], y[j], z[k])
-                if crossed:
-                    at = a[0] - (ny * (y[j] - a[1]) + nz * (z[k] - a[2])) / nx if nx != 0.0 else low_x
-                    odd[j, k, np.searchsorted(x, min(max(at, low_x), high_x))] ^= True
+                if _crossed(a, b, c, y[j], z[k]):
+                    odd[j, k, np.searchsorted(x, _along(a, b, c, y[j], z[k]))] ^= True

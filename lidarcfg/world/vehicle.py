@@ -4,6 +4,8 @@ import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +32,7 @@ from lidarcfg.world.scene import (
     built,
     check_names,
 )
-from lidarcfg.world.solids import Inside, inside, open_edges, parts, welded
+from lidarcfg.world.solids import Inside, holds, inside, inside_points, open_edges, parts, welded
 from lidarcfg.world.tracer import shapes_of
 
 MANY = 500_000  # triangles: reading and checking them takes seconds
@@ -96,6 +98,32 @@ class VehicleFile(Model):
 
 
 @dataclass(frozen=True)
+class Solid:
+    """A closed body."""
+
+    name: str
+    low_m: Array  # (3,) of its bounds
+    high_m: Array  # (3,)
+    shape: Mesh | Sphere | Cylinder
+
+    def inside(self, points_m: Array) -> Inside:
+        """(N,): which points (N, 3) are inside."""
+        if isinstance(self.shape, tuple):
+            return inside_points(self.shape, points_m)
+        middle = 0.5 * (self.low_m + self.high_m)
+        axes = slice(3) if isinstance(self.shape, Sphere) else slice(2)
+        flat = ((points_m - middle)[:, axes] ** 2).sum(axis=1) < self.shape.radius_m**2
+        return np.asarray(flat & (points_m[:, 2] > self.low_m[2]) & (points_m[:, 2] < self.high_m[2]))
+
+    def holds(self, low_m: Array, high_m: Array) -> bool:
+        """Whether a box is inside for certain."""
+        if isinstance(self.shape, tuple):
+            return holds(self.shape, low_m, high_m)
+        corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
+        return bool(self.inside(corners).all())
+
+
+@dataclass(frozen=True)
 class Vehicle:
     """The bodies that travel with the sensors."""
 
@@ -111,25 +139,53 @@ class Vehicle:
         """The same as a part of a rig's file."""
         return Section(self.file.model_dump(exclude_defaults=True))
 
+    @cached_property
+    def solids(self) -> tuple[Solid, ...]:
+        """The closed bodies."""
+        found: list[Solid] = []
+        rounds = dict(self.scene.rounds)
+        for index, name in enumerate(self.scene.names):
+            item = rounds.get(index)
+            if isinstance(item, Sphere):
+                centre, radius = np.array(item.center_m), item.radius_m
+                found.append(Solid(name, centre - radius, centre + radius, item))
+            elif item:
+                base, radius = np.array(item.base_m), item.radius_m
+                high = base + np.array((radius, radius, item.height_m))
+                found.append(Solid(name, base - (radius, radius, 0), high, item))
+            elif name in self.closed:
+                mesh = self.closed[name]
+                found.append(Solid(name, mesh[0].min(axis=0), mesh[0].max(axis=0), mesh))
+        return tuple(found)
+
     def inside(self, name: str, x: Array, y: Array, z: Array) -> Inside:
         """(nx, ny, nz): which points of a grid are inside a body; x, y and z ascend. Nothing is inside an open one."""
-        if name in self.closed:
-            return inside(self.closed[name], x, y, z)
-        for number, item in self.scene.rounds:
-            if self.scene.names[number] == name:
-                dx, dy = np.meshgrid(x, y, indexing="ij")
-                if isinstance(item, Sphere):
-                    flat = (dx - item.center_m[0]) ** 2 + (dy - item.center_m[1]) ** 2
-                    return np.asarray(flat[..., None] + (z - item.center_m[2]) ** 2 < item.radius_m**2)
-                flat = (dx - item.base_m[0]) ** 2 + (dy - item.base_m[1]) ** 2
-                upright = (z > item.base_m[2]) & (z < item.base_m[2] + item.height_m)
-                return np.asarray((flat < item.radius_m**2)[..., None] & upright)
+        for solid in self.solids:
+            if solid.name == name and isinstance(solid.shape, tuple):
+                return inside(solid.shape, x, y, z)
+            if solid.name == name:
+                grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
+                return solid.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3])
         return np.zeros((len(x), len(y), len(z)), np.bool_)
 
     def around(self, point_m: Array) -> str | None:
         """The name of a body that a point (3,) is inside of, if any."""
-        x, y, z = (np.array([value], np.float64) for value in point_m)
-        return next((name for name in self.scene.names if self.inside(name, x, y, z).any()), None)
+        points = np.asarray(point_m, np.float64)[None]
+        return next((solid.name for solid in self.solids if solid.inside(points)[0]), None)
+
+    def depth_m(self, points_m: Array) -> Array:
+        """(N,) how deep points (N, 3) are inside closed bodies, to the nearest side of a body's bounds; 0: outside."""
+        out = np.zeros(len(points_m))
+        for solid in self.solids:
+            depth = np.minimum(points_m - solid.low_m, solid.high_m - points_m).min(axis=1)
+            some = np.flatnonzero(depth > 0.0)
+            if len(some):
+                out[some] = np.maximum(out[some], np.where(solid.inside(points_m[some]), depth[some], 0.0))
+        return out
+
+    def holds(self, low_m: Array, high_m: Array) -> str | None:
+        """The name of a body that holds a whole box, from low (3,) to high (3,), for certain; None: no body does."""
+        return next((solid.name for solid in self.solids if solid.holds(low_m, high_m)), None)
 
 
 def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:

@@ -15,7 +15,9 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import BLIND, segment
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.world.meshes import lathe
+from lidarcfg.world import solids
+from lidarcfg.world.meshes import box_mesh, lathe
+from lidarcfg.world.scene import Box
 from tests import visibility_cases
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
@@ -108,7 +110,10 @@ def test_excluded_bodies_are_no_part_of_the_region(tmp_path):
 
 
 def test_what_a_region_hidden_from_all_is(tmp_path):
-    loaded = study(tmp_path, STUDY + "vehicle: {spheres: [{name: hood, center_m: [1, 2, 1], radius_m: 0.01}]}\n")
+    loaded = study(
+        tmp_path,
+        STUDY + "vehicle: {spheres: [{name: hood, center_m: [1, 2, 1], radius_m: 0.01}], allow_inside: true}\n",
+    )
     rig, _ = at(loaded)
     spaces = segment(loaded.region, rig_lidars(rig), loaded.visibility)
     assert len(spaces) == 1
@@ -166,3 +171,85 @@ def test_the_whole_pipeline_cuboid_by_cuboid(seed):
     assert np.array_equal(visibility.seen(region, known), np.array(seen) & region.included)
     assert np.array_equal(spaces.seen_by, np.sum(seen, axis=0) * region.included)
     assert vsr_m(spaces).max() == pytest.approx(worst, rel=1e-12)
+
+
+CAR = "vehicle: {boxes: [{name: car, center_m: [5, 2, 0.5], size_m: [4, 2, 1]}]MORE}\n"
+
+
+def test_a_sensor_inside_a_body(tmp_path):
+    """Refused where it is evaluated, never placed by a search, and told at once where the bounds leave no other place."""
+    inside = STUDY.replace("[1, 2, 1]", "[5, 2, 0.5]")
+    with pytest.raises(ConfigError, match=r"sensors\[0\]: every place within its bounds is inside the vehicle's 'car'"):
+        study(tmp_path, inside + CAR.replace("MORE", ""))
+    allowed = study(tmp_path, inside + CAR.replace("MORE", ", allow_inside: true"))
+    rig, _ = at(allowed)
+    assert (evaluate(allowed, rig).subspaces.seen_by == 1).sum() == 8 * 4 * 2  # the cuboids in the car
+    outside = study(tmp_path, STUDY + CAR.replace("MORE", ""))
+    with pytest.raises(ConfigError, match="lidar_0 is inside the vehicle's 'car'; move it, or say allow_inside: true"):
+        evaluate(outside, rig)
+    wide = STUDY.replace("max: {position_m: [1, 2, 1]", "count: 3, max: {position_m: [9, 3, 1.2]")
+    loaded = study(tmp_path, wide.replace("[1, 2, 1]", "[1, 1, 0.1]") + CAR.replace("MORE", ""))
+    rng = np.random.default_rng(1)
+    poses = loaded.poses(rng.random((300, int(loaded.free.sum()))))
+    depth = np.minimum(poses[..., :3] - (3, 1, 0), (7, 3, 1) - poses[..., :3]).min(axis=-1)
+    assert loaded.violation(poses) == pytest.approx(np.maximum(depth, 0).sum(axis=1))
+    for mount in optimize(replace(loaded, solver=loaded.solver.model_copy(update={"evaluations": 300}))).rig.mounts:
+        assert (np.minimum(mount.position_m - np.array((3, 1, 0)), (7, 3, 1) - np.array(mount.position_m)) <= 0).any()
+
+
+def test_ground_hides_what_is_below_it_and_what_moves_hides_nothing(tmp_path):
+    (tmp_path / "yard.yaml").write_text(
+        "name: yard\nground: {z_m: 0.75, reflectivity: 10}\nboxes:\n"
+        "  - {name: gate, center_m: [5, 2, 1], size_m: [0.1, 9, 9], reflectivity: 9, motion: {velocity_m_s: [1, 0, 0]}}\n"
+    )
+    loaded = study(tmp_path, STUDY + "surroundings: yard.yaml\n")
+    rig, centres = at(loaded)
+    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    assert np.array_equal(seen, centres[..., 2] >= 0.75)  # centres on the ground are seen
+    assert loaded.file["surroundings"] == str(tmp_path / "yard.yaml")
+    with pytest.raises(ConfigError, match=r"study\.yaml:5:1: surroundings: .*none\.yaml: no such file"):
+        study(tmp_path, STUDY + "surroundings: none.yaml\n")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("20], min", "20], azimuth_fov_deg: [0, 361], min", "azimuth_fov_deg[1]: 361 is too large; allowed: at most 360"),
+        ("20], min", "20], azimuth_fov_deg: [40, 40], min", "sensors[0].azimuth_fov_deg: 40 to 40 is empty"),
+        ("20], min", "20], range_m: [5, 5], min", "sensors[0].range_m[0]: 5 is not below 5"),
+        ("20], min", "20], range_m: [-1, 5], min", "sensors[0].range_m[0]: -1 is too small; allowed: at least 0"),
+        ("region", "vehicle: {}\nregion", "vehicle: has no body; give some of boxes, spheres"),
+        ("region", "vehicle: {boxes: [{name: a, size_m: [1, 1, 1], motion: {}}]}\nregion", "motion: a map is not allowed here"),
+        ("region", "vehicle: {meshes: [{name: a, file: a.ply}]}\nregion", "vehicle.meshes[0].file: "),
+        ("region", "vehicle: {boxes: [{name: a, center_m: [5, 2, 1], size_m: [99, 99, 99], exclude: true}]}\nregion", "vehicle: leaves no cuboid"),
+        ("region", "visibility: {ranges: true}\nregion", "visibility.ranges: unknown key; did you mean range?"),
+    ],
+)  # fmt: skip
+def test_refused(tmp_path, old, new, message):
+    with pytest.raises(ConfigError) as caught:
+        study(tmp_path, STUDY.replace(old, new, 1))
+    assert message in str(caught.value)
+
+
+def test_points_inside_a_closed_mesh_by_its_convex_parts():
+    """Two boxes that overlap, and a bowl whose hollow is outside; on a grid and one by one."""
+    boxes = [
+        box_mesh(Box(name="b", reflectivity=0, center_m=at, size_m=(2, 2, 2), yaw_deg=20))
+        for at in ((0, 0, 0), (1, 0.5, 0))
+    ]
+    mesh = solids.welded(visibility_cases.joined(boxes))
+    assert not len(solids.open_edges(mesh))
+    axes = np.linspace(-2, 3, 41), np.linspace(-2, 2, 31), np.linspace(-1.5, 1.5, 21)
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    turn = np.radians(20)
+    into = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    by_hand = np.zeros(len(points), bool)
+    for centre in ((0, 0, 0), (1, 0.5, 0)):
+        by_hand |= (abs((points - centre) @ into.T) < 1).all(axis=1)
+    assert np.array_equal(solids.inside_points(mesh, points), by_hand)
+    assert np.array_equal(solids.inside(mesh, *axes).ravel(), by_hand)
+    bowl = solids.welded(lathe(GOBLET, 400, (0.0, 0.0, 0.0)))
+    hollow = np.array([[0, 0, 1.5], [0.5, 0, 1.6], [0, 0, 1.05], [0.65, 0, 1.25], [0.05, 0, 0.5], [0.3, 0, 0.5]])
+    assert solids.inside_points(bowl, hollow).tolist() == [False, False, True, True, True, False]
+    assert solids.holds(bowl, np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 0.6]))
+    assert not solids.holds(bowl, np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 1.6]))
