@@ -53,7 +53,7 @@ class Bounds(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _place(lattice: Lattice, line: int) -> tuple[float, float]:
+def line_place(lattice: Lattice, line: int) -> tuple[float, float]:
     """Where a line runs."""
     across_u, across_v = line_at(line, lattice.shape[1], lattice.shape[2])
     return lattice.low[1] + across_u * lattice.edge[1], lattice.low[2] + across_v * lattice.edge[2]
@@ -146,7 +146,7 @@ def candidates(lattice: Lattice, lines: tuple[int, int], bounds: Bounds, surface
     some_at, some_weight = np.empty(most), np.empty(most)
     first, at, weight, total = np.zeros(end - begin + 1, np.int64), np.empty(1024), np.empty(1024), 0
     for line in range(begin, end):
-        u, v = _place(lattice, line)
+        u, v = line_place(lattice, line)
         count = _candidates(bounds, u, v, low, high, some_at, some_weight)
         for f in range(surfaces.first[line], surfaces.first[line + 1]):
             count = insert(surfaces.at[f], surfaces.weight[f], some_at, some_weight, count)
@@ -192,7 +192,7 @@ def triangle_crossings(lattice: Lattice, triangles: Array, out: Array) -> int:
         low_x, high_x, low_v, high_v = min(ax, bx, cx), max(ax, bx, cx), min(av, bv, cv), max(av, bv, cv)
         first, last = _lines_between(lattice, min(au, bu, cu), max(au, bu, cu))
         for line in range(first, last):
-            u, v = _place(lattice, line)
+            u, v = line_place(lattice, line)
             if not low_v <= v < high_v:
                 continue
             crossed = _left(au, av, bu, bv, u, v)
@@ -216,7 +216,7 @@ def round_crossings(lattice: Lattice, rounds: Array, out: Array) -> int:
         far = max(radius, height) if height >= 0.0 else radius
         first, last = _lines_between(lattice, rounds[r, 1] - far, rounds[r, 1] + far)
         for line in range(first, last):
-            u, v = _place(lattice, line)
+            u, v = line_place(lattice, line)
             du, dv = u - rounds[r, 1], v - rounds[r, 2]
             off = abs(du) if up == 2 and height >= 0.0 else abs(dv) if up == 1 and height >= 0.0 else np.hypot(du, dv)
             level = dv if up == 2 else du
@@ -267,7 +267,7 @@ def middles(lattice: Lattice, lines: tuple[int, int], crossed: Crossings) -> Arr
     begin, end = lines
     out, number = np.empty((len(crossed.at) + end - begin, 3)), 0
     for line in range(begin, end):
-        u, v = _place(lattice, line)
+        u, v = line_place(lattice, line)
         here = low
         for c in range(crossed.first[line - begin], crossed.first[line - begin + 1] + 1):
             there = crossed.at[c] if c < crossed.first[line - begin + 1] else high

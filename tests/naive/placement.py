@@ -262,7 +262,7 @@ def zero(function, low, high):
     return (low + high) / 2
 
 
-def sweep(label, gap, low, edge, cones, lines=2):
+def sweep(label, gap, low, edge, cones, lines=2, within=None, sight=None):
     """What straight lines along the first axis see of subspaces: (volume, pieces, surface, pairs that are one).
 
     label[i][j][k] is a cuboid's subspace, −1 outside the region; gap[subspace] its beam gap for each of the cones, which
@@ -271,6 +271,10 @@ def sweep(label, gap, low, edge, cones, lines=2):
     line from one crossing or wall to the next has length, two ends, and the gaps of its midpoint. It belongs to the
     subspaces of these gaps in the cuboids that it passes, else in those and their neighbours all around; if they are
     several, they are one, and the first has it. Pieces shorter than 1e-9 of an edge are nobody's.
+
+    within[i][j][k]: what the region would be without bodies that end it; else where labels are. sight[line]: for each
+    LiDAR, and last for the bodies, whether the line begins in sight, or outside, and (place, |n·e|) of each change. What
+    is out of a LiDAR's sight has the gap −1 for it, and its cones cut nothing there; what is in a body is nobody's.
     """
     nx, ny, nz = len(label), len(label[0]), len(label[0][0])
     count, area = ny * nz * lines**2, edge[1] * edge[2] / lines**2
@@ -287,17 +291,22 @@ def sweep(label, gap, low, edge, cones, lines=2):
         across = ny * (number + 0.5) / count, nz * ((number * (math.sqrt(5) - 1) / 2 + 0.5) % 1.0)
         j, k = math.floor(across[0]), math.floor(across[1])
         u, v = low[1] + across[0] * edge[1], low[2] + across[1] * edge[2]
-        within = [label[i][j][k] >= 0 for i in range(nx)]
-        for inside, run in itertools.groupby(range(nx), within.__getitem__):
+        counts = [within[i][j][k] if within else label[i][j][k] >= 0 for i in range(nx)]
+        seen = sight[number] if sight else [(True, [])] * (len(cones) + 1)
+        for inside, run in itertools.groupby(range(nx), counts.__getitem__):
             cells = list(run)
             if not inside:
                 continue
             first, last = wall(cells[0]), wall(cells[-1] + 1)
-            cuts = [crossing for one in cones for crossing in cone_crossings(u, v, first, last, *one)]
+            cuts = [change for _, changes in seen for change in changes if first < change[0] < last]
+            for one, view in zip(cones, seen, strict=False):
+                cuts += [cut for cut in cone_crossings(u, v, first, last, *one) if in_sight(view, cut[0])]
             for (here, face), (there, other) in itertools.pairwise([(first, 1.0), *sorted(cuts), (last, 1.0)]):
-                if there - here <= 1e-9 * edge[0]:
+                middle = (here + there) / 2
+                if there - here <= 1e-9 * edge[0] or not in_sight(seen[-1], middle):
                     continue
-                gaps = [gap_of(((here + there) / 2, u, v), *one) for one in cones]
+                views = [in_sight(view, middle) for view in seen]
+                gaps = [gap_of((middle, u, v), *one) if view else -1 for one, view in zip(cones, views, strict=False)]
                 passed = [i for i in cells if wall(i) < there and wall(i + 1) > here]
                 own = those(gaps, [(i, j, k) for i in passed])
                 if not own:
@@ -309,6 +318,11 @@ def sweep(label, gap, low, edge, cones, lines=2):
                     surface[own[0]] += (face + other) * area
                     pairs += itertools.pairwise(own)
     return volume, pieces, surface, pairs
+
+
+def in_sight(view, place):
+    """Whether a place is in sight, of a line that begins so or not, and of its changes."""
+    return view[0] != (sum(at < place for at, _ in view[1]) % 2 == 1)
 
 
 def gap_of(point, position, axis, sines):

@@ -1,13 +1,18 @@
-"""The analytic measure where sight is limited, against closed forms."""
+"""The analytic measure where sight is limited: against closed forms, and plain loops."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from lidarcfg.placement.analytic import integrate
+from lidarcfg.placement.boundaries import Boundaries, axes_from
+from lidarcfg.placement.boundary_kernels import Lattice, line_place
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import BLIND, segment
+from tests.naive import boundaries as naive
+from tests.naive import placement as loops
 
 SENSOR = """
   - elevation_deg: [90]
@@ -179,3 +184,142 @@ def test_excluded_bodies_have_their_own_surface(tmp_path, solid):
     loaded = study(tmp_path, ((-1, -1, -1), (1, 1, 1)), 0.1, (0, 0, 0), bodies=f"vehicle: {{{solid}}}{off}")
     assert loaded.visibility is None
     assert bodies(loaded)[0] == pytest.approx((8 - volume, 24 + surface), rel=1e-3)
+
+
+STUDY = """
+region: {min_m: [-2, -1.5, 0], max_m: [2, 1.5, 1.2], cuboid_m: [0.4, 0.3, 0.2], exclude: [{min_m: [1.6, 0, 0], max_m: [2, 1, 1]}]}
+"""
+LIDAR = """
+  - elevation_deg: [-25, -5, 0, 20]
+    {more}
+    min: {{position_m: {position}, rpy_deg: {rpy}}}
+    max: {{position_m: {position}, rpy_deg: {rpy}}}
+"""
+OBSTACLES = """
+vehicle:
+  allow_inside: true
+  boxes:
+    - {name: box, center_m: [0.3, -0.4, 0.35], size_m: [0.9, 0.5, 0.6], yaw_deg: 20, exclude: true}
+    - {name: step, center_m: [0.7, -0.3, 0.2], size_m: [0.7, 0.6, 0.33], yaw_deg: 20, exclude: true}
+  spheres: [{name: ball, center_m: [0.2, 0.8, 0.6], radius_m: 0.23}]
+  cylinders: [{name: post, base_m: [-0.9, -0.2, -0.1], radius_m: 0.2, height_m: 0.8, exclude: true}]
+  planes: [{name: sign, center_m: [-0.4, 0.6, 0.7], rpy_deg: [20, 65, 10], size_m: [0.5, 0.3]}]
+"""
+POSES = {
+    "above": ((0.25, -0.35, 0.9), (10, -15, 40), "range_m: [0.3, 1.9]\n    azimuth_fov_deg: [200, 120]"),
+    "below": ((-0.35, 0.1, 0.31), (-25, 5, 0), "range_m: [0, 1.5]\n    azimuth_fov_deg: [300, 70]"),
+    "outside": ((-3, 2, 1.6), (0, 10, -20), ""),
+}
+
+
+def busy_study(tmp_path):
+    path = tmp_path / "busy.yaml"
+    lidars = [LIDAR.format(position=list(place), rpy=list(rpy), more=more) for place, rpy, more in POSES.values()]
+    (tmp_path / "floor.yaml").write_text("name: floor\nground: {z_m: 0.05, reflectivity: 9}\n")
+    path.write_text(STUDY + OBSTACLES + "surroundings: floor.yaml\nsensors:" + "".join(lidars))
+    return load_study(path)
+
+
+def crossed(region, lidars, visibility, axis):
+    order = axes_from(axis)
+    x, y, z = np.array(region.shape)[order].tolist()
+    lattice = Lattice(axis, region.min_m[order], region.cuboid_m[order], (x, y, z))
+    with ThreadPoolExecutor(2) as pool:
+        return lattice, Boundaries(region, lidars, visibility).flips(lattice, pool)
+
+
+def changes(flips, row, line):
+    """(place, |n·e|) of a line's flips."""
+    first, last = flips.first[row * flips.start.shape[1] + line : row * flips.start.shape[1] + line + 2]
+    return list(zip(flips.at[first:last].tolist(), flips.weight[first:last].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_sight_begins_and_ends_where_small_steps_find_it(tmp_path, pose, axis):
+    """Some lines of the lattice; the steps may miss what is shorter than they are."""
+    loaded, number = busy_study(tmp_path), list(POSES).index(pose)
+    lattice, flips = crossed(loaded.region, loaded.lidars(loaded.lower), loaded.visibility, axis)
+    lidar, scene, order = loaded.lidars(loaded.lower)[number], loaded.vehicle.scene, axes_from(axis)
+    sensor = {
+        "position": lidar.position_m.tolist(),
+        "x": lidar.level[:, 0].tolist(),
+        "y": lidar.level[:, 1].tolist(),
+        "range": lidar.range_m or (0, math.inf),
+        "fov": np.degrees(lidar.azimuth_fov or (0, 2 * math.pi)).tolist(),
+    }
+    triangles = scene.vertices_m[scene.triangles].tolist()
+    rounds = [(0.2, 0.8, 0.6, 0.23, math.nan), (-0.9, -0.2, -0.1, 0.2, 0.8)]
+
+    def see(s, u, v):
+        point = [0.0] * 3
+        for at, value in zip(order, (s, u, v), strict=True):
+            point[at] = value
+        return naive.sees(point, sensor, triangles, rounds, 0.05)
+
+    low, high = lattice.low[0], lattice.low[0] + lattice.shape[0] * lattice.edge[0]
+    steps, compared = 150, 0
+    for line in range(3, flips.start.shape[1], 15):
+        u, v = line_place(lattice, line)
+        state, wanted = naive.flips(see, u, v, low, high, steps)
+        assert flips.start[number, line] == state or changes(flips, number, line)[0][0] < low + (high - low) / steps
+        found = changes(flips, number, line)
+        places = [place for place, _ in found]
+        for place in wanted:
+            assert min(abs(place - one) for one in places) < 1e-9
+        ends = [low, *places, high]
+        for n in range(len(ends) - 1):  # and what the steps have missed
+            assert see((ends[n] + ends[n + 1]) / 2, u, v) == (flips.start[number, line] ^ n % 2)
+        for (place, weight), before, after in zip(found, ends[:-2], ends[2:], strict=True):
+            steepness = naive.steepness(see, u, v, place, min(place - before, after - place, 0.05) / 2)
+            if steepness is not None:
+                assert weight == pytest.approx(steepness, abs=1e-4)
+                compared += 1
+    assert compared > 5
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_lines_are_in_bodies_where_points_are(tmp_path, axis):
+    loaded, order = busy_study(tmp_path), axes_from(axis)
+    lattice, flips = crossed(loaded.region, (), None, axis)
+    for line in range(0, flips.start.shape[1], 5):
+        u, v = line_place(lattice, line)
+        places = [place for place, _ in changes(flips, 0, line)]
+        ends = [lattice.low[0], *places, lattice.low[0] + lattice.shape[0] * lattice.edge[0]]
+        for n in range(len(ends) - 1):
+            point = np.empty((3, 1))
+            point[order, 0] = (ends[n] + ends[n + 1]) / 2, u, v
+            inside = any(loaded.vehicle.inside(name, *point).any() for name in loaded.vehicle.excluded)
+            assert inside == (flips.start[0, line] == n % 2)
+
+
+def test_lines_see_what_plain_loops_see(tmp_path):
+    """Pieces, and which belong together, bit for bit; lengths and normals to 1e-9 of the largest."""
+    loaded = busy_study(tmp_path)
+    region, lidars = loaded.region, loaded.lidars(loaded.lower)
+    subspaces = segment(region, lidars, loaded.visibility)
+    assert (subspaces.gap == BLIND).any(axis=0).all()
+    found = integrate(subspaces, lidars, loaded.visibility)
+    surface, pairs = np.zeros(len(subspaces)), []
+    for axis in range(3):
+        order = axes_from(axis)
+        _, flips = crossed(region, lidars, loaded.visibility, axis)
+        rows, lines = flips.start.shape
+        volume, shadow, faces, joined = loops.sweep(
+            subspaces.label.transpose(order).tolist(),
+            subspaces.gap.tolist(),
+            region.min_m[order].tolist(),
+            region.cuboid_m[order].tolist(),
+            [(one.position_m[order].tolist(), one.axis[order].tolist(), one.sin_elevation.tolist()) for one in lidars],
+            within=region.cut.included.transpose(order).tolist(),
+            sight=[
+                [(bool(flips.start[row, line]), changes(flips, row, line)) for row in range(rows)]
+                for line in range(lines)
+            ],
+        )
+        assert found.shadow[axis].tolist() == shadow
+        np.testing.assert_allclose(found.volume[axis], volume, rtol=0, atol=1e-9 * max(volume))
+        surface += faces
+        pairs += joined
+    np.testing.assert_allclose(found.surface, surface, rtol=0, atol=1e-9 * surface.max())
+    assert found.whole.tolist() == loops.wholes(len(subspaces), pairs)
