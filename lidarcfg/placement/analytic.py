@@ -147,14 +147,14 @@ def analytic(
             f"a tolerance wants half the region's edges, and {8 * region.included.size:,} cuboids; "
             f"allowed: at most {cuboids_max:,}"
         )
-    started = time.perf_counter()
+    started, limited = time.perf_counter(), bool(visibility or region.cut)
     coarse = level(region, lidars, visibility)
     while True:
         region = region.halved()
         fine = level(region, lidars, visibility)
         found = Analytic(
             fine.max_vsr_m,
-            error_bar(coarse, fine),
+            error_bar(coarse, fine, limited),
             tolerance,
             region.cuboid_m.tolist(),
             region.included.size,
@@ -165,11 +165,12 @@ def analytic(
         coarse = fine
 
 
-def error_bar(coarse: Level, fine: Level) -> float:
+def error_bar(coarse: Level, fine: Level, limited: bool = False) -> float:
     """How far the truth may be from fine.max_vsr_m, in metres, by the same on edges twice as long.
 
-    Twice what the last halving changed, and what a lattice of so many lines may err by. Calibrated, not proved: see
+    Twice what the last halving changed, and what a lattice of so many lines may err by; twice that where sight is
+    limited, or bodies bound the region, for surfaces then end at more edges. Calibrated, not proved: see
     docs/measure.md for how often it holds.
     """
-    lattice: float = fine.max_vsr_m / max(fine.pieces, 1.0) ** 0.75
+    lattice: float = (2.0 if limited else 1.0) * fine.max_vsr_m / max(fine.pieces, 1.0) ** 0.75
     return 2.0 * abs(fine.max_vsr_m - coarse.max_vsr_m) + lattice
