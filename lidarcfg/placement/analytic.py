@@ -7,6 +7,9 @@ surface; the walls of the region and of exclusions count 1. The three directions
 |n_x|² + |n_y|² + |n_z|² = 1 and an area's projection along e is |n·e| of it. Every crossing counts, so it makes no odds
 how many cones pass between two centres, nor where an apex lies: a line through it just ends one piece there.
 
+Where something limits what a LiDAR sees, lines are cut where its sight begins and ends too, with the normal of what
+bounds it (boundaries.py), and its cones cut only what it sees. Bodies end the region at their own surfaces.
+
 Which pieces belong together is the grid's to say (`segment`): a piece belongs to the subspaces of its own digits whose
 centres lie in its own cuboids, or, where it is too thin to hold one, in the cuboids around; if these are several,
 they are one, joined by what is thinner than a cuboid. See docs/measure.md.

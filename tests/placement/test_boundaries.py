@@ -2,13 +2,15 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lidarcfg.placement.analytic import integrate
+from lidarcfg.placement.analytic import integrate, level
 from lidarcfg.placement.boundaries import Boundaries, axes_from
 from lidarcfg.placement.boundary_kernels import Lattice, line_place
+from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import BLIND, segment
 from tests.naive import boundaries as naive
@@ -323,3 +325,27 @@ def test_lines_see_what_plain_loops_see(tmp_path):
         pairs += joined
     np.testing.assert_allclose(found.surface, surface, rtol=0, atol=1e-9 * surface.max())
     assert found.whole.tolist() == loops.wholes(len(subspaces), pairs)
+
+
+CAR = """
+region: {min_m: [-8, -5, 0], max_m: [8, 5, 3], cuboid_m: [1, 0.5, 0.25]}
+vehicle: {meshes: [{name: body, file: %s, exclude: true}]}
+sensors:
+  - {name: roof, model: vlp-16, min: {position_m: [-0.6, -0.5, 1.6], rpy_deg: [-15, -15, 0]}, max: {position_m: [0.6, 0.5, 1.9], rpy_deg: [15, 15, 0]}}
+  - {name: front, model: vlp-16, range_m: [0.5, 7], azimuth_fov_deg: [270, 90], min: {position_m: [2.45, -0.7, 0.4], rpy_deg: [-9, -9, 0]}, max: {position_m: [2.5, 0.7, 0.8], rpy_deg: [9, 9, 0]}}
+"""
+
+
+def test_evaluate_has_an_error_bar_that_holds_around_a_car(tmp_path):
+    """Against edges of 1/4: tools/accuracy_vsr.py asks the same of hundreds of rigs."""
+    path = tmp_path / "car.yaml"
+    path.write_text(CAR % (Path(__file__).parents[2] / "data/vehicles/sedan.ply"))
+    loaded = load_study(path)
+    for poses in loaded.poses(np.random.default_rng(3).random((2, int(loaded.free.sum())))):
+        lidars = loaded.lidars(poses)
+        found = evaluate(loaded, loaded.rig(poses), tolerance=1.0).analytic
+        assert found.reached
+        assert found.cuboids == 8 * loaded.region.included.size
+        truth = level(loaded.region.halved().halved(), lidars, loaded.visibility)
+        assert abs(found.max_vsr_m - truth.max_vsr_m) < found.error_m
+        assert found.max_vsr_m == pytest.approx(truth.max_vsr_m, rel=0.02)
