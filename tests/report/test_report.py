@@ -177,6 +177,43 @@ def test_the_same_run_gives_the_same_page(runs):
     assert (runs[0] / "report.html").read_bytes() == (runs[1] / "report.html").read_bytes()
 
 
+VEHICLE = """
+vehicle:
+  boxes: [{name: cab, center_m: [6, 4, 0.75], size_m: [4, 2, 1.5], exclude: true}]
+"""
+
+
+def test_blind_spots_are_said_and_drawn(tmp_path):
+    """As result.json has them; the same in a comparison, which marks the rig that sees more."""
+    study = make(tmp_path, STUDY.replace("sensors:", VEHICLE + "sensors:"))
+    rigs = [study.rig(study.poses(np.full((1, int(study.free.sum())), at))[0]) for at in (0.5, 0.0)]
+    shown = [details(study, rig, evaluate(study, rig), cheap_cuboids=100) for rig in rigs]
+    report.save_evaluation(study, rigs[0], shown[0], tmp_path / "o")
+    page, result = read((tmp_path / "o/report.html").read_text()), json.loads((tmp_path / "o/result.json").read_text())
+    assert "the vehicle (cab)" in page.words
+    total = sum(result["seen_by_m3"])
+    assert result["blind_volume_m3"] == result["seen_by_m3"][0] > 0
+    for n, volume in enumerate(result["seen_by_m3"]):
+        assert f"{n} {volume:,.2f} {volume / total:.2%}" in page.words
+    assert [one["height_m"] for one in result["blind_spots"]] == [0.25, 0.5, 1.0]
+    for one in result["blind_spots"]:
+        assert one["largest_m"] == max(distance for distance in one["distance_m"] if distance is not None) > 0
+        edge = "≥ " if one["reaches_edge"][int(one["largest_at_deg"])] else ""
+        assert f"{edge}{one['largest_m']:.2f} at {one['largest_at_deg']:.0f}°" in page.words
+        assert f"{one['area_m2']:.2f}" in page.words
+    compared = report.contenders([(f"{n}", rig, one) for n, (rig, one) in enumerate(zip(rigs, shown, strict=True))])
+    report.save_comparison(study, compared, tmp_path / "c", report.Commands("typed", "again"))
+    page, values = (
+        read((tmp_path / "c/compare.html").read_text()),
+        json.loads((tmp_path / "c/compare.json").read_text()),
+    )
+    blind = [one["blind_volume_m3"] for one in values["rigs"]]
+    assert blind[0] != blind[1]
+    assert values["best"]["blind volume (m³)"] == ["AB"[blind.index(min(blind))]]
+    assert f"blind volume (m³) {blind[0]:.2f} {blind[1]:.2f}" in page.words
+    assert "the blind-spot contours of each rig" in [label for _, label in page.labels]
+
+
 def test_an_evaluation_without_objects(tmp_path):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")

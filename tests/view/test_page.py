@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from lidarcfg.view.camera import Camera
 from lidarcfg.view.objects import Objects
 from lidarcfg.view.page import ASSETS, MODULES, moved, page_of, save_html
 from lidarcfg.view.server import Server
-from lidarcfg.view.stage import Stage
+from lidarcfg.view.stage import Stage, load_stage
 from tests.chromium import LACKING, asked_for, browser, complaints
 
 ROOT = Path(__file__).parents[2]
@@ -602,3 +603,71 @@ def test_no_text_of_the_users_ends_a_script(tmp_path, stage):
     assert name not in text
     about = text.split('<script id="about" type="application/json">')[1].split("</script>")[0]
     assert json.loads(about)["sensors"][0]["name"] == name
+
+
+CAB = """
+region: {min_m: [-8, -5, 0], max_m: [8, 5, 3], cuboid_m: [0.5, 0.5, 0.25]}
+vehicle:
+  boxes: [{name: cab, center_m: [0, 0, 0.75], size_m: [4, 2, 1.5], exclude: true}]
+sensors:
+  - {name: front, elevation_deg: [-20, -8, 3, 12], min: {position_m: [2.2, -0.5, 0.4], rpy_deg: [0, 0, 0]}, max: {position_m: [2.2, 0.5, 0.8], rpy_deg: [0, 0, 0]}}
+"""
+
+
+@pytest.fixture
+def cab(tmp_path):
+    """A stage with a rig on a vehicle."""
+    (tmp_path / "cab.yaml").write_text(CAB)
+    return load_stage([tmp_path / "cab.yaml"], None, None, np.eye(4), print)
+
+
+@in_browser
+def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
+    """Max VSR with and without what hides, and the blind volume, are evaluate's; served, and in a file."""
+    study, rig = cab.study, cab.rigs[0]
+    with_body, without = evaluate(study, rig), evaluate(replace(study, visibility=None), rig)
+    assert with_body.max_vsr_m != without.max_vsr_m
+
+    def shown():
+        settled(chromium)
+        ids = ("other-vsr", "blind-volume")
+        texts = [
+            chromium.execute_script("return document.getElementById(arguments[0]).textContent", key) for key in ids
+        ]
+        return shown_vsr(chromium), *(float(re.match(r"[0-9.,]+", text)[0].replace(",", "")) for text in texts)
+
+    save_html(page_of(cab), tmp_path / "p.html")
+    with Server(cab, page_of(cab)) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        for url in (server.url, (tmp_path / "p.html").as_uri()):
+            opened(chromium, url)
+            assert shown() == (
+                with_body.max_vsr_m,
+                pytest.approx(without.max_vsr_m, abs=1e-6),
+                pytest.approx(with_body.blind.volume_m3, abs=0.01),
+            )
+            click(chromium, "#bodies")
+            solid = picture(chromium)
+            click(chromium, "#blind")
+            blind = picture(chromium)
+            assert different(blind, solid) > 500
+            click(chromium, "#transparent")
+            assert shown() == (without.max_vsr_m, pytest.approx(with_body.max_vsr_m, abs=1e-6), 0.0)
+            assert different(picture(chromium), solid) > 500
+        server.shutdown()
+        thread.join()
+
+
+def test_the_server_refuses_other_than_true_or_false(cab):
+    with Server(cab, page_of(cab)) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1])
+        poses = [[*mount.position_m, *mount.rpy_rad] for mount in cab.rigs[0].mounts]
+        connection.request("POST", "/evaluate", json.dumps({"poses": poses, "transparent": "yes"}))
+        answer = connection.getresponse()
+        assert (answer.status, answer.read()) == (400, b"transparent: allowed is true or false\n")
+        connection.close()
+        server.shutdown()
+        thread.join()
