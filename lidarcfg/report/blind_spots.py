@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 SIDES = {"ahead": 0, "left": 90, "behind": 180, "right": 270}  # azimuths in degrees
 MAP = "magma_r"
-LEAST_M = 4.0  # shown around the vehicle
-SCALE = 1.1  # of what is shown around the largest contour
+MARGIN_M = 0.5  # shown around the largest contour
 
 
 def volumes_table(blind: BlindSpots) -> Table:
@@ -70,7 +69,7 @@ def contours_view(axes: "Axes", region: Region, rig: Rig, contours: Sequence[Con
     around = contours[0].directions
     for i, contour in enumerate(contours):
         x, y = _ring(contour.directions, np.nan_to_num(contour.distance_m))
-        name = f"{contour.directions.height_m:g} m above the ground"
+        name = f"{contour.directions.height_m:g} m"
         axes.fill(x, y, facecolor=colour(i), alpha=0.12)
         axes.plot(x, y, color=colour(i), lw=1.2, ls=dashes(i), label=name)
     if around.outline_m.any():
@@ -92,14 +91,12 @@ def _ring(around: Directions, beyond_m: Array | float) -> tuple[Array, Array]:
 
 
 def window(contours: Sequence[Contour], rigs: Sequence[Rig]) -> tuple[Array, Array]:
-    """The corners (2,) of what is worth showing: contours, body and sensors, and something around them."""
+    """The corners (2,) of what is worth showing: contours, body and sensors."""
     rings = [np.stack(_ring(c.directions, np.nan_to_num(c.distance_m)), axis=1) for c in contours]
     sensors = np.array([mount.position_m[:2] for rig in rigs for mount in rig.mounts])
     points = np.concatenate([*rings, sensors])
     low, high = points.min(axis=0), points.max(axis=0)
-    half = np.maximum(SCALE * (high - low) / 2, LEAST_M)
-    middle = (low + high) / 2
-    return middle - half, middle + half
+    return low - MARGIN_M, high + MARGIN_M
 
 
 def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Markup:
@@ -116,7 +113,7 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
         axes = figure.add_subplot(grid[0])
         contours_view(axes, region, rig, blind.contours)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="beyond the line, some LiDAR sees everything")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0)).set_in_layout(False)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), title="above the ground")
         _draw_heights(figure, figure.add_subplot(grid[1]), subspaces, rig)
 
     alt = "the blind-spot contours around the vehicle from above, and a map of how much is blind above each position"
@@ -149,7 +146,7 @@ def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title=label(name, 40))
             axes.label_outer()
             axes.set_ylabel("y (m)" if n % 2 == 0 else "")
-        grid[0].legend(fontsize=7)
+        grid[0].legend(fontsize=7, title="above the ground", title_fontsize=7)
 
     each = float(np.clip(0.45 * WIDTH_IN * height / width, 1.5, 4.5))
     return drawing("blind", 0.5 + (each + 0.4) * -(-len(named) // 2), "the blind-spot contours of each rig", draw)
