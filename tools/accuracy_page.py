@@ -26,10 +26,10 @@ def heading(seconds: float) -> str:
     )
 
 
-def write_section(name: str, lines: Sequence[str]) -> None:
-    """Replace what stands between the section's markers in docs/accuracy.md."""
+def write_section(name: str, lines: Sequence[str], page: Path = PAGE) -> None:
+    """Replace what stands between the section's markers in a page, docs/accuracy.md unless said."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    before, rest = PAGE.read_text().split(begin)
+    before, rest = page.read_text().split(begin)
     after = rest.split(end)[1]
-    with replacing(PAGE) as file:
+    with replacing(page) as file:
         file.write("\n".join([before + begin, *lines, end + after]))
