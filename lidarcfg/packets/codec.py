@@ -1,4 +1,4 @@
-"""What every family of packets offers to the rest, and which families there are.
+"""The interface that every family of packets implements, and the registry of families.
 
 A family is a subclass of `Codec`, entered in `FAMILIES`. Outside `packets/` nobody knows its bytes: the simulator sees
 `Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a small one.
@@ -100,11 +100,11 @@ class Returns(NamedTuple):
 
 @dataclass(frozen=True)
 class Source:
-    """One endpoint of a capture: where its packets come from, and what else helps to identify them."""
+    """One endpoint of a capture: where its packets come from, and what else identifies them."""
 
     where: str  # file and endpoint, for errors
-    host: str  # the address that sends
-    port: int  # the port that it sends to
+    host: str  # its address
+    port: int  # the destination's
     companions: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
     payloads: Callable[[int | None, int], Iterator[Octets]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
@@ -112,21 +112,21 @@ class Source:
 
 @dataclass(frozen=True)
 class Tally:
-    """What a source's packets say of it, as far as they have been decoded."""
+    """The figures of a source, from the packets decoded so far."""
 
-    models: tuple[str, ...]  # that they may be of
+    models: tuple[str, ...]  # whose packets these may be
     return_modes: tuple[str, ...]
     lost: int  # packets, by the family's own counters
     rpm: float  # mean; NaN where it is not known
 
 
 class Decoder(Protocol):
-    """Packets of one source, (P, size) octets at a time."""
+    """Decodes the packets of one source, (P, size) octets at a time."""
 
     period_ns: int  # from one packet to the next, at most
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
-        """(P,) device time of each, by which they are put in order."""
+        """(P,) device times, which define the order of packets."""
 
     def heading_rad(self, packets: Octets) -> Array:
         """(P,) where the head points at the start of each, clockwise."""
@@ -136,13 +136,13 @@ class Decoder(Protocol):
         return
 
     def count(self, packets: Octets, wanted: Flags) -> None:
-        """Count what is wanted (P,) of successive packets, together with what went before it."""
+        """Count those packets that are wanted (P,) of successive ones, and what is missing before each."""
 
     def tally(self) -> Tally:
         """What has been counted."""
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """The returns of those that are wanted; the others say how the head turns. Changes nothing here.
+        """The returns of the packets that are wanted (P,); the others only give the head's motion. Changes no state.
 
         Raises PacketError, without saying where.
         """
@@ -170,25 +170,25 @@ class Codec(Protocol):
             raise ConfigError(f"sensor {mount.sensor.name!r} has no {mount.return_mode} returns")
 
     def pace(self, mount: "Mount") -> Pace:
-        """How the mount sends."""
+        """The packet rate and size of the mount."""
 
     def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """The firings of so many packets' time, `chunk` packets at a time; fewer if the field of view is narrow."""
 
     def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
-        """The packets of firings and what they measured, (N, R): range (inf: nothing) and reflectivity.
+        """The packets of a batch with ranges (N, R; inf: no return) and reflectivities (N, R).
 
         R is 2 with dual returns: strongest (or second strongest, if the last is the strongest) and last, equal where
-        there is one return only. What the sensor does not measure, or the packet cannot say, is no return.
+        there is one return only. Ranges that the sensor or the packet cannot hold are no returns.
         """
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
-        """(N, R): which of those are returns in the packets; of two that are alike there, the first."""
+        """(N, R): which ranges became returns in the packets; of an identical pair, the first."""
 
     def housekeeping(
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
-        """What the sensor sends besides: position, state, calibration, inertial measurements."""
+        """The sensor's other packets: position, state, calibration, inertial measurements."""
         return iter(())
 
     def companions(self, mount: "Mount") -> Mapping[str, bytes]:

@@ -190,7 +190,8 @@ def points(wire: Wire, wanted: Flags, slots: Slots, lasers: Lasers, unit_m: floa
     """Fill in one entry a return of the packets that are wanted (P,), in their order; returns how many.
 
     With near offsets x and y have corrections of their own up to 25.04 m, and z their mean, as velodyne_decoder 3.1
-    has it. One function: split into several, it was measured 1.3 to 1.7 times as slow.
+    has it. One function: split into several, it was measured 1.3 to 1.7 times as slow, and with parts inlined by numba
+    1.1 to 1.3 times.
     """
     distance, intensity, azimuth, step, late_ns, stamp_ns, last = wire
     groups, width = azimuth.shape[1], len(slots.laser)
