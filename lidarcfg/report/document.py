@@ -263,8 +263,8 @@ def _skipped(values: dict[str, Any], placement: Placement | None) -> Facts:
 def _segments(skipped: int, cast: int) -> Facts:
     if not skipped + cast:
         return []
-    share = f"{skipped:,} of {skipped + cast:,} ({skipped / (skipped + cast):.1%})"
-    return [("segments from sensors to cuboids that were not cast", share)]
+    saved = f"{skipped:,} of {skipped + cast:,} ({skipped / (skipped + cast):.1%})"
+    return [("segments from sensors to cuboids that were not cast", saved)]
 
 
 def _repeat(values: dict[str, Any]) -> Facts:
