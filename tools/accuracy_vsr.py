@@ -115,7 +115,7 @@ def held(job: tuple[str, int]) -> Array:
 
 
 def body_study(vehicle: str, limited: bool, sensors: int | None) -> Study:
-    """A vehicle's body in a region of the paper's cuboids, and its first so many LiDARs; or ranges and sectors too."""
+    """A body in a region of the paper's cuboids, and its first so many LiDARs; with ranges and fields of view too."""
     groups = []
     for name, low, high, yaw_deg in MOUNTS[vehicle][:sensors]:
         low_deg, high_deg = [-15, -15, yaw_deg], [15, 15, yaw_deg]
