@@ -21,7 +21,7 @@ from lidarcfg.sensor import Sensor
 from lidarcfg.world.bvh import EMPTY, TRIANGLE, Tree, build, corners
 from lidarcfg.world.meshes import Mesh
 
-PHASES = 8  # a power of 2, so that means over phases are exact
+PHASES = 4  # a power of 2, so that means over phases are exact
 PLACES_PER_PART = 64  # that a thread takes at a time
 
 

@@ -159,15 +159,14 @@ def aim(scans, f, head, count, M, origin, origins, directions):
     forward, left, above = scans.start_m[f, 0], scans.start_m[f, 1], scans.start_m[f, 2]
     cos_l, sin_l, cos_o, sin_o = math.cos(lag), math.sin(lag), math.cos(offset), math.sin(offset)
     cos_w, sin_w = math.cos(elevation), math.sin(elevation)
-    for n in range(SIZE):
-        at = head + min(n, count - 1)
-        cos_e, sin_e = cos_heads[at] * cos_l - sin_heads[at] * sin_l, sin_heads[at] * cos_l + cos_heads[at] * sin_l
-        c, s = cos_e * cos_o - sin_e * sin_o, sin_e * cos_o + cos_e * sin_o
-        x, y, z = cos_w * c, -cos_w * s, sin_w
-        a, b = left * s + forward * cos_e, left * c - forward * sin_e
-        for k in range(3):
-            directions[k, n] = M[k, 0] * x + M[k, 1] * y + M[k, 2] * z
-            origins[k, n] = M[k, 0] * a + M[k, 1] * b + M[k, 2] * above + origin[k]
+    for k in range(3):
+        u, v, w, start = M[k, 0], M[k, 1], M[k, 2], origin[k]
+        for n in range(count):
+            cos_h, sin_h = cos_heads[head + n], sin_heads[head + n]
+            cos_e, sin_e = cos_h * cos_l - sin_h * sin_l, sin_h * cos_l + cos_h * sin_l
+            c, s = cos_e * cos_o - sin_e * sin_o, sin_e * cos_o + cos_e * sin_o
+            directions[k, n] = u * (cos_w * c) - v * (cos_w * s) + w * sin_w
+            origins[k, n] = u * (left * s + forward * cos_e) + v * (left * c - forward * sin_e) + (w * above + start)
 
 
 @inner()
