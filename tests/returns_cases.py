@@ -7,8 +7,8 @@ import numpy as np
 
 from lidarcfg.geometry import pose, transform
 from lidarcfg.packets.codec import codec, pattern
-from lidarcfg.placement.returns import Scanner
-from lidarcfg.rig import Mount
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.units import MINUTE_NS, SECOND_NS
@@ -34,15 +34,9 @@ def mount(model, position_m, rpy_deg, rpm=600.0, fov_deg=None, settings=None):
     return replace(made, settings=replace(made.settings, values=settings)) if settings else made
 
 
-def scanner(one):
-    """The mount as placement knows it."""
-    limits = one.sensor.range
-    return Scanner(one.sensor, pattern(one), (limits.min_m, limits.max_m), one.azimuth_fov_deg)
-
-
-def poses(mounts):
-    """(S, 6)."""
-    return np.array([[*one.position_m, *one.rpy_rad] for one in mounts])
+def lidars(mounts):
+    """The mounts as placement knows them."""
+    return rig_lidars(Rig("cases", tuple(mounts)))
 
 
 def revolution(one, phase, phases):

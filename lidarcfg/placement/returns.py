@@ -13,12 +13,17 @@ from functools import cached_property
 
 import numpy as np
 
-from lidarcfg.firing import Pattern
-from lidarcfg.geometry import Array, rotation
+from lidarcfg.errors import ConfigError
+from lidarcfg.firing import Pattern, Patterns
+from lidarcfg.geometry import Array
 from lidarcfg.placement import returns_kernels as kernels
-from lidarcfg.placement.returns_kernels import Counts, Obstacles, Poses, Scans, Shape
+from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.returns_kernels import Counts, Poses, Scans, Shape
+from lidarcfg.placement.rows import EVERYTHING
+from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
-from lidarcfg.world.bvh import EMPTY, TRIANGLE, Tree, build, corners
+from lidarcfg.world.bvh import TRIANGLE, build, corners
 from lidarcfg.world.meshes import Mesh
 
 PHASES = 4  # a power of 2, so that means over phases are exact
@@ -33,6 +38,17 @@ class Scanner:
     pattern: Pattern
     range_m: tuple[float, float]  # least, greatest
     azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
+
+
+def scanner(mount: Mount, patterns: Patterns) -> Scanner:
+    """A mount's sensor. Raises ConfigError where its file says too little."""
+    sensor, range_m = mount.sensor, mount.range_m
+    pattern = patterns(mount)
+    if range_m is None:
+        if sensor.range is None:
+            raise ConfigError(f"sensor {sensor.name!r} has no range facts")
+        range_m = sensor.range.min_m, sensor.range.max_m
+    return Scanner(sensor, pattern, range_m, mount.azimuth_fov_deg)
 
 
 @dataclass(frozen=True)
@@ -82,11 +98,7 @@ class Returned:
         return np.asarray(kernels.probabilities(self.counts, np.array(self.phases, np.int64), enough))
 
 
-NOTHING = Obstacles(
-    Tree(EMPTY, np.empty(0, np.float32), np.empty(0, np.int32), np.empty(0), np.empty(0, np.uint8),
-         np.empty(0, np.int32), np.empty(0, np.int32)),
-    np.zeros(3), np.inf,
-)  # fmt: skip
+NOTHING = EVERYTHING.obstacles
 
 
 def scans(scanners: Sequence[Scanner], phases: int = PHASES) -> Scans:
@@ -116,9 +128,11 @@ def scans(scanners: Sequence[Scanner], phases: int = PHASES) -> Scans:
     )
 
 
-def placed(poses: Array) -> Poses:
-    """Sensors at poses (S, 6) of x, y, z, roll, pitch, yaw in the vehicle frame."""
-    return Poses(np.array([rotation(row[3:]) for row in poses]), np.ascontiguousarray(poses[:, :3]))
+def placed(lidars: Sequence[Lidar]) -> Poses:
+    """The poses of LiDARs, which say where their x axes point."""
+    levels = [one.level for one in lidars if one.level is not None]
+    R = np.array([np.column_stack([level, one.axis]) for level, one in zip(levels, lidars, strict=True)])
+    return Poses(R, np.array([one.position_m for one in lidars], np.float64))
 
 
 def returns(

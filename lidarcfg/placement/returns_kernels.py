@@ -71,14 +71,6 @@ class Frame(NamedTuple):
     t: Array  # (3,)
 
 
-class Obstacles(NamedTuple):
-    """What blocks beams, relative to a point."""
-
-    tree: Tree
-    origin_m: Array  # (3,) the point, in the vehicle frame
-    ground_m: float  # height of the ground in the vehicle frame; inf: none
-
-
 class Work(NamedTuple):
     """Working memory of a thread."""
 
@@ -295,6 +287,11 @@ def probability(counts, phases, enough, chance):
 
     counts (S, K) of the returns of S sensors, of which sensor s has phases[s]; chance (enough + 1,) is overwritten.
     """
+    least, most = 0, 0
+    for s in range(len(phases)):
+        least, most = least + counts[s, : phases[s]].min(), most + counts[s, : phases[s]].max()
+    if least >= enough or most < enough:
+        return 1.0 if least >= enough else 0.0
     chance[:] = 0.0
     chance[0] = 1.0  # of exactly so many returns; the last: of so many or more
     for s in range(len(phases)):

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from lidarcfg.packets.codec import pattern
 from lidarcfg.placement import returns_kernels as kernels
-from lidarcfg.placement.returns import NOTHING, Target, placed, returns, scans
-from lidarcfg.placement.returns_kernels import Obstacles
+from lidarcfg.placement.returns import NOTHING, PHASES, Target, placed, returns, scanner, scans
+from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.world.tracer import tree
 from tests.naive import returns as naive
-from tests.returns_cases import at_place, box, mount, poses, revolution, scanner, scene_with, simulated
+from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated
 
 BODY = box(4.5, 1.8, 1.45)
 SIZES = (0.5, 0.5, 1.75), (4.5, 1.8, 1.45), (0.63, 0.63, 0.2)
@@ -50,13 +50,13 @@ def test_counts_are_the_simulators(size):
     """All families, at a random phase each, with the body in the way; tools/accuracy_returns.py has 10,000 places."""
     rng = np.random.default_rng(7)
     where, target, total = places(rng, 8, size), Target(box(*size)), 0
-    sensors = scans([scanner(one) for one in MOUNTS])
-    found = returns(where, target, sensors, placed(poses(MOUNTS)), obstacles(BODY))
+    sensors = scans([scanner(one, pattern) for one in MOUNTS])
+    found = returns(where, target, sensors, placed(lidars(MOUNTS)), obstacles(BODY))
     for p in range(len(where)):
         scene = scene_with([BODY, at_place(target.mesh, where[p])])
         for s, one in enumerate(MOUNTS):
             phase = int(rng.integers(found.phases[s]))
-            expected = simulated(one, s, revolution(one, phase, 8), scene, 1)
+            expected = simulated(one, s, revolution(one, phase, PHASES), scene, 1)
             assert found.counts[p, s, phase] == expected, (p, one.sensor.name, phase)
             total += expected
     assert total > 1000
@@ -65,10 +65,10 @@ def test_counts_are_the_simulators(size):
 @pytest.mark.parametrize("model", ["vlp-16", "hdl-64e-s3", "os1-32"])
 def test_counts_are_those_of_plain_loops(model):
     one = replace(mount(model, (0.4, 0.1, 1.9), (3, 5, 170), 1200.0))
-    short = replace(scanner(one), pattern=coarse(pattern(one)), range_m=(2.0, 9.0))
+    short = replace(scanner(one, pattern), pattern=coarse(pattern(one)), range_m=(2.0, 9.0))
     rng, target = np.random.default_rng(3), Target(box(1.8, 0.6, 1.75))
     where = places(rng, 4, (1.8, 0.6), 10.0)
-    found = returns(where, target, scans([short], 2), placed(poses([one])), obstacles(BODY))
+    found = returns(where, target, scans([short], 2), placed(lidars([one])), obstacles(BODY))
     body = BODY[0][BODY[1]]
     for p, place in enumerate(where):
         vertices, triangles = at_place(target.mesh, place)
@@ -90,7 +90,7 @@ def test_an_upright_box_straight_ahead():
     bare = one.sensor.model_copy(update={"beams": one.sensor.beams.model_copy(update={"vertical_offset_mm": ()})})
     wall = np.array([[10.5, 0.0, 0.0, 0.0]])
     found = returns(
-        wall, Target(box(1.0, 4.0, 2.0)), scans([replace(scanner(one), sensor=bare)], 1), placed(poses([one]))
+        wall, Target(box(1.0, 4.0, 2.0)), scans([replace(scanner(one, pattern), sensor=bare)], 1), placed(lidars([one]))
     )
     step_deg, expected = 360 * 10 * 55_296e-9, 0
     for laser, rise_deg in enumerate(bare.beams.elevation_deg):
@@ -114,8 +114,8 @@ def test_mean_over_phases_is_the_solid_angle():
     found = returns(
         np.array([[8.0, 3.0, 0.0, 1.0]]),
         Target(ball),
-        scans([replace(scanner(one), sensor=sensor)], 64),
-        placed(poses([one])),
+        scans([replace(scanner(one, pattern), sensor=sensor)], 64),
+        placed(lidars([one])),
     )
     expected = 16 * 2 * math.degrees(math.asin(0.5 / math.hypot(8, 3))) / (360 * 10 * 55_296e-9)
     assert found.mean[0] == pytest.approx(expected, rel=2e-3)
@@ -127,9 +127,9 @@ def test_a_field_of_view_and_ranges_end_what_returns():
     one = mount("vlp-16", (0.0, 0.0, 1.0), (0, 0, 0))
 
     def counts(changed):
-        return returns(where, target, scans([changed]), placed(poses([one]))).mean
+        return returns(where, target, scans([changed]), placed(lidars([one]))).mean
 
-    around = scanner(one)
+    around = scanner(one, pattern)
     assert (counts(around) > 0).all()
     ahead = counts(replace(around, azimuth_fov_deg=(315.0, 45.0)))
     assert ahead.tolist() == [counts(around)[0], 0.0]
@@ -142,7 +142,9 @@ def test_the_ground_of_the_surroundings_hides():
     target, where = Target(box(1.0, 1.0, 1.0)), np.array([[6.0, 0.0, 0.0, 0.0]])
     one = mount("vlp-16", (0.0, 0.0, 2.0), (0, 0, 0))
     count = [
-        returns(where, target, scans([scanner(one)]), placed(poses([one])), NOTHING._replace(ground_m=ground)).mean[0]
+        returns(
+            where, target, scans([scanner(one, pattern)]), placed(lidars([one])), NOTHING._replace(ground_m=ground)
+        ).mean[0]
         for ground in (0.0, 0.8, 1.5)
     ]
     assert count[0] > count[1] > count[2] == 0.0
@@ -161,7 +163,7 @@ def test_ending_early_changes_nothing():
     """Beside counts in full: the sum over places of the probability to go undetected; and no less once it ends early."""
     rng, mounts = np.random.default_rng(5), MOUNTS[:3]
     where, target, around = places(rng, 60, (0.5, 0.5)), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
-    sensors, at = scans([scanner(one) for one in mounts]), placed(poses(mounts))
+    sensors, at = scans([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
     found = returns(where, target, sensors, at, around)
     for enough in (1, 40, 200, 2000):
         missed = float(sum(1.0 - found.probability(enough)))
@@ -174,6 +176,6 @@ def test_ending_early_changes_nothing():
 def test_threads_change_nothing():
     rng, mounts = np.random.default_rng(6), MOUNTS[:2]
     where, target = places(rng, 200, (0.5, 0.5)), Target(box(0.5, 0.5, 1.75))
-    sensors, at = scans([scanner(one) for one in mounts]), placed(poses(mounts))
+    sensors, at = scans([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
     one, many = (returns(where, target, sensors, at, obstacles(BODY), threads).counts for threads in (1, 5))
     assert np.array_equal(one, many)
