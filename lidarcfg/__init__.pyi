@@ -1,5 +1,6 @@
 from .cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError
+from .packets.codec import pattern as pattern
 from .placement.evaluation import evaluate as evaluate
 from .placement.optimize import optimize as optimize
 from .placement.region import Region as Region

@@ -74,12 +74,13 @@ def optimize(
     import time
 
     from lidarcfg import report
+    from lidarcfg.packets.codec import pattern
     from lidarcfg.placement.details import details
     from lidarcfg.placement.optimize import optimize as search
     from lidarcfg.placement.study import load_study, with_solver
 
     budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
-    loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
+    loaded = with_solver(load_study(study, pattern), seed=seed, method=solver, **budget)
     warn_of(loaded.vehicle)
     folder = output or resume or Path("out") / loaded.name
     log = report.load_log(loaded, resume) if resume else None
@@ -148,12 +149,13 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     subspaces, whose surface the cuboids' faces overestimate, is known that well.
     """
     from lidarcfg import report
+    from lidarcfg.packets.codec import pattern
     from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate as evaluation
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
 
-    loaded, mounted = load_study(study), load_rig(rig)
+    loaded, mounted = load_study(study, pattern), load_rig(rig)
     warn_of(loaded.vehicle)
     found = evaluation(loaded, mounted, tolerance)
     if output:
@@ -190,13 +192,14 @@ def compare(
     on the poses are not enforced.
     """
     from lidarcfg import report
+    from lidarcfg.packets.codec import pattern
     from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate as evaluation
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
 
     report.check_count(len(rigs))
-    loaded, mounted = load_study(study), [load_rig(rig) for rig in rigs]
+    loaded, mounted = load_study(study, pattern), [load_rig(rig) for rig in rigs]
     warn_of(loaded.vehicle)
     if output:
         report.check_writable(output)

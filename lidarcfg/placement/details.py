@@ -9,7 +9,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import analytic
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.coverage import Coverage, coverage
-from lidarcfg.placement.detection import Counts, Rings, counted_places, detection_by_distance
+from lidarcfg.placement.detection import Counts, DetectionObject, Rings, counted_places, detection_by_distance
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import inscribed_radii_m, volume_m3
@@ -27,8 +27,10 @@ RING_M = (1, 2, 5)  # times a power of ten
 class Places:
     """Where an object without `samples` is detected, and where it can be, by position from above."""
 
-    detected: Counts  # (mx, my) over all heights
-    places: Counts  # (mx, my)
+    detected: Counts | Array  # (mx, my) over all heights, or over headings the probabilities by returns
+    places: Counts | Array  # (mx, my)
+    low_m: Array  # (2,) the lower corner of the map, whose cells have the objects' centres in their middles
+    high_m: Array  # (2,)
 
     @property
     def rate(self) -> Array:
@@ -78,9 +80,27 @@ def details(
         sphere_m=float(inscribed_radii_m(subspaces).max()),
         coverage=coverage(subspaces),
         vehicle_m=vehicle,
-        rings={item.name: detection_by_distance(subspaces, item, vehicle, edges) for item in study.detection},
-        places={item.name: Places(*counted_places(subspaces, item)) for item in study.detection if not item.samples},
+        rings={
+            item.name: found.sightings[item.name].rings(vehicle, edges)
+            if item.returns
+            else detection_by_distance(subspaces, item, vehicle, edges)
+            for item in study.detection
+        },
+        places={item.name: places(found, item) for item in study.detection if not item.samples},
     )
+
+
+def places(found: Evaluation, item: DetectionObject) -> Places:
+    """Where an object without `samples` is detected."""
+    if item.returns:
+        seen = found.sightings[item.name]
+        low, step_m = seen.sought.low_m, seen.sought.step_m
+        found_at, can_be = seen.from_above(seen.probability), seen.from_above(np.ones(len(seen.probability)))
+        return Places(found_at, can_be, low, low + step_m * np.array(seen.sought.grid))
+    region = found.subspaces.region
+    detected, count = counted_places(found.subspaces, item)
+    low = region.min_m[:2] + (np.array(region.shape[:2]) - detected.shape) / 2 * region.cuboid_m[:2]
+    return Places(detected, count, low, low + detected.shape * region.cuboid_m[:2])
 
 
 def ring_edges_m(region: Region, centre_m: Array) -> Array:

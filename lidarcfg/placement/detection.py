@@ -1,40 +1,84 @@
 """Object detection rate: the fraction of places where an object touches enough subspaces (paper, II-C)."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.stats import qmc, t
 
-from lidarcfg.config import Model, Positive
+from lidarcfg.config import COORDINATE_MAX_M, Model, Positive, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement import detection_kernels as kernels
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
+from lidarcfg.rig import one_of
 
 Counts = NDArray[np.int64]
+Heading = Annotated[float, Field(ge=0, le=360)]
 
 REPLICATES = 16  # independent scramblings, whose spread gives the confidence interval
 ALL = 2**63 - 1  # no end to the places where an object may go undetected
 
 
 class DetectionObject(Model):
-    """A box that is detected where it touches more than `threshold` subspaces.
+    """A box that is detected where it touches more than `threshold` subspaces; or a box or mesh, by its returns.
 
-    Without `samples` it is parallel to the axes, rounded up to whole cuboids, and every place on the grid counts
-    once. With `samples` it stands anywhere, at any heading, and that many places are drawn quasi-randomly.
+    Without `samples` a box is parallel to the axes, rounded up to whole cuboids, and every place on the grid counts
+    once. With `samples` it is anywhere, at any heading, and that many places are drawn quasi-randomly.
+
+    With `returns` it is on the region's floor, and detected where so many beams of one revolution come back from it.
+    Without `samples`, every place on a grid of `step_m` counts once at each of `headings_deg`.
     """
 
     name: Annotated[str, Field(min_length=1)]
-    size_m: tuple[Positive, Positive, Positive]
+    size_m: tuple[Positive, Positive, Positive] | None = None
+    mesh: Annotated[str, Field(min_length=1)] | None = None  # relative to the study's file
     threshold: Annotated[int, Field(ge=0, le=1000)] = 1
+    returns: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
     on_ground: bool = False
+    step_m: Annotated[float, Field(ge=0.01, le=COORDINATE_MAX_M)] | None = None  # none: 1
+    headings_deg: Annotated[tuple[Heading, ...], Field(min_length=1, max_length=360)] | None = None  # none: 0
     samples: Annotated[int, Field(ge=REPLICATES, le=2**26)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "DetectionObject":
+        given = self.model_fields_set
+        if self.returns is None:
+            for key in ("mesh", "step_m", "headings_deg"):
+                if getattr(self, key) is not None:
+                    raise fault("is for objects that are detected by returns; give returns", key)
+            if self.size_m is None:
+                raise fault("missing", "size_m")
+            return self
+        one_of(self, "size_m", "mesh")
+        if "threshold" in given:
+            raise fault("stands beside returns; give one of them", "threshold")
+        if "on_ground" in given and not self.on_ground:
+            raise fault("false is not allowed beside returns; the object is on the region's floor", "on_ground")
+        for key in ("step_m", "headings_deg"):
+            if self.samples and getattr(self, key) is not None:
+                raise fault("stands beside samples, which are drawn anywhere, at any heading", key)
+        return self
+
+    @property
+    def box_m(self) -> tuple[float, float, float]:
+        """The size of what is a box."""
+        assert self.size_m
+        return self.size_m
+
+
+@dataclass(frozen=True)
+class Returns:
+    """What comes back from an object in a revolution, over its places."""
+
+    rate_in_worst_phase: float  # fraction of the places where it is detected in every phase
+    mean: float  # returns, over places and phases
+    mean_in_worst_phase: float  # over places
 
 
 @dataclass(frozen=True)
@@ -44,6 +88,7 @@ class Detection:
     rate: float
     places: int  # free of exclusions, counted or drawn
     half_width: float  # of the 95 % confidence interval; 0 where all places were counted
+    returns: Returns | None = None  # where it is detected by them
 
 
 @dataclass(frozen=True)
@@ -51,7 +96,7 @@ class Rings:
     """How often an object is detected, by the horizontal distance of its centre from a point."""
 
     edges_m: Array  # (n + 1,) ascending; a ring holds its inner edge
-    detected: Counts  # (n,)
+    detected: Counts | Array  # (n,) of those detected by returns, the sum of the probabilities
     places: Counts  # (n,) free of exclusions, counted or drawn
 
     @property
@@ -62,11 +107,12 @@ class Rings:
         return rate
 
 
-def check_fits(item: DetectionObject, region: Region) -> None:
-    """Raise ConfigError where an object is larger than the region."""
-    for axis, (need, have) in enumerate(zip(cuboids_needed(item.size_m, region.cuboid_m), region.shape, strict=True)):
+def check_fits(item: DetectionObject, region: Region, size_m: tuple[float, ...] | None = None) -> None:
+    """Raise ConfigError where an object, of this size if it is a mesh, is larger than the region."""
+    size_m = size_m or item.box_m
+    for axis, (need, have) in enumerate(zip(cuboids_needed(size_m, region.cuboid_m), region.shape, strict=True)):
         if need > have:
-            size, most = item.size_m[axis], region.max_m[axis] - region.min_m[axis]
+            size, most = size_m[axis], region.max_m[axis] - region.min_m[axis]
             raise ConfigError(
                 f"{item.name}: size_m[{axis}]: {size:g} is more than the region's {most:g} along {AXES[axis]}"
             )
@@ -86,7 +132,7 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> tuple[Counts,
 
     Every place on the grid, wholly inside the region and free of exclusions, at all heights or on the ground.
     """
-    size = cuboids_needed(item.size_m, subspaces.region.cuboid_m)
+    size = cuboids_needed(item.box_m, subspaces.region.cuboid_m)
     layers = 1 if item.on_ground else subspaces.region.shape[2]
     return kernels.detected_positions(subspaces.label, size, item.threshold, layers, ALL)
 
@@ -99,7 +145,9 @@ def free_places(region: Region, item: DetectionObject) -> list[int]:
     one = Subspaces(region, label, none, none.reshape(0, 3), none.reshape(0, 0), none)
     if not item.samples:
         return [int(counted_places(one, item)[1].sum())]
-    counts = [_detected_boxes(one, item, box)[1] for box in _drawn_boxes(region, item, item.samples)]
+    counts = [
+        _detected_boxes(one, item, box)[1] for box in drawn_boxes(region, item.box_m, item.on_ground, item.samples)
+    ]
     return [count for count in counts if count]
 
 
@@ -115,7 +163,7 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
         enough = ALL if limit > 1.0 else max(int(limit * places) - 2, 0)
         while enough < places and 1.0 - (places - enough) / places < limit:
             enough += 1
-        size = cuboids_needed(item.size_m, subspaces.region.cuboid_m)
+        size = cuboids_needed(item.box_m, subspaces.region.cuboid_m)
         layers = 1 if item.on_ground else subspaces.region.shape[2]
         label = subspaces.label
         detected, seen = kernels.detected_positions(label, size, item.threshold, layers, max(enough, 1))
@@ -123,7 +171,7 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
         return 1.0 - (places - misses) / places
     rates = np.ones(len(free))
     number = 0
-    for box in _drawn_boxes(subspaces.region, item, item.samples):
+    for box in drawn_boxes(subspaces.region, item.box_m, item.on_ground, item.samples):
         detected_boxes, places = _detected_boxes(subspaces, item, box)
         if places:
             rates[number] = detected_boxes / places
@@ -142,22 +190,22 @@ def detection_by_distance(subspaces: Subspaces, item: DetectionObject, middle_m:
     detected, places = np.zeros(n, np.int64), np.zeros(n, np.int64)
     region = subspaces.region
     if item.samples:
-        for box in _drawn_boxes(region, item, item.samples):
-            ring = _ring(box[:, 0], box[:, 1], middle_m, edges_m)
+        for box in drawn_boxes(region, item.box_m, item.on_ground, item.samples):
+            at = ring(box[:, 0], box[:, 1], middle_m, edges_m)
             for i in range(n):
-                met = _detected_boxes(subspaces, item, box[ring == i])
+                met = _detected_boxes(subspaces, item, box[at == i])
                 detected[i], places[i] = detected[i] + met[0], places[i] + met[1]
         return Rings(edges_m, detected, places)
     found, free = counted_places(subspaces, item)
-    size = cuboids_needed(item.size_m, region.cuboid_m)
+    size = cuboids_needed(item.box_m, region.cuboid_m)
     x, y = (region.min_m[a] + (np.arange(free.shape[a]) + size[a] / 2) * region.cuboid_m[a] for a in (0, 1))
-    ring = _ring(x[:, None], y[None, :], middle_m, edges_m)
-    np.add.at(detected, ring[ring < n], found[ring < n])
-    np.add.at(places, ring[ring < n], free[ring < n])
+    at = ring(x[:, None], y[None, :], middle_m, edges_m)
+    np.add.at(detected, at[at < n], found[at < n])
+    np.add.at(places, at[at < n], free[at < n])
     return Rings(edges_m, detected, places)
 
 
-def _ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
+def ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
     """The ring of each point; as many as there are rings where it lies in none."""
     ring = np.searchsorted(edges_m, np.hypot(x_m - middle_m[0], y_m - middle_m[1]), side="right") - 1
     return np.where(ring < 0, len(edges_m) - 1, ring)
@@ -169,23 +217,28 @@ def _counted(subspaces: Subspaces, item: DetectionObject) -> Detection:
 
 
 def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detection:
-    """The interval is Student's over the replicates' rates."""
     rates, places = [], 0
-    for box in _drawn_boxes(subspaces.region, item, samples):
+    for box in drawn_boxes(subspaces.region, item.box_m, item.on_ground, samples):
         detected, free = _detected_boxes(subspaces, item, box)
         places += free
         if free:
             rates.append(detected / free)
     if len(rates) < 2:
         return Detection(0.0, 0, 0.0)
+    rate, half_width = mean_of(rates)
+    return Detection(rate, places, half_width)
+
+
+def mean_of(rates: Sequence[float]) -> tuple[float, float]:
+    """The mean of replicates' rates, and the half width of its 95 % interval, Student's."""
     half_width = float(t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / math.sqrt(len(rates)))
-    return Detection(float(np.mean(rates)), places, half_width)
+    return float(np.mean(rates)), half_width
 
 
-def _drawn_boxes(region: Region, item: DetectionObject, samples: int) -> Iterator[Array]:
+def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: bool, samples: int) -> Iterator[Array]:
     """Places and headings by scrambled Sobol points, a replicate at a time: (n, 4) x, y, bottom z, heading."""
     low, high = region.min_m, region.max_m
-    length, width, height = item.size_m
+    length, width, height = size_m
     for replicate in range(REPLICATES):
         sobol = qmc.Sobol(4, rng=np.random.default_rng(replicate))
         u = sobol.random_base2(max(math.ceil(math.log2(samples / REPLICATES)), 0))
@@ -195,11 +248,11 @@ def _drawn_boxes(region: Region, item: DetectionObject, samples: int) -> Iterato
         fits = (2 * reach_x <= high[0] - low[0]) & (2 * reach_y <= high[1] - low[1])
         x = low[0] + reach_x + u[:, 0] * (high[0] - low[0] - 2 * reach_x)
         y = low[1] + reach_y + u[:, 1] * (high[1] - low[1] - 2 * reach_y)
-        z = low[2] + (0.0 if item.on_ground else u[:, 2]) * (high[2] - low[2] - height)
+        z = low[2] + (0.0 if on_ground else u[:, 2]) * (high[2] - low[2] - height)
         yield np.stack([x, y, z + 0 * x, heading], axis=1)[fits]
 
 
 def _detected_boxes(subspaces: Subspaces, item: DetectionObject, box: Array) -> tuple[int, int]:
     """How many of the boxes (n, 4) are detected, and how many are free of exclusions."""
     region = subspaces.region
-    return kernels.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.size_m, item.threshold)
+    return kernels.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.threshold)

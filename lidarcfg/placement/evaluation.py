@@ -12,6 +12,7 @@ from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Detection, detection
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.sightings import Sightings, sightings
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.rig import Rig
@@ -45,6 +46,7 @@ class Evaluation:
     vsr_m: Array  # (n,) by subspace
     worst: tuple[Worst, ...]
     detection: dict[str, Detection]  # by object
+    sightings: dict[str, Sightings]  # by object that is detected by returns
     blind: BlindSpots
     analytic: Analytic | None  # if a tolerance was asked for
     seconds: float
@@ -87,9 +89,13 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
                 ],
             )
         )
-    rates = {item.name: detection(subspaces, item) for item in study.detection}
+    seen = _sightings(study, rig)
+    rates = {
+        item.name: seen[item.name].detection if item.name in seen else detection(subspaces, item)
+        for item in study.detection
+    }
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    return Evaluation(subspaces, vsr, tuple(worst), rates, blind, converged, time.perf_counter() - started)
+    return Evaluation(subspaces, vsr, tuple(worst), rates, seen, blind, converged, time.perf_counter() - started)
 
 
 def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:
@@ -101,6 +107,14 @@ def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> 
     tall = float(study.region.max_m[2] - study.region.min_m[2])
     contours = [contour(study.directions(height), seen) for height in HEIGHTS_M if height <= tall]
     return BlindSpots(volume, tuple(contours))
+
+
+def _sightings(study: Study, rig: Rig) -> dict[str, Sightings]:
+    """What comes back from the objects that are detected by returns. Raises ConfigError."""
+    if not study.sought:
+        return {}
+    fired, lidars = study.scans(rig.mounts), rig_lidars(rig)
+    return {one.item.name: sightings(one, fired, lidars, study.obstacles) for one in study.sought}
 
 
 def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:

@@ -7,8 +7,9 @@ trial is refuted, exactly: its cost in full would be no less.
 
 import math
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Annotated, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -20,6 +21,9 @@ from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
 from lidarcfg.placement.metric import Node, clearance_m, largest_sphere, vsr_m
 from lidarcfg.placement.region import Region, cuboids_needed
+from lidarcfg.placement.returns import NOTHING
+from lidarcfg.placement.returns_kernels import Scans
+from lidarcfg.placement.sightings import Sought, missed
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
 
@@ -98,11 +102,27 @@ class Undetected:
 
     def __init__(self, region: Region, item: DetectionObject) -> None:
         self._item, self._free = item, free_places(region, item)
-        self.work = float(sum(self._free) * math.prod(cuboids_needed(item.size_m, region.cuboid_m)))
+        self.work = float(sum(self._free) * math.prod(cuboids_needed(item.box_m, region.cuboid_m)))
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
         return undetected(trial.subspaces, self._item, self._free, limit)
+
+    def learn(self) -> None:
+        """Nothing."""
+
+
+class Missed:
+    """1 − the detection rate of an object by its returns: too large as soon as too many places are without enough."""
+
+    def __init__(self, one: Sought, sensors: Scans) -> None:
+        self._one, self._sensors = one, sensors
+        self.work = 1e3 * len(one.places)
+
+    def value(self, trial: Trial, limit: float = math.inf) -> float:
+        """See Term."""
+        obstacles = trial.visibility.obstacles if trial.visibility else NOTHING
+        return missed(self._one, self._sensors, trial.lidars, obstacles, limit)
 
     def learn(self) -> None:
         """Nothing."""
@@ -207,9 +227,12 @@ class Criterion:
         region: Region,
         objects: Sequence[DetectionObject],
         around: Directions | None = None,  # needed for a blind spot
+        by_returns: Mapping[str, Missed] = MappingProxyType({}),  # needed for objects that are detected by them
     ) -> None:
         wanted = objective.detection
-        self.terms: list[Term] = [Undetected(region, item) for item in objects if item.name in wanted]
+        self.terms: list[Term] = [
+            by_returns.get(item.name) or Undetected(region, item) for item in objects if item.name in wanted
+        ]
         self._weights = [wanted[item.name] for item in objects if item.name in wanted]
         self.max_vsr: int | None = None  # which term it is
         if objective.max_vsr is not None or objective.is_max_vsr:

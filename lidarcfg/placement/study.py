@@ -1,6 +1,7 @@
 """A study: which sensors may be placed where, what is minimised, and how to search."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, islice
@@ -11,16 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.config import error_at, load
-from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.errors import ConfigError, LidarcfgError, SceneError
 from lidarcfg.files import example
+from lidarcfg.firing import Patterns
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, sensor_lidar
 from lidarcfg.placement.detection import DetectionObject, check_fits
-from lidarcfg.placement.objective import Criterion, Objective, Trial
+from lidarcfg.placement.objective import Criterion, Missed, Objective, Trial
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.returns import NOTHING, scanner, scans
+from lidarcfg.placement.returns_kernels import Scans
+from lidarcfg.placement.sightings import Sought, sought, target
 from lidarcfg.placement.study_file import BUDGETS, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.rig import FIRST_HOST, HOSTS, RETURN_MODE, RPM, Mount, Rig, ports, resolve_sensor
 from lidarcfg.sensor import Sensor
 from lidarcfg.world.scene import Scene, load_scene
@@ -60,6 +66,8 @@ class Study:
     vehicle: Vehicle | None = None
     surroundings: Scene | None = None  # in the vehicle frame
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
+    sought: tuple[Sought, ...] = ()  # the objects that are detected by returns
+    patterns: Patterns | None = None  # where sensors fire; needed for these
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
 
     @property
@@ -101,7 +109,28 @@ class Study:
         """The objective, made ready for this region and these objects."""
         spot = self.objective.blind_spot_m
         around = None if spot is None else self.directions(spot.height_m)
-        return Criterion(self.objective, self.region, self.detection, around)
+        some = [one for one in self.sought if one.item.name in self.objective.detection]
+        fired = self.scans(self.rig(self.lower).mounts) if some else None
+        missed = {one.item.name: Missed(one, fired) for one in some} if fired else {}
+        return Criterion(self.objective, self.region, self.detection, around, missed)
+
+    def scans(self, mounts: Sequence[Mount]) -> Scans:
+        """How sensors fire in a revolution. Raises ConfigError where that is not known."""
+        if self.patterns is None:
+            what = "detection by returns needs to know where sensors fire"
+            raise ConfigError(f"{what}; load the study with lidarcfg.pattern as its second argument")
+        found = []
+        for mount in mounts:
+            try:
+                found.append(scanner(mount, self.patterns))
+            except ConfigError as error:
+                raise ConfigError(f"{mount.name}: {error}") from None
+        return scans(found)
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """What stands between sensors and objects."""
+        return self.visibility.obstacles if self.visibility else NOTHING
 
     @cached_property
     def reference_m(self) -> Array:
@@ -158,12 +187,15 @@ class Study:
         return Rig(self.name, tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
-def load_study(path: str | Path) -> Study:
-    """The study in a YAML file. Raises ConfigError with file, line and key."""
+def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
+    """The study in a YAML file. Raises ConfigError with file, line and key.
+
+    Objects that are detected by returns need `patterns`, which say where sensors fire: `lidarcfg.pattern`.
+    """
     path = example(path)
     file = load(path, StudyFile)
     slots: list[Slot] = []
-    lower, upper, mirror = [], [], []
+    lower, upper, mirror, groups = [], [], [], []
     for i, group in enumerate(file.sensors):
         sensor, model = resolve_sensor(path, i, group.model, group.elevation_deg)
         for number in range(group.count):
@@ -173,6 +205,7 @@ def load_study(path: str | Path) -> Study:
             if name in [slot.name for slot in slots]:
                 raise error_at(path, ("sensors", i), f"two are called {name!r}; give each group its own name")
             slots.append(Slot(name, sensor, model, group.range_m, group.azimuth_fov_deg))
+            groups.append(i)
             lower.append(group.min.pose)
             upper.append(group.max.pose)
             mirror.append(group.mirror_y_m if group.mirror_y_m is not None and number % 2 else math.nan)
@@ -188,12 +221,16 @@ def load_study(path: str | Path) -> Study:
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
         _check_bounds(file, path, bodies)
     surroundings = _surroundings(file, path)
+    sought_for: list[Sought] = []
     for i, item in enumerate(file.detection):
         try:
-            check_fits(item, region)
-        except ConfigError as error:
-            raise error_at(path, ("detection", i), error) from None
-    return Study(
+            if item.returns:
+                sought_for.append(sought(region, item, target(item, region, path.parent)))
+            else:
+                check_fits(item, region)
+        except (ConfigError, SceneError) as error:
+            raise error_at(path, ("detection", i, *(("mesh",) if item.mesh else ())), error) from None
+    study = Study(
         name=path.stem,
         region=region,
         slots=tuple(slots),
@@ -207,8 +244,17 @@ def load_study(path: str | Path) -> Study:
         vehicle=bodies,
         surroundings=surroundings,
         visibility=_visibility(file, region, bodies, surroundings),
+        sought=tuple(sought_for),
+        patterns=patterns,
         file=_resolved(file, slots, bodies, path),
     )
+    if sought_for and patterns:
+        for mount, number in zip(study.rig(study.lower).mounts, groups, strict=True):
+            try:
+                study.scans([mount])
+            except ConfigError as error:
+                raise error_at(path, ("sensors", number), error) from None
+    return study
 
 
 def _check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:

@@ -27,6 +27,7 @@ from lidarcfg.report.words import (
     object_in_words,
     objective_in_words,
     region_rows,
+    returns_in_words,
     rig_in_words,
     solver_in_words,
     vector,
@@ -199,7 +200,7 @@ def _detection(study: Study, found: Evaluation) -> Table | None:
             f"{rate.rate:.4f}",
             f"± {rate.half_width:.4f}" if rate.half_width else "exact",
             f"{rate.places:,}",
-            object_in_words(item),
+            object_in_words(item) + (f"; {returns_in_words(rate.returns)}" if rate.returns else ""),
         ]
         for item, rate in ((item, found.detection[item.name]) for item in study.detection)
     ]

@@ -240,9 +240,7 @@ def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Marku
         grid = panels(figure, len(places), columns)
         for axes, (name, place) in zip(grid, places.items(), strict=True):
             rate = 100 * place.rate
-            first = region.min_m[:2] + (np.array(region.shape[:2]) - rate.shape) / 2 * region.cuboid_m[:2]
-            last = first + rate.shape * region.cuboid_m[:2]  # a cell is drawn at the object's centre
-            around = (first[0], last[0], first[1], last[1])
+            around = (place.low_m[0], place.high_m[0], place.low_m[1], place.high_m[1])
             aspect: Literal["equal", "auto"] = "equal" if 0.2 < size[0] / size[1] < 5 else "auto"
             image = axes.imshow(
                 thinned(rate).T, extent=around, origin="lower", aspect=aspect, cmap=MAP, vmin=0, vmax=100

@@ -39,6 +39,9 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "solver": None,
         "detection": {name: detection.rate for name, detection in found.detection.items()},
         "detection_half_width": {name: detection.half_width for name, detection in found.detection.items()},
+        "detection_returns": {
+            name: asdict(detection.returns) for name, detection in found.detection.items() if detection.returns
+        },
         "detection_places": {name: detection.places for name, detection in found.detection.items()},
         "seen_by_m3": found.blind.seen_by_m3.tolist(),
         "blind_volume_m3": found.blind.volume_m3,

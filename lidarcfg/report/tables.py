@@ -15,6 +15,7 @@ from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.comparison import Contender, rows
+from lidarcfg.report.words import returns_in_words
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
 
@@ -53,6 +54,8 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
         if not detection.half_width:
             how = f"all {detection.places:,} positions"
         console.print(f"detection rate of {name}: {detection.rate:.4f} ({how})")
+        if detection.returns:
+            console.print(f"  {returns_in_words(detection.returns)}")
     for line in blind_lines(found.blind):
         console.print(line)
     worst = Table(

@@ -15,8 +15,9 @@ from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.detection import DetectionObject
+from lidarcfg.placement.detection import DetectionObject, Returns
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.sightings import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
@@ -88,10 +89,27 @@ def region_rows(region: Region) -> list[tuple[str, str]]:
 
 def object_in_words(item: DetectionObject) -> str:
     """Its size, where it may be, and when it counts as detected."""
+    if item.returns:
+        return _by_returns(item)
     where = "on the ground" if item.on_ground else "at all heights"
     how = f"{counted(item.samples, 'position')} and headings drawn" if item.samples else "every position on the grid"
-    size = " × ".join(f"{edge:g}" for edge in item.size_m)
+    size = " × ".join(f"{edge:g}" for edge in item.box_m)
     return f"{size} m, {where}, {how}; detected if in more than {counted(item.threshold, 'subspace')}"
+
+
+def returns_in_words(found: Returns) -> str:
+    """How many, and what the worst phase leaves."""
+    least = f"in the worst phase {found.mean_in_worst_phase:.1f}, rate {found.rate_in_worst_phase:.4f}"
+    return f"{found.mean:.1f} returns on average; {least}"
+
+
+def _by_returns(item: DetectionObject) -> str:
+    what = " × ".join(f"{edge:g}" for edge in item.box_m) + " m" if item.size_m else str(item.mesh)
+    headings = ", ".join(f"{angle:g}°" for angle in item.headings_deg or HEADINGS_DEG)
+    how = f"every {item.step_m or STEP_M:g} m, heading {headings}"
+    if item.samples:
+        how = f"{counted(item.samples, 'position')} and headings drawn"
+    return f"{what}, on the ground, {how}; detected by {counted(item.returns or 0, 'return')} or more in a revolution"
 
 
 def objective_in_words(study: Study) -> str:

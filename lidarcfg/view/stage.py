@@ -15,6 +15,7 @@ from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
+from lidarcfg.packets.codec import pattern
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.view.colours import colour
@@ -112,7 +113,7 @@ def load_stage(
 
     rigs = [load_rig(path) for path in (*([rig] if rig else []), *of("rig"))]
     study = _only(of("study"), "study")
-    loaded = load_study(study) if study else None
+    loaded = load_study(study, pattern) if study else None
     captures, truth = of("capture"), _only(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? say so with --rig")

@@ -1,0 +1,191 @@
+"""Detection by returns: at which places, and how surely, enough comes back from an object in one revolution."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.placement import detection_kernels, returns_kernels
+from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.detection import (
+    Counts,
+    Detection,
+    DetectionObject,
+    Returns,
+    Rings,
+    check_fits,
+    drawn_boxes,
+    mean_of,
+    ring,
+)
+from lidarcfg.placement.region import AXES, Region
+from lidarcfg.placement.returns import Target, placed, returns
+from lidarcfg.placement.returns_kernels import Scans
+from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.world.meshes import box_mesh, read_mesh
+from lidarcfg.world.scene import Box
+from lidarcfg.world.solids import open_edges, welded
+
+STEP_M = 1.0
+HEADINGS_DEG = (0.0,)
+FIT_M = 1e-9  # by which an object may reach over the region's side, for rounding
+
+
+@dataclass(frozen=True)
+class Sought:
+    """An object that is detected by returns, and the P places where it may be."""
+
+    item: DetectionObject
+    target: Target
+    places: Array  # (P, 4) x, y, the region's floor, heading
+    part: Counts  # (P,) ascending: the replicate in which it is drawn, or the number of its cell in the grid
+    low_m: Array  # (2,) the lower corner of the grid from above
+    grid: tuple[int, int]  # its cells along x and y, each of `step_m`
+
+    @property
+    def enough(self) -> int:
+        """Returns by which it is detected."""
+        assert self.item.returns
+        return self.item.returns
+
+    @property
+    def step_m(self) -> float:
+        """Between places."""
+        return self.item.step_m or STEP_M
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What comes back from an object at its places, in one revolution."""
+
+    sought: Sought
+    worst: Array  # (P,) returns where each sensor is in its worst phase
+    mean: Array  # (P,) over phases
+    probability: Array  # (P,) that it is detected, over phases
+
+    @property
+    def detection(self) -> Detection:
+        """Its rate; of what is drawn, the mean of the replicates' rates with Student's interval."""
+        missed, found = 1.0 - self.probability, Returns(
+            rate_in_worst_phase=float(np.mean(self.worst >= self.sought.enough)),
+            mean=float(self.mean.mean()),
+            mean_in_worst_phase=float(self.worst.mean()),
+        )  # fmt: skip
+        if not self.sought.item.samples:
+            return Detection(1.0 - _sum(missed) / len(missed), len(missed), 0.0, found)
+        rates = [1.0 - _sum(part) / len(part) for part in np.split(missed, _ends(self.sought))]
+        rate, half_width = mean_of(rates)
+        return Detection(rate, len(missed), half_width, found)
+
+    def rings(self, middle_m: Array, edges_m: Array) -> Rings:
+        """Its places by their distance from a point; see `detection_by_distance`."""
+        at, n = ring(self.sought.places[:, 0], self.sought.places[:, 1], middle_m, edges_m), len(edges_m) - 1
+        detected = np.bincount(at, self.probability, n + 1)[:n]
+        return Rings(edges_m, detected, np.bincount(at, minlength=n + 1)[:n])
+
+    def from_above(self, values: Array) -> Array:
+        """(nx, ny) the sums of values (P,) in each cell of the grid."""
+        cells = np.bincount(self.sought.part, values, math.prod(self.sought.grid))
+        return np.asarray(cells.reshape(self.sought.grid))
+
+
+def target(item: DetectionObject, region: Region, folder: Path) -> Target:
+    """The object that a study's file in a folder describes. Raises ConfigError and SceneError."""
+    if item.mesh is None:
+        found = Target(box_mesh(Box(name=item.name, reflectivity=0, center_m=(0.0, 0.0, 0.0), size_m=item.box_m)))
+    else:
+        found = Target(welded(read_mesh(folder / item.mesh)))
+        if len(edges := open_edges(found.mesh)):
+            corners = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
+            what = f"is not closed: {len(edges)} of its edges bound an odd number of triangles, one of them {corners}"
+            raise ConfigError(f"{item.mesh}: {what}")
+    length, width, height = found.size_m.tolist()
+    for heading_deg in () if item.samples else item.headings_deg or HEADINGS_DEG:
+        c, s = abs(math.cos(math.radians(heading_deg))), abs(math.sin(math.radians(heading_deg)))
+        for axis, size in enumerate((length * c + width * s, length * s + width * c, height)):
+            if size > (most := region.max_m[axis] - region.min_m[axis]) + FIT_M:
+                what = f"at heading {heading_deg:g} its {size:.6g} m is more than the region's {most:g} along"
+                raise ConfigError(f"{item.name}: {what} {AXES[axis]}")
+    check_fits(item, region, (min(length, width), min(length, width), height))
+    return found
+
+
+def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
+    """An object's places in a region: on its floor, inside it, free of exclusions; counted on a grid, or drawn.
+
+    Raises ConfigError where there is none.
+    """
+    length, width, height = target.size_m.tolist()
+    size = length, width, height
+    if item.samples:
+        boxes = list(drawn_boxes(region, size, True, item.samples))
+        part, grid, low = np.repeat(np.arange(len(boxes)), [len(some) for some in boxes]), (0, 0), region.min_m[:2]
+        places = np.concatenate(boxes)
+    else:
+        step_m = item.step_m or STEP_M
+        count = np.maximum(np.floor((region.max_m - region.min_m)[:2] / step_m + FIT_M), 1).astype(int)
+        middle = (region.min_m + region.max_m)[:2] / 2
+        x, y = (middle[a] + (np.arange(count[a]) - (count[a] - 1) / 2) * step_m for a in (0, 1))
+        heading = np.radians(item.headings_deg or HEADINGS_DEG)
+        shape = len(x), len(y), len(heading)
+        columns = x[:, None, None], y[:, None], region.min_m[2], heading
+        places = np.stack([np.broadcast_to(column, shape).ravel() for column in columns], axis=1)
+        part, grid = np.arange(len(x) * len(y)).repeat(len(heading)), (len(x), len(y))
+        low = middle - count / 2 * step_m
+        inside = _inside(region, places, target.size_m)
+        places, part = places[inside], part[inside]
+    label = np.where(region.included, np.int32(0), np.int32(-1))
+    free = [
+        detection_kernels.detected_boxes(label, region.min_m, region.cuboid_m, box[None], size, 0)[1] for box in places
+    ]
+    which = np.array(free, bool)
+    if not which.any() or (item.samples and part[which][0] == part[which][-1]):
+        raise ConfigError(f"{item.name}: finds no free place in the region")
+    return Sought(item, target, np.ascontiguousarray(places[which]), part[which], low, grid)
+
+
+def sightings(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles) -> Sightings:
+    """What comes back from an object to sensors at these poses."""
+    found = returns(one.places, one.target, sensors, placed(lidars), obstacles)
+    return Sightings(one, found.worst, found.mean, found.probability(one.enough))
+
+
+def missed(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles, limit: float) -> float:
+    """1 − the rate of `sightings`; or a number from `limit` up, once it is known to be no less than the limit."""
+    poses, shape, count = placed(lidars), one.target.shape, len(one.places)
+    if not one.item.samples:
+        most = limit * count
+        while 1.0 - (1.0 - most / count) < limit < math.inf:  # rounding
+            most += count * 2.0**-53
+        found = returns_kernels.undetected(one.places, sensors, poses, shape, obstacles, one.enough, most)
+        return 1.0 - (1.0 - float(found) / count)
+    parts = np.split(one.places, _ends(one))
+    rates = np.ones(len(parts))
+    for number, part in enumerate(parts):
+        found = returns_kernels.undetected(part, sensors, poses, shape, obstacles, one.enough, math.inf)
+        rates[number] = 1.0 - float(found) / len(part)
+        if 1.0 - float(np.mean(rates)) >= limit:
+            break
+    return 1.0 - float(np.mean(rates))
+
+
+def _ends(one: Sought) -> Counts:
+    """Where replicates end, but for the last."""
+    return np.flatnonzero(np.diff(one.part)) + 1
+
+
+def _sum(values: Array) -> float:
+    """One after the other, as the compiled loop adds."""
+    return float(np.cumsum(values)[-1])
+
+
+def _inside(region: Region, places: Array, size_m: Array) -> np.ndarray:
+    """(P,) whether a box at places (P, 4) is inside the region, seen from above."""
+    c, s = abs(np.cos(places[:, 3:])), abs(np.sin(places[:, 3:]))
+    reach = (size_m[:2] * c + size_m[1::-1] * s) / 2
+    above = (places[:, :2] - reach >= region.min_m[:2] - FIT_M) & (places[:, :2] + reach <= region.max_m[:2] + FIT_M)
+    return np.asarray(above.all(axis=1))
