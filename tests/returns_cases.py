@@ -70,13 +70,17 @@ def within(one, fired):
     return (np.degrees(decided) - low) % 360 <= ((high - low) % 360 or 360)
 
 
-def simulated(one, index, fired, scene, target):
-    """How many of some firings return from object `target` of a scene, by the simulator."""
-    tracer = Tracer(scene, np.zeros(3))
+def simulated(one, index, fired, tracer, target):
+    """How many of some firings return from object `target` of a tracer's scene, by the simulator."""
     echoes, _ = Simulator(index, one, tracer, standing(np.eye(4))).echoes(fired, 0)
     limits = one.sensor.range
     of_it = (echoes.object[:, 0] == target) & (echoes.range_m[:, 0] >= limits.min_m)
     return int((of_it & (echoes.range_m[:, 0] <= limits.max_m) & within(one, fired)).sum())
+
+
+def tracer_of(meshes):
+    """A tracer of triangle meshes."""
+    return Tracer(scene_with(meshes), np.zeros(3))
 
 
 def scene_with(meshes):

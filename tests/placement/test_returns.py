@@ -14,7 +14,7 @@ from lidarcfg.placement.returns import NOTHING, PHASES, Target, placed, returns,
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.world.tracer import tree
 from tests.naive import returns as naive
-from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated
+from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated, tracer_of
 
 BODY = box(4.5, 1.8, 1.45)
 SIZES = (0.5, 0.5, 1.75), (4.5, 1.8, 1.45), (0.63, 0.63, 0.2)
@@ -35,7 +35,7 @@ MOUNTS = (
 def obstacles(mesh):
     """A mesh in the way, relative to a point that is not the origin."""
     point = np.array([3.0, -2.0, 1.0])
-    return Obstacles(tree(scene_with([mesh]), np.array([True]), point), point, math.inf)
+    return Obstacles(tree(scene_with([mesh]), np.array([True]), point), np.empty((6, 0)), point, math.inf)
 
 
 def places(rng, count, size_m, far_m=30.0):
@@ -53,10 +53,10 @@ def test_counts_are_the_simulators(size):
     sensors = scans([scanner(one, pattern) for one in MOUNTS])
     found = returns(where, target, sensors, placed(lidars(MOUNTS)), obstacles(BODY))
     for p in range(len(where)):
-        scene = scene_with([BODY, at_place(target.mesh, where[p])])
+        tracer = tracer_of([BODY, at_place(target.mesh, where[p])])
         for s, one in enumerate(MOUNTS):
             phase = int(rng.integers(found.phases[s]))
-            expected = simulated(one, s, revolution(one, phase, PHASES), scene, 1)
+            expected = simulated(one, s, revolution(one, phase, PHASES), tracer, 1)
             assert found.counts[p, s, phase] == expected, (p, one.sensor.name, phase)
             total += expected
     assert total > 1000

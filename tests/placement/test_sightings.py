@@ -17,7 +17,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.sightings import missed
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.words import object_in_words
-from tests.returns_cases import at_place, box, revolution, scene_with, simulated
+from tests.returns_cases import at_place, box, revolution, simulated, tracer_of
 
 ROOT = Path(__file__).parents[2]
 STUDY = """
@@ -64,9 +64,9 @@ def test_rates_are_those_of_the_simulator(tmp_path):
     body, target = box(4.5, 1.8, 1.0), box(0.6, 0.4, 0.3)
     rate, worst, mean = [], [], []
     for place in seen.sought.places:
-        scene, by_sensor = scene_with([body, at_place(target, place)]), []
+        tracer, by_sensor = tracer_of([body, at_place(target, place)]), []
         for s, one in enumerate(rig.mounts):
-            by_sensor.append([simulated(one, s, revolution(one, phase, 4), scene, 1) for phase in range(4)])
+            by_sensor.append([simulated(one, s, revolution(one, phase, 4), tracer, 1) for phase in range(4)])
         rate.append(np.mean([a + b >= 20 for a in by_sensor[0] for b in by_sensor[1]]))
         worst.append(min(by_sensor[0]) + min(by_sensor[1]))
         mean.append(np.mean(by_sensor[0]) + np.mean(by_sensor[1]))
