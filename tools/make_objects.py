@@ -23,8 +23,8 @@ Knot = tuple[float, float, float, float]  # x, y, z, radius
 
 def limb(*knots: Knot) -> Manifold:
     """Round limbs from knot to knot."""
-    balls = [Manifold.sphere(r, FACETS).translate([x, y, z]) for x, y, z, r in knots]
-    return sum((Manifold.batch_hull(pair) for pair in pairwise(balls)), Manifold())
+    joints = [Manifold.sphere(r, FACETS).translate([x, y, z]) for x, y, z, r in knots]
+    return sum((Manifold.batch_hull(pair) for pair in pairwise(joints)), Manifold())
 
 
 def mirrored(knots: Sequence[Knot]) -> list[Knot]:
