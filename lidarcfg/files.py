@@ -29,13 +29,15 @@ def example(path: str | Path) -> Path:
 def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     """A file to write that takes the place of `path` only when whole: a killed run leaves the old one.
 
-    Where `path` is a symbolic link, that stays, and what it leads to is replaced. Raises OSError.
+    Missing parent folders are made. Where `path` is a symbolic link, that stays, and what it leads to is replaced.
+    Raises OSError.
     """
     path = _target(Path(path))
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "is a directory", str(path))
     if path.exists() and not path.is_file():  # a device or a pipe, which a rename would replace
         raise OSError(errno.EINVAL, "is not a regular file", str(path))
+    make_parent(path)
     temporary = str(path.parent / f".{path.name}.{os.urandom(4).hex()}.part")
     try:  # from before it is there: an interrupt comes at any time
         with open(temporary, mode.replace("w", "x"), encoding=None if "b" in mode else "utf-8") as file:
@@ -47,6 +49,16 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
         if isinstance(error, OSError) and error.filename in (None, temporary):  # a full disk names no file
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise
+
+
+def make_parent(path: Path) -> None:
+    """Make the folder that a path is to be in. Raises OSError, which names the path."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(errno.ENOTDIR, "is not in a folder", str(path)) from None
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def _target(path: Path) -> Path:

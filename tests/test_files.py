@@ -66,3 +66,10 @@ def test_links_in_a_circle_are_refused(tmp_path):
         file.write("x")
     assert error.value.filename == str(tmp_path / "a")
     assert (tmp_path / "a").is_symlink()
+
+
+def test_folders_that_are_missing_are_made(tmp_path):
+    with replacing(tmp_path / "a/b/c.txt") as file:
+        file.write("whole")
+    assert (tmp_path / "a/b/c.txt").read_text() == "whole"
+    assert [path.name for path in (tmp_path / "a/b").iterdir()] == ["c.txt"]

@@ -29,7 +29,7 @@ from tests.returns_cases import lidars, mount, scene_with
 
 OBJECTS = "pedestrian", "child", "cyclist", "car", "tyre"
 MOUNTS = tuple(mount("vlp-16", (0.3 * x, 0.5 * y, 1.8), (5 * y, 4 * x, 60 * y)) for x in (-1, 1) for y in (-1, 1))
-RUNS, PEER_PLACES, ENOUGH = 5, 100, 5
+RUNS, PEER_PLACES, ENOUGH = 5, 20, 5
 
 
 def seconds(function: Callable[[], object], runs: int = RUNS) -> float:

@@ -8,6 +8,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 from lidarcfg.errors import ConversionError
+from lidarcfg.files import make_parent
 
 
 @contextmanager
@@ -16,6 +17,7 @@ def beside(path: Path) -> Iterator[Path]:
     whole = path.resolve()
     aside = whole.parent / f".{whole.name}.{os.urandom(4).hex()}.part"
     try:  # from before it exists: an interrupt can come at any time
+        make_parent(whole)
         aside.mkdir(0o700)
         yield aside
     except OSError as error:

@@ -183,7 +183,9 @@ SOLIDS = {
 def test_excluded_bodies_have_their_own_surface(tmp_path, solid):
     off = "\nvisibility: {range: false, field_of_view: false, occlusion: false}"
     volume, surface = SOLIDS[solid]
-    loaded = study(tmp_path, ((-1, -1, -1), (1, 1, 1)), 0.1, (0, 0, 0), bodies=f"vehicle: {{{solid}}}{off}")
+    loaded = study(
+        tmp_path, ((-1, -1, -1), (1, 1, 1)), 0.1, (0, 0, 0), bodies=f"vehicle: {{{solid}, allow_inside: true}}{off}"
+    )
     assert loaded.visibility is None
     assert bodies(loaded)[0] == pytest.approx((8 - volume, 24 + surface), rel=1e-3)
 
@@ -277,7 +279,7 @@ def test_sight_begins_and_ends_where_small_steps_find_it(tmp_path, pose, axis):
             if steepness is not None:
                 assert weight == pytest.approx(steepness, abs=1e-4)
                 compared += 1
-    assert compared > 5
+    assert compared >= 5
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

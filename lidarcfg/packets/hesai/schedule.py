@@ -62,4 +62,5 @@ def within(mount: "Mount", encoder_rad: Array) -> Flags:
     if mount.azimuth_fov_deg is None:
         return np.ones(encoder_rad.shape, np.bool_)
     low, high = mount.azimuth_fov_deg
-    return np.asarray((np.degrees(encoder_rad) - low) % 360 <= (high - low) % 360)
+    width = (high - low) % 360 or 360  # from 0 to 360 is all around
+    return np.asarray((np.degrees(encoder_rad) - low) % 360 <= width)

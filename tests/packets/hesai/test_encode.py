@@ -198,6 +198,12 @@ def test_losses_by_the_sequence(model, tmp_path):
     assert 50 < stats[1].packets < 250
 
 
+def test_from_0_to_360_is_all_around(tmp_path):
+    capture(mount("qt128"), tmp_path / "all.pcap", 50)
+    capture(mount("qt128", azimuth_fov_deg=(0.0, 360.0)), tmp_path / "window.pcap", 50)
+    assert (tmp_path / "window.pcap").read_bytes() == (tmp_path / "all.pcap").read_bytes()
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_azimuth_windows(model, tmp_path):
     """Nothing outside, and all inside that is sent without a window: degrees clockwise from x, over 360 too."""
