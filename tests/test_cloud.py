@@ -156,12 +156,15 @@ def test_sensor_without_a_name(tmp_path):
         load_cloud(tmp_path / "a.pcd", no_warning)
 
 
-def test_no_such_file_or_folder(tmp_path):
+def test_no_such_file_and_no_folder(tmp_path):
     for suffix in ("ply", "pcd", "npz"):
         with pytest.raises(CloudError, match="no such file"):
             load_cloud(tmp_path / f"none.{suffix}", no_warning)
-        with pytest.raises(CloudError, match="no such file"):
-            save_clouds(tmp_path / "none" / f"a.{suffix}", [cloud()])
+        (tmp_path / "file").touch()
+        with pytest.raises(CloudError, match="not a directory"):
+            save_clouds(tmp_path / "file" / f"a.{suffix}", [cloud()])
+        save_clouds(tmp_path / "new" / f"a.{suffix}", [cloud()])
+        assert len(load_cloud(tmp_path / "new" / f"a.{suffix}", no_warning)) == len(cloud())
 
 
 def columns(**other) -> dict[str, object]:

@@ -359,7 +359,7 @@ def test_what_is_no_bag_is_left_alone(capture, tmp_path):
         save_mcap(tmp_path / "photos", capture, named_rig(), None, no_warning)
     with pytest.raises(ConversionError, match=r"cat\.jpg: is not a folder"):
         save_bag(tmp_path / "photos/cat.jpg", capture, "sqlite3", named_rig(), None, no_warning)
-    with pytest.raises(OSError, match=r"(?i)not a directory|is not in a folder") as error:
+    with pytest.raises(OSError, match="Not a directory") as error:
         save_bag(tmp_path / "photos/cat.jpg/new/bag", capture, "sqlite3", named_rig(), None, no_warning)
     assert error.value.filename == str(tmp_path / "photos/cat.jpg/new/bag")
     with pytest.raises(ConversionError, match="rosbags cannot write a bag to a path with #"):
