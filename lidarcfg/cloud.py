@@ -110,7 +110,7 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
                 names = np.array(whole.sensor_names, np.str_)
                 np.savez(file, sensor_names=names, **{key: getattr(whole, key) for key in FIELDS})
             return len(whole.xyz)
-        with tempfile.TemporaryFile(dir=path.parent) as body, replacing(path, "wb") as file:
+        with replacing(path, "wb") as file, tempfile.TemporaryFile(dir=path.parent) as body:
             index: dict[str, int] = {}
             dtype, head = (PLY_ROW, _ply_header) if kind == ".ply" else (PCD_ROW, _pcd_header)
             for cloud in clouds:
