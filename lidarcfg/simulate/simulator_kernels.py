@@ -84,15 +84,15 @@ def cos_sin(angle):
     return (-cosine if ((q + 1) & 2) != 0 else cosine), (-sine if (q & 2) != 0 else sine)
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _place(frames, seconds, count, moved, R, t):
     """Write where the sensor is at times (count,), rotations to R (9, SIZE) and positions to t (3, SIZE)."""
     mount, start = frames.t_vehicle_sensor, frames.t_world_start
-    outer, inner = matrix(frames.R_world_start), matrix(frames.R_vehicle_sensor)
+    outer, mounted = matrix(frames.R_world_start), matrix(frames.R_vehicle_sensor)
     poses(frames.paths, 0, seconds, 0, count, moved.R, moved.t)
     for n in range(count):
         m = product(outer, column(moved.R, n))
-        rotation, (x, y, z) = product(m, inner), times(m, mount[0], mount[1], mount[2])
+        rotation, (x, y, z) = product(m, mounted), times(m, mount[0], mount[1], mount[2])
         u, v, w = times(outer, moved.t[0, n], moved.t[1, n], moved.t[2, n])
         for k in range(9):
             R[k, n] = rotation[k]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner
 
 STANDING, VELOCITY, ARC, POSES = range(4)  # kinds of motion
 UPRIGHT = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -26,38 +26,38 @@ class Paths(NamedTuple):
     rotation_vectors_rad: Array  # (K, 3) from each pose to the next, in the rotating frame
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def matrix(R):
     """A matrix (3, 3) as nine numbers, row by row: they stay in registers, an array does not."""
     return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def column(R, n):
     """Matrix n of R (9, N)."""
     return R[0, n], R[1, n], R[2, n], R[3, n], R[4, n], R[5, n], R[6, n], R[7, n], R[8, n]
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def times(m, x, y, z):
     """A matrix times a vector."""
     return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def back(m, x, y, z):
     """A matrix's transpose times a vector."""
     return m[0] * x + m[3] * y + m[6] * z, m[1] * x + m[4] * y + m[7] * z, m[2] * x + m[5] * y + m[8] * z
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def product(m, n):
     """Of two matrices."""
     a, b, c = times(m, n[0], n[3], n[6]), times(m, n[1], n[4], n[7]), times(m, n[2], n[5], n[8])
     return a[0], b[0], c[0], a[1], b[1], c[1], a[2], b[2], c[2]
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _arc(seconds, speed_m_s, rate_rad_s, heading_rad):
     """Along a circle at a constant speed, from the origin at time 0, where it heads that far from x."""
     half = seconds * rate_rad_s / 2
@@ -69,7 +69,7 @@ def _arc(seconds, speed_m_s, rate_rad_s, heading_rad):
     return (yawed, -2 * s * c, 0.0, 2 * s * c, yawed, 0.0, 0.0, 0.0, up), (x, y, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _between(times_s, positions_m, rotations, rotation_vectors_rad, k, seconds):
     """Between pose k and the next: along a straight line and about one axis, both at a constant rate."""
     part = (seconds - times_s[k]) / (times_s[k + 1] - times_s[k])
@@ -89,7 +89,7 @@ def _between(times_s, positions_m, rotations, rotation_vectors_rad, k, seconds):
     return product(start, above + middle + below), (x + part * u, y + part * v, z + part * w)
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def poses(paths, p, seconds, first, count, R, t):
     """Write rotations and positions of motion p at times `first` to `first` + count to R (9, n) and t (3, n).
 
