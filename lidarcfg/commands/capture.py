@@ -192,7 +192,6 @@ def decode(
     from lidarcfg.capture.selection import Selection
     from lidarcfg.cloud import save_clouds
     from lidarcfg.rig import load_rig
-    from lidarcfg.simulate.export import START_NS
 
     if trajectory and not rig:
         raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")
@@ -203,6 +202,8 @@ def decode(
     on_stats = sources.append if stats else None
     clouds = decode_pcap(pcap, warn, load_rig(rig) if rig else None, model, on_stats=on_stats, selection=selection)
     if trajectory:
+        from lidarcfg.simulate.export import START_NS
+
         moved = load_trajectory(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
         clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
     count = save_clouds(output, clouds)

@@ -3,8 +3,6 @@
 # mypy: disallow-untyped-decorators=False
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
@@ -51,6 +49,9 @@ def open_edges(mesh: Mesh) -> Array:
 
 def parts(mesh: Mesh) -> list[Mesh]:
     """The parts of a welded mesh that share no vertex."""
+    from scipy.sparse import coo_array  # as slow to import as all else of an export: only where there is a mesh
+    from scipy.sparse.csgraph import connected_components
+
     vertices, triangles = mesh
     a, b, c = triangles.T
     one, other = np.concatenate([a, b]), np.concatenate([b, c])
