@@ -24,7 +24,6 @@ ALIASES = {
     "return_type": ("return_type",),
 }
 PREFIX = "scalar_"
-PADDING = "#$%&~~"  # how pypcd4 begins the names of bytes that are no field
 TIME_PARTS = ("time_s", "time_rest_ns")  # in our PLY files
 SECONDS_MAX = 2**63 // SECOND_NS  # whole seconds that, with the rest of one, are an int64 of nanoseconds
 NANOSECONDS_FROM = 1e11  # a float time beyond is in nanoseconds (Livox): in seconds it would be the year 5138

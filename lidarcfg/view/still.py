@@ -1,7 +1,7 @@
 """Stills: a stage drawn without a screen, a GPU or a display server."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,7 +170,7 @@ def _halved(quads: Array) -> Array:
     return np.concatenate([quads[:, (0, 1, 2)], quads[:, (0, 2, 3)]])
 
 
-def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height: int, **look: object) -> int:
+def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height: int, **look: Any) -> int:
     """Draw lines (L, 2, 3), some of them maybe behind the camera; how many are in the picture."""
     from matplotlib.collections import LineCollection
 
@@ -182,7 +182,7 @@ def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height:
         view[~ahead[:, here], here] = a + ((NEAR_M - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
     flat = view[..., :2] / view[..., 2:] * camera.focal_px(width)
     ends = np.stack([width / 2 + flat[..., 0], height / 2 - flat[..., 1]], axis=-1)
-    axes.add_collection(LineCollection(list(ends), **look), autolim=False)  # type: ignore[arg-type]  # looks differ
+    axes.add_collection(LineCollection(list(ends), **look), autolim=False)
     low, high = ends.min(axis=1), ends.max(axis=1)
     return int(((high >= 0) & (low <= (width, height))).all(axis=1).sum())
 

@@ -14,7 +14,6 @@ from tests.naive import hesai as naive
 from tests.packets.hesai.recorded import ALL, QT128, XT16, XT32, measured, mount
 
 NEAR_M = 2e-5  # Nebula's points are float32
-XT_STATE = (0, 10)  # after the body: three states of three bytes and a flag
 POINTS = {XT32: 63_021, XT16: 26_287, QT128: 73_560}
 
 
