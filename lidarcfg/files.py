@@ -2,10 +2,15 @@
 
 import errno
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import stat
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
+
+from lidarcfg.aside import hold, locked, name_beside, remove_leftovers
 
 
 def shipped(folder: str) -> Path:
@@ -25,30 +30,119 @@ def example(path: str | Path) -> Path:
     return path
 
 
+@dataclass(frozen=True)
+class _Whole:
+    """A file that is written and waits to take the place of another."""
+
+    temporary: Path
+    path: Path
+    held: int  # the handle that keeps it locked
+
+    def take_place(self) -> None:
+        os.replace(self.temporary, self.path)
+
+    def discard(self) -> None:
+        """What is left of it after it took its place, or did not."""
+        with suppress(OSError):
+            self.temporary.unlink()
+        os.close(self.held)
+
+
+_TOGETHER: ContextVar[list[_Whole] | None] = ContextVar("together", default=None)
+
+
 @contextmanager
 def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     """A file to write that takes the place of `path` only when whole: a killed run leaves the old one.
 
     Missing parent folders are made. Where `path` is a symbolic link, that stays, and what it leads to is replaced.
-    Raises OSError.
+    What killed runs have left of the same output is removed. Within `together` the file takes its place at the end of
+    that. Raises OSError, also for a file that is read-only.
     """
     path = _target(Path(path))
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "is a directory", str(path))
-    if path.exists() and not path.is_file():  # a device or a pipe, which a rename would replace
-        raise OSError(errno.EINVAL, "is not a regular file", str(path))
+    check_replaceable(path)
     make_parent(path)
-    temporary = str(path.parent / f".{path.name}.{os.urandom(4).hex()}.part")
+    remove_leftovers(path)
+    temporary, together_with = name_beside(path), _TOGETHER.get()
     try:  # from before it is there: an interrupt comes at any time
-        with open(temporary, mode.replace("w", "x"), encoding=None if "b" in mode else "utf-8") as file:
-            yield file
-        os.replace(temporary, path)
+        with ExitStack() as stack:
+            file, held = _created(temporary, mode)
+            whole = _Whole(temporary, path, held)
+            if together_with is None:
+                stack.callback(whole.discard)
+            else:
+                together_with.append(whole)
+            with file:
+                yield file
+            if together_with is None:
+                whole.take_place()
     except BaseException as error:
         with suppress(OSError):
-            os.unlink(temporary)
-        if isinstance(error, OSError) and error.filename in (None, temporary):  # a full disk names no file
+            temporary.unlink()
+        if isinstance(error, OSError) and error.filename in (None, str(temporary)):  # a full disk names no file
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise
+
+
+def _created(temporary: Path, mode: str) -> tuple[IO[Any], int]:
+    """The new file, and the handle that keeps it locked."""
+    while True:
+        file = open(temporary, mode.replace("w", "x"), encoding=None if "b" in mode else "utf-8")  # noqa: SIM115
+        held = hold(file.fileno())
+        if held is not None:
+            return file, held
+        file.close()
+
+
+@contextmanager
+def together(gone: Iterable[Path] = ()) -> Iterator[None]:
+    """What `replacing` writes inside takes its place at the end, file by file with nothing between; on an error none.
+
+    The order is that of writing: what readers open first comes last. Files that are `gone` are removed before.
+    No two runs do so in a folder at the same time, so that what is there is of one of them. Raises OSError.
+    """
+    waiting: list[_Whole] = []
+    token = _TOGETHER.set(waiting)
+    try:
+        yield
+        for whole in waiting:
+            check_replaceable(whole.path)
+        with locked(whole.path.parent for whole in waiting):
+            try:
+                for path in gone:
+                    path.unlink(missing_ok=True)
+                for whole in waiting:
+                    whole.take_place()
+            except KeyboardInterrupt:  # not between two files
+                for whole in waiting:
+                    with suppress(FileNotFoundError):  # it has taken its place
+                        whole.take_place()
+                raise
+    finally:
+        _TOGETHER.reset(token)
+        for whole in waiting:
+            whole.discard()
+
+
+def check_replaceable(path: Path) -> None:
+    """Raises OSError unless a file may take this place."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "is a directory", str(path))
+    if not stat.S_ISREG(mode):  # a device or a pipe, which a rename would replace
+        raise OSError(errno.EINVAL, "is not a regular file", str(path))
+    check_not_read_only(path)
+
+
+def check_not_read_only(path: Path) -> None:
+    """Raises OSError for a file or folder that nobody may write, not even its owner, or not this user."""
+    if not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK):
+        raise PermissionError(
+            errno.EACCES, "is read-only; to have it replaced, make it writable (chmod u+w)", str(path)
+        )
 
 
 def make_parent(path: Path) -> None:

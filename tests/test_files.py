@@ -1,12 +1,17 @@
-"""Files that come with the package."""
+"""Files that come with the package, and outputs that are there whole or not at all."""
 
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 import lidarcfg
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import example, replacing, shipped
+from lidarcfg.files import example, replacing, shipped, together
+from lidarcfg.formats.folder import replacing_folder
 
 ROOT = Path(__file__).parents[1]
 
@@ -73,3 +78,138 @@ def test_folders_that_are_missing_are_made(tmp_path):
         file.write("whole")
     assert (tmp_path / "a/b/c.txt").read_text() == "whole"
     assert [path.name for path in (tmp_path / "a/b").iterdir()] == ["c.txt"]
+
+
+def test_a_read_only_file_stays(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("mine")
+    path.chmod(0o444)
+    with pytest.raises(PermissionError, match="read-only") as error, replacing(path) as file:
+        file.write("theirs")
+    assert error.value.filename == str(path)
+    assert path.read_text() == "mine"
+    assert [one.name for one in tmp_path.iterdir()] == ["a.txt"]
+
+
+WRITER = """
+import sys, time
+from lidarcfg.files import replacing
+with replacing(sys.argv[1]) as file:
+    file.write("first")
+    print("writes", flush=True)
+    sys.stdin.read()
+"""
+
+
+def writer(path):
+    """Another process that has begun to write, and goes on when its stdin is closed."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "writes\n"
+    return process
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_what_a_killed_run_has_left_is_removed_by_the_next_of_the_same_output(tmp_path):
+    for path in (tmp_path / "a.txt", tmp_path / "b.txt"):
+        process = writer(path)
+        process.kill()
+        process.communicate()
+    keep = [".a.txt.0123456.part", ".a.txt.0123456g.part", ".xa.txt.01234567.part", "a.txt.01234567.part"]
+    for name in keep:
+        (tmp_path / name).touch()
+    os.mkfifo(tmp_path / ".a.txt.01234567.part")  # is not waited for
+    (left,) = tmp_path.glob(".b.txt.*.part")
+    with replacing(tmp_path / "a.txt") as file:
+        file.write("new")
+    assert names(tmp_path) == sorted([*keep, left.name, "a.txt"])
+
+
+def test_two_writers_at_once_both_end_well(tmp_path):
+    path = tmp_path / "a.txt"
+    process = writer(path)
+    with replacing(path) as file:
+        file.write("second")
+    assert path.read_text() == "second"
+    process.communicate("")
+    assert process.returncode == 0
+    assert path.read_text() == "first"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_a_folder_of_a_killed_run_is_removed_and_one_that_it_was_replacing_comes_back(tmp_path):
+    left = tmp_path / ".bag.01234567.part"
+    (left / "bag.old").mkdir(parents=True)
+    (left / "bag.old/metadata.yaml").write_text("old")
+    with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "bag", "*.yaml"):
+        assert (tmp_path / "bag/metadata.yaml").read_text() == "old"
+        1 / 0  # noqa: B018
+    assert names(tmp_path) == ["bag"]
+
+
+@pytest.mark.parametrize("swaps", [True, False])
+def test_a_folder_is_replaced_whole(tmp_path, monkeypatch, swaps):
+    """In one step, or in two where the system has no such step."""
+    if not swaps:
+        monkeypatch.setattr("lidarcfg.formats.folder.exchange", lambda one, other: False)
+    for text in ("old", "new"):
+        with replacing_folder(tmp_path / "bag", "*.yaml") as folder:
+            folder.mkdir()
+            (folder / f"{text}.yaml").touch()
+        assert [path.relative_to(tmp_path).as_posix() for path in sorted(tmp_path.rglob("*"))] == [
+            "bag",
+            f"bag/{text}.yaml",
+        ]
+
+
+def test_files_that_belong_together_take_their_places_together(tmp_path):
+    for name in ("a", "b", "gone"):
+        (tmp_path / name).write_text("old")
+    with pytest.raises(ZeroDivisionError), together(gone=[tmp_path / "gone"]):
+        for name in ("a", "b"):
+            with replacing(tmp_path / name) as file:
+                file.write("new")
+        1 / 0  # noqa: B018
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "old", "b": "old", "gone": "old"}
+    with together(gone=[tmp_path / "gone"]):
+        for name in ("a", "b"):
+            with replacing(tmp_path / name) as file:
+                file.write("new")
+        assert (tmp_path / "a").read_text() == (tmp_path / "b").read_text() == "old"
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+
+
+def test_an_interrupt_between_two_files_waits_for_the_second(tmp_path, monkeypatch):
+    rename = os.replace
+
+    def interrupted(one, other):
+        monkeypatch.setattr(os, "replace", rename)
+        rename(one, other)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), together():
+        for name in ("a", "b"):
+            with replacing(tmp_path / name) as file:
+                file.write("new")
+        monkeypatch.setattr(os, "replace", interrupted)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+
+
+def test_of_two_runs_with_several_files_one_waits(tmp_path):
+    """So that what is there in the end is all of one of them: four threads, twenty times each."""
+
+    def one(text):
+        for _ in range(20):
+            with together():
+                for name in "abc":
+                    with replacing(tmp_path / name) as file:
+                        file.write(text)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(one, "abcd"))
+    assert len({(tmp_path / name).read_text() for name in "abc"}) == 1
+    assert names(tmp_path) == ["a", "b", "c"]

@@ -83,6 +83,7 @@ def export(
     from contextlib import ExitStack
 
     from lidarcfg.capture.pcap import write_pcap
+    from lidarcfg.files import together
     from lidarcfg.rig import load_rig
     from lidarcfg.simulate import export as capture
     from lidarcfg.simulate.ground_truth import TruthFile
@@ -111,6 +112,7 @@ def export(
             on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
 
         names = [mount.name for mount in mounted.mounts]
+        stack.enter_context(together())
         beside = stack.enter_context(TruthFile(truth, names, capture.object_names(world, bodies))) if truth else None
         start_ns = nanoseconds(start) if start else capture.START_NS
         streams = capture.export(
@@ -125,12 +127,12 @@ def export(
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
-            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
             pairs = zip(paths, mounted.mounts, strict=True)
             beside_each = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
+            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
         else:
-            paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
             beside_each = capture.save_companions(output, mounted.mounts)
+            paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
         records = beside.save() if beside else 0
     if not quiet:
         for path, count in zip(paths, counts, strict=True):

@@ -84,7 +84,7 @@ def optimize(
     warn_of(loaded.vehicle)
     folder = output or resume or Path("out") / loaded.name
     log = report.load_log(loaded, resume) if resume else None
-    report.check_writable(folder)
+    report.check_writable(folder, report.RESULTS)
     saved = time.monotonic()
     with progress(quiet) as on_progress:
 
@@ -157,6 +157,8 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
 
     loaded, mounted = load_study(study, pattern), load_rig(rig)
     warn_of(loaded.vehicle)
+    if output:
+        report.check_writable(output, report.EVALUATED)
     found = evaluation(loaded, mounted, tolerance)
     if output:
         typed = command_line()
@@ -202,7 +204,7 @@ def compare(
     loaded, mounted = load_study(study, pattern), [load_rig(rig) for rig in rigs]
     warn_of(loaded.vehicle)
     if output:
-        report.check_writable(output)
+        report.check_writable(output, report.COMPARED)
     named = []
     with progress(quiet or as_json) as on_progress:
         for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):

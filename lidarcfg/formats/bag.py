@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError
+from lidarcfg.files import check_replaceable
 from lidarcfg.formats.extra import missing
 from lidarcfg.formats.folder import beside, replacing_folder
 from lidarcfg.formats.frames import BASE_LINK, quaternion_xyzw, ros_name, ros_names
@@ -50,10 +51,11 @@ def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_w
     """Write the capture `source` as one .mcap, whole or not at all; return the number of messages."""
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
+    check_replaceable(path)
     with beside(path) as aside:
         folder = aside / path.stem
         count = _write(folder, "mcap", source, rig, model, on_warning)
-        (folder / f"{folder.name}.mcap").replace(path)
+        (folder / f"{folder.name}.mcap").replace(path.resolve())
     return count
 
 

@@ -1,10 +1,12 @@
 """Results as JSON, files, tables, pictures and reports. It shows; `lidarcfg.placement` computes."""
 
 from lidarcfg.report.beams import draw_sensor
-from lidarcfg.report.comparison import check_count, comparison_dict, contenders, save_comparison
+from lidarcfg.report.comparison import COMPARED, check_count, comparison_dict, contenders, save_comparison
 from lidarcfg.report.document import Commands
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 from lidarcfg.report.results import (
+    EVALUATED,
+    RESULTS,
     check_writable,
     evaluation_dict,
     load_log,
@@ -25,6 +27,9 @@ from lidarcfg.report.tables import (
 
 __all__ = [
     "COLOURS",
+    "COMPARED",
+    "EVALUATED",
+    "RESULTS",
     "Commands",
     "analytic_line",
     "check_count",

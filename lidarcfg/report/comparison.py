@@ -9,7 +9,7 @@ from typing import Any
 
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import replacing
+from lidarcfg.files import replacing, together
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
@@ -33,6 +33,7 @@ from lidarcfg.report.words import (
 from lidarcfg.rig import Rig
 
 RIGS_MAX = 10
+COMPARED = ("compare.json", "compare.html")  # the files of a comparison
 COLUMNS_MAX = 4  # rigs in a row, so that a table fits a printed page
 
 
@@ -178,13 +179,11 @@ def comparison_dict(study: Study, rigs: Sequence[Contender]) -> dict[str, Any]:
 def save_comparison(study: Study, rigs: Sequence[Contender], folder: Path, commands: Commands) -> None:
     """Write compare.json and compare.html into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    files = {
-        "compare.json": to_json(comparison_dict(study, rigs)) + "\n",
-        "compare.html": comparison(study, rigs, commands),
-    }
-    for name, text in files.items():
-        with replacing(folder / name) as file:
-            file.write(text)
+    texts = to_json(comparison_dict(study, rigs)) + "\n", comparison(study, rigs, commands)
+    with together():
+        for name, text in zip(COMPARED, texts, strict=True):
+            with replacing(folder / name) as file:
+                file.write(text)
 
 
 def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> str:

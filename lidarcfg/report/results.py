@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import tempfile
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
-from lidarcfg.files import replacing
+from lidarcfg.files import check_replaceable, replacing, together
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
@@ -101,9 +102,10 @@ def save_evaluation(study: Study, rig: Rig, details: Details, folder: Path, comm
     folder.mkdir(parents=True, exist_ok=True)
     found = details.evaluation
     values = evaluation_dict(study, rig, found)
-    _write_text(to_json(values) + "\n", folder / "result.json")
-    save_figure(draw_rig(study, rig, found), folder / "rig.png")
-    _write_text(report(study, rig, details, values, None, commands), folder / "report.html")
+    with together():
+        _write_text(to_json(values) + "\n", folder / "result.json")
+        save_figure(draw_rig(study, rig, found), folder / "rig.png")
+        _write_text(report(study, rig, details, values, None, commands), folder / "report.html")
 
 
 def save_placement(
@@ -114,36 +116,50 @@ def save_placement(
     The files are rig.yaml, search.npz, result.json, history.csv, convergence.png, rig.png and report.html.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    save_progress(study, found.rig, found.log, folder)
     values = placement_dict(study, found, details.evaluation)
-    _write_text(to_json(values) + "\n", folder / "result.json")
-    with replacing(folder / "history.csv") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(asdict(found.history[0]))
-        writer.writerows(asdict(cycle).values() for cycle in found.history)
-    save_figure(draw_convergence(study, found), folder / "convergence.png")
-    save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
-    _write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
+    with together():
+        _write_progress(study, found.rig, found.log, folder)
+        _write_text(to_json(values) + "\n", folder / "result.json")
+        with replacing(folder / "history.csv") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(asdict(found.history[0]))
+            writer.writerows(asdict(cycle).values() for cycle in found.history)
+        save_figure(draw_convergence(study, found), folder / "convergence.png")
+        save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
+        _write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
 
 
+PROGRESS = ("search.npz", "rig.yaml")  # of a search that runs
+EVALUATED = ("result.json", "rig.png", "report.html")  # the files of an evaluation
+RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")  # of a search
 LOG = {"cost": ("f", 1), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
 
 
-def check_writable(folder: Path) -> None:
-    """Make the folder. Raises OSError at once, not after hours, if nothing can be written into it."""
+def check_writable(folder: Path, names: Iterable[str]) -> None:
+    """Make the folder. Raises OSError at once, not after hours, if the files cannot be written into it."""
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(folder)) from None
+    for name in names:
+        check_replaceable(folder / name)
 
 
 def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
-    """Write the best rig so far to rig.yaml, and search.npz, from which a search can resume."""
-    save_rig(rig, folder / "rig.yaml")
+    """Write the best rig so far to rig.yaml, and search.npz, from which a search can resume.
+
+    The other results of an earlier search are removed: a folder holds those of one search.
+    """
+    with together(gone=(folder / name for name in RESULTS if name not in PROGRESS)):
+        _write_progress(study, rig, log, folder)
+
+
+def _write_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
     with replacing(folder / "search.npz", "wb") as file:
         np.savez_compressed(file, cost=log.cost, seconds=log.seconds, asked=_fingerprint(study))
+    save_rig(rig, folder / "rig.yaml")
 
 
 def load_log(study: Study, folder: Path) -> Log:

@@ -1,0 +1,109 @@
+"""What is being written stands beside its output under a name of its own: locked while its writer lives.
+
+What a killed run has left there is not locked, so that the next run of the same output can tell and removes it.
+"""
+
+import ctypes
+import os
+import shutil
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows: nothing is locked, and what a killed run has left stays
+    fcntl = None  # type: ignore[assignment]
+
+SUFFIX = ".part"
+DIGITS = 8  # hexadecimal, in the name
+_HEXADECIMAL = set("0123456789abcdef")
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's fcntl.h and fs.h
+COMMIT_S, AGAIN_S = 5.0, 0.01  # another run's renames take microseconds
+
+
+def name_beside(path: Path) -> Path:
+    """A new hidden name in the folder of `path`, by which `remove_leftovers` knows it."""
+    return path.with_name(f".{path.name}.{os.urandom(DIGITS // 2).hex()}{SUFFIX}")
+
+
+def hold(handle: int) -> int | None:
+    """Lock the open file or folder until the handle that is returned is closed, at the latest as the process ends.
+
+    None if it is gone: `remove_leftovers` came before the lock.
+    """
+    if fcntl is None:  # Windows, where a file is not renamed while a handle of it is open
+        return os.open(os.devnull, os.O_RDONLY)
+    _lock(handle, wait=True)
+    return os.dup(handle) if os.fstat(handle).st_nlink else None
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what killed runs have left beside `path`; what a running one writes is locked, and stays."""
+    with suppress(OSError):  # folders that may not be listed
+        for entry in os.listdir(path.parent):
+            number = entry.removeprefix(f".{path.name}.").removesuffix(SUFFIX)
+            if entry == f".{path.name}.{number}{SUFFIX}" and len(number) == DIGITS and set(number) <= _HEXADECIMAL:
+                _remove_if_left(path.with_name(entry), path)
+
+
+def _remove_if_left(aside: Path, path: Path) -> None:
+    with suppress(OSError), opened(aside) as handle:
+        if not _lock(handle, wait=False):
+            return
+        if not aside.is_dir():
+            aside.unlink()
+            return
+        old = aside / old_name(path)
+        if old.exists() and not path.exists():  # killed between the two renames of a folder
+            old.rename(path)
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def old_name(path: Path) -> str:
+    """What the folder that is being replaced is called meanwhile."""
+    return f"{path.name}.old"
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[int]:
+    """A handle of a file or folder, to lock it by. A pipe is not waited for, a link not followed. Raises OSError."""
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0))
+    try:
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Swap two folders in one step; False where the system cannot (all but Linux, and some file systems)."""
+    try:
+        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError, TypeError):
+        return False
+    return bool(renameat2(AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), RENAME_EXCHANGE) == 0)
+
+
+@contextmanager
+def locked(folders: Iterable[Path]) -> Iterator[None]:
+    """Folders in which no other run renames several files meanwhile; it is waited for, but not for long."""
+    with ExitStack() as stack:
+        for folder in sorted(set(folders)):
+            with suppress(OSError):  # of a folder that may not be read, or of Windows
+                handle = stack.enter_context(opened(folder))
+                until = time.monotonic() + COMMIT_S
+                while not _lock(handle, wait=False) and time.monotonic() < until:
+                    time.sleep(AGAIN_S)
+        yield
+
+
+def _lock(handle: int, wait: bool) -> bool:
+    """Lock; False if another has it locked, or if nothing can be locked there."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        return False
+    return True
