@@ -8,6 +8,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -113,12 +114,13 @@ if yaml.__with_libyaml__:
     _OwnLoader = _QuickLoader
 
 
-class _Document:
+class Document:
     """A YAML text as plain values, with the line and column of each key."""
 
     def __init__(self, text: str, name: str, own: bool = False) -> None:
         self.name = name
         self.places: dict[Key, tuple[int, int]] = {}
+        self._others: dict[Key, tuple[Document, Key]] = {}  # where the values at some keys came from
         self._nodes = 0
         try:
             root = (_OwnLoader if own else _Loader)(text).get_single_node()
@@ -137,15 +139,54 @@ class _Document:
 
     def error(self, key: Key, what: str) -> ConfigError:
         """The error `what` at `key`."""
+        if other := self._other(key):
+            return other[0].error(other[1], what)
         line, column = self.place(key)
         path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
-        return ConfigError(f"{self.name}:{line}:{column}: {path + ': ' if path else ''}{what}")
+        error = ConfigError(f"{self.name}:{line}:{column}: {path + ': ' if path else ''}{what}")
+        error.at = self.name, key, what
+        return error
 
     def place(self, key: Key) -> tuple[int, int]:
         """Line and column of `key`, or of the nearest key above it that the file has."""
+        if other := self._other(key):
+            return other[0].place(other[1])
         while key and key not in self.places:
             key = key[:-1]
         return self.places.get(key, (1, 1))
+
+    def at(self, key: Key) -> Any:
+        """The value at `key`. Raises LookupError."""
+        value = self.value
+        for part in key:
+            value = value[part]
+        return value
+
+    def replaced(self, key: Key, other: "Document", other_key: Key) -> "Document":
+        """The document with another's value at `key`; errors in it are at their place in the other.
+
+        Raises LookupError where a map or a list above `key` has no such place; missing maps are made.
+        """
+        out = copy(self)
+        out.value = _with(self.value, key, other.at(other_key))
+        out._others = self._others | {key: (other, other_key)}
+        return out
+
+    def checked(self, model: type[M]) -> M:
+        """The values as a `model`. Raises ConfigError."""
+        try:
+            return model.model_validate(self.value)
+        except ValidationError as error:
+            raise _first_error(self, error, model) from None
+        except (OverflowError, RecursionError) as error:
+            raise ConfigError(f"{self.name}:1:1: {error}") from None
+
+    def _other(self, key: Key) -> "tuple[Document, Key] | None":
+        """The document and the key there that `key` came from, if it was replaced."""
+        for above, (other, at) in reversed(self._others.items()):
+            if key[: len(above)] == above:
+                return other, (*at, *key[len(above) :])
+        return None
 
     def _value(self, node: yaml.Node, key: Key, parents: tuple[int, ...]) -> Any:
         self._nodes += 1
@@ -203,6 +244,23 @@ class _Document:
         raise self.error(key, f"tag {node.tag!r} is not allowed; allowed are plain values, lists and maps")
 
 
+def _with(values: Any, key: Key, value: Any) -> Any:
+    """The values with another at `key`."""
+    if not key:
+        return value
+    first, below = key[0], key[1:]
+    if isinstance(first, str) and isinstance(values, dict):
+        return values | {first: _with({} if values.get(first) is None and below else values.get(first), below, value)}
+    if isinstance(first, int) and isinstance(values, tuple) and first < len(values):
+        return *values[:first], _with(values[first], below, value), *values[first + 1 :]
+    raise LookupError(first)
+
+
+def document(path: str | Path) -> Document:
+    """The YAML file at `path`. Raises ConfigError."""
+    return Document(_read(path), str(path))
+
+
 def load(path: str | Path, model: type[M], own: bool = False) -> M:
     """Read the file at `path` as a `model`; `own` if it is part of the package.
 
@@ -214,7 +272,7 @@ def load(path: str | Path, model: type[M], own: bool = False) -> M:
 def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
     """The error `what` at a key of a loaded file, for checks that need more than one part of it."""
     try:
-        return _Document(_read(path), str(path)).error(key, str(what))
+        return Document(_read(path), str(path)).error(key, str(what))
     except ConfigError:  # a pipe cannot be read twice
         return ConfigError(f"{path}: {what}")
 
@@ -241,11 +299,11 @@ class Section:
     def _placed(self, error: ConfigError) -> ConfigError:
         return error if self.path else ConfigError(str(error).removeprefix(":1:1: "))
 
-    def _document(self) -> "_Document":
+    def _document(self) -> "Document":
         try:
-            return _Document(_read(self.path), self.path)
+            return Document(_read(self.path), self.path)
         except ConfigError:  # made in Python, or gone since
-            return _Document("{}", self.path)
+            return Document("{}", self.path)
 
 
 def _read(path: str | Path) -> str:
@@ -265,16 +323,10 @@ def _read(path: str | Path) -> str:
 
 def loads(text: str, model: type[M], name: str, own: bool = False) -> M:
     """Read the text of a file called `name` as a `model`. Raises ConfigError."""
-    document = _Document(text, name, own)
-    try:
-        return model.model_validate(document.value)
-    except ValidationError as error:
-        raise _first_error(document, error, model) from None
-    except (OverflowError, RecursionError) as error:
-        raise ConfigError(f"{name}:1:1: {error}") from None
+    return Document(text, name, own).checked(model)
 
 
-def _first_error(document: _Document, error: ValidationError, model: type[Model], above: Key = ()) -> ConfigError:
+def _first_error(document: Document, error: ValidationError, model: type[Model], above: Key = ()) -> ConfigError:
     """The first error in the file, with a count of the others; `above` is the model's key in it."""
     errors = error.errors(include_url=False)
     keys = [_key(item) for item in errors]

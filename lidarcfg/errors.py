@@ -16,7 +16,12 @@ class LidarcfgError(Exception):
 
 
 class ConfigError(LidarcfgError):
-    """A sensor, rig, study or scene file contains something that is not allowed."""
+    """A sensor, rig, study or scene file contains something that is not allowed.
+
+    `at` is the file's name, the key and what is wrong with it, where the error is at a key.
+    """
+
+    at: tuple[str, tuple[str | int, ...], str] | None = None
 
 
 class SceneError(LidarcfgError):

@@ -193,7 +193,11 @@ def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
     Objects that are detected by returns need `patterns`, which say where sensors fire: `lidarcfg.pattern`.
     """
     path = example(path)
-    file = load(path, StudyFile)
+    return study_of(load(path, StudyFile), path, patterns)
+
+
+def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> Study:
+    """The study of a file that is read; `path` names it in errors, and what it names is relative to that."""
     slots: list[Slot] = []
     lower, upper, mirror, groups = [], [], [], []
     for i, group in enumerate(file.sensors):
