@@ -311,7 +311,7 @@ def test_cuboids_that_coordinates_cannot_tell_apart(tmp_path, region, what):
 # Skipping
 
 
-@pytest.mark.parametrize("method", ["abc", "auto", "cmaes", "de"])
+@pytest.mark.parametrize("method", ["abc", "annealing", "auto", "cmaes", "de"])
 def test_skipping_changes_nothing_whatever_searches(tmp_path, method):
     """Far from the origin, with pairs, a constraint, fixed coordinates and a LiDAR outside the region."""
     path = tmp_path / "s.yaml"
@@ -394,7 +394,7 @@ def test_objectives_without_a_slope(name, objective):
         asked += len(x)
 
 
-@pytest.mark.parametrize("method", ["abc", "auto", "cmaes", "de"])
+@pytest.mark.parametrize("method", ["abc", "annealing", "auto", "cmaes", "de"])
 def test_bounds_one_ulp_apart(tmp_path, method):
     """One coordinate may be either of two doubles, all others are fixed."""
     low, high = 1.3, math.nextafter(1.3, 2)

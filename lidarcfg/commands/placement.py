@@ -38,7 +38,11 @@ SAVE_EVERY_S = 5.0
 @cloup.argument("study", type=FILE, help="YAML: the region, the sensors and their bounds.")
 @cloup.option_group(
     "Search",
-    cloup.option("--solver", type=click.Choice(["auto", "abc", "cmaes", "de"]), help="Method.  [default: the study's]"),
+    cloup.option(
+        "--solver",
+        type=click.Choice(["auto", "abc", "annealing", "cmaes", "de"]),
+        help="Method.  [default: the study's]",
+    ),
     cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Seed.  [default: the study's]"),
     cloup.option(
         "--threads", type=click.IntRange(1, 1024), metavar="N", help="Any number gives the same result.  [default: all]"

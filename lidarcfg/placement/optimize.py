@@ -84,7 +84,7 @@ def optimize(
     lidars = [slot.lidar for slot in study.slots]
     interrupted = False
     with Evaluator(study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility) as evaluator:
-        run = _Run(study, evaluator, start_search(study.solver, dimensions), log or Log.empty())
+        run = _Run(study, evaluator, start_search(study.solver, study.groups), log or Log.empty())
         try:
             while not (run.history and run.spent()):
                 if run.step() and on_cycle:

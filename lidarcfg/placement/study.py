@@ -75,6 +75,12 @@ class Study:
         """(slots, 6) which coordinates vary independently."""
         return (self.lower < self.upper) & np.isnan(self.mirror)[:, None]
 
+    @property
+    def groups(self) -> NDArray[np.int64]:
+        """(free coordinates,) the slot of each."""
+        slot: NDArray[np.int64] = np.nonzero(self.free)[0]
+        return slot
+
     def poses(self, unit: Array) -> Array:
         """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube; 1 is exactly upper."""
         out = np.repeat(self.lower[None], len(unit), axis=0)

@@ -3,39 +3,57 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lidarcfg.placement.solvers.search import Search
 
 if TYPE_CHECKING:
     from lidarcfg.placement.study_file import Solver
 
 
-def _auto(dimensions: int, solver: "Solver") -> Search:
+Groups = NDArray[np.int64]  # (dimensions,) coordinates of equal numbers belong together
+
+
+def _auto(groups: Groups, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.auto import Auto
 
-    return Auto(dimensions, solver.seed)
+    return Auto(groups, solver.seed)
 
 
-def _abc(dimensions: int, solver: "Solver") -> Search:
+def _abc(groups: Groups, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.bee_colony import BeeColony
 
-    return BeeColony(dimensions, solver.bees, solver.limit or solver.bees * dimensions, solver.seed)
+    return BeeColony(len(groups), solver.bees, solver.limit or solver.bees * len(groups), solver.seed)
 
 
-def _cmaes(dimensions: int, solver: "Solver") -> Search:
+def _cmaes(groups: Groups, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.cma_es import CmaEs
 
-    return CmaEs(dimensions, solver.seed)
+    return CmaEs(len(groups), solver.seed)
 
 
-def _de(dimensions: int, solver: "Solver") -> Search:
+def _de(groups: Groups, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.lshade import LshadeRestarts
 
-    return LshadeRestarts(dimensions, solver.seed)
+    return LshadeRestarts(len(groups), solver.seed)
 
 
-SOLVERS: dict[str, Callable[[int, "Solver"], Search]] = {"auto": _auto, "abc": _abc, "cmaes": _cmaes, "de": _de}
+def _annealing(groups: Groups, solver: "Solver") -> Search:
+    from lidarcfg.placement.solvers.annealing import AnnealingRestarts
+
+    return AnnealingRestarts(groups, solver.seed)
 
 
-def start_search(solver: "Solver", dimensions: int) -> Search:
-    """The search that a study's solver settings describe."""
-    return SOLVERS[solver.method](dimensions, solver)
+SOLVERS: dict[str, Callable[[Groups, "Solver"], Search]] = {
+    "auto": _auto,
+    "abc": _abc,
+    "annealing": _annealing,
+    "cmaes": _cmaes,
+    "de": _de,
+}
+
+
+def start_search(solver: "Solver", groups: Groups) -> Search:
+    """The search that a study's solver settings describe, over as many dimensions as there are in `groups`."""
+    return SOLVERS[solver.method](groups, solver)

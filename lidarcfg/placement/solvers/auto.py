@@ -1,35 +1,37 @@
 """The default search: the combination that won on several studies (docs/benchmarks.md), in rounds.
 
 CMA-ES from the best of some random points is the quickest to a good rig; restarts with ever larger populations find
-better ones. But CMA-ES is a local search. So each round ends with differential evolution (L-SHADE), which explores
-for longer; with two LiDARs of 8 beams it alone found the best rigs known.
+better ones. But CMA-ES is a local search that moves everything at once. So each round ends with annealing, whose chains
+move one group of coordinates at a time and climb out of basins.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.placement.solvers.annealing import Annealing
 from lidarcfg.placement.solvers.cma_es import CmaEs
-from lidarcfg.placement.solvers.lshade import EVALUATIONS, Lshade
 from lidarcfg.placement.solvers.search import Trials, checked
 
 POINTS, POPULATION, STEP = 200, 30, 0.15  # random points, then CMA-ES from the best of them
+CMA_ES, ANNEALING = 1000, 8000  # trials of each in the first round, per dimension; both take about as long
 
 
 class Auto:
-    """A search in rounds: CMA-ES for as many evaluations as the differential evolution that follows it."""
+    """A search in rounds: CMA-ES, then annealing; each round has twice the trials of the one before."""
 
-    def __init__(self, dimensions: int, seed: int) -> None:
+    def __init__(self, groups: NDArray[np.int64], seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        self._dimensions = dimensions
+        self._groups = groups
         self._round = self._spent = 0  # evaluations in the round
         self.cycles = 0
-        self.best_x, self.best_cost, self.mean_cost = np.full(dimensions, 0.5), np.inf, np.inf
+        self.best_x, self.best_cost, self.mean_cost = np.full(len(groups), 0.5), np.inf, np.inf
         self._begin()
 
     def _begin(self) -> None:
         """Start a round with random points."""
-        self._points = self._rng.random((POINTS, self._dimensions))
-        self._run: CmaEs | Lshade | None = None
+        self._points = self._rng.random((POINTS, len(self._groups)))
+        self._run: CmaEs | Annealing | None = None
         self._first = True  # the next run starts from the best point
 
     @property
@@ -38,7 +40,7 @@ class Auto:
         return self._run.sources if self._run else self.best_x[None]
 
     def ask(self) -> Trials:
-        """Random points, or the next generation of the current run."""
+        """Random points, or the next trials of the current run."""
         if self._run:
             return self._run.ask()
         return Trials("trial", self._points, np.zeros(POINTS, np.int64), np.full(POINTS, np.inf))
@@ -53,20 +55,20 @@ class Auto:
         self._spent += len(cost)
         if self._run is None:
             self.mean_cost = float(np.mean(cost))
-            self._run = CmaEs(self._dimensions, self._seed(), x[best], STEP, POPULATION)
+            self._run = CmaEs(len(self._groups), self._seed(), x[best], STEP, POPULATION)
             return
         self._run.tell(cost)
         self.mean_cost = self._run.mean_cost
         if not self._run.over:
             return
-        budget = EVALUATIONS * self._dimensions * 2 ** (self._round // 2)
-        if isinstance(self._run, Lshade):
+        scale = len(self._groups) * 2**self._round
+        if isinstance(self._run, Annealing):
             self._round, self._spent = self._round + 1, 0
             self._begin()
-        elif self._spent >= budget:
-            self._run = Lshade(self._dimensions, self._rng, budget)
+        elif self._spent >= CMA_ES * scale:
+            self._run = Annealing(self._groups, self._rng, ANNEALING * scale)
         elif self._first:
-            self._first, self._run = False, CmaEs(self._dimensions, self._seed())
+            self._first, self._run = False, CmaEs(len(self._groups), self._seed())
 
     def _seed(self) -> int:
         return int(self._rng.integers(2**63))

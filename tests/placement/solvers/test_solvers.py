@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from lidarcfg.placement.solvers.annealing import AnnealingRestarts
 from lidarcfg.placement.solvers.auto import Auto
 from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.cma_es import CmaEs
@@ -14,7 +15,8 @@ SOLVERS = {
     "abc": lambda dimensions, seed: BeeColony(dimensions, 20, 20 * dimensions, seed),
     "cmaes": CmaEs,
     "de": LshadeRestarts,
-    "auto": Auto,
+    "annealing": lambda dimensions, seed: AnnealingRestarts(np.arange(dimensions) // 2, seed),
+    "auto": lambda dimensions, seed: Auto(np.arange(dimensions) // 2, seed),
 }
 
 
@@ -82,7 +84,7 @@ def test_cma_es_begins_anew_with_twice_the_population():
 
 
 def test_auto_walks_from_the_best_of_its_points():
-    solver = Auto(3, 1)
+    solver = Auto(np.zeros(3, int), 1)
     points = solver.ask().x
     assert len(points) == 200
     solver.tell(bowl(points))
@@ -91,11 +93,11 @@ def test_auto_walks_from_the_best_of_its_points():
     assert solver.best_cost == bowl(points).min()
 
 
-def test_autos_rounds_are_half_cma_es_and_half_differential_evolution():
-    solver = Auto(2, 1)
-    for share in (8000, 8000, 16000):  # 4000 a dimension, and twice as many from the third round on
+def test_autos_rounds_are_cma_es_and_then_annealing():
+    solver = Auto(np.zeros(2, int), 1)
+    for share in (2000, 4000, 8000):  # 1000 a dimension, and twice as many each round
         sizes = []
-        while (size := len(solver.ask().x)) != 36:  # 18 points a dimension is an evolution's first generation
+        while (size := len(solver.ask().x)) != 32:  # where the chains of an annealing begin
             sizes.append(size)
             solver.tell(bowl(solver.ask().x))
         first = sizes.index(6)  # the usual population of two dimensions, which is doubled again and again
@@ -104,10 +106,10 @@ def test_autos_rounds_are_half_cma_es_and_half_differential_evolution():
         runs = sorted(set(sizes[first:]))
         assert runs == [6 * 2**n for n in range(len(runs))]
         assert sum(sizes) - runs[-1] * sizes.count(runs[-1]) < share <= sum(sizes)
-        evolution = 0
-        while evolution < share:
-            assert len(solver.ask().x) == max(4, round(36 - 32 * evolution / share)) if evolution else 36
-            evolution += len(solver.ask().x)
+        annealed = 0
+        while annealed < 8 * share:
+            assert len(solver.ask().x) == (128 if annealed else 32)
+            annealed += len(solver.ask().x)
             solver.tell(bowl(solver.ask().x))
         assert len(solver.ask().x) == 200
 
