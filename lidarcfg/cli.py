@@ -15,6 +15,7 @@ import lidarcfg
 from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
+from lidarcfg.commands.files import init, schema, validate
 from lidarcfg.commands.placement import compare, evaluate, optimize
 from lidarcfg.commands.progress import Interrupts
 from lidarcfg.commands.sensors import sensors
@@ -85,6 +86,7 @@ def _fail(message: str) -> None:
         cloup.Section("Simulate and read captures", [export, decode, replay]),
         cloup.Section("Look at the results", [view]),
         cloup.Section("Use them in other tools", [convert]),
+        cloup.Section("Write and check files", [init, validate, schema]),
         cloup.Section("Sensor models and the shell", [sensors, completion]),
     ],
     epilog="""

@@ -23,6 +23,7 @@ from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.kinds import kind_of
 
 Key = tuple[str | int, ...]  # a path in the file: ("sensors", 0, "model")
 Vec3 = tuple[float, float, float]
@@ -43,6 +44,7 @@ class Model(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
     renamed: ClassVar[dict[str, str]] = {}  # keys of earlier versions → their new names
+    kind: ClassVar[str] = ""  # of the file that it is the whole of; empty: a part
 
 
 M = TypeVar("M", bound=Model)
@@ -177,6 +179,9 @@ class Document:
         try:
             return model.model_validate(self.value)
         except ValidationError as error:
+            found = kind_of(self.value)
+            if model.kind and found and found != model.kind:
+                raise self.error((), f"this is a {found}; a {model.kind} belongs here") from None
             raise _first_error(self, error, model) from None
         except (OverflowError, RecursionError) as error:
             raise ConfigError(f"{self.name}:1:1: {error}") from None

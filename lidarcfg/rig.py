@@ -104,6 +104,7 @@ class MountFile(Model):
 class RigFile(Model):
     """A rig, as its file says it."""
 
+    kind: ClassVar[str] = "rig"
     name: Annotated[str, Field(min_length=1)]
     sensors: Annotated[tuple[MountFile, ...], Field(min_length=1)]
     vehicle: dict[str, Any] | None = None  # the keys of world/vehicle.py's VehicleFile

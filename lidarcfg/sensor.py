@@ -4,6 +4,7 @@ The files in `sensors/` are the only home of beam tables: optimiser, simulator, 
 the maker's packets need stands under a key called as the codec; the codec checks it when it is needed.
 """
 
+import difflib
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -121,6 +122,7 @@ class Sensor(Model):
         key: f"{key} under velodyne, and codec: velodyne says so"
         for key in ("firing", "packet", "position_packet", "headers")
     }
+    kind: ClassVar[str] = "sensor"
     name: Annotated[str, Field(min_length=1)]
     maker: str = ""
     description: str = ""
@@ -229,7 +231,15 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
         sensor = load(base / name, Sensor)
         sensor._file = File(str(base / name))
         return sensor
-    raise ConfigError(f"no sensor is called {str(name)!r}; allowed: {', '.join(known)}, or a path to a .yaml")
+    plain = {_plain(one): one for one in known}
+    close = difflib.get_close_matches(_plain(name), plain, 1, 0.75) or [one for one in plain if _plain(name) in one]
+    hint = f"did you mean {plain[close[0]]}? " if close else ""
+    raise ConfigError(f"no sensor is called {str(name)!r}; {hint}allowed: {', '.join(known)}, or a path to a .yaml")
+
+
+def _plain(name: str | Path) -> str:
+    """A name without what people spell in different ways."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())
 
 
 def custom_sensor(elevation_deg: tuple[float, ...]) -> Sensor:

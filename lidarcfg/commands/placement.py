@@ -15,12 +15,14 @@ from lidarcfg.commands.options import (
     json_option,
     quiet_option,
     tolerance_option,
+    warn,
     warn_of,
 )
 from lidarcfg.commands.progress import progress
 
 if TYPE_CHECKING:
     from lidarcfg.placement.optimize import Cycle, Log, Placement
+    from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
     from lidarcfg.rig import Rig
 
@@ -79,6 +81,7 @@ def optimize(
 
     from lidarcfg import report
     from lidarcfg.packets.codec import pattern
+    from lidarcfg.placement.checks import study_warnings
     from lidarcfg.placement.details import details
     from lidarcfg.placement.optimize import optimize as search
     from lidarcfg.placement.study import load_study, with_solver
@@ -86,6 +89,8 @@ def optimize(
     budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
     loaded = with_solver(load_study(study, pattern), seed=seed, method=solver, **budget)
     warn_of(loaded.vehicle)
+    for message in study_warnings(study, loaded):
+        warn(message)
     folder = output or resume or Path("out") / loaded.name
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder, report.RESULTS)
@@ -110,6 +115,17 @@ def optimize(
     if found.interrupted:
         click.echo("interrupted; the best rig found is kept", err=True)
         sys.exit(130)
+
+
+def _check_rig(study: "Study", path: Path, rig: "Rig") -> None:
+    """Print what looks wrong with a rig. Raises ConfigError if it cannot be evaluated in a study."""
+    from lidarcfg.placement.checks import rig_warnings
+    from lidarcfg.world.vehicle import check_outside
+
+    for message in rig_warnings(path):
+        warn(message)
+    if study.vehicle:
+        check_outside(study.vehicle, rig.mounts, path)
 
 
 def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
@@ -161,6 +177,7 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
 
     loaded, mounted = load_study(study, pattern), load_rig(rig)
     warn_of(loaded.vehicle)
+    _check_rig(loaded, rig, mounted)
     if output:
         report.check_writable(output, report.EVALUATED)
     found = evaluation(loaded, mounted, tolerance)
@@ -207,6 +224,8 @@ def compare(
     report.check_count(len(rigs))
     loaded, mounted = load_study(study, pattern), [load_rig(rig) for rig in rigs]
     warn_of(loaded.vehicle)
+    for path, rig in zip(rigs, mounted, strict=True):
+        _check_rig(loaded, path, rig)
     if output:
         report.check_writable(output, report.COMPARED)
     named = []

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.config import Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
@@ -156,6 +157,8 @@ class Codec(Protocol):
     """The packets of one sensor. Made from the sensor; raises ConfigError if its file says too little."""
 
     point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
+    facts_model: ClassVar[type[Model]]  # what stands in a sensor's file under the family's name
+    settings_model: ClassVar[type[Model]] = Model  # and in a rig's, for a mount; by default nothing
 
     def __init__(self, sensor: Sensor) -> None: ...
 

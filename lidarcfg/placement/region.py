@@ -22,6 +22,7 @@ NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relati
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
 AXES = "xyz"
+NEAR = 5000  # so many counts of cuboids below and above are tried for round sizes
 
 
 class BoxFile(Model):
@@ -60,11 +61,24 @@ class RegionFile(BoxFile):
                 what = f"{edge:g} is too little for coordinates up to {far:g}; allowed: at least {least:g}"
                 raise fault(what, "cuboid_m", axis)
             if abs(count * edge - length) > 1e-9 * length + math.ulp(far):  # the corners are rounded, too
-                fewer = max(int(length / edge), 1)
-                near = sorted({f"{length / n:.12g}" for n in (fewer, fewer + 1)}, key=float)
+                near = " and ".join(f"{size:.12g}" for size in _sizes(length, edge))
                 what = f"{edge:g} does not divide the region's {length:g} along {AXES[axis]}"
-                raise fault(f"{what}; nearest sizes that do: {' and '.join(near)}", "cuboid_m", axis)
+                raise fault(f"{what}; sizes that do: {near}", "cuboid_m", axis)
         return self
+
+
+def _sizes(length: float, edge: float) -> list[float]:
+    """Up to two sizes that divide a length, the nearest below and above an edge: round numbers if some are near."""
+    middle = max(round(length / edge), 1)
+    counts = range(max(middle // 2, middle - NEAR, 1), min(2 * middle, middle + NEAR) + 2)
+    sizes = sorted((length / count for count in counts), key=lambda size: (not _is_round(size), abs(size - edge)))
+    sides = (next((size for size in sizes if (size < edge) == below), None) for below in (True, False))
+    return [size for size in sides if size is not None]
+
+
+def _is_round(size: float) -> bool:
+    """Whether two digits say it all."""
+    return abs(float(f"{size:.2g}") - size) <= 1e-9 * size
 
 
 class Cut(NamedTuple):

@@ -1,10 +1,14 @@
 """A study file: its keys, what is allowed in each, and their defaults."""
 
-from typing import Annotated, Any, Literal
+import math
+from itertools import combinations, product
+from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, fault
+from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
 from lidarcfg.placement.region import RegionFile
@@ -98,6 +102,7 @@ class VisibilityFile(Model):
 class StudyFile(Model):
     """A study file."""
 
+    kind: ClassVar[str] = "study"
     region: RegionFile
     sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1)]
     vehicle: VehicleFile | None = None
@@ -127,8 +132,50 @@ class StudyFile(Model):
                 if getattr(self.objective, key) is not None:
                     what = "is the same for every rig where nothing limits the sight"
                     raise fault(f"{what}; give a vehicle, surroundings or ranges", "objective", key)
+        _check_constraints(self)
         for name in self.objective.detection:
             if name not in names:
                 allowed = ", ".join(names) or "none, as the study has no detection"
                 raise fault(f"no object is called so; allowed: {allowed}", "objective", "detection", name)
         return self
+
+
+def _check_constraints(file: StudyFile) -> None:
+    """Raises a fault for constraints that no poses within the bounds keep."""
+    limit_deg, apart_m = file.constraints.max_tilt_deg, file.constraints.min_distance_m
+    boxes = []
+    for i, group in enumerate(file.sensors):
+        low, high = np.array(group.min.pose), np.array(group.max.pose)
+        roll, pitch = (_cosines(low[axis], high[axis]) for axis in (3, 4))
+        least_deg = math.degrees(math.acos(max(a * b for a, b in product(roll, pitch))))
+        if least_deg > limit_deg + 1e-6:
+            what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more within its bounds"
+            raise fault(what, "constraints", "max_tilt_deg")
+        box = low[:3], high[:3]
+        boxes += [(i, _mirrored(box, group.mirror_y_m) if number % 2 else box) for number in range(group.count)]
+    for (i, one), (j, other) in combinations(boxes, 2):
+        most_m = float(np.linalg.norm(np.maximum(one[1] - other[0], other[1] - one[0])))
+        if most_m < apart_m:
+            which = f"two of sensors[{i}]" if i == j else f"sensors[{i}] and sensors[{j}]"
+            what = f"{apart_m:g} is impossible: {which} are {most_m:.4g} apart or less within their bounds"
+            raise fault(what, "constraints", "min_distance_m")
+
+
+def _cosines(low: float, high: float) -> tuple[float, float]:
+    """The least and the greatest cosine of the angles from low to high."""
+    ends = [math.cos(low), math.cos(high)]
+    turns = low / math.pi, high / math.pi
+    if math.floor(turns[1]) > math.ceil(turns[0]) or high - low >= 2 * math.pi:
+        return -1.0, 1.0
+    if math.floor(turns[1]) == math.ceil(turns[0]):
+        ends.append(math.cos(math.floor(turns[1]) * math.pi))
+    return min(ends), max(ends)
+
+
+def _mirrored(box: tuple[Array, Array], plane_y_m: float | None) -> tuple[Array, Array]:
+    """The image of a box's corners in the plane y = plane_y_m; the box itself without one."""
+    if plane_y_m is None:
+        return box
+    low, high = (corner.copy() for corner in box)
+    low[1], high[1] = 2 * plane_y_m - box[1][1], 2 * plane_y_m - box[0][1]
+    return low, high

@@ -15,6 +15,12 @@ from lidarcfg.geometry import Array, pose, transform
 if TYPE_CHECKING:
     from lidarcfg.world.scene import Box, Cylinder, MeshFile, Plane, Sphere
 
+_CLOUD = "a point cloud has no surfaces; make a mesh of it, for example with Open3D's create_from_point_cloud_poisson"
+NO_MESHES = {  # by suffix, what some other file is, and what to do
+    ".xodr": "an OpenDRIVE map has lanes and no triangles; export a mesh of it, for example an OBJ with libOpenDRIVE",
+    **dict.fromkeys((".pcd", ".las", ".laz", ".xyz", ".pts", ".e57", ".bin", ".npz"), _CLOUD),
+}
+
 Mesh = tuple[Array, NDArray[np.int64]]  # vertices (V, 3) in metres, triangles (T, 3)
 
 
@@ -83,12 +89,15 @@ def read_mesh(path: Path) -> Mesh:
     import open3d as o3d
 
     _check_readable(path)
+    if path.suffix.lower() in NO_MESHES:
+        raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)
     triangles = np.array(mesh.triangles, np.int64)
     if not len(triangles):
-        raise SceneError(f"{path}: no triangles that Open3D can read")
+        cloud = f"; {_CLOUD}" if len(vertices) else ""
+        raise SceneError(f"{path}: no triangles that Open3D can read{cloud}")
     if not np.isfinite(vertices).all():
         raise SceneError(f"{path}: vertex {np.argwhere(~np.isfinite(vertices))[0][0]} is not finite")
     if triangles.min() < 0 or triangles.max() >= len(vertices):

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ class Motion(Model):
     constant rate.
     """
 
+    kind: ClassVar[str] = "trajectory"
     velocity_m_s: tuple[Speed, Speed, Speed] | None = None
     arc: Arc | None = None
     poses: Annotated[tuple[TimedPose, ...], Field(min_length=2)] | None = None

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +98,7 @@ class GeoOrigin(Model):
 class SceneFile(Model):
     """A scene file."""
 
+    kind: ClassVar[str] = "scene"
     name: Annotated[str, Field(min_length=1)]
     ground: Ground | None = None
     boxes: tuple[Box, ...] = ()

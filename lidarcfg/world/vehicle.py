@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from pydantic import model_validator
@@ -82,6 +83,7 @@ class BodyMesh(Body, MeshFile):
 class VehicleFile(Model):
     """A vehicle, as a study says it: a scene's own keys, in the vehicle frame."""
 
+    kind: ClassVar[str] = "vehicle"
     boxes: tuple[BodyBox, ...] = ()
     spheres: tuple[BodySphere, ...] = ()
     cylinders: tuple[BodyCylinder, ...] = ()
@@ -233,12 +235,13 @@ def rig_vehicle(rig: Rig) -> Vehicle | None:
     return vehicle(section.checked(VehicleFile), Path(section.path), section.at) if section else None
 
 
-def check_outside(bodies: Vehicle, mounts: Iterable[Mount]) -> None:
-    """Raises ConfigError if a sensor is inside a closed body, unless the vehicle allows it."""
-    for mount in mounts:
+def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = None) -> None:
+    """Raises ConfigError if a sensor is in a closed body, unless the vehicle allows it; `path` is the rig's file."""
+    for i, mount in enumerate(mounts):
         body = None if bodies.allow_inside else bodies.around(np.array(mount.position_m))
         if body:
-            raise ConfigError(f"{mount.name} is inside the vehicle's {body!r}; move it, or say allow_inside: true")
+            what = f"{mount.name} is inside the vehicle's {body!r}; move it, or say allow_inside: true"
+            raise error_at(path, ("sensors", i), what) if path else ConfigError(what)
 
 
 def mesh_of(scene: Scene, index: int) -> Mesh:

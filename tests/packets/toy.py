@@ -23,6 +23,8 @@ class Facts(Model):
 class Toy(Spinning):
     """The packets of one sensor."""
 
+    facts_model = Facts
+
     def __init__(self, sensor):
         self.sensor, self.columns = sensor, sensor.section.checked(Facts).columns
         self.dtype = np.dtype([("magic", "S4"), ("number", "<u4"), ("returns", RETURN, self.columns * sensor.count)])

@@ -31,8 +31,8 @@ def test_an_exclusion_takes_its_lower_bound_and_not_its_upper():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[1, 0.5, 0.2]", "[0.7, 0.5, 0.2]", "cuboid_m[0]: 0.7 does not divide the region's 60 along x; nearest sizes that do: 0.697674418605 and 0.705882352941"),
-        ("[1, 0.5, 0.2]", "[1, 0.5, 9]", "cuboid_m[2]: 9 does not divide the region's 4 along z; nearest sizes that do: 2 and 4"),
+        ("[1, 0.5, 0.2]", "[0.7, 0.5, 0.2]", "cuboid_m[0]: 0.7 does not divide the region's 60 along x; sizes that do: 0.6 and 0.75"),
+        ("[1, 0.5, 0.2]", "[1, 0.5, 9]", "cuboid_m[2]: 9 does not divide the region's 4 along z; sizes that do: 4"),
         ("[1, 0.5, 0.2]", "[1e-3, 1e-3, 1e-3]", "cuboid_m: makes more than the 2,147,483,647 cuboids allowed"),
         ("[1, 0.5, 0.2]", "[1e-300, 1, 1]", "cuboid_m: makes more than"),
         ("[1, 0.5, 0.2]", "[0, 0.5, 0.2]", "cuboid_m[0]: 0 is too small; allowed: above 0"),

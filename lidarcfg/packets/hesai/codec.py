@@ -8,7 +8,7 @@ import numpy as np
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
-from lidarcfg.packets.hesai.facts import Settings, Unit, unit
+from lidarcfg.packets.hesai.facts import Facts, Settings, Unit, unit
 from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.recognise import check_size, claims, identify
 from lidarcfg.packets.point_fields import STAMPED
@@ -25,6 +25,7 @@ class Hesai:
     """The packets of one Hesai sensor."""
 
     point_fields = STAMPED
+    facts_model, settings_model = Facts, Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

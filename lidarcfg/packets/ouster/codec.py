@@ -10,7 +10,7 @@ from lidarcfg.errors import PacketError
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
-from lidarcfg.packets.ouster.facts import mode, unit
+from lidarcfg.packets.ouster.facts import Facts, Settings, mode, unit
 from lidarcfg.packets.ouster.layout import PROFILES, TICKS, Layout, heads
 from lidarcfg.packets.ouster.metadata import Metadata, read, written
 from lidarcfg.packets.point_fields import OUSTER
@@ -30,6 +30,7 @@ class Ouster:
     """The packets of one Ouster."""
 
     point_fields = OUSTER
+    facts_model, settings_model = Facts, Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

@@ -17,7 +17,7 @@ from lidarcfg.packets.codec import (
     Source,
 )
 from lidarcfg.packets.point_fields import STAMPED
-from lidarcfg.packets.robosense.facts import unit
+from lidarcfg.packets.robosense.facts import Facts, unit
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, octets_of, packets_of
 from lidarcfg.packets.robosense.recognise import check_model, check_msop, identify
 from lidarcfg.packets.spin import Spin, Spinning
@@ -33,6 +33,7 @@ class Robosense(Spinning):
     """The packets of one RoboSense sensor."""
 
     point_fields = STAMPED
+    facts_model = Facts
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

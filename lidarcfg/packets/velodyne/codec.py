@@ -17,7 +17,7 @@ from lidarcfg.packets.codec import (
     Source,
 )
 from lidarcfg.packets.spin import Spin, Spinning
-from lidarcfg.packets.velodyne.facts import Settings, Status, Unit, unit
+from lidarcfg.packets.velodyne.facts import Facts, Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.layout import (
     PACKET,
     octets_of,
@@ -37,6 +37,8 @@ CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: 
 
 class Velodyne(Spinning):
     """The packets of one Velodyne sensor."""
+
+    facts_model, settings_model = Facts, Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)

@@ -1,0 +1,132 @@
+"""What looks wrong with a study or a rig, though it may be meant: one line each, with file, line and key."""
+
+import math
+import time
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from lidarcfg.config import Key, error_at, load
+from lidarcfg.files import example
+from lidarcfg.geometry import Array
+from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.objective import Trial
+from lidarcfg.placement.region import AXES, BoxFile, Region
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
+from lidarcfg.rig import MountFile, RigFile
+
+STEPS = 5  # places along each axis of a sensor's bounds that are tried
+MANY = 0.1  # of these, inside the vehicle
+SLOW = 100  # times the evaluation of max VSR
+FEW_S = 0.01  # an evaluation that is as quick as this is not slow
+STEEPEST_RAD = 0.6  # no beam table is as narrow as this in degrees: elevations within look like radians
+
+
+def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
+    """What looks wrong with a study that was loaded from a file."""
+    path = example(path)
+    file = load(path, StudyFile)
+    for i, group in enumerate(file.sensors):
+        for bound in ("min", "max"):
+            yield from _angles(path, ("sensors", i, bound), getattr(group, bound))
+        yield from _elevations(path, ("sensors", i), group)
+        yield from _places(path, i, group, study, file.region.exclude)
+    for i, box in enumerate(file.region.exclude):
+        yield from _snapped(path, i, box, study.region)
+    yield from _slow(path, study)
+
+
+def rig_warnings(path: str | Path) -> Iterator[str]:
+    """What looks wrong with a rig's file."""
+    path = example(path)
+    for i, mount in enumerate(load(path, RigFile).sensors):
+        yield from _angles(path, ("sensors", i), mount)
+        yield from _elevations(path, ("sensors", i), mount)
+
+
+def _angles(path: Path, at: Key, item: PoseBound | MountFile | None) -> Iterator[str]:
+    """Degrees that look like radians, and the reverse."""
+    if item is None:
+        return
+    if item.rpy_rad and max(map(abs, item.rpy_rad)) > 2 * math.pi + 1e-6:
+        yield str(error_at(path, (*at, "rpy_rad"), f"{list(item.rpy_rad)} is more than a turn; degrees go to rpy_deg"))
+    suspects = [angle for angle in item.rpy_deg or () if _is_in_radians(angle)]
+    if suspects and max(map(abs, item.rpy_deg or ())) <= math.pi + 1e-3:
+        what = f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians, which go to rpy_rad"
+        yield str(error_at(path, (*at, "rpy_deg"), what))
+
+
+def _is_in_radians(angle: float) -> bool:
+    """Whether an angle is a multiple of 15° in radians, with three decimals or more."""
+    steps = angle / (math.pi / 12)
+    return round(steps) != 0 and abs(angle - round(steps) * math.pi / 12) < 6e-4 and angle != round(angle, 2)
+
+
+def _elevations(path: Path, at: Key, item: GroupFile | MountFile) -> Iterator[str]:
+    """Beams given in radians."""
+    table = item.elevation_deg or ()
+    if len(table) > 1 and 0 < max(map(abs, table)) < STEEPEST_RAD:
+        what = f"all within {max(map(abs, table)):g}°; if these are radians, give degrees"
+        yield str(error_at(path, (*at, "elevation_deg"), what))
+
+
+def _places(path: Path, index: int, group: GroupFile, study: Study, excluded: tuple[BoxFile, ...]) -> Iterator[str]:
+    """Bounds that go through a body, where no sensor may be, or lie in what is excluded from the region."""
+    if group.min is None or group.max is None:
+        return
+    axes = zip(group.min.position_m, group.max.position_m, strict=True)
+    grid = np.array(list(product(*(np.unique(np.linspace(low, high, STEPS)) for low, high in axes))))
+    if study.vehicle and not study.vehicle.allow_inside:
+        count = int((study.vehicle.depth_m(grid) > 0).sum())
+        if count >= MANY * len(grid):
+            where = "inside the vehicle, where no sensor may be"
+            what = f"{count / len(grid):.0%} of the places within its bounds are {where}"
+            yield str(error_at(path, ("sensors", index), what))
+    for number, box in enumerate(excluded):
+        inside = ((grid >= box.min_m) & (grid < box.max_m)).all(axis=1)
+        if inside.any() and (study.vehicle or not inside.all()):  # the paper's sensors stand in what is excluded
+            how = "are inside" if inside.all() else "reach into"
+            what = f"its bounds {how} region.exclude[{number}], which blocks no beams"
+            yield str(error_at(path, ("sensors", index), what))
+
+
+def _snapped(path: Path, index: int, box: BoxFile, region: Region) -> Iterator[str]:
+    """An excluded box whose faces are not those of cuboids: what it is taken for."""
+    at, taken = ("region", "exclude", index), []
+    for axis, (low, high, centres) in enumerate(zip(box.min_m, box.max_m, region.centres(), strict=True)):
+        inside = centres[(centres >= low) & (centres < high)]
+        if not len(inside):
+            yield str(error_at(path, at, f"excludes nothing: no cuboid has its centre in it along {AXES[axis]}"))
+            return
+        half = region.cuboid_m[axis] / 2
+        given = max(low, float(region.min_m[axis])), min(high, float(region.max_m[axis]))
+        if max(abs(inside[0] - half - given[0]), abs(inside[-1] + half - given[1])) > 1e-6:
+            taken.append(f"{AXES[axis]} {inside[0] - half:.6g} to {inside[-1] + half:.6g}")
+    if taken:
+        yield str(error_at(path, at, f"excludes whole cuboids: {', '.join(taken)} m"))
+
+
+def _slow(path: Path, study: Study) -> Iterator[str]:
+    """An objective whose evaluation takes a hundred times as long as that of max VSR."""
+    if study.objective.is_max_vsr:
+        return
+    poses: Array = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
+    lidars, criterion = study.lidars(poses), study.criterion()
+
+    def seconds(what: str) -> float:
+        began = time.perf_counter()
+        if what == "max VSR":
+            max_vsr(study.region, lidars, study.visibility)
+        else:
+            criterion.of(Trial(study.region, lidars, study.visibility))
+        return time.perf_counter() - began
+
+    for what in ("max VSR", "objective"):  # compiles
+        seconds(what)
+    usual, own = seconds("max VSR"), seconds("objective")
+    if own > FEW_S and own > SLOW * usual:
+        what = f"one evaluation takes {own:.2g} s, {own / usual:.0f} times that of max_vsr"
+        yield str(error_at(path, ("objective",), f"{what}; coarser cuboids or fewer, larger objects cost less"))

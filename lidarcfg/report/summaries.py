@@ -1,0 +1,136 @@
+"""What a file is, and what it would do, in a line."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ConfigDict
+
+from lidarcfg.config import Model, load
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import example
+from lidarcfg.kinds import MARKS, kind_of
+from lidarcfg.packets.codec import codec, pattern
+from lidarcfg.placement.checks import rig_warnings, study_warnings
+from lidarcfg.placement.study import load_study
+from lidarcfg.placement.study_file import BUDGETS
+from lidarcfg.rig import Mount, load_rig
+from lidarcfg.sensor import Sensor, load_sensor
+from lidarcfg.world.motion import load_motion
+from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.vehicle import Vehicle, load_vehicle, rig_vehicle
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a file is."""
+
+    kind: str
+    text: str  # what it would do
+    warnings: tuple[str, ...]
+
+
+class _Anything(Model):
+    """A file of any kind."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+def summary(path: str | Path) -> Summary:
+    """What a study, rig, scene, sensor, vehicle or trajectory is. Raises ConfigError and SceneError if it is wrong."""
+    path = example(path)
+    kind = "trajectory" if path.suffix == ".tum" else kind_of(load(path, _Anything).model_extra)
+    if kind is None:
+        raise ConfigError(f"{path}: is none of our files; allowed: {', '.join(sorted({*MARKS, 'rig'}))}")
+    text, warnings = SUMMARIES[kind](path)
+    return Summary(kind, text, tuple(warnings))
+
+
+def _study(path: Path) -> tuple[str, Iterable[str]]:
+    study = load_study(path, pattern)
+    free, solver = int(study.free.sum()), study.solver
+    budget = ", ".join(f"{getattr(solver, key):,} {key}" for key in sorted(BUDGETS) if getattr(solver, key) is not None)
+    search = f"{solver.method} searches {free} free coordinates for {budget}" if free else "nothing is free to move"
+    what = "max VSR" if study.objective.is_max_vsr else "a weighted mean"
+    text = (
+        f"{int(study.region.included.sum()):,} cuboids, {_models(slot.model for slot in study.slots)}, "
+        f"{len(study.detection)} objects; {search}, to minimise {what}"
+    )
+    vehicle = study.vehicle.warnings if study.vehicle else ()
+    return text, (*vehicle, *study_warnings(path, study))
+
+
+def _rig(path: Path) -> tuple[str, Iterable[str]]:
+    rig = load_rig(path)
+    vehicle = rig_vehicle(rig)
+    silent = [mount.name for mount in rig.mounts if not _sends(mount)]
+    export = f"{', '.join(silent)} for placement only" if silent else "can be exported"
+    bodies = _bodies(vehicle) if vehicle else "no vehicle"
+    text = f"{_models(mount.model for mount in rig.mounts)}, {bodies}; {export}"
+    return text, (*(vehicle.warnings if vehicle else ()), *rig_warnings(path))
+
+
+def _sends(mount: Mount) -> bool:
+    """Whether a mount has packets. Raises ConfigError for settings that these do not allow."""
+    if mount.sensor.codec is None:
+        return False
+    codec(mount.sensor).check(mount)
+    return True
+
+
+def _scene(path: Path) -> tuple[str, Iterable[str]]:
+    scene = load_scene(path)
+    dynamic = sum(motion is not None for motion in scene.motions)
+    return f"{len(scene.names)} objects, {dynamic} of them dynamic; {_triangles(scene)}", ()
+
+
+def _sensor(path: Path) -> tuple[str, Iterable[str]]:
+    sensor = load_sensor(path.resolve())
+    table = sensor.beams.elevation_deg
+    text = f"{sensor.name}, {len(table)} beams from {min(table):g}° to {max(table):g}°; {_packets(sensor)}"
+    return text, ()
+
+
+def _packets(sensor: Sensor) -> str:
+    if sensor.codec is None:
+        return "for placement only"
+    codec(sensor)
+    return f"packets of {sensor.codec}"
+
+
+def _vehicle(path: Path) -> tuple[str, Iterable[str]]:
+    vehicle = load_vehicle(path)
+    return _bodies(vehicle), vehicle.warnings
+
+
+def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
+    motion = load_motion(path)
+    if motion.poses:
+        first, last = motion.poses[0].time_s, motion.poses[-1].time_s
+        return f"{len(motion.poses):,} timed poses from {first:g} s to {last:g} s", ()
+    return ("an arc" if motion.arc else "a constant velocity"), ()
+
+
+def _models(models: Iterable[str | None]) -> str:
+    """Sensors by their models."""
+    counts = Counter(Path(model).stem if model else "beams of its own" for model in models)
+    return ", ".join(f"{count} × {name}" for name, count in counts.items())
+
+
+def _bodies(vehicle: Vehicle) -> str:
+    return f"a vehicle of {len(vehicle.scene.names)} bodies with {_triangles(vehicle.scene)}"
+
+
+def _triangles(scene: Scene) -> str:
+    return f"{len(scene.triangles):,} triangles"
+
+
+SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
+    "study": _study,
+    "rig": _rig,
+    "scene": _scene,
+    "sensor": _sensor,
+    "vehicle": _vehicle,
+    "trajectory": _trajectory,
+}

@@ -1,0 +1,75 @@
+"""Commented files to start from."""
+
+import math
+import os
+import shutil
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+
+from lidarcfg.errors import ConfigError, SceneError
+from lidarcfg.files import replacing, shipped
+
+KINDS = ("study", "rig", "scene", "sensor")
+CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle of which no mesh is known
+
+
+def vehicles() -> dict[str, Path]:
+    """The bodies that come with the package, by name."""
+    return {path.stem: path for path in sorted(shipped("data").glob("vehicles/*.ply"))}
+
+
+def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Path]:
+    """Write one of the `KINDS` of files to start from. Returns what was written.
+
+    A study gets the bounds of a vehicle: one of `vehicles`, whose mesh is copied beside it, or that in a mesh file.
+    Raises ConfigError: a file exists already, the vehicle is not known or cannot be read.
+    """
+    known = vehicles()
+    body = None if vehicle is None else known.get(vehicle, Path(vehicle))
+    if body and vehicle not in known and not body.suffix:
+        raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, or a mesh file")
+    copied = path.parent / f"{vehicle}.ply" if vehicle in known else None
+    bounds = _bounds(body) if body else CAR
+    template = Environment(undefined=StrictUndefined, keep_trailing_newline=True).from_string(
+        (shipped("data") / "templates" / f"{kind}.yaml.j2").read_text("utf-8")
+    )
+    name = None if body is None else copied.name if copied else os.path.relpath(body, path.parent)
+    text = template.render(file=path, body=name, **_study(*bounds))
+    for file in (path, copied):
+        if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
+            raise ConfigError(f"{file}: exists already; name another file, or remove it")
+    with replacing(path) as out:
+        out.write(text)
+    if not (copied and body):
+        return [path]
+    shutil.copyfile(body, copied)
+    return [path, copied]
+
+
+def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The bounds of a mesh in metres."""
+    from lidarcfg.world.meshes import read_mesh
+
+    try:
+        vertices = read_mesh(body)[0]
+    except SceneError as error:
+        raise ConfigError(str(error)) from None
+    return tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())
+
+
+def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[float]]:
+    """A study's region and the bounds of its sensors, around a vehicle's bounds."""
+    x = 10 * math.ceil((25 + max(abs(low[0]), abs(high[0]))) / 10)
+    y = 5 * math.ceil((8 + max(abs(low[1]), abs(high[1]))) / 5)
+    side, length = (high[1] - low[1]) / 2, high[0] - low[0]
+    middle_m, floor_m, top_m = (low[0] + high[0]) / 2, min(math.floor(low[2]), 0), max(math.ceil(high[2]), 4)
+    boxes = {
+        "low": (-x, -y, floor_m),
+        "high": (x, y, top_m),
+        "roof_low": (middle_m - length / 8, low[1] + side + side / 4, high[2] + 0.1),
+        "roof_high": (middle_m + length / 8, low[1] + side + side / 2, high[2] + 0.4),
+        "front_low": (high[0] + 0.05, -side * 0.7, max(low[2], 0) + 0.4),
+        "front_high": (high[0] + 0.05, side * 0.7, max(low[2], 0) + 0.8),
+    }
+    return {key: [round(value, 2) for value in corner] for key, corner in boxes.items()}
