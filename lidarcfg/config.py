@@ -379,7 +379,7 @@ def unknown_key(name: str, model: type[Model]) -> str:
     """The message for a key that the model does not have."""
     if name in model.renamed:
         return f"renamed; it is now {model.renamed[name]}"
-    allowed = list(model.model_fields)
+    allowed = [field.alias or key for key, field in model.model_fields.items()]
     unit = [known for known in allowed if known.startswith(name + "_")]
     if unit:
         return f"unknown key without a unit; allowed: {', '.join(unit)}"

@@ -44,6 +44,18 @@ def up(rpy_rad: ArrayLike) -> Array:
     return np.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, np.cos(pitch) * cr], axis=-1)
 
 
+def leaning(axis: Array, yaw_rad: Array) -> Array:
+    """(…, 3) roll, pitch, yaw of frames turned by yaw (…), then tilted the shortest way to have z along axis (…, 3)."""
+    x, y, z = np.moveaxis(axis, -1, 0)
+    c, s, k = np.cos(yaw_rad), np.sin(yaw_rad), 1 / np.maximum(1 + z, 1e-12)
+    x_z, y_z = -(c * x + s * y), s * x - c * y  # how high x and y of the frames point
+    y_x, y_y = k * x * y_z - s, k * y * y_z + c
+    roll = np.arctan2(y_z, z)
+    cr, sr = np.cos(roll), np.sin(roll)
+    pitch, yaw = np.arctan2(-x_z, np.hypot(y_z, z)), np.arctan2(x * sr - y_x * cr, y_y * cr - y * sr)
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
 def pose(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Array:
     """T_parent_child (4, 4): child → parent, from the child's position and angles in the parent."""
     T = np.eye(4)

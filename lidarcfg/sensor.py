@@ -104,6 +104,13 @@ class Optics(Model):
     divergence_mrad: tuple[Positive, Positive]  # horizontal, vertical
 
 
+class Housing(Model):
+    """What stands on the vehicle."""
+
+    source: str
+    diameter_m: Metres  # of its base
+
+
 @dataclass(frozen=True)
 class File:
     """Where a sensor was read; wherever that was, it is the same sensor."""
@@ -130,6 +137,7 @@ class Sensor(Model):
     rotation: Rotation | None = None
     range: Range | None = None
     optics: Optics | None = None
+    housing: Housing | None = None
     ports: Ports | None = None
     codec: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")] | None = None
     _file: "File" = PrivateAttr(default_factory=lambda: File(""))

@@ -69,8 +69,7 @@ def details(
     if found.analytic is None and cheap:
         found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING, study.visibility))
     if midpoint_max_vsr_m is None and cheap:
-        midpoint = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
-        midpoint_max_vsr_m = max_vsr(study.region, study.lidars(midpoint), study.visibility)
+        midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     subspaces, vehicle = found.subspaces, study.reference_m
     edges = ring_edges_m(study.region, vehicle)
     return Details(

@@ -96,12 +96,11 @@ def optimize(
     if run.best_cost >= INFEASIBLE:
         raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
     rig, log = run.rig(), run.log()
-    midpoint = study.poses(np.full((1, dimensions), 0.5))[0]
     return Placement(
         rig=rig,
         evaluation=evaluate(study, rig),
         objective=run.best_cost,
-        midpoint_max_vsr_m=max_vsr(study.region, study.lidars(midpoint), study.visibility),
+        midpoint_max_vsr_m=max_vsr(study.region, study.lidars(study.midpoint), study.visibility),
         history=tuple(run.history),
         evaluations=run.asked["trial"],
         first_evaluations=run.asked["first"],

@@ -25,6 +25,7 @@ from lidarcfg.placement.returns import NOTHING, scanner, scans
 from lidarcfg.placement.returns_kernels import Scans
 from lidarcfg.placement.sightings import Sought, sought, target
 from lidarcfg.placement.study_file import BUDGETS, Constraints, Solver, StudyFile, VisibilityFile
+from lidarcfg.placement.surfaces import Surface, mirrored, on_surface, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.rig import FIRST_HOST, HOSTS, RETURN_MODE, RPM, Mount, Rig, ports, resolve_sensor
@@ -42,6 +43,7 @@ class Slot:
     model: str | None  # its name in files; None: its beams are given inline
     range_m: tuple[float, float] | None = None  # least, greatest; None: the sensor's
     azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
+    surface: Surface | None = None  # that it sits on; None: it may be anywhere within its bounds
 
     @cached_property
     def lidar(self) -> Lidar:
@@ -56,7 +58,7 @@ class Study:
     name: str
     region: Region
     slots: tuple[Slot, ...]
-    lower: Array  # (slots, 6)
+    lower: Array  # (slots, 6); on a surface those of its box, and of the angles
     upper: Array  # (slots, 6); equal to lower: a fixed value
     mirror: Array  # (slots,) the y of the plane that mirrors the sensor before into this one; else NaN
     solver: Solver
@@ -73,7 +75,11 @@ class Study:
     @property
     def free(self) -> NDArray[np.bool_]:
         """(slots, 6) which coordinates vary independently."""
-        return (self.lower < self.upper) & np.isnan(self.mirror)[:, None]
+        free = (self.lower < self.upper) & np.isnan(self.mirror)[:, None]
+        for i, slot in enumerate(self.slots):
+            if slot.surface:
+                free[i, slot.surface.axis] = False
+        return free
 
     @property
     def groups(self) -> NDArray[np.int64]:
@@ -83,24 +89,46 @@ class Study:
 
     def poses(self, unit: Array) -> Array:
         """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube; 1 is exactly upper."""
+        return self._settled(self._coordinates(unit))
+
+    @cached_property
+    def midpoint(self) -> Array:
+        """(slots, 6) poses at the midpoint of the bounds; on a surface where bases fit nearest to that."""
+        found = self._coordinates(np.full((1, int(self.free.sum())), 0.5))
+        for i, slot in enumerate(self.slots):
+            if slot.surface and np.isnan(self.mirror[i]):
+                found[0, i, :3] = slot.surface.patch.nearest_m(found[0, i, :3], slot.surface.across)
+        poses: Array = self._settled(found)[0]
+        return poses
+
+    def _coordinates(self, unit: Array) -> Array:
+        """(n, slots, 6) what points (n, free coordinates) of the unit cube make of the bounds."""
         out = np.repeat(self.lower[None], len(unit), axis=0)
-        low, high = self.lower[self.free], self.upper[self.free]
-        out[:, self.free] = np.where(unit == 1.0, high, np.clip(low + unit * (high - low), low, high))
-        images = np.flatnonzero(~np.isnan(self.mirror))
-        out[:, images] = out[:, images - 1] * (1, -1, 1, -1, 1, -1)
-        out[:, images, 1] += 2 * self.mirror[images]
+        free = self.free
+        low, high = self.lower[free], self.upper[free]
+        out[:, free] = np.where(unit == 1.0, high, np.clip(low + unit * (high - low), low, high))
         return out
+
+    def _settled(self, coordinates: Array) -> Array:
+        """The same as poses: images are mirrored, and what is on a surface sits on it."""
+        images = np.flatnonzero(~np.isnan(self.mirror))
+        coordinates[:, images] = mirrored(coordinates[:, images - 1], self.mirror[images])
+        for i, slot in enumerate(self.slots):
+            if slot.surface:
+                coordinates[:, i] = slot.surface.poses(coordinates[:, i])
+        return coordinates
 
     def violation(self, poses: Array) -> Array:
         """(n,) by how much poses (n, slots, 6) violate the constraints, radians and metres summed; 0 if they do not.
 
-        A sensor inside a closed body of the vehicle does, unless that is allowed.
+        A sensor inside a closed body of the vehicle does, unless that is allowed, and one that is not on its surface.
         """
         tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
         total: Array = np.maximum(tilt - math.radians(self.constraints.max_tilt_deg) - 1e-12, 0.0).sum(axis=1)
         for i, j in combinations(range(len(self.slots)), 2):
             apart = np.linalg.norm(poses[:, i, :3] - poses[:, j, :3], axis=1)
             total += np.maximum(self.constraints.min_distance_m - apart, 0.0)
+        total += violation([slot.surface for slot in self.slots], poses)
         if self.vehicle and not self.vehicle.allow_inside:
             total += self.vehicle.depth_m(poses[..., :3].reshape(-1, 3)).reshape(len(poses), -1).sum(axis=1)
         return total
@@ -148,8 +176,7 @@ class Study:
             flat = self.vehicle.scene.mesh()[0][:, :2]
             middle: Array = (flat.min(axis=0) + flat.max(axis=0)) / 2
             return middle
-        midpoint = self.poses(np.full((1, int(self.free.sum())), 0.5))[0]
-        where: Array = midpoint[:, :2].mean(axis=0)
+        where: Array = self.midpoint[:, :2].mean(axis=0)
         return where
 
     @cached_property
@@ -204,27 +231,32 @@ def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
 
 def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> Study:
     """The study of a file that is read; `path` names it in errors, and what it names is relative to that."""
+    bodies = vehicle(file.vehicle, path) if file.vehicle else None
     slots: list[Slot] = []
     lower, upper, mirror, groups = [], [], [], []
     for i, group in enumerate(file.sensors):
         sensor, model = resolve_sensor(path, i, group.model, group.elevation_deg)
+        surface = None
+        if group.on and bodies:
+            surface = on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
         for number in range(group.count):
             name = group.name or f"lidar_{len(slots)}"
             if group.name and group.count > 1:
                 name = f"{name}_{number}"
             if name in [slot.name for slot in slots]:
                 raise error_at(path, ("sensors", i), f"two are called {name!r}; give each group its own name")
-            slots.append(Slot(name, sensor, model, group.range_m, group.azimuth_fov_deg))
+            image = group.mirror_y_m is not None and number % 2 == 1
+            seat = surface.image if surface and image else surface
+            slots.append(Slot(name, sensor, model, group.range_m, group.azimuth_fov_deg, seat))
             groups.append(i)
-            lower.append(group.min.pose)
-            upper.append(group.max.pose)
-            mirror.append(group.mirror_y_m if group.mirror_y_m is not None and number % 2 else math.nan)
+            lower.append(group.bounds[0])
+            upper.append(group.bounds[1])
+            mirror.append(group.mirror_y_m if image else math.nan)
     if len(slots) > HOSTS:
         raise error_at(path, ("sensors",), f"has {len(slots)} sensors; allowed: at most {HOSTS}")
     region = Region.from_file(file.region)
     if not region.included.any():
         raise error_at(path, ("region", "exclude"), "leaves no cuboid in the region")
-    bodies = vehicle(file.vehicle, path) if file.vehicle else None
     if bodies:
         region = region.without(bodies)
         if not region.included.any():
@@ -270,8 +302,8 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
 def _check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
     """Raises ConfigError where a sensor could only be placed inside a body."""
     for i, group in enumerate(file.sensors):
-        low, high = np.array(group.min.position_m), np.array(group.max.position_m)
-        name = None if bodies.allow_inside else bodies.holds(low, high)
+        low, high = (np.array(bound[:3]) for bound in group.bounds)
+        name = None if bodies.allow_inside or group.on else bodies.holds(low, high)
         if name:
             what = (
                 f"every place within its bounds is inside the vehicle's {name!r}; move them, or say allow_inside: true"

@@ -1,6 +1,7 @@
 """A study file: its keys, what is allowed in each, and their defaults."""
 
 import math
+<<<<<<< HEAD
 from itertools import combinations, product
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -9,15 +10,33 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, fault
 from lidarcfg.geometry import Array
+=======
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, Metres, Model, Position, fault
+>>>>>>> bb7a22c (Sensors may sit on the surface of the vehicle's bodies, as seen from one of five sides)
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
 from lidarcfg.placement.region import RegionFile
+from lidarcfg.placement.surfaces import SurfaceFile
 from lidarcfg.rig import AzimuthFov, MountName, Range, angles_rad, one_of
 from lidarcfg.sensor import Elevations
 from lidarcfg.world.vehicle import VehicleFile
 
 BUDGETS = {"cycles", "evaluations", "seconds"}
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
+ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
+
+
+def _check_turn(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise fault(f"{value[1]:g} is below {value[0]:g}; allowed: at or above it", 1)
+    return value
+
+
+Turn = Annotated[tuple[Angle, Angle], AfterValidator(_check_turn)]  # from, to
 
 
 class PoseBound(Model):
@@ -39,7 +58,7 @@ class PoseBound(Model):
 
 
 class GroupFile(Model):
-    """Sensors of one model within the same bounds."""
+    """Sensors of one model within the same bounds, or on the same surface."""
 
     model: str | None = None
     elevation_deg: Elevations | None = None
@@ -48,18 +67,46 @@ class GroupFile(Model):
     range_m: Range | None = None  # least, greatest; none: the sensor's
     azimuth_fov_deg: AzimuthFov | None = None  # none: all around
     mirror_y_m: Metres | None = None  # the sensors are pairs, each the other's image in the plane y = mirror_y_m
-    min: PoseBound
-    max: PoseBound
+    min: PoseBound | None = None
+    max: PoseBound | None = None
+    on: SurfaceFile | None = None  # instead of min and max
+    roll_deg: Turn | None = None  # none: 0; on a surface, and only of an upright sensor
+    pitch_deg: Turn | None = None
+    yaw_deg: Turn | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "GroupFile":
         one_of(self, "model", "elevation_deg")
         if self.mirror_y_m is not None and self.count % 2:
             raise fault(f"needs pairs, and count is {self.count}; allowed: an even count", "mirror_y_m")
-        for i, (low, high) in enumerate(zip(self.min.pose, self.max.pose, strict=True)):
+        self._check_place()
+        for i, (low, high) in enumerate(zip(*self.bounds, strict=True)):
             if low > high:
                 raise fault(f"its {COORDINATES[i]} is below min's; allowed: at or above it", "max")
         return self
+
+    def _check_place(self) -> None:
+        for key in ("min", "max"):
+            if self.on and getattr(self, key):
+                raise fault("stands beside on; give min and max, or on", key)
+            if not self.on and not getattr(self, key):
+                raise fault("missing; give min and max, or on", key)
+        for key in ANGLES:
+            if getattr(self, key) and not self.on:
+                raise fault("goes with on; otherwise min and max bound the angles", key)
+            if getattr(self, key) and self.on and not self.on.upright and key != "yaw_deg":
+                raise fault("goes with upright: true; this sensor's axis is the normal", key)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The least and the greatest x, y, z, roll, pitch, yaw; on a surface those of its box."""
+        if self.min and self.max:
+            return self.min.pose, self.max.pose
+        if self.on is None:
+            raise ValueError("a group has min and max, or on")
+        turns = [getattr(self, key) or (0.0, 0.0) for key in ANGLES]
+        least, most = (tuple(math.radians(turn[end]) for turn in turns) for end in (0, 1))
+        return (*self.on.within.min_m, *least), (*self.on.within.max_m, *most)
 
 
 class Constraints(Model):
@@ -127,6 +174,9 @@ class StudyFile(Model):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise fault(f"{name!r} is an object already; each may stand once", "detection", i, "name")
+        for i, group in enumerate(self.sensors):
+            if group.on and not self.vehicle:
+                raise fault("needs the study's vehicle, and there is none", "sensors", i, "on")
         if not self.limits_sight:
             for key in SIGHT:
                 if getattr(self.objective, key) is not None:

@@ -133,7 +133,7 @@ def load_stage(
     if truth and not rigs:
         raise ConfigError(f"{truth}: needs the rig that recorded the capture; give it, too")
     if loaded and not rigs:
-        rigs = [loaded.rig(loaded.poses(np.full((1, int(loaded.free.sum())), 0.5))[0])]
+        rigs = [loaded.rig(loaded.midpoint)]
     return Stage(
         cloud=cloud,
         objects=load_objects(truth, cloud, rigs[0]) if truth else None,

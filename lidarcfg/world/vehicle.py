@@ -34,7 +34,7 @@ from lidarcfg.world.scene import (
     check_names,
 )
 from lidarcfg.world.solids import Inside, holds, inside, inside_points, open_edges, parts, welded
-from lidarcfg.world.tracer import shapes_of
+from lidarcfg.world.tracer import Tracer, shapes_of
 
 MANY = 500_000  # triangles: reading and checking them takes seconds
 LEAST_M, TYPICAL_M, MOST_M = 0.05, 5.0, 40.0  # sizes of a vehicle's mesh: a part of one, a car, the longest bus
@@ -140,6 +140,12 @@ class Vehicle:
     def section(self) -> Section:
         """The same as a part of a rig's file."""
         return Section(self.file.model_dump(exclude_defaults=True))
+
+    @cached_property
+    def tracer(self) -> Tracer:
+        """Its bodies, to trace rays in."""
+        vertices = self.scene.mesh()[0]
+        return Tracer(self.scene, 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
 
     @cached_property
     def solids(self) -> tuple[Solid, ...]:

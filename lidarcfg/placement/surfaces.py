@@ -1,0 +1,287 @@
+"""Mount surfaces: what is seen of a body from one side, and the pose of a sensor that sits on it.
+
+Rays from outside, all along the line of sight, find the surface: a base lies where the ray through its middle first
+hits the vehicle. The footprint is the base's disc as seen from that side, and rays through DISC find what is under it.
+It is on the surface if each of them hits the body, nowhere farther than a step from the base's plane.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, model_validator
+
+from lidarcfg.config import COORDINATE_MAX_M, Key, Model, Position, error_at, fault
+from lidarcfg.geometry import Array, leaning, up
+from lidarcfg.sensor import Metres, Sensor
+from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.vehicle import Vehicle
+
+Side = Literal["above", "front", "rear", "left", "right"]
+OUT: dict[str, tuple[int, int]] = {"above": (2, 1), "front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1)}
+OPPOSITE = {"left": "right", "right": "left"}  # in a mirror along the vehicle
+RINGS = ((0.5, 8), (1.0, 16))  # of a disc's samples, beside its middle: radius, number
+DISC = np.array(
+    [(0.0, 0.0)]
+    + [
+        (radius * math.cos(2 * math.pi * i / count), radius * math.sin(2 * math.pi * i / count))
+        for radius, count in RINGS
+        for i in range(count)
+    ]
+)
+ON_M = 1e-6  # how exactly a base lies on its surface, and its axis along the normal
+HALVES_MAX = 64  # of a patch's extent across the line of sight: so many places are on each side of the middle
+
+
+class WithinFile(Model):
+    """A box that a base must lie in."""
+
+    min_m: Position
+    max_m: Position
+
+    @model_validator(mode="after")
+    def _check(self) -> "WithinFile":
+        for axis, (low, high) in enumerate(zip(self.min_m, self.max_m, strict=True)):
+            if low > high:
+                raise fault(f"{high:g} is below min_m's {low:g}; allowed: at or above it", "max_m", axis)
+        return self
+
+
+class SurfaceFile(Model):
+    """What a sensor sits on, as a study says it."""
+
+    model_config = ConfigDict(serialize_by_alias=True)
+    body: str
+    side: Side = Field(alias="from")
+    within: WithinFile
+    standoff_m: Annotated[float, Field(ge=0.001, le=COORDINATE_MAX_M)] = 0.05  # of the sensor's origin from its base
+    upright: bool = True  # false: along the normal
+    base_radius_m: Metres | None = None  # none: the housing's
+    step_m: Metres = 0.01  # the farthest that the surface may be from the base's plane
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What is seen of a body from one side, and how a sensor sits on it."""
+
+    tracer: Tracer  # of the vehicle's bodies
+    body: str
+    side: str
+    low_m: Array  # (3,) corners of the box that bases must lie in
+    high_m: Array  # (3,)
+    standoff_m: float
+    radius_m: float  # of the base
+    step_m: float
+    upright: bool
+    mirror_y_m: float | None = None  # the plane in which the next sensor is this one's image
+
+    @property
+    def axis(self) -> int:
+        """Along which one looks at it."""
+        return OUT[self.side][0]
+
+    @property
+    def sign(self) -> int:
+        """Whether one looks from where the axis points to, 1, or against it, -1."""
+        return OUT[self.side][1]
+
+    @property
+    def across(self) -> tuple[int, int]:
+        """The two other axes."""
+        return (self.axis == 0) + 0, 2 - (self.axis == 2)
+
+    @cached_property
+    def image(self) -> "Surface":
+        """Its image in the plane of its mirror."""
+        low, high, y_m = self.low_m.copy(), self.high_m.copy(), self.mirror_y_m or 0.0
+        low[1], high[1] = 2 * y_m - self.high_m[1], 2 * y_m - self.low_m[1]
+        side = OPPOSITE.get(self.side, self.side)
+        return replace(self, side=side, low_m=low, high_m=high, mirror_y_m=None)
+
+    @cached_property
+    def patch(self) -> "Patch":
+        """Where bases may be on it."""
+        return _patch(self)
+
+    def heights_m(self, points_m: Array) -> Array:
+        """(…) how far out the line of sight through points (…, 3) first hits anything; NaN unless that is the body."""
+        starts = points_m.reshape(-1, 3).copy()
+        starts[:, self.axis] = self.sign * self._start_m
+        inward = np.zeros_like(starts)
+        inward[:, self.axis] = -self.sign
+        hits = self.tracer.cast(starts, inward)
+        found = hits.object == self.tracer.scene.names.index(self.body)
+        return np.where(found, self._start_m - hits.range_m, np.nan).reshape(points_m.shape[:-1])
+
+    def poses(self, coordinates: Array) -> Array:
+        """(n, 6) the poses of sensors at coordinates (n, 6): bases across the line of sight, and angles.
+
+        Of these, only yaw counts for an axis along the normal. A base without a surface is in the middle of the box.
+        """
+        heights = self.heights_m(coordinates[:, None, :3] + (self._disc_m[:1] if self.upright else self._disc_m))
+        poses = coordinates.copy()
+        middle = self.sign * 0.5 * float(self.low_m[self.axis] + self.high_m[self.axis])
+        poses[:, self.axis] = self.sign * np.where(np.isnan(heights[:, 0]), middle, heights[:, 0])
+        if not self.upright:
+            normals = self._normals(heights)
+            poses[:, 3:] = leaning(normals, coordinates[:, 5])
+            poses[:, :3] += self.standoff_m * normals
+        else:
+            poses[:, self.axis] += self.sign * self.standoff_m
+        return poses
+
+    def bases_m(self, poses: Array) -> Array:
+        """(n, 3) the middles of the bases of sensors at poses (n, 6)."""
+        bases: Array = poses[:, :3] - self.standoff_m * self._mount(poses)
+        return bases
+
+    def violation(self, poses: Array) -> Array:
+        """(n,) by how much sensors at poses (n, 6) do not sit on it, in metres; 0 where they do."""
+        bases, mount = self.bases_m(poses), self._mount(poses)
+        heights = self.heights_m(bases[:, None] + self._disc_m)
+        away = (heights - self.sign * bases[:, self.axis, None]) * (self.sign * mount[:, self.axis, None])
+        for axis in self.across:
+            away += mount[:, axis, None] * self._disc_m[:, axis]
+        limits = np.where(np.arange(len(DISC)) == 0, ON_M, self.step_m)
+        out = np.clip(np.where(np.isnan(away), np.inf, abs(away)) - limits, 0.0, self.radius_m)
+        total: Array = out.sum(axis=1) / len(DISC)
+        total += np.maximum(np.maximum(self.low_m - bases, bases - self.high_m) - ON_M, 0.0).sum(axis=1)
+        if not self.upright:
+            total += np.maximum(abs(mount - self._normals(heights)) - ON_M, 0.0).sum(axis=1)
+        return total
+
+    @cached_property
+    def _disc_m(self) -> Array:
+        """(K, 3) the samples of a footprint, from its middle."""
+        disc = np.zeros((len(DISC), 3))
+        disc[:, self.across] = self.radius_m * DISC
+        return disc
+
+    @cached_property
+    def _start_m(self) -> float:
+        """How far out rays start: beyond all bodies."""
+        far = self.sign * self.tracer.scene.mesh()[0][:, self.axis]
+        return float(far.max() + 0.1 * np.ptp(far) + 1.0)
+
+    def _mount(self, poses: Array) -> Array:
+        """(n, 3) which way sensors at poses (n, 6) stand off from their bases."""
+        if not self.upright:
+            return up(poses[:, 3:])
+        out = np.zeros((len(poses), 3))
+        out[:, self.axis] = self.sign
+        return out
+
+    def _normals(self, heights: Array) -> Array:
+        """(n, 3) the normals of the planes through heights (n, K) under footprints, by least squares.
+
+        The sums go sample by sample, so that a place has the same normal whatever it is computed with.
+        """
+        rise = np.nan_to_num(heights - heights[:, :1])
+        normals = np.zeros((len(heights), 3))
+        normals[:, self.axis] = self.sign
+        for axis in self.across:
+            offset = self._disc_m[:, axis]
+            for k in range(1, len(DISC)):
+                normals[:, axis] -= rise[:, k] * (offset[k] / float(offset @ offset))
+        normals /= np.sqrt(normals[:, 0] ** 2 + normals[:, 1] ** 2 + normals[:, 2] ** 2)[:, None]
+        return normals
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Where bases may be on a surface, on a grid across the line of sight; of a pair, where both may be."""
+
+    bases_m: Array  # (a, b, 3) where there is no surface, in the middle of the box
+    hit: NDArray[np.bool_]  # (a, b) whether there is a surface in the box
+    fits: NDArray[np.bool_]  # (a, b) whether a base is wholly on it
+
+    def nearest_m(self, point_m: Array, across: tuple[int, int]) -> Array:
+        """(3,) the place that fits nearest to a point (3,) across the line of sight."""
+        spots = self.bases_m[self.fits]
+        away = sum(np.square(spots[:, axis] - point_m[axis]) for axis in across)
+        found: Array = spots[int(np.argmin(away))]
+        return found
+
+
+def _patch(surface: Surface) -> Patch:
+    low, high = surface.low_m, surface.high_m
+    lines = list(0.5 * (low + high)[:, None])
+    for axis in surface.across:
+        if low[axis] < high[axis]:
+            halves = min(math.ceil((high[axis] - low[axis]) / surface.radius_m), HALVES_MAX)
+            lines[axis] = np.linspace(low[axis], high[axis], 2 * halves + 1)
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = np.concatenate([grid, np.zeros_like(grid)], axis=1)
+    surfaces, coordinates = [surface], [places]
+    if surface.mirror_y_m is not None:
+        surfaces, coordinates = [surface, surface.image], [places, mirrored(places, surface.mirror_y_m)]
+    poses = np.stack([one.poses(at) for one, at in zip(surfaces, coordinates, strict=True)], axis=1)
+    bases = surface.bases_m(poses[:, 0])
+    hit = ~np.isnan(surface.heights_m(grid)) & (bases >= low - ON_M).all(axis=1) & (bases <= high + ON_M).all(axis=1)
+    shape = tuple(len(lines[axis]) for axis in surface.across)
+    fits = violation(surfaces, poses) == 0.0
+    return Patch(bases.reshape(*shape, 3), hit.reshape(shape), fits.reshape(shape))
+
+
+def mirrored(poses: Array, y_m: Array | float) -> Array:
+    """The images of poses (…, 6) in planes of constant y."""
+    image: Array = poses * (1, -1, 1, -1, 1, -1)
+    image[..., 1] += 2 * y_m
+    return image
+
+
+def violation(surfaces: Sequence[Surface | None], poses: Array) -> Array:
+    """(n,) by how much rigs at poses (n, slots, 6) do not sit on their surfaces, in metres.
+
+    Both of a pair sit on their own side of the body; they may differ from images of each other by a step.
+    """
+    total = np.zeros(len(poses))
+    for i, surface in enumerate(surfaces):
+        if surface is None:
+            continue
+        total += surface.violation(poses[:, i])
+        if surface.mirror_y_m is not None:
+            apart = poses[:, i + 1, :3] - mirrored(poses[:, i], surface.mirror_y_m)[:, :3]
+            apart_m = np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2 + apart[:, 2] ** 2)
+            total += np.maximum(apart_m - surface.step_m, 0.0)
+    return total
+
+
+def on_surface(
+    file: SurfaceFile, bodies: Vehicle, sensor: Sensor, mirror_y_m: float | None, path: Path, at: Key
+) -> Surface:
+    """The surface that stands in a file under a key. Raises ConfigError where there is none, or no base fits on it."""
+    closed = [solid.name for solid in bodies.solids]
+    if file.body not in closed:
+        what = "is not closed" if file.body in bodies.scene.names else "is no body of the vehicle"
+        allowed = ", ".join(closed) or "a closed body, of which the vehicle has none"
+        raise error_at(path, (*at, "body"), f"{file.body!r} {what}; allowed: {allowed}")
+    radius_m = file.base_radius_m or (sensor.housing.diameter_m / 2 if sensor.housing else None)
+    if radius_m is None:
+        raise error_at(path, at, f"the housing of sensor {sensor.name!r} is not known; give base_radius_m")
+    surface = Surface(
+        tracer=bodies.tracer,
+        body=file.body,
+        side=file.side,
+        low_m=np.array(file.within.min_m),
+        high_m=np.array(file.within.max_m),
+        standoff_m=file.standoff_m,
+        radius_m=radius_m,
+        step_m=file.step_m,
+        upright=file.upright,
+        mirror_y_m=mirror_y_m,
+    )
+    tried, seen = surface.patch, f"of {file.body!r} as seen from {'' if file.side == 'above' else 'the '}{file.side}"
+    if not tried.hit.any():
+        raise error_at(path, (*at, "within"), f"holds nothing {seen}")
+    if not tried.fits.any():
+        pair = "" if mirror_y_m is None else " and its image"
+        what = f"a base of {radius_m:g} m in radius{pair} fits nowhere on what it holds {seen}"
+        limit = f"all of it must be on the body, which may leave its plane by step_m = {file.step_m:g}"
+        raise error_at(path, (*at, "within"), f"{what}: {limit}; {tried.fits.size:,} places tried")
+    return surface
