@@ -1,22 +1,14 @@
 """A study file: its keys, what is allowed in each, and their defaults."""
 
 import math
-<<<<<<< HEAD
 from itertools import combinations, product
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
-
-from lidarcfg.config import COORDINATE_MAX_M, Angles, Metres, Model, Position, fault
-from lidarcfg.geometry import Array
-=======
-from typing import Annotated, Any, Literal
-
 from pydantic import AfterValidator, Field, model_validator
 
 from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, Metres, Model, Position, fault
->>>>>>> bb7a22c (Sensors may sit on the surface of the vehicle's bodies, as seen from one of five sides)
+from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
 from lidarcfg.placement.region import RegionFile
@@ -195,13 +187,14 @@ def _check_constraints(file: StudyFile) -> None:
     limit_deg, apart_m = file.constraints.max_tilt_deg, file.constraints.min_distance_m
     boxes = []
     for i, group in enumerate(file.sensors):
-        low, high = np.array(group.min.pose), np.array(group.max.pose)
+        low, high = (np.array(bound) for bound in group.bounds)
+        reach_m = group.on.standoff_m if group.on else 0.0
         roll, pitch = (_cosines(low[axis], high[axis]) for axis in (3, 4))
         least_deg = math.degrees(math.acos(max(a * b for a, b in product(roll, pitch))))
         if least_deg > limit_deg + 1e-6:
             what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more within its bounds"
             raise fault(what, "constraints", "max_tilt_deg")
-        box = low[:3], high[:3]
+        box = low[:3] - reach_m, high[:3] + reach_m
         boxes += [(i, _mirrored(box, group.mirror_y_m) if number % 2 else box) for number in range(group.count)]
     for (i, one), (j, other) in combinations(boxes, 2):
         most_m = float(np.linalg.norm(np.maximum(one[1] - other[0], other[1] - one[0])))
