@@ -48,7 +48,7 @@ SUBSTITUTIONS = [
     (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 250"),
     (r"--duration [\d.]+", "--duration 0.1"),
     (r"--tolerance [\d.]+", "--tolerance 0.1"),
-    (r"^(replay .*?)( --speed [\d.]+)?$", r"\1 --speed 100"),
+    (r"^(replay .*?)( --speed [\d.]+x?)?( --from .*)?$", r"\1 --speed 100\3"),
     (r"^(view (?!.*(--html|--png|--window)).*)$", r"\1 --html out/page.html"),
 ]
 # What the commands write that get a folder; what a folder of another tool holds; how files begin.

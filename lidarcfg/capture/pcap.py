@@ -61,10 +61,15 @@ def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
 def read_datagrams(path: str | Path, on_warning: Callable[[str], None]) -> Iterator[Datagram]:
     """The same as `read_batches`, one by one."""
     for batch in read_batches(path, on_warning):
-        hosts = [socket.inet_ntoa(host.to_bytes(4)) for host in batch.host.tolist()]
-        columns = (batch.time_ns, batch.source_port, batch.port, batch.start, batch.start + batch.size)
-        for host, time_ns, source_port, port, start, stop in zip(hosts, *(c.tolist() for c in columns), strict=True):
-            yield Datagram(time_ns, host, source_port, port, batch.data[start:stop].tobytes())
+        yield from one_by_one(batch)
+
+
+def one_by_one(batch: Datagrams) -> Iterator[Datagram]:
+    """The datagrams of a batch."""
+    hosts = [socket.inet_ntoa(host.to_bytes(4)) for host in batch.host.tolist()]
+    columns = (batch.time_ns, batch.source_port, batch.port, batch.start, batch.start + batch.size)
+    for host, time_ns, source_port, port, start, stop in zip(hosts, *(c.tolist() for c in columns), strict=True):
+        yield Datagram(time_ns, host, source_port, port, batch.data[start:stop].tobytes())
 
 
 def read_batches(

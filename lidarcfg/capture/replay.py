@@ -2,11 +2,15 @@
 
 import socket
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from lidarcfg.capture.pcap import Datagram
+from lidarcfg.capture.pcap import Datagram, one_by_one
+from lidarcfg.capture.selection import ALL, Selection, around, window_ns
 from lidarcfg.errors import PacketError
+
+LEAST_NS = 1_000  # from the end of a pass to the next
 
 
 @dataclass(frozen=True)
@@ -16,30 +20,55 @@ class Replayed:
     packets: int
     seconds: float  # of the real clock
     latest_s: float  # by how much a datagram left after its time, at most
+    interrupted: bool = False  # by Ctrl-C
+
+
+def selected(path: str | Path, on_warning: Callable[[str], None], selection: Selection = ALL) -> Iterator[Datagram]:
+    """The datagrams of a window of a capture, from any sensor. Raises PacketError."""
+    begin_ns, end_ns = window_ns(path, selection)
+    for batch in around(path, on_warning, (begin_ns, end_ns)):
+        yield from one_by_one(batch[(batch.time_ns >= begin_ns) & (batch.time_ns < end_ns)])
+
+
+def looped(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
+    """Datagrams over and over: host times go on, from one pass to the next by their mean interval."""
+    shift_ns, again = 0, True
+    while again:
+        count, first_ns, last_ns = 0, 0, 0
+        for count, datagram in enumerate(read(), 1):
+            first_ns, last_ns = first_ns if count > 1 else datagram.time_ns, datagram.time_ns
+            yield replace(datagram, time_ns=datagram.time_ns + shift_ns)
+        span_ns, again = last_ns - first_ns, count > 0
+        shift_ns += span_ns + max(span_ns // max(count - 1, 1), LEAST_NS)
 
 
 def replay(datagrams: Iterable[Datagram], host: str, port: int | None, speed: float = 1.0) -> Replayed:
     """Send the datagrams to a host: to one port, or each to its own; `speed` times as fast as they were captured.
 
     The first leaves at once, and each other as long after it as its host time says. Their source is this machine.
-    Raises PacketError for an unknown host and for an empty capture.
+    Ctrl-C ends it. Raises PacketError for an unknown host and for an empty capture.
     """
     try:
         address = str(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
     except (OSError, UnicodeError):
         raise PacketError(f"{host!r} is not a host that is known here") from None
     count, latest_s, first_ns, began = 0, 0.0, 0, time.perf_counter()
+    interrupted = False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        for count, datagram in enumerate(datagrams, 1):
-            if count == 1:
-                first_ns, began = datagram.time_ns, time.perf_counter()
-            due = began + (datagram.time_ns - first_ns) / 1e9 / speed
-            wait_s = due - time.perf_counter()
-            if wait_s > 0:
-                time.sleep(wait_s)
-            sender.sendto(datagram.payload, (address, port or datagram.port))
-            latest_s = max(latest_s, time.perf_counter() - due)
-    if not count:
+        try:
+            for datagram in datagrams:
+                if not count:
+                    first_ns, began = datagram.time_ns, time.perf_counter()
+                due = began + (datagram.time_ns - first_ns) / 1e9 / speed
+                wait_s = due - time.perf_counter()
+                if wait_s > 0:
+                    time.sleep(wait_s)
+                sender.sendto(datagram.payload, (address, port or datagram.port))
+                count += 1
+                latest_s = max(latest_s, time.perf_counter() - due)
+        except KeyboardInterrupt:
+            interrupted = True
+    if not (count or interrupted):
         raise PacketError("there are no UDP datagrams to send")
-    return Replayed(count, time.perf_counter() - began, latest_s)
+    return Replayed(count, time.perf_counter() - began, latest_s, interrupted)

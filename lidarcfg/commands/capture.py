@@ -1,5 +1,6 @@
 """lidarcfg export, decode and replay: captures written, read and sent again."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import cloup
 from lidarcfg.commands.options import (
     FILE,
     START_HELP,
+    Factor,
     PositiveNumber,
     from_option,
     load_trajectory,
@@ -24,6 +26,9 @@ from lidarcfg.commands.progress import progress
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lidarcfg.capture.pcap import Datagram
     from lidarcfg.capture.stream import SourceStats
     from lidarcfg.simulate.simulator import Counts
 
@@ -222,29 +227,36 @@ def decode(
 @cloup.command(
     epilog="""
     \b
-    Example:
-      lidarcfg replay out/two.pcap --to 127.0.0.1:2368
+    Examples:
+      lidarcfg replay out/two.pcap 127.0.0.1:2368
+      lidarcfg replay out/two.pcap 127.0.0.1 --speed 2x --from 0.2 --to 0.6
     """
 )
 @cloup.argument("pcap", type=FILE, help="A capture.")
-@cloup.option(
-    "--to", "target", metavar="HOST[:PORT]", required=True, help="Without a port each datagram keeps its own."
-)
-@cloup.option(
-    "--speed", type=PositiveNumber(10**6), metavar="FACTOR", default=1.0, help="Times real time.  [default: 1]"
-)
+@cloup.argument("target", metavar="HOST[:PORT]", help="Where to. Without a port each datagram keeps its own.")
+@cloup.option("--speed", type=Factor(10**6), metavar="FACTOR", default=1.0, help="Times real time.  [default: 1]")
+@cloup.option("--loop", is_flag=True, help="Start over at the end, until Ctrl-C.")
+@cloup.option_group("Selection", from_option, to_option, help="Send only a part of the capture.")
 @quiet_option
-def replay(pcap: Path, target: str, speed: float, quiet: bool) -> None:
+def replay(pcap: Path, target: str, speed: float, loop: bool, from_s: float, to_s: float, quiet: bool) -> None:
     """Send a capture's datagrams to a host, to test a driver live.
 
     They keep the pace of the recording, times --speed."""
-    from lidarcfg.capture.pcap import read_datagrams
+    from lidarcfg.capture.replay import looped, selected
     from lidarcfg.capture.replay import replay as send
+    from lidarcfg.capture.selection import Selection
 
     host, _, port = target.partition(":")
     if ":" in target and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
-        raise click.BadParameter(f"{port!r} is not a port, 1 to 65535", param_hint="--to")
-    sent = send(read_datagrams(pcap, warn), host, int(port) if port else None, speed)
+        raise click.BadParameter(f"{port!r} is not a port, 1 to 65535", param_hint="HOST[:PORT]")
+    selection = Selection(from_s, to_s)
+
+    def read() -> "Iterator[Datagram]":
+        return selected(pcap, warn, selection)
+
+    sent = send(looped(read) if loop else read(), host, int(port) if port else None, speed)
     if not quiet:
         late = f"at most {sent.latest_s * 1000:.1f} ms late"
         click.echo(f"{sent.packets:,} datagrams to {target} in {sent.seconds:.2f} s, {late}")
+    if sent.interrupted and not loop:
+        sys.exit(130)

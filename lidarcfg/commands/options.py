@@ -49,6 +49,14 @@ class PositiveNumber(click.FloatRange):
         return number
 
 
+class Factor(PositiveNumber):
+    """A factor above zero: 2, 2x or 0.5×."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or click's error."""
+        return super().convert(value.rstrip("xX×") if isinstance(value, str) else value, param, ctx)
+
+
 def complete_model(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """The sensors of the catalogue that begin so; where none does, files."""
     from lidarcfg.sensor import catalogue

@@ -1,16 +1,23 @@
 """A capture received on loopback: every byte in its order, none before its time by the kernel's own clock."""
 
 import contextlib
+import itertools
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 
+import dpkt
 import pytest
 
 from lidarcfg.capture.pcap import Datagram
-from lidarcfg.capture.replay import replay
+from lidarcfg.capture.replay import looped, replay, selected
+from lidarcfg.capture.selection import Selection
 from lidarcfg.errors import PacketError
+from tests.command_line import lidarcfg
 
 AT_NS = 1_767_225_600 * 10**9
 SO_TIMESTAMPNS = 35  # Linux
@@ -89,3 +96,47 @@ def test_what_cannot_be_sent():
         replay([], "no such host.invalid", None)
     with pytest.raises(PacketError, match="no UDP datagrams to send"):
         replay([], "127.0.0.1", None)
+
+
+def test_a_loop_goes_on_at_the_mean_interval():
+    """Three packets 10 and 20 ms apart: the next pass begins 15 ms after the last."""
+    sent = [datagram(ns, 2368, bytes([n])) for n, ns in enumerate((0, 10_000_000, 30_000_000))]
+    got = list(itertools.islice(looped(lambda: iter(sent)), 8))
+    assert [one.payload for one in got] == [bytes([n % 3]) for n in range(8)]
+    assert [(one.time_ns - AT_NS) // 1_000_000 for one in got] == [0, 10, 30, 45, 55, 75, 90, 100]
+    assert list(looped(lambda: iter(()))) == []
+
+
+def test_a_part_is_what_dpkt_finds_in_it(tmp_path):
+    """From 0.02 s to before 0.05 s after the first datagram, whatever the sensor."""
+    path = tmp_path / "rig.yaml"
+    path.write_text("name: r\nsensors: [{name: a, model: vlp-16, position_m: [0, 0, 2]}]\n")
+    lidarcfg("export", path, "--scene", "data/scenes/street.yaml", "--duration", 0.1, "-o", tmp_path / "a.pcap")
+    with open(tmp_path / "a.pcap", "rb") as file:
+        frames = [(time, bytes(dpkt.ethernet.Ethernet(frame).data.data.data)) for time, frame in dpkt.pcap.Reader(file)]
+    first = frames[0][0]
+    expected = [payload for time, payload in frames if 0.02 - 5e-7 <= float(time) - float(first) < 0.05 - 5e-7]
+    found = list(selected(tmp_path / "a.pcap", pytest.fail, Selection(0.02, 0.05)))
+    assert [one.payload for one in found] == expected
+    assert 20 < len(expected) < 40
+
+
+def test_ctrl_c_ends_a_loop_and_says_what_was_sent(tmp_path):
+    path = tmp_path / "a.pcap"
+    packet = dpkt.udp.UDP(sport=2368, dport=9, data=b"x" * 100, ulen=108)
+    ip = dpkt.ip.IP(src=b"\xc0\xa8\x01\xc9", dst=b"\x7f\x00\x00\x01", p=17, data=packet, len=128)
+    frame = bytes(dpkt.ethernet.Ethernet(src=b"\2" * 6, dst=b"\xff" * 6, data=ip))
+    with open(path, "wb") as file:
+        writer = dpkt.pcap.Writer(file)
+        for number in range(5):
+            writer.writepkt(frame, ts=1e9 + number / 1000)
+    words = [sys.executable, "-m", "lidarcfg", "replay", str(path), "127.0.0.1", "--loop"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        time.sleep(2)
+        running.send_signal(signal.SIGINT)
+        out, err = running.communicate(timeout=20)
+    if "datagrams to" in out:
+        assert int(out.split()[0].replace(",", "")) > 5
+        assert running.returncode == 0
+    else:  # it had not begun
+        assert running.returncode == 130, err

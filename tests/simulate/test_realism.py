@@ -143,7 +143,7 @@ def test_commands(here):
         assert len(truth["range_m"]) == len(cloud.xyz) > 1000
     near = abs(cloud.xyz[:, 1]) < 10
     assert abs(cloud.xyz[near, 0] - 19).max() < 0.06
-    done = lidarcfg("replay", "a.pcap", "--to", "127.0.0.1:9", "--speed", 100, cwd=here)
+    done = lidarcfg("replay", "a.pcap", "127.0.0.1:9", "--speed", 100, cwd=here)
     assert "180 datagrams to 127.0.0.1:9" in done.stdout
 
 
@@ -165,9 +165,11 @@ def test_counts_of_no_rays(here):
         (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--truth", "no/t.npz"), "no such file"),
         (("decode", "a.pcap", "--trajectory", "trajectory.yaml", "-o", "a.npz"), "--trajectory needs --rig"),
         (("decode", "a.pcap", "--at", "1,2,3", "-o", "a.npz"), "--at and --start say where and when a --trajectory starts"),
-        (("replay", "a.pcap", "--to", "127.0.0.1:x"), "'x' is not a port"),
-        (("replay", "a.pcap", "--to", "127.0.0.1", "--speed", "0"), "--speed"),
-        (("replay", "none.pcap", "--to", "127.0.0.1"), "none.pcap: no such file"),
+        (("replay", "a.pcap", "127.0.0.1:x"), "'x' is not a port"),
+        (("replay", "a.pcap", "127.0.0.1", "--speed", "0"), "--speed"),
+        (("replay", "a.pcap", "127.0.0.1", "--speed", "fast"), "'fast' is not a valid float"),
+        (("replay", "a.pcap", "127.0.0.1", "--from", "2", "--to", "1"), "there is nothing from 2 s to 1 s"),
+        (("replay", "none.pcap", "127.0.0.1"), "none.pcap: no such file"),
     ],
 )  # fmt: skip
 def test_mistakes(here, words, match):
