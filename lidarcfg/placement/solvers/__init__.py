@@ -40,9 +40,9 @@ def _de(groups: Groups, solver: "Solver") -> Search:
 
 
 def _annealing(groups: Groups, solver: "Solver") -> Search:
-    from lidarcfg.placement.solvers.annealing import AnnealingRestarts
+    from lidarcfg.placement.solvers.annealing import AnnealingRounds
 
-    return AnnealingRestarts(groups, solver.seed)
+    return AnnealingRounds(groups, solver.seed)
 
 
 SOLVERS: dict[str, Callable[[Groups, "Solver"], Search]] = {

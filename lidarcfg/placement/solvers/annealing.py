@@ -3,7 +3,11 @@
 A chain moves uphill too (Metropolis 1953; Kirkpatrick 1983), by how much is drawn before the trial: it takes a trial
 whose cost is below cost × exp(T × Exp(1)), which is what the rule that draws afterwards comes to, on the logarithm of
 the cost. So an evaluator may refute a trial as soon as it is known not to be below that. A step is Gaussian, of any
-size, or a difference between two chains (ter Braak 2006). As T falls, the worst chains go on from where the best are.
+size, or a difference between two chains (ter Braak 2006).
+
+Chains live on islands, and no island knows of another: a good basin is found by few of them, and chains that learn
+from each other all end in one. Which island is in a good one shows early, while it is warm; so the worse half of the
+islands is given up again and again, as in successive halving (Jamieson and Talwalkar 2016).
 """
 
 import numpy as np
@@ -12,47 +16,54 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Trials, checked
 
-CHAINS, TRIES = 32, 4  # trials of a chain at a time; the first that it takes moves it
-HOT, COLD = 0.03, 0.0005  # T at the beginning and at the end of a run
+ISLANDS, CHAINS, TRIES = 8, 8, 4  # chains an island, trials a chain at a time; the first that it takes moves it
+HOT, WARM, COLD = 0.03, 0.004, 0.0005  # T at the beginning, where a run goes on from a good point, and at the end
+HALVED = (0.3, 0.38, 0.46)  # how far a run has come when the worse half of the islands is given up
 LEAST, MOST = 0.001, 0.3  # standard deviations of Gaussian steps, in the unit cube
 JITTER = 1e-4  # of a difference, so that chains that stand in one place can part
 STEP_COORDINATE = 0.6  # the probability of a coordinate of the group to take part in a Gaussian step
-RENEWALS = 20  # of a run; each time this fraction of the chains are moved to the best ones
-RENEWED = 0.1
-TRIALS = 4000  # of the first run of a search with restarts, per dimension
+RENEWALS, RENEWED = 20, 0.1  # how often in a run, and what fraction of an island's chains, worst to best
+TRIALS, REFINING = 8000, 4000  # of a round, and of refining what it found, per dimension
+LONGER = 4  # so many rounds are of one length; the next ones are twice as long
 
 
 class Annealing:
     """One run of about `trials` trials; `over` once they are used up.
 
-    groups (dimensions,): coordinates of equal numbers move together. `start` (chains, dimensions): where chains begin,
-    by default at random points.
+    groups (dimensions,): coordinates of equal numbers move together. `start` (dimensions,): where all chains begin, as
+    one island and less hot; without it every chain begins at a random point.
     """
 
     def __init__(
         self, groups: NDArray[np.int64], rng: np.random.Generator, trials: int, start: Array | None = None
     ) -> None:
-        self._rng, self._trials, self._used, self._renewals = rng, trials, 0, 0
+        self._rng, self._asks, self._renewals = rng, 0, 0
         self._members = np.unique(groups)[:, None] == groups
-        self._x = rng.random((CHAINS, len(groups))) if start is None else start.copy()
+        count = ISLANDS * CHAINS
+        self._x = rng.random((count, len(groups))) if start is None else np.tile(start, (count // 2, 1))
         self._cost = np.full(len(self._x), np.inf)
+        self._hot = HOT if start is None else WARM
+        self._islands = np.arange(len(self._x)).reshape(ISLANDS if start is None else 1, -1)  # those that are left
+        stages = np.diff((0.0, *HALVED, 1.0)) / 2.0 ** np.arange(len(HALVED) + 1)
+        fraction = stages.sum() if start is None else 1.0  # of the trials that all chains would take to the end
+        self._most_asks = max(1, round(trials / (TRIES * len(self._x) * fraction)))
         self.over = False
         self._asked = Trials("trial", self._x.copy(), np.arange(len(self._x)), self._cost.copy())
 
     @property
     def sources(self) -> Array:
-        """(chains, dimensions) where the chains are."""
+        """(chains, dimensions) where the chains are, including those that were given up."""
         return self._x
 
     @property
     def mean_cost(self) -> float:
-        """The mean cost of the chains."""
-        return float(self._cost.mean())
+        """The mean cost of the chains that are left."""
+        return float(self._cost[self._islands].mean())
 
     @property
     def temperature(self) -> float:
         """How far uphill a chain goes on average, as a fraction of its cost."""
-        return float(HOT * (COLD / HOT) ** min(self._used / self._trials, 1.0))
+        return float(self._hot * (COLD / self._hot) ** (self._asks / self._most_asks))
 
     def ask(self) -> Trials:
         """Where the chains begin, then some trials for each of them."""
@@ -64,32 +75,39 @@ class Annealing:
         taken = np.flatnonzero(cost < trials.to_beat)
         chain, first = np.unique(trials.source[taken], return_index=True)
         self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
-        self._used += len(cost)
-        self.over = self._used >= self._trials
-        if self._used * RENEWALS >= (self._renewals + 1) * self._trials:
+        self._asks += 1
+        self.over = self._asks >= self._most_asks
+        halvings = sum(self._asks >= when * self._most_asks for when in HALVED)
+        left = max(1, ISLANDS >> halvings)
+        if len(self._islands) > left:
+            order = np.argsort(self._cost[self._islands].mean(axis=1), kind="stable")
+            self._islands = self._islands[np.sort(order[:left])]
+        if self._asks * RENEWALS >= (self._renewals + 1) * self._most_asks:
             self._renewals += 1
             self._renew()
         self._asked = self._draw()
 
     def _renew(self) -> None:
-        """Move the worst chains to where the best are."""
-        count = max(1, round(RENEWED * len(self._x)))
-        order = np.argsort(self._cost, kind="stable")
-        self._x[order[-count:]], self._cost[order[-count:]] = self._x[order[:count]], self._cost[order[:count]]
+        """Move the worst chains of each island to where its best are."""
+        for island in self._islands:
+            count = max(1, round(RENEWED * len(island)))
+            order = island[np.argsort(self._cost[island], kind="stable")]
+            self._x[order[-count:]], self._cost[order[-count:]] = self._x[order[:count]], self._cost[order[:count]]
 
     def _draw(self) -> Trials:
-        rng, chains, dimensions = self._rng, *self._x.shape
-        chain = np.repeat(np.arange(chains), TRIES)
-        shape = n, _ = len(chain), dimensions
+        rng, size, dimensions = self._rng, self._islands.shape[1], self._x.shape[1]
+        chain = np.repeat(self._islands.ravel(), TRIES)
+        n = len(chain)
         moves = self._members[rng.integers(len(self._members), size=n)]
-        some = moves & (rng.random(shape) < STEP_COORDINATE)
+        some = moves & (rng.random((n, dimensions)) < STEP_COORDINATE)
         some = np.where(some.any(axis=1, keepdims=True), some, moves)
-        size = LEAST * (MOST / LEAST) ** rng.random(n)
-        normal = rng.standard_normal(shape)
-        one, other = (self._x[(chain + rng.integers(1, chains, size=n)) % chains] for _ in range(2))
-        difference = rng.uniform(0.2, 1.0, n)[:, None] * (one - other) + JITTER * normal
+        deviation = LEAST * (MOST / LEAST) ** rng.random((n, 1))
+        normal = rng.standard_normal((n, dimensions))
+        place = chain % size  # on its island
+        one, other = (chain - place + (place + rng.integers(1, size, size=n)) % size for _ in range(2))
+        difference = rng.uniform(0.2, 1.0, (n, 1)) * (self._x[one] - self._x[other]) + JITTER * normal
         gaussian = rng.random((n, 1)) < 0.5
-        x = self._x[chain] + np.where(gaussian, some * size[:, None] * normal, moves * difference)
+        x = self._x[chain] + np.where(gaussian, some * deviation * normal, moves * difference)
         x = 1.0 - np.abs(1.0 - np.abs(x))  # reflected by the walls
         cost = self._cost[chain]
         with np.errstate(over="ignore", invalid="ignore"):
@@ -97,15 +115,25 @@ class Annealing:
         return Trials("trial", np.clip(x, 0.0, 1.0), chain, np.where(np.isnan(to_beat), np.inf, to_beat))
 
 
-class AnnealingRestarts:
-    """Runs of annealing, one after the other, each with twice the trials of the one before."""
+class AnnealingRounds:
+    """Rounds of annealing, longer and longer. What is the best end of a round so far is refined by another run."""
 
     def __init__(self, groups: NDArray[np.int64], seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        self._groups, self._trials = groups, TRIALS * len(groups)
-        self._run = Annealing(groups, self._rng, self._trials)
-        self.cycles = 0
+        self._groups = groups
+        self.rounds = self.cycles = 0  # completed
         self.best_x, self.best_cost = np.full(len(groups), 0.5), np.inf
+        self._end_x, self._end = self.best_x, np.inf  # the best of the current round
+        self._record = np.inf  # the best end of a round before
+        self._begin()
+
+    def _begin(self) -> None:
+        self._refines, self._end = False, np.inf
+        self._run = Annealing(self._groups, self._rng, TRIALS * self._scale)
+
+    @property
+    def _scale(self) -> int:
+        return len(self._groups) << self.rounds // LONGER
 
     @property
     def sources(self) -> Array:
@@ -124,10 +152,17 @@ class AnnealingRestarts:
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
         x, best = self._run.ask().x, int(np.argmin(checked(cost)))
+        if cost[best] < self._end:
+            self._end_x, self._end = x[best].copy(), float(cost[best])
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = x[best].copy(), float(cost[best])
         self.cycles += 1
         self._run.tell(cost)
-        if self._run.over:
-            self._trials *= 2
-            self._run = Annealing(self._groups, self._rng, self._trials)
+        if not self._run.over:
+            return
+        if self._end < self._record and not self._refines:
+            self._record, self._refines = self._end, True
+            self._run = Annealing(self._groups, self._rng, REFINING * self._scale, self._end_x)
+        else:
+            self.rounds += 1
+            self._begin()

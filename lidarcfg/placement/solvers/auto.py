@@ -1,37 +1,38 @@
-"""The default search: the combination that won on several studies (docs/benchmarks.md), in rounds.
+"""The default search: the combination that won on the paper's studies (docs/benchmarks.md), in turns.
 
 CMA-ES from the best of some random points is the quickest to a good rig; restarts with ever larger populations find
-better ones. But CMA-ES is a local search that moves everything at once. So each round ends with annealing, whose chains
-move one group of coordinates at a time and climb out of basins.
+better ones. But CMA-ES is a local search that moves everything at once. So annealing follows, whose chains move one
+group of coordinates at a time, climb out of basins, and begin anew many times.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.annealing import Annealing
+from lidarcfg.placement.solvers.annealing import LONGER, AnnealingRounds
 from lidarcfg.placement.solvers.cma_es import CmaEs
 from lidarcfg.placement.solvers.search import Trials, checked
 
 POINTS, POPULATION, STEP = 200, 30, 0.15  # random points, then CMA-ES from the best of them
-CMA_ES, ANNEALING = 1000, 8000  # trials of each in the first round, per dimension; both take about as long
+EVALUATIONS = 1000  # of CMA-ES at first, per dimension
 
 
 class Auto:
-    """A search in rounds: CMA-ES, then annealing; each round has twice the trials of the one before."""
+    """CMA-ES and annealing in turns: so many evaluations, so many rounds; each turn is twice as long as its last."""
 
     def __init__(self, groups: NDArray[np.int64], seed: int) -> None:
         self._rng = np.random.default_rng(seed)
         self._groups = groups
-        self._round = self._spent = 0  # evaluations in the round
+        self._turn = self._spent = 0  # turns completed, and evaluations in this one
         self.cycles = 0
         self.best_x, self.best_cost, self.mean_cost = np.full(len(groups), 0.5), np.inf, np.inf
+        self._annealing: AnnealingRounds | None = None
         self._begin()
 
     def _begin(self) -> None:
-        """Start a round with random points."""
+        """Start a turn with random points."""
         self._points = self._rng.random((POINTS, len(self._groups)))
-        self._run: CmaEs | Annealing | None = None
+        self._run: CmaEs | AnnealingRounds | None = None
         self._first = True  # the next run starts from the best point
 
     @property
@@ -59,14 +60,18 @@ class Auto:
             return
         self._run.tell(cost)
         self.mean_cost = self._run.mean_cost
-        if not self._run.over:
-            return
-        scale = len(self._groups) * 2**self._round
-        if isinstance(self._run, Annealing):
-            self._round, self._spent = self._round + 1, 0
-            self._begin()
-        elif self._spent >= CMA_ES * scale:
-            self._run = Annealing(self._groups, self._rng, ANNEALING * scale)
+        if isinstance(self._run, AnnealingRounds):
+            if self._run.rounds == LONGER * (self._turn + 1):
+                self._turn, self._spent = self._turn + 1, 0
+                self._begin()
+        elif self._run.over:
+            self._follow()
+
+    def _follow(self) -> None:
+        """What comes after a run of CMA-ES: another one, or annealing."""
+        if self._spent >= EVALUATIONS * len(self._groups) * 2**self._turn:
+            self._annealing = self._annealing or AnnealingRounds(self._groups, self._seed())
+            self._run = self._annealing
         elif self._first:
             self._first, self._run = False, CmaEs(len(self._groups), self._seed())
 

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from lidarcfg.placement.solvers.annealing import AnnealingRestarts
+from lidarcfg.placement.solvers.annealing import AnnealingRounds
 from lidarcfg.placement.solvers.auto import Auto
 from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.cma_es import CmaEs
@@ -15,7 +15,7 @@ SOLVERS = {
     "abc": lambda dimensions, seed: BeeColony(dimensions, 20, 20 * dimensions, seed),
     "cmaes": CmaEs,
     "de": LshadeRestarts,
-    "annealing": lambda dimensions, seed: AnnealingRestarts(np.arange(dimensions) // 2, seed),
+    "annealing": lambda dimensions, seed: AnnealingRounds(np.arange(dimensions) // 2, seed),
     "auto": lambda dimensions, seed: Auto(np.arange(dimensions) // 2, seed),
 }
 
@@ -43,7 +43,7 @@ def run(solver, function, trials):
 @pytest.mark.parametrize("name", SOLVERS)
 def test_they_find_the_bottom_of_a_bowl(name):
     solver = SOLVERS[name](4, 1)
-    x = run(solver, bowl, 8000)
+    x = run(solver, bowl, 32_000 if name == "annealing" else 8000)  # a round of annealing ends cold
     assert solver.best_cost < 1e-3
     assert solver.best_x == pytest.approx([0.3, 0.4, 0.5, 0.6], abs=0.05)
     assert solver.best_cost == bowl(x).min()
@@ -93,11 +93,11 @@ def test_auto_walks_from_the_best_of_its_points():
     assert solver.best_cost == bowl(points).min()
 
 
-def test_autos_rounds_are_cma_es_and_then_annealing():
+def test_auto_is_cma_es_and_four_rounds_of_annealing_in_turns():
     solver = Auto(np.zeros(2, int), 1)
-    for share in (2000, 4000, 8000):  # 1000 a dimension, and twice as many each round
+    for turn in (1, 2):  # 1000 evaluations a dimension, and 8000 a round; twice as many in the second turn
         sizes = []
-        while (size := len(solver.ask().x)) != 32:  # where the chains of an annealing begin
+        while (size := len(solver.ask().x)) != 64:  # where the chains of a round begin
             sizes.append(size)
             solver.tell(bowl(solver.ask().x))
         first = sizes.index(6)  # the usual population of two dimensions, which is doubled again and again
@@ -105,13 +105,14 @@ def test_autos_rounds_are_cma_es_and_then_annealing():
         assert sizes[first:] == sorted(sizes[first:])
         runs = sorted(set(sizes[first:]))
         assert runs == [6 * 2**n for n in range(len(runs))]
-        assert sum(sizes) - runs[-1] * sizes.count(runs[-1]) < share <= sum(sizes)
-        annealed = 0
-        while annealed < 8 * share:
-            assert len(solver.ask().x) == (128 if annealed else 32)
-            annealed += len(solver.ask().x)
+        assert sum(sizes) - runs[-1] * sizes.count(runs[-1]) < 2000 * turn <= sum(sizes)
+        rounds, annealed = 0, 0
+        while (size := len(solver.ask().x)) != 200:
+            rounds += size == 64 and np.isinf(solver.ask().to_beat).all()
+            annealed += size
             solver.tell(bowl(solver.ask().x))
-        assert len(solver.ask().x) == 200
+        assert rounds == 4
+        assert 4 * 16000 * turn * 0.98 < annealed < 4 * 24000 * turn * 1.02  # those that are refined take half more
 
 
 def test_lshade_restarts_with_twice_the_evaluations():
