@@ -118,13 +118,13 @@ class RigFile(Model):
         return self
 
 
-def one_of(model: Model, key: str, other: str) -> None:
-    """A model's validator: exactly one of two keys is given."""
-    given = [k for k in (key, other) if getattr(model, k) is not None]
-    if len(given) == 2:
-        raise fault(f"stands beside {key}; give one of them", other)
+def one_of(model: Model, *keys: str) -> None:
+    """A model's validator: exactly one of some keys is given."""
+    given = [k for k in keys if getattr(model, k) is not None]
+    if len(given) > 1:
+        raise fault(f"stands beside {given[0]}; give one of them", given[1])
     if not given:
-        raise fault(f"missing; give {key} or {other}")
+        raise fault(f"missing; give {', '.join(keys[:-1])} or {keys[-1]}")
 
 
 def angles_rad(rpy_rad: Vec3 | None, rpy_deg: Vec3 | None) -> Vec3:
@@ -173,15 +173,18 @@ class Rig:
 
 
 def resolve_sensor(
-    path: Path, index: int, model: str | None, elevation_deg: tuple[float, ...] | None
+    path: Path, index: int, model: str | None, elevation_deg: tuple[float, ...] | None, *at: str | int
 ) -> tuple[Sensor, str | None]:
-    """The sensor that entry `index` of the file's `sensors` means, and its model as a name or whole path."""
+    """The sensor that entry `index` of the file's `sensors` means, and its model as a name or whole path.
+
+    `at` is where the entry names the model, if not at its key `model`.
+    """
     if model is None:
         return custom_sensor(elevation_deg or ()), None
     try:
         return load_sensor(model, path.parent), model if model in catalogue() else str((path.parent / model).resolve())
     except ConfigError as error:
-        raise error_at(path, ("sensors", index, "model"), error) from None
+        raise error_at(path, ("sensors", index, *(at or ("model",))), error) from None
 
 
 def ports(sensor: Sensor) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 import cloup
 
+from lidarcfg.commands.front import find_front
 from lidarcfg.commands.options import (
     FILE,
     PositiveNumber,
@@ -76,6 +77,9 @@ def optimize(
 
     Ctrl-C ends the search and keeps the best rig found. While it runs, rig.yaml and search.npz are updated every few
     seconds, so that --resume can continue even a search that was killed.
+
+    A study that lets one choose sensors gives the rigs that no other is both cheaper and better than: front.html, and a
+    folder for each in points/. Budgets count for all combinations together.
     """
     import time
 
@@ -92,6 +96,9 @@ def optimize(
     for message in study_warnings(study, loaded):
         warn(message)
     folder = output or resume or Path("out") / loaded.name
+    if loaded.to_choose:
+        find_front(loaded, folder, resume, threads, quiet)
+        return
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder, report.RESULTS)
     saved = time.monotonic()

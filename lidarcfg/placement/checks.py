@@ -11,6 +11,7 @@ import numpy as np
 from lidarcfg.config import Key, error_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
+from lidarcfg.placement.choices import unused_prices
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.region import AXES, BoxFile, Region
@@ -36,6 +37,8 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
         yield from _places(path, i, group, study, file.region.exclude)
     for i, box in enumerate(file.region.exclude):
         yield from _snapped(path, i, box, study.region)
+    for model in unused_prices(file):
+        yield str(error_at(path, ("prices", model), "is not used: no sensor of the study may be one"))
     yield from _slow(path, study)
 
 

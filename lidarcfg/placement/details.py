@@ -68,7 +68,7 @@ def details(
     cheap = study.region.included.size <= cheap_cuboids
     if found.analytic is None and cheap:
         found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING, study.visibility))
-    if midpoint_max_vsr_m is None and cheap:
+    if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     subspaces, vehicle = found.subspaces, study.reference_m
     edges = ring_edges_m(study.region, vehicle)

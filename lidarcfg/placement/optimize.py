@@ -2,7 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.study_file import Solver
 from lidarcfg.rig import Rig
 
 SLICE = 100  # trials between two looks at the clock, where there is a deadline
@@ -78,106 +80,176 @@ def optimize(
     ends the search and keeps the best so far. Raises ConfigError if nothing is free to move, and if no rig was
     found that meets the constraints.
     """
+    if study.to_choose:
+        raise ConfigError("the study has models to choose; `front` searches for the best rig of each price")
     dimensions = int(study.free.sum())
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    lidars = [slot.lidar for slot in study.slots]
-    interrupted = False
-    with Evaluator(study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility) as evaluator:
-        run = _Run(study, evaluator, start_search(study.solver, study.groups), log or Log.empty())
+    run, budget, interrupted = Run(study, start_search(study.solver, study.groups), log), Budget.of(study.solver), False
+    with run.evaluator(threads, skip) as evaluator:
         try:
-            while not (run.history and run.spent()):
-                if run.step() and on_cycle:
+            while not (run.history and budget.spent(run.evaluations, run.cycles)):
+                if run.step(evaluator, budget) and on_cycle:
                     on_cycle(run.history[-1], run.rig(), run.log())
         except KeyboardInterrupt:
             interrupted = True
-    if not math.isfinite(run.best_cost):
-        raise KeyboardInterrupt
-    if run.best_cost >= INFEASIBLE:
-        raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
-    rig, log = run.rig(), run.log()
-    return Placement(
-        rig=rig,
-        evaluation=evaluate(study, rig),
-        objective=run.best_cost,
-        midpoint_max_vsr_m=max_vsr(study.region, study.lidars(study.midpoint), study.visibility),
-        history=tuple(run.history),
-        evaluations=run.asked["trial"],
-        first_evaluations=run.asked["first"],
-        scout_evaluations=run.asked["scout"],
-        full_evaluations=evaluator.full_evaluations,
-        cuboids=evaluator.cuboids,
-        segments=evaluator.segments,
-        log=log,
-        seconds=log.seconds,
-        interrupted=interrupted,
-    )
+    return run.placement(interrupted)
 
 
-class _Run:
-    """A search in progress; the costs in `log` are told first, without evaluating anything."""
+@dataclass(frozen=True)
+class Budget:
+    """What a search may use."""
 
-    def __init__(self, study: Study, evaluator: Evaluator, search: Search, log: Log) -> None:
-        self._study, self._evaluator, self._search = study, evaluator, search
+    evaluations: int | None
+    cycles: int | None
+    seconds: float
+    deadline: float  # time.perf_counter
+
+    @classmethod
+    def of(cls, solver: Solver) -> "Budget":
+        """A study's, from now on."""
+        seconds = math.inf if solver.seconds is None else solver.seconds
+        return cls(solver.evaluations, solver.cycles, seconds, time.perf_counter() + seconds)
+
+    def fraction(self, evaluations: int, cycles: int) -> float:
+        """Of what is spent, of the budget that ends first."""
+        clock = 1.0 - (self.deadline - time.perf_counter()) / self.seconds if self.seconds < math.inf else 0.0
+        return max(clock, evaluations / (self.evaluations or math.inf), cycles / (self.cycles or math.inf))
+
+    def spent(self, evaluations: int, cycles: int) -> bool:
+        """Whether any of it is used up."""
+        return (
+            (self.cycles is not None and cycles >= self.cycles)
+            or (self.evaluations is not None and evaluations >= self.evaluations)
+            or time.perf_counter() >= self.deadline
+        )
+
+
+@dataclass(frozen=True)
+class Work:
+    """What evaluators have done."""
+
+    full_evaluations: int = 0
+    cuboids: int = 0
+    segments: int = 0
+
+    def plus(self, evaluator: Evaluator) -> "Work":
+        """With the work of one more."""
+        return Work(
+            self.full_evaluations + evaluator.full_evaluations,
+            self.cuboids + evaluator.cuboids,
+            self.segments + evaluator.segments,
+        )
+
+
+class Run:
+    """A search in progress; the costs in `log` are told first, without evaluating anything.
+
+    It may pause: what evaluates its trials is made anew for each part of it.
+    """
+
+    def __init__(self, study: Study, search: Search, log: Log | None = None) -> None:
+        log = log or Log.empty()
+        self.study, self._search = study, search
         self._replay, self._told = log.cost, [log.cost]
-        self._session = time.perf_counter()
-        self._started = self._session - log.seconds
-        self.asked = {"first": 0, "scout": 0, "trial": 0}
+        self._spent, self._since = log.seconds, math.inf  # seconds before this part; when it began
+        self._asked = {"first": 0, "scout": 0, "trial": 0}
         self.history: list[Cycle] = []
         self._best_x, self.best_cost = search.best_x, math.inf
+        self._work = Work()
+
+    @property
+    def evaluations(self) -> int:
+        """Trials so far, not counting first sources and scouts."""
+        return self._asked["trial"]
+
+    @property
+    def cycles(self) -> int:
+        """Cycles so far."""
+        return self._search.cycles
+
+    @property
+    def seconds(self) -> float:
+        """Spent so far, without pauses."""
+        return self._spent + max(time.perf_counter() - self._since, 0.0)
 
     def rig(self) -> Rig:
         """The best rig so far."""
-        return self._study.rig(self._study.poses(self._best_x[None])[0])
+        return self.study.rig(self.study.poses(self._best_x[None])[0])
 
     def log(self) -> Log:
         """All costs told so far."""
-        return Log(np.concatenate(self._told), time.perf_counter() - self._started)
+        return Log(np.concatenate(self._told), self.seconds)
 
-    def spent(self) -> bool:
-        """Whether a budget is used up."""
-        solver = self._study.solver
-        return (
-            (solver.cycles is not None and self._search.cycles >= solver.cycles)
-            or (solver.evaluations is not None and self.asked["trial"] >= solver.evaluations)
-            or (solver.seconds is not None and time.perf_counter() - self._session >= solver.seconds)
-        )
+    @contextmanager
+    def evaluator(self, threads: int | None, skip: bool = True) -> Iterator[Evaluator]:
+        """What evaluates the trials of a part of it."""
+        study, self._since = self.study, time.perf_counter()
+        lidars = [slot.lidar for slot in study.slots]
+        with Evaluator(study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility) as one:
+            try:
+                yield one
+            finally:
+                self._work = self._work.plus(one)
+                self._spent, self._since = self.seconds, math.inf
 
-    def step(self) -> bool:
+    def step(self, evaluator: Evaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials. Returns whether that made a line of the history, of this session's own."""
         search = self._search
         trials = search.ask()
-        kind = trials.phase if trials.phase in self.asked else "trial"
-        cost = self._costs(trials, kind)
-        self.asked[kind] += len(cost)
+        kind = trials.phase if trials.phase in self._asked else "trial"
+        cost = self._costs(evaluator, trials, kind, budget)
+        self._asked[kind] += len(cost)
         best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
             self._best_x, self.best_cost = trials.x[best].copy(), float(cost[best])
         cycles = search.cycles
         if len(cost) == len(trials.x):  # one cut short is not told: a resumed run asks for all of it
             search.tell(cost)
-        if search.cycles == cycles and kind != "first" and not self.spent():
+        if search.cycles == cycles and kind != "first" and not budget.spent(self.evaluations, search.cycles):
             return False
-        seconds = time.perf_counter() - self._started
-        self.history.append(Cycle(search.cycles, self.asked["trial"], self.best_cost, search.mean_cost, seconds))
+        state = Cycle(search.cycles, self.evaluations, self.best_cost, search.mean_cost, self.seconds)
+        self.history.append(state)
         return not len(self._replay)
 
-    def _costs(self, trials: Trials, kind: str) -> Array:
+    def _costs(self, evaluator: Evaluator, trials: Trials, kind: str, budget: Budget) -> Array:
         """The costs of the trials, from the log while it lasts; fewer where a budget cuts the batch short."""
         count = len(trials.x)
         if len(self._replay) >= count:
             cost, self._replay = self._replay[:count], self._replay[count:]
             return cost
         self._replay = self._replay[:0]
-        solver, left, deadline = self._study.solver, count, math.inf
-        if solver.evaluations is not None and kind == "trial":
-            left = min(left, solver.evaluations - self.asked["trial"])
-        if solver.seconds is not None:
-            deadline = self._session + solver.seconds
-        cost = costs(self._study, self._evaluator, self._search.sources, trials, left, deadline)
+        left = count
+        if budget.evaluations is not None and kind == "trial":
+            left = min(left, budget.evaluations - self.evaluations)
+        cost = costs(self.study, evaluator, self._search.sources, trials, left, budget.deadline)
         if len(cost) == count:
             self._told.append(cost)
         return cost
+
+    def placement(self, interrupted: bool) -> Placement:
+        """The result. Raises KeyboardInterrupt if there is none yet, ConfigError if no rig meets the constraints."""
+        if not math.isfinite(self.best_cost):
+            raise KeyboardInterrupt
+        if self.best_cost >= INFEASIBLE:
+            raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
+        study, rig, log = self.study, self.rig(), self.log()
+        return Placement(
+            rig=rig,
+            evaluation=evaluate(study, rig),
+            objective=self.best_cost,
+            midpoint_max_vsr_m=max_vsr(study.region, study.lidars(study.midpoint), study.visibility),
+            history=tuple(self.history),
+            evaluations=self.evaluations,
+            first_evaluations=self._asked["first"],
+            scout_evaluations=self._asked["scout"],
+            full_evaluations=self._work.full_evaluations,
+            cuboids=self._work.cuboids,
+            segments=self._work.segments,
+            log=log,
+            seconds=log.seconds,
+            interrupted=interrupted,
+        )
 
 
 def costs(study: Study, evaluator: Evaluator, sources: Array, trials: Trials, count: int, deadline: float) -> Array:

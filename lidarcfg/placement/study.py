@@ -17,6 +17,7 @@ from lidarcfg.files import example
 from lidarcfg.firing import Patterns
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
+from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
 from lidarcfg.placement.cones import Lidar, placed, sensor_lidar
 from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import Criterion, Missed, Objective, Trial
@@ -24,7 +25,7 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.returns import NOTHING, scanner, scans
 from lidarcfg.placement.returns_kernels import Scans
 from lidarcfg.placement.sightings import Sought, sought, target
-from lidarcfg.placement.study_file import BUDGETS, Constraints, Solver, StudyFile, VisibilityFile
+from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, GroupFile, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import Surface, mirrored, on_surface, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import Obstacles
@@ -44,6 +45,7 @@ class Slot:
     range_m: tuple[float, float] | None = None  # least, greatest; None: the sensor's
     azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
     surface: Surface | None = None  # that it sits on; None: it may be anywhere within its bounds
+    choices: Choices = ()  # in a study with choices the models it may be of; its own stands for them
 
     @cached_property
     def lidar(self) -> Lidar:
@@ -139,6 +141,17 @@ class Study:
         hidden = self.visibility is not None and self.visibility.blocks
         return len(self.slots) * int(self.region.included.sum()) * hidden
 
+    @property
+    def to_choose(self) -> bool:
+        """Whether models are to be chosen; then it stands for many studies, see combinations.py."""
+        return any(slot.choices for slot in self.slots)
+
+    def chosen(self, numbers: Sequence[int], slots: Sequence[Slot], file: dict[str, Any]) -> "Study":
+        """The study of these slots, which take the places of the ones with these numbers."""
+        rows = list(numbers)
+        lower, upper, mirror = self.lower[rows], self.upper[rows], self.mirror[rows]
+        return replace(self, slots=tuple(slots), lower=lower, upper=upper, mirror=mirror, file=file)
+
     def criterion(self) -> Criterion:
         """The objective, made ready for this region and these objects."""
         spot = self.objective.blind_spot_m
@@ -231,23 +244,26 @@ def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
 
 def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> Study:
     """The study of a file that is read; `path` names it in errors, and what it names is relative to that."""
+    choices = choices_of(file, path)
     bodies = vehicle(file.vehicle, path) if file.vehicle else None
     slots: list[Slot] = []
     lower, upper, mirror, groups = [], [], [], []
     for i, group in enumerate(file.sensors):
-        sensor, model = resolve_sensor(path, i, group.model, group.elevation_deg)
-        surface = None
-        if group.on and bodies:
-            surface = on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
+        choices[i] = tuple(
+            choice and replace(choice, surface=_surface(group, bodies, choice.sensor, path, i)) for choice in choices[i]
+        )
+        if one := next((choice for choice in choices[i] if choice), None):
+            sensor, model, surface = one.sensor, one.model, one.surface
+        else:
+            sensor, model = resolve_sensor(path, i, group.model, group.elevation_deg)
+            surface = _surface(group, bodies, sensor, path, i)
         for number in range(group.count):
-            name = group.name or f"lidar_{len(slots)}"
-            if group.name and group.count > 1:
-                name = f"{name}_{number}"
+            name = slot_name(group.name, group.count, number, len(slots))
             if name in [slot.name for slot in slots]:
                 raise error_at(path, ("sensors", i), f"two are called {name!r}; give each group its own name")
             image = group.mirror_y_m is not None and number % 2 == 1
             seat = surface.image if surface and image else surface
-            slots.append(Slot(name, sensor, model, group.range_m, group.azimuth_fov_deg, seat))
+            slots.append(Slot(name, sensor, model, group.range_m, group.azimuth_fov_deg, seat, choices[i]))
             groups.append(i)
             lower.append(group.bounds[0])
             upper.append(group.bounds[1])
@@ -288,15 +304,31 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         visibility=_visibility(file, region, bodies, surroundings),
         sought=tuple(sought_for),
         patterns=patterns,
-        file=_resolved(file, slots, bodies, path),
+        file=_resolved(file, slots, choices, bodies, path),
     )
     if sought_for and patterns:
-        for mount, number in zip(study.rig(study.lower).mounts, groups, strict=True):
+        for mount, slot, number in zip(study.rig(study.lower).mounts, slots, groups, strict=True):
+            sensors = [choice.sensor for choice in slot.choices if choice] or [slot.sensor]
             try:
-                study.scans([mount])
+                for sensor in sensors:
+                    study.scans([replace(mount, sensor=sensor)])
             except ConfigError as error:
                 raise error_at(path, ("sensors", number), error) from None
     return study
+
+
+def _surface(group: GroupFile, bodies: Vehicle | None, sensor: Sensor, path: Path, i: int) -> Surface | None:
+    """What a sensor of the group sits on, if on anything."""
+    if not (group.on and bodies):
+        return None
+    return on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
+
+
+def slot_name(group: str | None, count: int, number: int, before: int) -> str:
+    """What a group's sensor is called that has so many sensors before it in its group, and in the study."""
+    if group is None:
+        return f"lidar_{before}"
+    return f"{group}_{number}" if count > 1 else group
 
 
 def _check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
@@ -330,7 +362,9 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
     return Visibility.of(scenes if given.occlusion else [], region, given.range, given.field_of_view)
 
 
-def _resolved(file: StudyFile, slots: list[Slot], bodies: Vehicle | None, path: Path) -> dict[str, Any]:
+def _resolved(
+    file: StudyFile, slots: list[Slot], choices: list[Choices], bodies: Vehicle | None, path: Path
+) -> dict[str, Any]:
     """The file with its defaults filled in and the paths of its models, meshes and scene resolved."""
     values = file.model_dump(mode="json", exclude_none=True)
     if bodies:
@@ -340,8 +374,12 @@ def _resolved(file: StudyFile, slots: list[Slot], bodies: Vehicle | None, path: 
     models = iter(slots)
     for group in values["sensors"]:
         for slot in islice(models, group["count"]):
-            if slot.model is not None:
+            if "choose" in group:
+                group["choose"] = [choice.model if choice else NONE for choice in slot.choices]
+            elif slot.model is not None:
                 group["model"] = slot.model
+    if file.prices:
+        values["prices"] = resolved_prices(file, choices)
     return values
 
 

@@ -18,6 +18,10 @@ from lidarcfg.sensor import Elevations
 from lidarcfg.world.vehicle import VehicleFile
 
 BUDGETS = {"cycles", "evaluations", "seconds"}
+NONE = "none"  # a choice: no sensor
+PRICE_MAX = 1e12
+COMBINATIONS_MAX = 1000
+COUNTED = 10**18  # combinations beyond this are only said to be many
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
@@ -50,10 +54,11 @@ class PoseBound(Model):
 
 
 class GroupFile(Model):
-    """Sensors of one model within the same bounds, or on the same surface."""
+    """Sensors within the same bounds or on the same surface, of one model or each of a model to choose."""
 
     model: str | None = None
     elevation_deg: Elevations | None = None
+    choose: Annotated[tuple[str, ...], Field(min_length=1)] | None = None  # models; none: no sensor
     name: MountName | None = None
     count: Annotated[int, Field(ge=1, le=1000)] = 1
     range_m: Range | None = None  # least, greatest; none: the sensor's
@@ -68,7 +73,12 @@ class GroupFile(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "GroupFile":
-        one_of(self, "model", "elevation_deg")
+        one_of(self, "model", "elevation_deg", "choose")
+        for i, model in enumerate(self.choose or ()):
+            if model in (self.choose or ())[:i]:
+                raise fault(f"{model!r} is a choice already; each may stand once", "choose", i)
+        if self.choose == (NONE,):
+            raise fault("the only choice is none; give a model, or remove the sensor", "choose")
         if self.mirror_y_m is not None and self.count % 2:
             raise fault(f"needs pairs, and count is {self.count}; allowed: an even count", "mirror_y_m")
         self._check_place()
@@ -99,6 +109,11 @@ class GroupFile(Model):
         turns = [getattr(self, key) or (0.0, 0.0) for key in ANGLES]
         least, most = (tuple(math.radians(turn[end]) for turn in turns) for end in (0, 1))
         return (*self.on.within.min_m, *least), (*self.on.within.max_m, *most)
+
+    @property
+    def together(self) -> int:
+        """How many sensors are chosen as one: mirrored ones in pairs."""
+        return 1 if self.mirror_y_m is None else 2
 
 
 class Constraints(Model):
@@ -151,6 +166,7 @@ class StudyFile(Model):
     constraints: Constraints = Constraints()
     solver: Solver = Solver()
     detection: tuple[DetectionObject, ...] = ()
+    prices: dict[str, Annotated[float, Field(gt=0, le=PRICE_MAX)]] | None = None  # by model
 
     @property
     def limits_sight(self) -> bool:
@@ -162,6 +178,7 @@ class StudyFile(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "StudyFile":
+        self._check_prices()
         names = [item.name for item in self.detection]
         for i, name in enumerate(names):
             if name in names[:i]:
@@ -181,6 +198,39 @@ class StudyFile(Model):
                 raise fault(f"no object is called so; allowed: {allowed}", "objective", "detection", name)
         return self
 
+    def _check_prices(self) -> None:
+        prices = self.prices or {}
+        if NONE in prices:
+            raise fault("costs nothing; remove its price", "prices", NONE)
+        if all(group.choose is None for group in self.sensors):
+            return
+        for i, group in enumerate(self.sensors):
+            if group.elevation_deg is not None:
+                what = "has no model, so no price, and others are to choose; write its elevations into a sensor's file"
+                raise fault(what, "sensors", i, "elevation_deg")
+            for n, model in enumerate(group.choose or (group.model,)):
+                if model != NONE and model not in prices:
+                    key = ("choose", n) if group.choose else ("model",)
+                    raise fault(f"{model!r} has no price; give it one in prices", "sensors", i, *key)
+        count = self.combinations
+        if count > COMBINATIONS_MAX:
+            some = f"{count:,}" if count < COUNTED else f"more than {COUNTED:,}"
+            raise fault(f"the choices allow {some} combinations; allowed: at most {COMBINATIONS_MAX:,}", "sensors")
+
+    @property
+    def combinations(self) -> int:
+        """How many rigs the choices allow, but for poses: a group's sensors are interchangeable, and none is no rig.
+
+        Counted no further than COUNTED.
+        """
+        total = 1
+        for group in self.sensors:
+            kinds, places = len(group.choose or (None,)), group.count // group.together
+            total *= math.comb(kinds + places - 1, places)
+            if total >= COUNTED:
+                return total
+        return total - all(NONE in (group.choose or ()) for group in self.sensors)
+
 
 def _check_constraints(file: StudyFile) -> None:
     """Raises a fault for constraints that no poses within the bounds keep."""
@@ -195,6 +245,8 @@ def _check_constraints(file: StudyFile) -> None:
             what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more within its bounds"
             raise fault(what, "constraints", "max_tilt_deg")
         box = low[:3] - reach_m, high[:3] + reach_m
+        if NONE in (group.choose or ()):  # without it the others may keep apart
+            continue
         boxes += [(i, _mirrored(box, group.mirror_y_m) if number % 2 else box) for number in range(group.count)]
     for (i, one), (j, other) in combinations(boxes, 2):
         most_m = float(np.linalg.norm(np.maximum(one[1] - other[0], other[1] - one[0])))

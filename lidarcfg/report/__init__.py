@@ -3,6 +3,7 @@
 from lidarcfg.report.beams import draw_sensor
 from lidarcfg.report.comparison import COMPARED, check_count, comparison_dict, contenders, save_comparison
 from lidarcfg.report.document import Commands
+from lidarcfg.report.front import FRONT, front_dict, load_front_logs, save_front, save_front_log
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 from lidarcfg.report.results import (
     EVALUATED,
@@ -20,6 +21,7 @@ from lidarcfg.report.tables import (
     analytic_line,
     print_comparison,
     print_evaluation,
+    print_front,
     print_placement,
     print_sensor,
     print_sensors,
@@ -29,6 +31,7 @@ __all__ = [
     "COLOURS",
     "COMPARED",
     "EVALUATED",
+    "FRONT",
     "RESULTS",
     "Commands",
     "analytic_line",
@@ -40,17 +43,22 @@ __all__ = [
     "draw_rig",
     "draw_sensor",
     "evaluation_dict",
+    "front_dict",
+    "load_front_logs",
     "load_log",
     "new_figure",
     "placement_dict",
     "print_comparison",
     "print_evaluation",
+    "print_front",
     "print_placement",
     "print_sensor",
     "print_sensors",
     "save_comparison",
     "save_evaluation",
     "save_figure",
+    "save_front",
+    "save_front_log",
     "save_placement",
     "save_progress",
     "to_json",

@@ -103,9 +103,9 @@ def save_evaluation(study: Study, rig: Rig, details: Details, folder: Path, comm
     found = details.evaluation
     values = evaluation_dict(study, rig, found)
     with together():
-        _write_text(to_json(values) + "\n", folder / "result.json")
+        write_text(to_json(values) + "\n", folder / "result.json")
         save_figure(draw_rig(study, rig, found), folder / "rig.png")
-        _write_text(report(study, rig, details, values, None, commands), folder / "report.html")
+        write_text(report(study, rig, details, values, None, commands), folder / "report.html")
 
 
 def save_placement(
@@ -119,14 +119,14 @@ def save_placement(
     values = placement_dict(study, found, details.evaluation)
     with together():
         _write_progress(study, found.rig, found.log, folder)
-        _write_text(to_json(values) + "\n", folder / "result.json")
+        write_text(to_json(values) + "\n", folder / "result.json")
         with replacing(folder / "history.csv") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(asdict(found.history[0]))
             writer.writerows(asdict(cycle).values() for cycle in found.history)
         save_figure(draw_convergence(study, found), folder / "convergence.png")
         save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
-        _write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
+        write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
 
 
 PROGRESS = ("search.npz", "rig.yaml")  # of a search that runs
@@ -158,7 +158,7 @@ def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
 
 def _write_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
     with replacing(folder / "search.npz", "wb") as file:
-        np.savez_compressed(file, cost=log.cost, seconds=log.seconds, asked=_fingerprint(study))
+        np.savez_compressed(file, cost=log.cost, seconds=log.seconds, asked=fingerprint(study))
     save_rig(rig, folder / "rig.yaml")
 
 
@@ -173,17 +173,18 @@ def load_log(study: Study, folder: Path) -> Log:
     if shapes != LOG or np.isnan(arrays["cost"]).any() or not 0 <= arrays["seconds"] < np.inf:
         raise ConfigError(f"{path}: is not the log of a search")
     log, asked = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"])), str(arrays["asked"])
-    if asked != _fingerprint(study):
+    if asked != fingerprint(study):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
     return log
 
 
-def _fingerprint(study: Study) -> str:
+def fingerprint(study: Study) -> str:
     """Everything that determines the course of a search, as one text: the study without its budgets."""
     solver = {key: value for key, value in study.file["solver"].items() if key not in BUDGETS}
     return json.dumps(study.file | {"solver": solver}, sort_keys=True)
 
 
-def _write_text(text: str, path: Path) -> None:
+def write_text(text: str, path: Path) -> None:
+    """Write a text, whole or not at all."""
     with replacing(path) as file:
         file.write(text)

@@ -12,6 +12,7 @@ from lidarcfg.packets.codec import codec
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.front import Front
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.comparison import Contender, rows
@@ -36,6 +37,33 @@ def print_placement(found: Placement, evaluation: Evaluation) -> None:
     search.add_row("seconds", f"{found.seconds:.1f}")
     _console().print(search)
     print_evaluation(found.rig, evaluation)
+
+
+def print_front(study: Study, found: Front) -> None:
+    """Print a line for each rig on the front, and what the search spent."""
+    objects = [item.name for item in study.detection]
+    numbers = ("price", "objective", "max VSR (m)", *(f"detection of {name}" for name in objects))
+    table = Table(
+        *(Column(name, justify="right") for name in numbers), "sensors", Column("folder", overflow="fold"), box=SIMPLE
+    )
+    for point in found.points:
+        evaluation = point.placement.evaluation
+        table.add_row(
+            f"{point.combination.price:,g}",
+            f"{point.placement.objective:.4f}",
+            f"{evaluation.max_vsr_m:.4f}",
+            *(f"{evaluation.detection[name].rate:.4f}" for name in objects),
+            point.combination.sensors,
+            f"points/{point.combination.name}",
+        )
+    console = _console()
+    console.print(table)
+    tried = sum(one.evaluations > 0 for one in found.candidates)
+    console.print(f"{len(found.points)} rigs on the front, of {tried} combinations tried of {len(found.candidates)}")
+    console.print(
+        f"{found.evaluations:,} evaluations, {found.dominated_evaluations:,} of them of combinations not on the front; "
+        f"{found.seconds:.1f} s"
+    )
 
 
 def print_evaluation(rig: Rig, found: Evaluation) -> None:

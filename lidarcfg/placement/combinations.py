@@ -1,0 +1,116 @@
+"""The combinations of sensors that a study lets one choose: each is an ordinary study with a price.
+
+The sensors of a group are interchangeable, so a group's part of a combination is a multiset of its models; mirrored
+sensors are chosen in pairs. A combination without any sensor is none.
+"""
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, product
+from typing import Any
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.placement.choices import Choice
+from lidarcfg.placement.study import Slot, Study, slot_name
+
+NAME_MAX = 80  # characters; it becomes a folder's
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One choice of sensors."""
+
+    name: str
+    price: float
+    study: Study
+
+    @property
+    def sensors(self) -> str:
+        """The number of sensors of each model."""
+        counts = Counter(slot.sensor.name for slot in self.study.slots)
+        return ", ".join(f"{count} × {model}" for model, count in counts.items())
+
+
+@dataclass(frozen=True)
+class _Group:
+    """The slots of a group that are chosen for together, and what may be chosen."""
+
+    values: dict[str, Any]  # in the study's file
+    first: int  # its first slot
+    together: int  # slots that are chosen as one
+
+    @property
+    def places(self) -> int:
+        return int(self.values["count"]) // self.together
+
+
+def combinations(study: Study) -> list[Combination]:
+    """All combinations of a study that has choices, in the order of its groups and of their choices."""
+    groups, first = [], 0
+    for values in study.file["sensors"]:
+        groups.append(_Group(values, first, 2 if "mirror_y_m" in values else 1))
+        first += values["count"]
+    options = [combinations_with_replacement(study.slots[group.first].choices, group.places) for group in groups]
+    found: list[Combination] = []
+    names: Counter[str] = Counter()
+    for chosen in product(*options):
+        if any(choice for part in chosen for choice in part):
+            name = _name(groups, chosen)
+            names[name] += 1
+            suffix = f"-{names[name]}" if names[name] > 1 else ""
+            found.append(_combination(study, groups, chosen, name + suffix))
+    return found
+
+
+def _combination(
+    study: Study, groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...], name: str
+) -> Combination:
+    """The study with these models in the groups' first places."""
+    numbers: list[int] = []
+    slots: list[Slot] = []
+    files: list[dict[str, Any]] = []
+    price = 0.0
+    for group, part in zip(groups, chosen, strict=True):
+        of_model = {choice.model: choice for choice in part if choice}
+        counts = Counter(choice.model for choice in part if choice)
+        place = group.first
+        for model, places in counts.items():
+            choice = of_model[model]
+            count = places * group.together
+            values = {key: value for key, value in group.values.items() if key != "choose"}
+            values |= {"model": model, "count": count}
+            if len(counts) > 1 and "name" in values:
+                values["name"] = f"{values['name']}_{_plain(choice.sensor.name)}"
+            files.append(values)
+            price += count * choice.price
+            for number in range(count):
+                slot = slot_name(values.get("name"), count, number, len(slots))
+                of = study.slots[place + number]
+                seat = choice.surface.image if choice.surface and number % group.together else choice.surface
+                slots.append(Slot(slot, choice.sensor, model, of.range_m, of.azimuth_fov_deg, seat))
+                numbers.append(place + number)
+            place += count
+    for slot, times in Counter(one.name for one in slots).items():
+        if times > 1:
+            raise ConfigError(f"{study.name}: two sensors of a combination are called {slot!r}; rename a group")
+    used = {values["model"] for values in files}
+    prices = {model: each for model, each in study.file["prices"].items() if model in used}
+    file = study.file | {"sensors": files, "prices": prices}
+    return Combination(name, price, replace(study.chosen(numbers, slots, file), name=name))
+
+
+def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -> str:
+    """What is chosen, group by group, fit for a folder."""
+    parts = []
+    for i, (group, part) in enumerate(zip(groups, chosen, strict=True)):
+        counts = Counter(choice.sensor.name for choice in part if choice)
+        each = [f"{count * group.together}x{_plain(model)}" for model, count in counts.items()]
+        if each:
+            parts.append("-".join([str(group.values.get("name", f"sensors{i}")), *each]))
+    return "_".join(parts)[:NAME_MAX]
+
+
+def _plain(name: str) -> str:
+    """A name as part of a file's."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "-", name)

@@ -1,0 +1,250 @@
+"""The front of price against objective: files, one page, a folder for each point, and the log to resume from."""
+
+import csv
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from markupsafe import Markup
+
+from lidarcfg import __version__
+from lidarcfg.cloud import read_arrays
+from lidarcfg.errors import CloudError, ConfigError
+from lidarcfg.files import replacing, together
+from lidarcfg.placement.details import details
+from lidarcfg.placement.front import Candidate, Front, Point
+from lidarcfg.placement.optimize import Log
+from lidarcfg.placement.study import Study
+from lidarcfg.report.document import Commands
+from lidarcfg.report.front_plot import draw_front, front_svg
+from lidarcfg.report.html import Figure, Table, render
+from lidarcfg.report.plots import save_figure
+from lidarcfg.report.results import RESULTS, fingerprint, save_placement, to_json, write_text
+from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, solver_in_words, versions
+
+STUDY = "study.yaml"  # of a point
+FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # files of a search for a front
+LOG = {"cost": ("f", 1), "told": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}  # arrays of search.npz
+
+
+def front_dict(study: Study, found: Front) -> dict[str, Any]:
+    """What `optimize` writes as front.json where there are sensors to choose."""
+    points = {point.combination.name: point for point in found.points}
+    return {
+        "objective": objective_in_words(study),
+        "points": [_point(point) for point in found.points],
+        "combinations": [
+            {
+                "name": one.combination.name,
+                "price": one.combination.price,
+                "objective": one.objective if math.isfinite(one.objective) else None,
+                "sensors": one.combination.sensors,
+                "evaluations": one.evaluations,
+                "on_front": one.combination.name in points,
+            }
+            for one in found.candidates
+        ],
+        "evaluations": found.evaluations,
+        "dominated_evaluations": found.dominated_evaluations,
+        "seconds": found.seconds,
+        "interrupted": found.interrupted,
+        "seed": study.solver.seed,
+        "solver": study.solver.method,
+        "version": __version__,
+        "study": study.file,
+    }
+
+
+def _point(point: Point) -> dict[str, Any]:
+    placement = point.placement
+    return {
+        "name": point.combination.name,
+        "folder": f"points/{point.combination.name}",
+        "price": point.combination.price,
+        "objective": placement.objective,
+        "sensors": point.combination.sensors,
+        "max_vsr_m": placement.evaluation.max_vsr_m,
+        "detection": {name: detection.rate for name, detection in placement.evaluation.detection.items()},
+        "evaluations": placement.evaluations,
+    }
+
+
+def save_front(
+    study: Study, found: Front, folder: Path, typed: str, on_point: Callable[[int, Point], None] | None = None
+) -> None:
+    """Write front.html, front.json, front.png, history.csv, search.npz, and the folder points/ with one a point.
+
+    `typed` is the command. `on_point` is called before each point's folder is written.
+    """
+    save_front_log(study, found.logs, folder)
+    names = [point.combination.name for point in found.points]
+    for other in (folder / "points").glob("*"):
+        if other.name not in names:
+            _remove_point(other)
+    for number, point in enumerate(found.points):
+        if on_point:
+            on_point(number, point)
+        _save_point(point, folder / "points" / point.combination.name, typed)
+    values = front_dict(study, found)
+    with together():
+        write_text(to_json(values) + "\n", folder / "front.json")
+        with replacing(folder / "history.csv") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(asdict(found.history[0]))
+            writer.writerows(asdict(part).values() for part in found.history)
+        save_figure(draw_front(study, found), folder / "front.png")
+        write_text(front_page(study, found, values, typed), folder / "front.html")
+
+
+def _save_point(point: Point, folder: Path, typed: str) -> None:
+    """Write what `optimize` writes of the combination's study, and the study."""
+    study, found = point.combination.study, point.placement
+    shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+    words = ("lidarcfg", "optimize", folder / STUDY, "-o", folder, "--evaluations", max(found.evaluations, 1))
+    again = shlex.join(map(str, words)) if study.free.any() else typed
+    write_text(as_yaml(study.file) + "\n", folder / STUDY)
+    save_placement(study, found, shown, folder, Commands(typed, again))
+
+
+def _remove_point(folder: Path) -> None:
+    """Remove what an earlier search has written of a point; a folder that holds more stays, with that."""
+    for name in (*RESULTS, STUDY):
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def save_front_log(study: Study, logs: Sequence[Log], folder: Path) -> None:
+    """Write search.npz, from which the search of a front can resume.
+
+    The other results of an earlier search are removed: a folder holds those of one search.
+    """
+    with (
+        together(gone=(folder / name for name in {*FRONT, *RESULTS} if name != "search.npz")),
+        replacing(folder / "search.npz", "wb") as file,
+    ):
+        np.savez_compressed(
+            file,
+            cost=np.concatenate([log.cost for log in logs]),
+            told=np.array([len(log.cost) for log in logs], np.int64),
+            seconds=np.array([log.seconds for log in logs]),
+            asked=fingerprint(study),
+        )
+
+
+def load_front_logs(study: Study, folder: Path, combinations: int) -> list[Log]:
+    """The logs in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
+    path = folder / "search.npz"
+    try:
+        arrays = read_arrays(path, tuple(LOG))
+    except CloudError as error:
+        raise ConfigError(str(error)) from None
+    shapes = {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()}
+    cost, told, seconds = (arrays[key] for key in ("cost", "told", "seconds"))
+    if (
+        shapes != LOG
+        or np.isnan(cost).any()
+        or not ((seconds >= 0) & (seconds < np.inf)).all()
+        or (told < 0).any()
+        or told.sum() != len(cost)
+    ):
+        raise ConfigError(f"{path}: is not the log of a search for a front")
+    if str(arrays["asked"]) != fingerprint(study) or not len(told) == len(seconds) == combinations:
+        raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
+    parts = np.split(cost.astype(np.float64), np.cumsum(told)[:-1])
+    return [Log(part, float(spent)) for part, spent in zip(parts, seconds, strict=True)]
+
+
+def front_page(study: Study, found: Front, values: dict[str, Any], typed: str) -> str:
+    """The front as one HTML file beside the folder points/. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
+    cheapest, best = found.points[0], found.points[-1]
+    tried = [one for one in found.candidates if one.evaluations]
+    return render(
+        "front.html",
+        title=f"Front: {study.name}",
+        about=f"{counted(len(found.points), 'rig')} on the front of price and objective, of "
+        f"{counted(len(found.candidates), 'combination')} of sensors; by lidarcfg {__version__} on {date()}",
+        summary=[
+            Figure("The cheapest rig", f"{cheapest.combination.price:,g}", _what(cheapest)),
+            Figure("The best rig", f"{best.combination.price:,g}", _what(best)),
+            Figure("Evaluations", f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
+        ],
+        objective=objective_in_words(study),
+        plot=front_svg(study, found),
+        points=_points_table(study, found),
+        candidates=_candidates_table(found),
+        untried=len(found.candidates) - len(tried),
+        search=[
+            ("solver", solver_in_words(study)),
+            ("evaluations", f"{found.evaluations:,}"),
+            ("… of combinations that are not on the front", f"{found.dominated_evaluations:,}"),
+        ],
+        typed=typed,
+        interrupted=found.interrupted,
+        repeat=[
+            ("seed", values["seed"]),
+            ("versions", versions()),
+            ("seconds", f"{found.seconds:.2f}"),
+            ("date", date()),
+        ],
+        study_yaml=as_yaml(study.file),
+    )
+
+
+def _what(point: Point) -> str:
+    return f"{point.combination.sensors}: objective {point.placement.objective:.4f}"
+
+
+def _spent(found: Front) -> str:
+    return f"{1 - found.dominated_evaluations / max(found.evaluations, 1):.0%}"
+
+
+def _points_table(study: Study, found: Front) -> Table:
+    rows = []
+    for point in found.points:
+        name, evaluation = point.combination.name, point.placement.evaluation
+        link = Markup('<a href="points/{}/report.html">{}</a>').format(quote(name), name)
+        rows.append(
+            [
+                f"{point.combination.price:,g}",
+                f"{point.placement.objective:.6f}",
+                point.combination.sensors,
+                f"{evaluation.max_vsr_m:.6f}",
+                *(f"{evaluation.detection[item.name].rate:.4f}" for item in study.detection),
+                link,
+            ]
+        )
+    head = ("price", "objective", "sensors", "max VSR (m)", *(f"detection of {i.name}" for i in study.detection))
+    caption = "The rigs that no other is both cheaper and better than; each has a report of its own."
+    return Table(caption, (*head, "report"), rows, texts=(2, len(head)))
+
+
+def _candidates_table(found: Front) -> Table:
+    rows = [
+        [
+            f"{one.combination.price:,g}",
+            one.combination.sensors,
+            f"{one.objective:.6f}" if math.isfinite(one.objective) else "–",
+            f"{one.evaluations:,}",
+            _standing(found, one),
+        ]
+        for one in found.candidates
+    ]
+    head = ("price", "sensors", "objective", "evaluations", "standing")
+    return Table("All combinations; of those not on the front few rigs were evaluated.", head, rows, texts=(1, 4))
+
+
+def _standing(found: Front, one: Candidate) -> str:
+    """Whether it is on the front, and if not, what dominates it."""
+    if one.on_front:
+        return "on the front"
+    if not math.isfinite(one.objective):
+        return "no rig keeps the constraints" if one.evaluations else "not tried"
+    better = [point for point in found.points if point.combination.price <= one.combination.price][-1]
+    return f"dominated by {better.combination.sensors}, {better.combination.price:,g}"
