@@ -57,6 +57,8 @@ RESULTS = {
     "evaluate": ["report.html", "result.json", "rig.png"],
     "compare": ["compare.html", "compare.json"],
 }
+FRONT = ["front.html", "front.json", "front.png", "history.csv", "search.npz"]
+POINT = [*RESULTS["optimize"], "study.yaml"]
 FOLDERS = [["metadata.yaml"], ["sensor.json", "calibrated_sensor.json"]]  # ROS 2, nuScenes
 MAGIC = {
     ".pcap": b"\xd4\xc3\xb2\xa1",  # little-endian, microseconds
@@ -123,6 +125,10 @@ def outputs(words):
     named = [Path(options[name]) for name in ("-o", "--output", "--html", "--png", "--truth") if name in options]
     if words[0] == "optimize":
         folder = Path(options.get("-o") or options.get("--resume") or f"out/{Path(words[1]).stem}")
+        if lidarcfg.load_study(words[1]).to_choose:
+            points = [folder / point["folder"] for point in json.loads((folder / "front.json").read_text())["points"]]
+            assert points
+            return [*(folder / name for name in FRONT), *(p / name for p in points for name in POINT)]
         return [folder / name for name in RESULTS["optimize"]]
     if words[0] in RESULTS:
         return [folder / name for folder in named for name in RESULTS[words[0]]]

@@ -252,11 +252,9 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         choices[i] = tuple(
             choice and replace(choice, surface=_surface(group, bodies, choice.sensor, path, i)) for choice in choices[i]
         )
-        if one := next((choice for choice in choices[i] if choice), None):
-            sensor, model, surface = one.sensor, one.model, one.surface
-        else:
-            sensor, model = resolve_sensor(path, i, group.model, group.elevation_deg)
-            surface = _surface(group, bodies, sensor, path, i)
+        one = next((choice for choice in choices[i] if choice), None)
+        sensor, model = (one.sensor, one.model) if one else resolve_sensor(path, i, group.model, group.elevation_deg)
+        surface = one.surface if one else _surface(group, bodies, sensor, path, i)
         for number in range(group.count):
             name = slot_name(group.name, group.count, number, len(slots))
             if name in [slot.name for slot in slots]:

@@ -3,10 +3,11 @@
 from lidarcfg.report.beams import draw_sensor
 from lidarcfg.report.comparison import COMPARED, check_count, comparison_dict, contenders, save_comparison
 from lidarcfg.report.document import Commands
-from lidarcfg.report.front import FRONT, front_dict, load_front_logs, save_front, save_front_log
+from lidarcfg.report.front import front_dict, load_front_logs, save_front, save_front_log
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 from lidarcfg.report.results import (
     EVALUATED,
+    FRONT,
     RESULTS,
     check_writable,
     evaluation_dict,

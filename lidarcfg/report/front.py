@@ -25,11 +25,10 @@ from lidarcfg.report.document import Commands
 from lidarcfg.report.front_plot import draw_front, front_svg
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.plots import save_figure
-from lidarcfg.report.results import RESULTS, fingerprint, save_placement, to_json, write_text
+from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_text
 from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, solver_in_words, versions
 
 STUDY = "study.yaml"  # of a point
-FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # files of a search for a front
 LOG = {"cost": ("f", 1), "told": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}  # arrays of search.npz
 
 

@@ -131,6 +131,7 @@ def save_placement(
 
 PROGRESS = ("search.npz", "rig.yaml")  # of a search that runs
 EVALUATED = ("result.json", "rig.png", "report.html")  # the files of an evaluation
+FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # of a search for a front
 RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")  # of a search
 LOG = {"cost": ("f", 1), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
 
@@ -152,7 +153,7 @@ def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
 
     The other results of an earlier search are removed: a folder holds those of one search.
     """
-    with together(gone=(folder / name for name in RESULTS if name not in PROGRESS)):
+    with together(gone=(folder / name for name in {*RESULTS, *FRONT} if name not in PROGRESS)):
         _write_progress(study, rig, log, folder)
 
 

@@ -146,7 +146,8 @@ def test_what_there_is_no_front_of(tmp_path):
         optimize(loaded)
     with pytest.raises(ConfigError, match="nothing to choose in the study"):
         front(combinations(loaded)[0].study)
-    text = (tmp_path / "study.yaml").read_text().replace("solver: {", "constraints: {min_distance_m: 50}\nsolver: {")
-    (tmp_path / "study.yaml").write_text(text.replace(", none", ""))
+    apart = "constraints: {min_distance_m: 2.99}\nsolver: {"  # of 3 from corner to corner of the bounds
+    text = (tmp_path / "study.yaml").read_text().replace("solver: {", apart).replace(", none", "")
+    (tmp_path / "study.yaml").write_text(text.replace("evaluations: 6000", "evaluations: 300"))
     with pytest.raises(ConfigError, match="found no rig that keeps the constraints"):
         front(load_study(tmp_path / "study.yaml"))
