@@ -82,7 +82,7 @@ class Returns(NamedTuple):
     range_m: Array  # (N,) along the beam, or empty
     azimuth_rad: Array  # (N,) of the beam, or empty
     time_ns: Times  # (N,) device time
-    laser: Octets  # (N,)
+    laser: Octets  # (N,), or empty
     ring: Octets  # (N,) 0 is the lowest beam
     intensity: Octets  # (N,)
     return_type: Octets  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first

@@ -10,7 +10,7 @@ from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
 from lidarcfg.packets.ouster import decode_kernels as kernels
-from lidarcfg.packets.ouster.layout import Layout, columns, heads
+from lidarcfg.packets.ouster.layout import LEGACY_VALID, Layout, columns, heads
 from lidarcfg.packets.ouster.metadata import Metadata
 from lidarcfg.packets.ouster.pixels import fields, place, words_of
 from lidarcfg.units import MINUTE_NS
@@ -81,17 +81,13 @@ class OusterDecoder(Decoder):
         """See `Decoder`."""
         if not wanted.all():
             packets = packets[wanted]
-        said, words = columns(self._layout, packets), words_of(packets)
-        returns = Returns.room(said.valid.size * self._layout.pixels * self._layout.profile.returns)
-        count = kernels.points(
-            words,
-            (said.valid, said.measurement, said.time_ns),
-            float(self._layout.columns_per_frame),
-            self._pixels,
-            self._beams,
-            np.empty(3 * self._layout.pixels),
-            kernels.Returned(returns.xyz_m.reshape(-1), *returns[3:]),
-        )
+        layout, words = self._layout, words_of(packets)
+        slots = len(packets) * layout.columns_per_packet * layout.pixels
+        returns = Returns.room(slots * layout.profile.returns)
+        xyz, (time_ns, _, ring, intensity, kind) = returns.xyz_m.reshape(-1), returns[3:]
+        out = kernels.Returned(xyz, time_ns, ring, intensity, kind)
+        count = kernels.points(words, self._pixels, self._beams, self._beams.axes[:, 0].copy(), out)
+        returns = returns._replace(laser=np.empty(0, np.uint8))
         return returns.first(count)
 
     def driver_columns(self, packets: Octets, wanted: Flags) -> dict[str, NDArray[Any]]:
@@ -113,7 +109,10 @@ class OusterDecoder(Decoder):
 def _pixels(layout: Layout) -> kernels.Pixels:
     names, ends = list(layout.profile.fields), ("", "2")[: layout.profile.returns]
     ranges, bright = (layout.bits[[names.index(f"{name}{end}") for end in ends]] for name in ("range", "reflectivity"))
-    return kernels.Pixels(*place(layout), ranges, bright)
+    first, column, width = place(layout)
+    head = layout.head // 4
+    valid = (layout.column // 4 - 1, LEGACY_VALID) if layout.legacy else (2, 1 << 16)
+    return kernels.Pixels(head, first - head, column, layout.columns_per_packet, valid, width, ranges, bright)
 
 
 def _beams(metadata: Metadata) -> kernels.Beams:
@@ -124,8 +123,13 @@ def _beams(metadata: Metadata) -> kernels.Beams:
     start = _turning(np.array([ahead_m, 0.0, up_m]), T[:3, :3])
     start[0] += T[:3, 3]
     kinds = STRONGEST, LAST if metadata.nearest_first else SECOND
+    axes = np.ascontiguousarray(_turning(directions, T[:3, :3]).transpose(2, 0, 1))
+    columns = metadata.layout.columns_per_frame
+    angles = [2 * math.pi * (1 - column / columns) for column in range(columns)]
     return kernels.Beams(
-        _turning(directions, T[:3, :3]).reshape(3, -1),
+        axes,
+        2 if not axes[2, 1:].any() else 3,  # z does not, of a lidar that stands upright in its sensor
+        np.array([(math.cos(angle), math.sin(angle)) for angle in angles]),
         start,
         math.hypot(ahead_m, up_m),
         np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8),  # 0 is the lowest
