@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+UPRIGHT = 1e-9  # a frame whose x has no more of itself across has no yaw
 
 
 def rotation(rpy_rad: Sequence[float] | Array) -> Array:
@@ -54,6 +55,22 @@ def leaning(axis: Array, yaw_rad: Array) -> Array:
     cr, sr = np.cos(roll), np.sin(roll)
     pitch, yaw = np.arctan2(-x_z, np.hypot(y_z, z)), np.arctan2(x * sr - y_x * cr, y_y * cr - y * sr)
     return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def turned(rpy_rad: ArrayLike, by_rad: ArrayLike) -> Array:
+    """(…, 3, 3): R of roll, pitch, yaw (…, 3) times R of others, which turn a frame about its own axes."""
+    first, second = (np.concatenate([level(a), up(a)[..., None]], axis=-1) for a in (rpy_rad, by_rad))
+    product: Array = np.sum(first[..., :, :, None] * second[..., None, :, :], axis=-2)
+    return product
+
+
+def angles(R: Array) -> Array:
+    """(…, 3): the roll, pitch and yaw of R (…, 3, 3); where x points straight up or down, of roll 0."""
+    flat = np.hypot(R[..., 0, 0], R[..., 1, 0])
+    upright = flat < UPRIGHT
+    roll = np.where(upright, 0.0, np.arctan2(R[..., 2, 1], R[..., 2, 2]))
+    yaw = np.where(upright, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arctan2(R[..., 1, 0], R[..., 0, 0]))
+    return np.stack([roll, np.arctan2(-R[..., 2, 0], flat), yaw], axis=-1)
 
 
 def pose(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Array:

@@ -1,7 +1,7 @@
 """The combinations of sensors that a study lets one choose: each is an ordinary study with a price.
 
 The sensors of a group are interchangeable, so a group's part of a combination is a multiset of its models; mirrored
-sensors are chosen in pairs. A combination without any sensor is none.
+sensors are chosen in pairs. A combination without any sensor is none, nor is one of which failures leave none.
 """
 
 import re
@@ -53,9 +53,13 @@ def combinations(study: Study) -> list[Combination]:
         first += values["count"]
     options = [combinations_with_replacement(study.slots[group.first].choices, group.places) for group in groups]
     found: list[Combination] = []
+    least = 1 + ((study.robust and study.robust.lost) or 0)  # some must be left
     names: Counter[str] = Counter()
     for chosen in product(*options):
-        if any(choice for part in chosen for choice in part):
+        sensors = sum(
+            group.together * bool(choice) for group, part in zip(groups, chosen, strict=True) for choice in part
+        )
+        if sensors >= least:
             name = _name(groups, chosen)
             names[name] += 1
             suffix = f"-{names[name]}" if names[name] > 1 else ""

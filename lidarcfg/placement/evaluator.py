@@ -8,6 +8,7 @@ run whole searches with and without it.
 """
 
 import os
+from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -21,13 +22,15 @@ from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import LIMITS
+from lidarcfg.placement.zones import worth_m
 
 CACHE_BYTES = 256 * 2**20
 RESTS = 10  # so many batches go without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 def max_vsr(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> float:
@@ -51,19 +54,22 @@ class Evaluator:
         criterion: Criterion | None = None,
         cache_bytes: int = CACHE_BYTES,
         visibility: Visibility | None = None,
+        remembered: int = 1,
     ) -> None:
         self._region, self._lidars, self._skip, self._criterion = region, lidars, skip, criterion
         self._visibility = visibility
         self._threads, self._cache_bytes = threads or os.cpu_count() or 1, cache_bytes
         self._pool = ThreadPoolExecutor(self._threads)
         self._square = cone_rows(lidars)[:, FIRST:]
-        self._grid = rows.Grid.of(region)
+        self._grid = rows.Grid.of(region, criterion.weight if criterion else None)
+        self._kept = criterion.kept if criterion and len(criterion.kept) else np.ones((1, len(lidars)), bool)
+        self._witnesses = kernels.WITNESSES
         self._poses = np.empty((0, len(lidars), 6))  # of the food sources, for _witness
         self._linked = self._poses  # and for _links
         self._links = np.empty((0, len(lidars), *self._grid.links.shape), np.uint64)  # (sources, …), or none
         self._clear = np.empty((0, len(lidars), self._grid.included.size), np.uint64)  # (sources, …), or none
-        self._witness = np.empty((0, kernels.WITNESSES), np.int64)  # (sources, …)
-        self._last: tuple[Index, Array, Index] = (np.empty(0, np.int64), self._poses, self._witness)
+        self._witness = np.empty((0, self._witnesses), np.int64)  # (sources, …)
+        self._last: deque[tuple[Index, Array, Index]] = deque(maxlen=remembered)
         self._rest = 0  # see RESTS
         self.full_evaluations = 0
         self.cuboids = 0  # evaluated
@@ -90,6 +96,19 @@ class Evaluator:
             return cost
         return self._weighted(self._criterion, poses, source, source_poses, to_beat)
 
+    def refuted(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Flags:
+        """(n,) whether a few witnesses, and nothing else, show that a cost is not below `to_beat`; as `costs`."""
+        criterion = self._criterion
+        if not self._skip or not len(poses) or (criterion and criterion.max_vsr is None):
+            return np.zeros(len(poses), bool)
+        if criterion:
+            nothing = [0.0] * len(criterion.terms)
+            limit = [criterion.limit(nothing, criterion.max_vsr or 0, value) for value in to_beat.tolist()]
+            to_beat = np.array(limit)
+        cost, _ = self._max_vsr(poses, source, source_poses, to_beat, in_full=False)
+        out: Flags = cost == np.inf
+        return out
+
     def _weighted(
         self, criterion: Criterion, poses: Array, source: Index, source_poses: Array, to_beat: Array
     ) -> Array:
@@ -97,44 +116,49 @@ class Evaluator:
         out = np.full(len(poses), np.nan)
         self._rest = max(self._rest - 1, 0)
         if criterion.max_vsr is not None and not self._rest:
-            nothing = [0.0] * len(criterion.terms)
-            limit = [criterion.limit(nothing, criterion.max_vsr, value) for value in to_beat.tolist()]
-            out, _ = self._max_vsr(poses, source, source_poses, np.array(limit), in_full=False)
-            self._rest = RESTS if 4 * int((out == np.inf).sum()) < len(poses) else 0
+            refuted = self.refuted(poses, source, source_poses, to_beat)
+            out[refuted] = np.inf
+            self._rest = RESTS if 4 * int(refuted.sum()) < len(poses) else 0
         trials = np.flatnonzero(np.isnan(out))
 
-        def one(trial: int) -> tuple[float, Index]:
+        def one(trial: int) -> tuple[float, Index, int]:
             rig = Trial(self._region, self._rig(poses[trial]), self._visibility)
             cost = criterion.of(rig, float(to_beat[trial]))
-            return cost, self._worst(rig.subspaces) if rig.is_cut else np.empty(0, np.int64)
+            cut = sum(case.is_cut for case in criterion.cases(rig))
+            return cost, self._worst(criterion, rig), cut
 
-        refuter, fresh = np.full(len(poses), -1, np.int64), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
-        for trial, (cost, worst) in zip(trials.tolist(), self._pool.map(one, trials.tolist()), strict=True):
+        refuter, fresh = np.full(len(poses), -1, np.int64), np.full((len(poses), self._witnesses), -1, np.int64)
+        for trial, (cost, worst, cut) in zip(trials.tolist(), self._pool.map(one, trials.tolist()), strict=True):
             out[trial], fresh[trial, : len(worst)] = cost, worst
-            self.cuboids += self._region.included.size * (len(worst) > 0)
-            self.segments += self._segments * (len(worst) > 0)
+            self.cuboids += self._region.included.size * cut
+            self.segments += self._segments * (cut > 0)
             if cost < np.inf:
-                self.full_evaluations += 1
+                self.full_evaluations += len(self._kept)
             elif len(worst):
                 refuter[trial] = worst[0]
         if len(self._witness):
             kernels.remember(self._witness, source, refuter)
-        self._last = source, poses, fresh
-        for term in criterion.terms:
-            term.learn()
+        self._last.append((source, poses, fresh))
+        criterion.learn()
         return out
 
-    def _worst(self, subspaces: Subspaces) -> Index:
-        """A cuboid in each of the worst subspaces."""
-        worst = np.argsort(-vsr_m(subspaces), kind="stable")[: kernels.WITNESSES]
-        i, j, k = np.unravel_index(subspaces.first[worst], self._region.shape)
-        return rows.cuboid_number(self._grid, (i, j, k))
+    def _worst(self, criterion: Criterion, trial: Trial) -> Index:
+        """A witness in each of the worst subspaces of the cases that were cut into any."""
+        values, witnesses = [np.empty(0)], [np.empty(0, np.int64)]
+        for case, one in enumerate(criterion.cases(trial)):
+            if one.is_cut:
+                values.append(worth_m(one.subspaces, criterion.weight))
+                i, j, k = np.unravel_index(one.subspaces.first, self._region.shape)
+                first = case * 64 * self._grid.included.size
+                witnesses.append(first + rows.cuboid_number(self._grid, (i, j, k)))
+        worst = np.argsort(-np.concatenate(values), kind="stable")[: self._witnesses]
+        return np.concatenate(witnesses)[worst]
 
     def _max_vsr(
         self, poses: Array, source: Index, source_poses: Array, to_beat: Array, in_full: bool = True
     ) -> tuple[Array, int]:
         """(n,) max VSR or inf, and how many were evaluated in full; NaN where that was needed, but not `in_full`."""
-        moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), kernels.WITNESSES), -1, np.int64)
+        moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), self._witnesses), -1, np.int64)
         stays = np.zeros(poses.shape[:2], bool)
         if np.isfinite(to_beat).any():
             self._follow(source_poses)
@@ -144,7 +168,9 @@ class Evaluator:
                 moved = differs.any(axis=2)
                 stays = ~differs[..., :3].any(axis=2) & (len(self._clear) > 0)
                 self._renew(np.unique(source[(~moved | stays).any(axis=1)]))
-        batch = kernels.Batch(self._placed(poses), to_beat, moved, source, witness, self._links, stays, self._clear)
+        batch = kernels.Batch(
+            self._placed(poses), to_beat, moved, source, self._kept, witness, self._links, stays, self._clear
+        )
         verdicts = kernels.Verdicts(
             np.full(len(poses), np.inf), np.full(len(poses), -1, np.int64), np.full_like(witness, -1)
         )
@@ -160,7 +186,7 @@ class Evaluator:
             self.cuboids += full * nx * ny * nz + compared * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, verdicts.refuter)
-        self._last = source, poses, verdicts.fresh
+        self._last.append((source, poses, verdicts.fresh))
         return verdicts.cost, evaluated
 
     def _rig(self, poses: Array) -> list[Lidar]:
@@ -185,17 +211,18 @@ class Evaluator:
         if len(self._poses) != len(source_poses):
             self._poses = np.full_like(source_poses, np.nan)
             self._linked = np.full_like(source_poses, np.nan)
-            self._witness = np.full((len(source_poses), kernels.WITNESSES), -1, np.int64)
+            self._witness = np.full((len(source_poses), self._witnesses), -1, np.int64)
             words = self._grid.links.nbytes + (self._grid.included.nbytes if self._visibility else 0)
             fits = len(source_poses) * len(self._lidars) * words <= self._cache_bytes
             self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
             clear = len(self._links) if self._visibility else 0
             self._clear = np.empty((clear, *self._clear.shape[1:]), np.uint64)
         changed = (self._poses != source_poses).any(axis=(1, 2))
-        source, poses, fresh = (of[self._last[0] < len(source_poses)] for of in self._last)
         self._witness[changed] = -1
-        new = np.flatnonzero((poses == source_poses[source]).all(axis=(1, 2)) & changed[source])
-        self._witness[source[new]] = fresh[new]
+        for last in self._last if changed.any() else ():
+            source, poses, fresh = (of[last[0] < len(source_poses)] for of in last)
+            new = np.flatnonzero((poses == source_poses[source]).all(axis=(1, 2)) & changed[source])
+            self._witness[source[new]] = fresh[new]
         self._poses = source_poses.copy()
 
     def _renew(self, sources: Index) -> None:

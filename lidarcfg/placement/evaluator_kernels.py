@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.jit import njit
 from lidarcfg.placement.cones import FIRST
-from lidarcfg.placement.flood import Walls, flood, flood_room, inner_cuboid, keep, vsr, worst
-from lidarcfg.placement.rows import Counts, Grid, Words, link, room
+from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cuboid, keep, worst, worth
+from lidarcfg.placement.rows import Counts, Grid, Words, Work, link, room
 from lidarcfg.placement.visibility_kernels import ALL, NONE, Looks, Obstacles, Sight, new_looks
 
 WITNESSES = 12
@@ -35,7 +35,8 @@ class Batch(NamedTuple):
     to_beat: Array  # (n,) max VSR that a trial has to be below
     moved: Flags  # (n, lidars) the LiDARs whose pose differs from the source's
     source: Counts  # (n,) a row of `links`
-    witness: Counts  # (n, WITNESSES) cuboids whose subspaces may refute a trial, −1 for none
+    kept: Flags  # (cases, lidars) the LiDARs of each case; a trial is as bad as its worst case
+    witness: Counts  # (n, WITNESSES) cuboids whose subspaces may refute a trial, see _order; −1 for none
     links: Words  # (sources, lidars, 3, rows), see renew; no rows where all LiDARs count as moved
     stays: Flags  # (n, lidars) the LiDARs of which `clear` of the source is true, because they are where its are
     clear: Words  # (sources, lidars, rows), see Looks; no rows where `stays` is false
@@ -55,8 +56,35 @@ class Verdicts(NamedTuple):
     """What becomes of the trials."""
 
     cost: Array  # (n,) max VSR, or inf where it is not below what had to be beaten; NaN where it was not computed
-    refuter: Counts  # (n,) the cuboid whose subspace refuted a trial, or −1
-    fresh: Counts  # (n, WITNESSES) cuboids of the worst subspaces of a trial that was not refuted
+    refuter: Counts  # (n,) the witness whose subspace refuted a trial, or −1
+    fresh: Counts  # (n, WITNESSES) witnesses in the worst subspaces of a trial that was not refuted
+
+
+class Found(NamedTuple):
+    """Scratch memory, and what is found of one trial; each thread has its own."""
+
+    links: Words  # (3, rows)
+    own: Words  # (lidars, 3, rows) the links of LiDARs that moved, where there is more than one case
+    left: Words  # (cases, rows) cuboids that no flood from a witness has reached
+    values: Array  # (WITNESSES,) the worst subspaces of all cases, descending
+    cuboids: Counts  # (WITNESSES,) a witness in each, see _order
+    refuter: Counts  # (1,) a witness
+    stamp: Counts  # (1,) of the last flood
+
+
+@njit(cache=True, nogil=True)
+def _new_found(grid: Grid, batch: Batch) -> Found:
+    """Room for trials of a batch."""
+    cases, lidars = batch.kept.shape
+    return Found(
+        np.empty_like(grid.links),
+        np.empty((lidars * (cases > 1), *grid.links.shape), np.uint64),
+        np.empty((cases, grid.included.size), np.uint64),
+        np.empty(batch.witness.shape[1]),
+        np.empty(batch.witness.shape[1], np.int64),
+        np.empty(1, np.int64),
+        np.zeros(1, np.int64),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -76,58 +104,135 @@ def remind(looks: Looks, lidar: int, stays: bool, clear: Words, source: int, num
 
 
 @njit(cache=True, nogil=True)
+def _order(witness: Counts, size: int, order: Counts) -> int:
+    """Write the cases to order (cases,), first those of witnesses, as these stand; returns how many these are.
+
+    A witness is a cuboid's number + `size` × the case's.
+    """
+    known = 0
+    order[:] = -1
+    for w in witness:
+        if w >= 0 and not (order[:known] == w // size).any():
+            order[known] = w // size
+            known += 1
+    last = known
+    for case in range(order.size):
+        if not (order[:known] == case).any():
+            order[last] = case
+            last += 1
+    return known
+
+
+@njit(cache=True, nogil=True)
+def _join(trial: int, case: int, batch: Batch, own: Words, out: Words) -> None:
+    """Take from `out` (3, rows) the links that not all LiDARs of a case have.
+
+    Those of LiDARs that moved are in `own` (lidars, 3, rows); without it they are not looked at.
+    """
+    for lidar in range(batch.kept.shape[1]):
+        if batch.kept[case, lidar] and not batch.moved[trial, lidar]:
+            _keep_common(out, batch.links[batch.source[trial], lidar])
+        elif batch.kept[case, lidar] and len(own):
+            _keep_common(out, own[lidar])
+
+
+@njit(cache=True, nogil=True)
+def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods, found: Found) -> int:
+    """Flood the subspaces of a trial's witnesses, those of some cases, until one refutes it.
+
+    Writes the refuter to found.refuter, or −1. Returns for how many rows the gaps of moved LiDARs were computed.
+    """
+    size, to_beat, moved = grid.included.size << 6, batch.to_beat[trial], np.flatnonzero(batch.moved[trial])
+    sight, fixed = Sight(batch.placed.limits[trial], batch.placed.obstacles), found.links
+    found.refuter[0] = -1
+    rows = 0
+    for number in range(cases.size):
+        case = int(cases[number])
+        fixed[:], floods.left[:] = grid.links, found.left[case]
+        _join(trial, case, batch, found.own[:0], fixed)
+        walls = Walls(fixed, batch.placed.cones[trial], moved[batch.kept[case][moved]], sight)
+        for w in batch.witness[trial]:
+            cuboid = w - case * size
+            if 0 <= cuboid < size and floods.left[cuboid >> 6] >> np.uint64(cuboid & 63) & np.uint64(1):
+                found.stamp[0] += 1
+                rows += flood(grid, walls, found.stamp[0], cuboid, floods)
+                value = worth(grid, floods)
+                if value >= to_beat:
+                    found.refuter[0] = w
+                    return rows
+                keep(value, case * size + inner_cuboid(floods), found.values, found.cuboids)
+        found.left[case] = floods.left
+    return rows
+
+
+@njit(cache=True, nogil=True)
+def _evaluate(trial: int, cases: Counts, batch: Batch, grid: Grid, work: Work, floods: Floods, found: Found) -> int:
+    """Find the worst subspaces of a trial in all cases, or until one is no less than what has to be beaten.
+
+    Returns how many cases were evaluated.
+    """
+    size, moved = grid.included.size << 6, np.flatnonzero(batch.moved[trial])
+    cones, sight, links = (
+        batch.placed.cones[trial],
+        Sight(batch.placed.limits[trial], batch.placed.obstacles),
+        found.links,
+    )
+    for n in range(moved.size if cases.size > 1 else 0):
+        link(grid, grid.links, cones, moved[n : n + 1], sight, work)
+        found.own[moved[n]] = work.links
+    for number in range(cases.size):
+        case = int(cases[number])
+        links[:], floods.left[:] = grid.links, found.left[case]
+        _join(trial, case, batch, found.own, links)
+        if cases.size == 1:
+            link(grid, links, cones, moved, sight, work)
+            links = work.links
+        worst(
+            grid,
+            Walls(links, cones, moved[:0], sight),
+            batch.to_beat[trial],
+            floods,
+            found.values,
+            found.cuboids,
+            case * size,
+        )
+        if found.values[0] >= batch.to_beat[trial]:
+            return number + 1
+    return cases.size
+
+
+@njit(cache=True, nogil=True)
 def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: Verdicts) -> tuple[int, int, int]:
     """Write the verdicts on some trials (t,) of a batch.
 
     First the subspaces of a trial's witnesses are flooded, and rows are compared with cones as the flood gets to them;
-    one whose VSR is no less than what has to be beaten refutes the trial. Only without one are all links computed, and
-    only if `in_full`. Returns how many trials were evaluated in full, how many rows were compared for the others, and
-    how many segments were cast.
+    one whose VSR is no less than what has to be beaten refutes the trial. Only without one are all links computed, once
+    for all cases, and only if `in_full`. Returns how many cases were evaluated in full, how many rows were compared for
+    other trials, and how many segments were cast.
     """
     lidars, beams = batch.placed.cones.shape[1], batch.placed.cones.shape[2] - FIRST
-    floods, fixed = flood_room(grid, lidars), np.empty_like(grid.links)
-    work = room(grid, lidars, beams, floods.looks)
-    values, cuboids = np.empty(WITNESSES), np.empty(WITNESSES, np.int64)
-    moved, source, links = batch.moved, batch.source, batch.links
-    full = compared = stamp = 0
-    limited = batch.placed.limits.shape[1] > 0
-    for t in trials:
-        to_beat = batch.to_beat[t]
-        sight = Sight(batch.placed.limits[t], batch.placed.obstacles)
-        walls = Walls(fixed, batch.placed.cones[t], np.flatnonzero(batch.moved[t]), sight)
-        if limited:
-            for lidar in walls.moved:
-                remind(floods.looks, lidar, batch.stays[t, lidar], batch.clear, source[t], lidar)
-        fixed[:] = grid.links
-        for lidar in range(lidars):
-            if not moved[t, lidar]:
-                for axis in range(3):
-                    for row in range(fixed.shape[1]):
-                        fixed[axis, row] &= links[source[t], lidar, axis, row]
-        floods.left[:] = grid.included
-        values[:], cuboids[:] = -1.0, -1
-        verdicts.cost[t], verdicts.refuter[t] = np.inf, -1
-        rows = 0
-        for w in batch.witness[t] if to_beat < np.inf else batch.witness[t, :0]:
-            if w >= 0 and floods.left[w >> 6] >> np.uint64(w & 63) & np.uint64(1):
-                stamp += 1
-                rows += flood(grid, walls, stamp, w, floods)
-                value = vsr(floods.counts, grid.edge)
-                if value >= to_beat:
-                    verdicts.refuter[t] = w
-                    break
-                keep(value, inner_cuboid(floods), values, cuboids)
-        if verdicts.refuter[t] >= 0 or not in_full:
-            verdicts.cost[t] = np.inf if verdicts.refuter[t] >= 0 else np.nan
+    floods, cases = flood_room(grid, lidars), np.zeros(len(batch.kept), np.int64)
+    work, found = room(grid, lidars, beams, floods.looks), _new_found(grid, batch)
+    full = compared = 0
+    for number in range(trials.size):
+        t = int(trials[number])
+        if batch.placed.limits.shape[1] > 0:
+            for lidar in np.flatnonzero(batch.moved[t]):
+                remind(floods.looks, int(lidar), batch.stays[t, lidar], batch.clear, batch.source[t], int(lidar))
+        found.values[:], found.cuboids[:], found.left[:] = -1.0, -1, grid.included
+        witness = batch.witness[t] if batch.to_beat[t] < np.inf else batch.witness[t, :0]
+        known = _order(witness, grid.included.size << 6, cases)
+        rows = _refute(t, cases[:known], batch, grid, floods, found)
+        verdicts.cost[t], verdicts.refuter[t] = np.inf, found.refuter[0]
+        if found.refuter[0] >= 0 or not in_full:
+            verdicts.cost[t] = np.inf if found.refuter[0] >= 0 else np.nan
             compared += rows
             continue
-        full += 1
-        link(grid, fixed, walls.cones, walls.moved, sight, work)
-        worst(grid, Walls(work.links, walls.cones, walls.moved[:0], sight), to_beat, floods, values, cuboids)
-        if values[0] < to_beat:
-            verdicts.cost[t], verdicts.fresh[t] = values[0], cuboids
+        full += _evaluate(t, cases, batch, grid, work, floods, found)
+        if found.values[0] < batch.to_beat[t]:
+            verdicts.cost[t], verdicts.fresh[t] = found.values[0], found.cuboids
         else:
-            verdicts.refuter[t] = cuboids[0]
+            verdicts.refuter[t] = found.cuboids[0]
     return full, compared, floods.looks.shadows.cast[0]
 
 

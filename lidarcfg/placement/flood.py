@@ -267,6 +267,26 @@ def vsr(counts: Counts, edge: tuple[float, float, float]) -> float:
     return volume / surface
 
 
+@inner()
+def _weight(grid: Grid, floods: Floods) -> float:
+    """The greatest weight of the last flood's cuboids."""
+    weight, weighted, reached = grid.weight, grid.weighted, floods.reached
+    for level in range(weight.size - 1):
+        for step in range(floods.counts[4]):
+            if reached[step, 1] & weighted[level, int(reached[step, 0])]:
+                return float(weight[level])
+    return float(weight[-1])
+
+
+@njit(cache=True, nogil=True)
+def worth(grid: Grid, floods: Floods) -> float:
+    """Volume to surface of the last flood, times its weight."""
+    value: float = vsr(floods.counts, grid.edge)
+    if grid.weight.size:
+        value *= _weight(grid, floods)
+    return value
+
+
 @njit(inline="always")
 def _at_least(one: np.uint64, other: np.uint64, all_of_them: np.uint64, number: int) -> np.uint64:
     """The bits set in at least `number` of two words, 0 … 2."""
@@ -319,16 +339,19 @@ def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts) -> None:
+def worst(
+    grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts, first: int = 0
+) -> None:
     """The worst subspaces: values (n,) their V / S, descending, and a cuboid in each; both may hold some already.
 
-    walls: without moved LiDARs. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
+    V / S is taken times the weight of a subspace, where cuboids have weights. walls: without moved LiDARs. `first` is
+    added to the numbers of cuboids. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
     cannot be in one of the worst: see links_needed.
     """
     step_y, step_z = steps(grid)
     left, included, edge, links = floods.left, grid.included, grid.edge, walls.links
-    need = np.empty(9, np.int64)
-    links_needed(values[-1], edge, need)
+    need, most = np.empty(9, np.int64), grid.weight[0] if grid.weight.size else 1.0
+    links_needed(values[-1] / most, edge, need)
     for row in range(step_z, included.size - step_z):
         if left[row] == NONE:
             continue
@@ -336,10 +359,10 @@ def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array
         while word != NONE:
             flood(grid, walls, 0, row << 6 | lowest(word), floods)
             word &= left[row]
-            if keep(vsr(floods.counts, edge), inner_cuboid(floods), values, cuboids):
+            if keep(worth(grid, floods), first + inner_cuboid(floods), values, cuboids):
                 if values[0] >= enough:
                     return
-                links_needed(values[-1], edge, need)
+                links_needed(values[-1] / most, edge, need)
                 word &= promising(row, step_y, step_z, need, included, links)
 
 

@@ -7,27 +7,31 @@ trial is refuted, exactly: its cost in full would be no less.
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import Annotated, Generic, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from lidarcfg.config import COORDINATE_MAX_M, Model
+from lidarcfg.geometry import Array
 from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
-from lidarcfg.placement.metric import Node, clearance_m, largest_sphere, vsr_m
+from lidarcfg.placement.metric import Node, clearance_m, largest_sphere
 from lidarcfg.placement.region import Region, cuboids_needed
 from lidarcfg.placement.returns import NOTHING
 from lidarcfg.placement.returns_kernels import Scans
 from lidarcfg.placement.sightings import Sought, missed
-from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.placement.subspace import Links, Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.zones import Weight, worth_m
 
-Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
+Flags = NDArray[np.bool_]
+EVERY_CASE = np.empty((0, 0), bool)
 RECENT = 32  # of what settled past trials, so many are tried first in new ones
 T = TypeVar("T", bound=Node | int)
 
@@ -63,13 +67,30 @@ class Trial:
 
     def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None) -> None:
         self.region, self.lidars, self.visibility = region, lidars, visibility
+        self.kept = tuple(range(len(lidars)))  # the numbers of its LiDARs in the whole rig
         self.is_cut = False  # into subspaces
+        self._whole: Trial | None = None
+        self._left: dict[tuple[int, ...], Trial] = {}
 
     @cached_property
     def subspaces(self) -> Subspaces:
         """What the beams cut the region into."""
         self.is_cut = True
+        if self._whole:
+            return self._whole._links.subspaces(self.kept)
         return segment(self.region, self.lidars, self.visibility)
+
+    @cached_property
+    def _links(self) -> Links:
+        return Links(self.region, self.lidars, self.visibility)
+
+    def left(self, kept: tuple[int, ...]) -> "Trial":
+        """The rig of some of its LiDARs."""
+        if kept not in self._left:
+            one = Trial(self.region, [self.lidars[i] for i in kept], self.visibility)
+            one.kept, one._whole = kept, self
+            self._left[kept] = one
+        return self._left[kept]
 
 
 class Term(Protocol):
@@ -85,13 +106,16 @@ class Term(Protocol):
 
 
 class MaxVsr:
-    """The largest volume-to-surface ratio, in metres."""
+    """The largest volume-to-surface ratio, in metres, times the weight of the subspace's zones."""
 
     work = 0.0
 
+    def __init__(self, weight: Array | None) -> None:
+        self._weight = weight
+
     def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
-        return float(vsr_m(trial.subspaces).max())
+        return float(worth_m(trial.subspaces, self._weight).max())
 
     def learn(self) -> None:
         """Nothing: see Evaluator.max_vsr."""
@@ -115,14 +139,14 @@ class Undetected:
 class Missed:
     """1 − the detection rate of an object by its returns: too large as soon as too many places are without enough."""
 
-    def __init__(self, one: Sought, sensors: Scans) -> None:
-        self._one, self._sensors = one, sensors
+    def __init__(self, one: Sought, sensors: Callable[[tuple[int, ...]], Scans]) -> None:
+        self._one, self._sensors = one, sensors  # how some of the study's LiDARs fire, by their numbers
         self.work = 1e3 * len(one.places)
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
         obstacles = trial.visibility.obstacles if trial.visibility else NOTHING
-        return missed(self._one, self._sensors, trial.lidars, obstacles, limit)
+        return missed(self._one, self._sensors(trial.kept), trial.lidars, obstacles, limit)
 
     def learn(self) -> None:
         """Nothing."""
@@ -219,7 +243,10 @@ class BlindSpot:
 
 
 class Criterion:
-    """The weighted mean of an objective's terms, for a region, its objects and the directions around the vehicle."""
+    """The weighted mean of an objective's terms, for a region, its objects and the directions around the vehicle.
+
+    With `kept`, the LiDARs of each case that may be left, it is that of the worst case.
+    """
 
     def __init__(
         self,
@@ -228,7 +255,12 @@ class Criterion:
         objects: Sequence[DetectionObject],
         around: Directions | None = None,  # needed for a blind spot
         by_returns: Mapping[str, Missed] = MappingProxyType({}),  # needed for objects that are detected by them
+        weight: Array | None = None,  # (nx, ny, nz) of max VSR, by cuboid
+        kept: Flags = EVERY_CASE,  # (cases, lidars); no cases: the whole rig alone
     ) -> None:
+        self.weight, self.kept = weight, kept
+        self._cases = [tuple(np.flatnonzero(case).tolist()) for case in kept]
+        self._refuting: Recent[int] = Recent()  # cases
         wanted = objective.detection
         self.terms: list[Term] = [
             by_returns.get(item.name) or Undetected(region, item) for item in objects if item.name in wanted
@@ -237,15 +269,15 @@ class Criterion:
         self.max_vsr: int | None = None  # which term it is
         if objective.max_vsr is not None or objective.is_max_vsr:
             self.max_vsr = len(self.terms)
-            self.terms.append(MaxVsr())
+            self.terms.append(MaxVsr(weight))
             self._weights.append(objective.max_vsr or 1.0)
         if objective.inscribed_radius is not None:
             self.terms.append(InscribedRadius())
             self._weights.append(objective.inscribed_radius)
-        for least, weight in ((1, objective.blind_volume), (2, objective.seen_by_two)):
-            if weight is not None:
+        for least, wanted_for in ((1, objective.blind_volume), (2, objective.seen_by_two)):
+            if wanted_for is not None:
                 self.terms.append(UnseenFraction(least))
-                self._weights.append(weight)
+                self._weights.append(wanted_for)
         if objective.blind_spot_m is not None and around is not None:
             self.terms.append(BlindSpot(around))
             self._weights.append(objective.blind_spot_m.weight)
@@ -273,8 +305,29 @@ class Criterion:
             limit, step = limit + step, 2.0 * step
         return limit
 
+    def cases(self, trial: Trial) -> list[Trial]:
+        """The rigs that may be left of a rig."""
+        return [trial.left(kept) for kept in self._cases] or [trial]
+
     def of(self, trial: Trial, to_beat: float = math.inf) -> float:
-        """The cost of a rig, or inf where it is not below `to_beat`; cheap terms first."""
+        """The cost of a rig, or inf where it is not below `to_beat`; cases that refuted trials lately first."""
+        cases = self.cases(trial)
+        cost = -math.inf
+        for case in dict.fromkeys((*self._refuting.items, *range(len(cases)))):
+            cost = max(cost, self._of_case(cases[case], to_beat))
+            if cost == math.inf:
+                self._refuting.add(case)
+                break
+        return cost
+
+    def learn(self) -> None:
+        """Called after every batch of trials: see Term."""
+        self._refuting.learn()
+        for term in self.terms:
+            term.learn()
+
+    def _of_case(self, trial: Trial, to_beat: float) -> float:
+        """The cost of what is left in one case, or inf where it is not below `to_beat`; cheap terms first."""
         values = [0.0] * len(self.terms)
         for term in sorted(range(len(self.terms)), key=lambda term: self.terms[term].work):
             limit = self.limit(values, term, to_beat)

@@ -16,6 +16,7 @@ from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import Solver
+from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.rig import Rig
 
 SLICE = 100  # trials between two looks at the clock, where there is a deadline
@@ -133,7 +134,7 @@ class Work:
     cuboids: int = 0
     segments: int = 0
 
-    def plus(self, evaluator: Evaluator) -> "Work":
+    def plus(self, evaluator: StudyEvaluator) -> "Work":
         """With the work of one more."""
         return Work(
             self.full_evaluations + evaluator.full_evaluations,
@@ -182,18 +183,17 @@ class Run:
         return Log(np.concatenate(self._told), self.seconds)
 
     @contextmanager
-    def evaluator(self, threads: int | None, skip: bool = True) -> Iterator[Evaluator]:
+    def evaluator(self, threads: int | None, skip: bool = True) -> Iterator[StudyEvaluator]:
         """What evaluates the trials of a part of it."""
-        study, self._since = self.study, time.perf_counter()
-        lidars = [slot.lidar for slot in study.slots]
-        with Evaluator(study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility) as one:
+        self._since = time.perf_counter()
+        with StudyEvaluator(self.study, threads, skip) as one:
             try:
                 yield one
             finally:
                 self._work = self._work.plus(one)
                 self._spent, self._since = self.seconds, math.inf
 
-    def step(self, evaluator: Evaluator, budget: Budget) -> bool:
+    def step(self, evaluator: StudyEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials. Returns whether that made a line of the history, of this session's own."""
         search = self._search
         trials = search.ask()
@@ -212,7 +212,7 @@ class Run:
         self.history.append(state)
         return not len(self._replay)
 
-    def _costs(self, evaluator: Evaluator, trials: Trials, kind: str, budget: Budget) -> Array:
+    def _costs(self, evaluator: StudyEvaluator, trials: Trials, kind: str, budget: Budget) -> Array:
         """The costs of the trials, from the log while it lasts; fewer where a budget cuts the batch short."""
         count = len(trials.x)
         if len(self._replay) >= count:
@@ -252,7 +252,9 @@ class Run:
         )
 
 
-def costs(study: Study, evaluator: Evaluator, sources: Array, trials: Trials, count: int, deadline: float) -> Array:
+def costs(
+    study: Study, evaluator: Evaluator | StudyEvaluator, sources: Array, trials: Trials, count: int, deadline: float
+) -> Array:
     """The costs of the first `count` trials, or inf for those that cannot beat what they have to.
 
     Fewer where the clock passes `deadline` (time.perf_counter) on the way.

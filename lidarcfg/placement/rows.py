@@ -52,14 +52,21 @@ class Grid(NamedTuple):
     included: Words  # (rows,) the cuboids that count
     links: Words  # (3, rows) those of them whose neighbour before, along x, y and z, counts too
     edge: tuple[float, float, float]
+    weight: Array  # (levels,) the weights that cuboids have, descending; none: all have 1
+    weighted: Words  # (levels, rows) the cuboids of each weight
 
     @classmethod
-    def of(cls, region: Region) -> "Grid":
-        """The grid of a region."""
+    def of(cls, region: Region, weight: Array | None = None) -> "Grid":
+        """The grid of a region; `weight` (nx, ny, nz) by cuboid."""
         nx, ny, nz = region.shape
         chunks = -(-nx // 64)
-        padded = np.zeros((nz + 2, ny + 2, 64 * chunks), bool)
-        padded[1:-1, 1:-1, :nx] = region.included.transpose(2, 1, 0)
+
+        def pad(bits: NDArray[np.bool_]) -> NDArray[np.bool_]:
+            out = np.zeros((nz + 2, ny + 2, 64 * chunks), bool)
+            out[1:-1, 1:-1, :nx] = bits.transpose(2, 1, 0)
+            return out
+
+        padded = pad(region.included)
         links = np.stack([padded] * 3)
         links[0, ..., 1:] &= padded[..., :-1]
         links[0, ..., 0] = False
@@ -68,7 +75,12 @@ class Grid(NamedTuple):
         x, y, z = region.centres()
         x = np.concatenate([x, np.full(64 * chunks - nx, x[-1])])
         ex, ey, ez = region.cuboid_m.tolist()
-        return cls(x, y, z, _words(padded).ravel(), _words(links).reshape(3, -1), (ex, ey, ez))
+        included, edge = _words(padded).ravel(), (ex, ey, ez)
+        levels = np.empty(0) if weight is None else np.unique(weight[region.included])[::-1].copy()
+        weighted = np.zeros((len(levels), included.size), np.uint64)
+        for row, level in zip(weighted, levels, strict=True):
+            row[:] = _words(pad(region.included & (weight == level))).ravel()
+        return cls(x, y, z, included, _words(links).reshape(3, -1), edge, levels, weighted)
 
 
 def _words(bits: NDArray[np.bool_]) -> Words:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations, islice
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,17 @@ from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, out
 from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
 from lidarcfg.placement.cones import Lidar, placed, sensor_lidar
 from lidarcfg.placement.detection import DetectionObject, check_fits
-from lidarcfg.placement.objective import Criterion, Missed, Objective, Trial
+from lidarcfg.placement.objective import EVERY_CASE, Criterion, Missed, Objective, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.returns import NOTHING, scanner, scans
 from lidarcfg.placement.returns_kernels import Scans
+from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.sightings import Sought, sought, target
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, GroupFile, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import Surface, mirrored, on_surface, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.rig import FIRST_HOST, HOSTS, RETURN_MODE, RPM, Mount, Rig, ports, resolve_sensor
 from lidarcfg.sensor import Sensor
 from lidarcfg.world.scene import Scene, load_scene
@@ -70,9 +72,16 @@ class Study:
     vehicle: Vehicle | None = None
     surroundings: Scene | None = None  # in the vehicle frame
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
+    robust: Robust | None = None  # what a rig has to withstand
+    zones: tuple[Zone, ...] = ()
     sought: tuple[Sought, ...] = ()  # the objects that are detected by returns
     patterns: Patterns | None = None  # where sensors fire; needed for these
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
+
+    @property
+    def is_max_vsr(self) -> bool:
+        """Whether max VSR of the whole rig, and nothing else, is what a search minimises."""
+        return self.objective.is_max_vsr and self.robust is None and not self.zones
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -136,10 +145,13 @@ class Study:
         return total
 
     @property
-    def segments(self) -> int:
-        """From sensors to cuboids: how many there are to ask whether bodies hide the cuboids."""
-        hidden = self.visibility is not None and self.visibility.blocks
-        return len(self.slots) * int(self.region.included.sum()) * hidden
+    def rigs(self) -> tuple[int, int]:
+        """Of how many rigs a trial's cost is that of the worst, and how many LiDARs they have altogether."""
+        lidars = len(self.slots)
+        if self.robust is None:
+            return 1, lidars
+        kept, drawn = self.robust.kept(lidars), self.robust.drawn
+        return len(kept) + drawn, int(kept.sum()) + drawn * lidars
 
     @property
     def to_choose(self) -> bool:
@@ -152,14 +164,27 @@ class Study:
         lower, upper, mirror = self.lower[rows], self.upper[rows], self.mirror[rows]
         return replace(self, slots=tuple(slots), lower=lower, upper=upper, mirror=mirror, file=file)
 
-    def criterion(self) -> Criterion:
-        """The objective, made ready for this region and these objects."""
+    @property
+    def segments(self) -> int:
+        """From a trial's sensors to cuboids: how many there are to ask whether bodies hide the cuboids."""
+        hidden = self.visibility is not None and self.visibility.blocks
+        return self.rigs[1] * int(self.region.included.sum()) * hidden
+
+    def criterion(self, kept: NDArray[np.bool_] = EVERY_CASE) -> Criterion:
+        """The objective, made ready for this region and these objects; of the worst case where there are any."""
         spot = self.objective.blind_spot_m
         around = None if spot is None else self.directions(spot.height_m)
-        some = [one for one in self.sought if one.item.name in self.objective.detection]
-        fired = self.scans(self.rig(self.lower).mounts) if some else None
-        missed = {one.item.name: Missed(one, fired) for one in some} if fired else {}
-        return Criterion(self.objective, self.region, self.detection, around, missed)
+        mounts = self.rig(self.lower).mounts
+
+        @cache
+        def fired(some: tuple[int, ...]) -> Scans:
+            return self.scans([mounts[i] for i in some])
+
+        missed = {one.item.name: Missed(one, fired) for one in self.sought if one.item.name in self.objective.detection}
+        if missed:
+            fired(tuple(range(len(mounts))))  # an error comes before the search
+        weight = weights(self.zones, self.region)
+        return Criterion(self.objective, self.region, self.detection, around, missed, weight, kept)
 
     def scans(self, mounts: Sequence[Mount]) -> Scans:
         """How sensors fire in a revolution. Raises ConfigError where that is not known."""
@@ -203,7 +228,19 @@ class Study:
 
     def cost(self, poses: Array) -> float:
         """The objective of one rig's poses (slots, 6), computed in full: what a search minimises, by definition."""
-        return self.criterion().of(Trial(self.region, self.lidars(poses), self.visibility))
+
+        def at(where: Array) -> Trial:
+            return Trial(self.region, self.lidars(where), self.visibility)
+
+        if self.robust is None:
+            return self.criterion().of(at(poses))
+        costs, whole, errors = [], self.criterion(), self.robust.errors(len(self.slots))
+        if self.robust.lost:
+            costs.append(self.criterion(self.robust.kept(len(self.slots))).of(at(poses)))
+        if self.robust.drawn:
+            drawn = sorted(whole.of(at(mounted(poses, error))) for error in errors)
+            costs.append(drawn[self.robust.drawn - 1 - self.robust.spare])
+        return max(costs)
 
     def lidars(self, poses: Array) -> tuple[Lidar, ...]:
         """The sensors at these poses (slots, 6)."""
@@ -277,6 +314,17 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
         _check_bounds(file, path, bodies)
     surroundings = _surroundings(file, path)
+    zones: list[Zone] = []
+    for i, given in enumerate(file.zones):
+        try:
+            zones.append(zone(given, region))
+        except ConfigError as error:
+            raise error_at(path, ("zones", i), error) from None
+    try:
+        if file.robust:
+            file.robust.check(len(slots))
+    except ConfigError as error:
+        raise error_at(path, ("robust", "lost"), error) from None
     sought_for: list[Sought] = []
     for i, item in enumerate(file.detection):
         try:
@@ -300,6 +348,8 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         vehicle=bodies,
         surroundings=surroundings,
         visibility=_visibility(file, region, bodies, surroundings),
+        robust=file.robust,
+        zones=tuple(zones),
         sought=tuple(sought_for),
         patterns=patterns,
         file=_resolved(file, slots, choices, bodies, path),

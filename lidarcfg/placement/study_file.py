@@ -12,7 +12,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
 from lidarcfg.placement.region import RegionFile
+from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.surfaces import SurfaceFile
+from lidarcfg.placement.zones import ELSEWHERE, ZoneFile
 from lidarcfg.rig import AzimuthFov, MountName, Range, angles_rad, one_of
 from lidarcfg.sensor import Elevations
 from lidarcfg.world.vehicle import VehicleFile
@@ -164,6 +166,8 @@ class StudyFile(Model):
     visibility: VisibilityFile | None = None
     objective: Objective = Objective()
     constraints: Constraints = Constraints()
+    robust: Robust | None = None
+    zones: tuple[ZoneFile, ...] = ()
     solver: Solver = Solver()
     detection: tuple[DetectionObject, ...] = ()
     prices: dict[str, Annotated[float, Field(gt=0, le=PRICE_MAX)]] | None = None  # by model
@@ -186,6 +190,10 @@ class StudyFile(Model):
         for i, group in enumerate(self.sensors):
             if group.on and not self.vehicle:
                 raise fault("needs the study's vehicle, and there is none", "sensors", i, "on")
+        zones = [ELSEWHERE, *(zone.name for zone in self.zones)]
+        for i, name in enumerate(zones[1:]):
+            if name in zones[: i + 1]:
+                raise fault(f"{name!r} is a zone already; each name may stand once", "zones", i, "name")
         if not self.limits_sight:
             for key in SIGHT:
                 if getattr(self.objective, key) is not None:

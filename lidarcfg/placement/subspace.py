@@ -60,11 +60,36 @@ def segment(region: Region, lidars: Sequence[Lidar], visibility: "Visibility | N
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
     grid, work = rows.linked(region, lidars, visibility.sight(lidars) if visibility else rows.EVERYTHING)
-    label, cuboids, internal, first = flood.components(grid, region.shape, work.links)
+    return _subspaces(region, grid, work.links, lidars, work.seen if visibility else None)
+
+
+class Links:
+    """The links of each LiDAR, computed once, for the subspaces of any of them."""
+
+    def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: "Visibility | None" = None) -> None:
+        self._region, self._lidars, self._limited = region, lidars, visibility is not None
+        sights = [visibility.sight([one]) if visibility else rows.EVERYTHING for one in lidars]
+        each = [rows.linked(region, [one], sight) for one, sight in zip(lidars, sights, strict=True)]
+        self._grid = each[0][0]
+        self._links = np.stack([work.links for _, work in each])  # (lidars, 3, rows)
+        self._seen = np.concatenate([work.seen for _, work in each])  # (lidars, rows)
+
+    def subspaces(self, kept: Sequence[int]) -> Subspaces:
+        """What `segment` makes of these LiDARs alone."""
+        which = list(kept)
+        links, lidars = np.bitwise_and.reduce(self._links[which]), [self._lidars[i] for i in which]
+        return _subspaces(self._region, self._grid, links, lidars, self._seen[which] if self._limited else None)
+
+
+def _subspaces(
+    region: Region, grid: rows.Grid, links: rows.Words, lidars: Sequence[Lidar], seen_words: rows.Words | None
+) -> Subspaces:
+    """The subspaces by their links (3, rows), and by what LiDARs see (lidars, rows), if something limits that."""
+    label, cuboids, internal, first = flood.components(grid, region.shape, links)
     index = np.unravel_index(first, region.shape)
     points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
     gap, seen = beam_gap_table(points, cone_rows(lidars)), None
-    if visibility:
-        seen = rows.unpacked(region, work.seen)
+    if seen_words is not None:
+        seen = rows.unpacked(region, seen_words)
         gap[~seen.reshape(len(lidars), -1)[:, first].T] = BLIND
     return Subspaces(region, label, cuboids, internal, gap, first, seen)

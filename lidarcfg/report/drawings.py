@@ -125,10 +125,10 @@ def draw_history(study: Study, found: Placement) -> Markup:
         dot = "o" if len(evaluations) < 3 else ""
         axes.plot(evaluations, [cycle.mean for cycle in found.history], marker=dot, color=COLOURS[5], label="mean")
         axes.plot(evaluations, [cycle.best for cycle in found.history], marker=dot, color=COLOURS[0], label="best")
-        if study.objective.is_max_vsr:
+        if study.is_max_vsr:
             midpoint = found.midpoint_max_vsr_m
             axes.axhline(midpoint, color="0.4", ls=":", lw=1, label="midpoint of the bounds")
-        value = "max VSR (m)" if study.objective.is_max_vsr else "objective (weighted mean)"
+        value = "max VSR (m)" if study.is_max_vsr else "objective (weighted mean)"
         axes.set(xlabel="evaluations", ylabel=value, ylim=(0, history_top(study, found)))
         axes.grid(True)
         axes.legend(loc="best")

@@ -37,7 +37,7 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 def history_top(study: Study, found: Placement) -> float | None:
     """The top of the drawing of a search: rigs that break the constraints cost far more than any other."""
     shown = [value for cycle in found.history for value in (cycle.best, cycle.mean)]
-    shown += [found.midpoint_max_vsr_m] if study.objective.is_max_vsr else []
+    shown += [found.midpoint_max_vsr_m] if study.is_max_vsr else []
     return min(1.05 * max(shown), CUT_OFF * found.history[-1].best) or None
 
 
@@ -48,9 +48,9 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     evaluations = [cycle.evaluations for cycle in found.history]
     axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
     axes.plot(evaluations, [cycle.mean for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
-    if study.objective.is_max_vsr:
+    if study.is_max_vsr:
         axes.axhline(found.midpoint_max_vsr_m, color="0.5", ls=":", label="midpoint of the bounds")
-    label = "max VSR (m)" if study.objective.is_max_vsr else "objective"
+    label = "max VSR (m)" if study.is_max_vsr else "objective"
     axes.set(xlabel="evaluations", ylabel=label, ylim=(0, history_top(study, found)))
     axes.set_title(
         f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",

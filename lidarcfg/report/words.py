@@ -114,9 +114,30 @@ def _by_returns(item: DetectionObject) -> str:
 
 def objective_in_words(study: Study) -> str:
     """What the search minimises."""
+    return "; ".join([_terms_in_words(study), *_robust_in_words(study)])
+
+
+def _robust_in_words(study: Study) -> list[str]:
+    """What a rig has to withstand."""
+    robust, terms = study.robust, []
+    if robust is None:
+        return []
+    if robust.lost:
+        terms.append(f"of the worst rig left when any {counted(robust.lost, 'LiDAR')} of {len(study.slots)} fail")
+    if robust.drawn:
+        sigmas = (robust.position_sigma_m or 0.0, "m"), (robust.angle_sigma_deg or 0.0, "°")
+        errors = " and ".join(f"{sigma:g} {unit}" for sigma, unit in sigmas if sigma)
+        rank = f"the {robust.drawn - robust.spare}-th smallest of {counted(robust.drawn, 'draw')}"
+        terms.append(f"with mounting errors of {errors} (standard deviation), {rank}")
+    return ["; or ".join(terms) + ("; the larger of both" if len(terms) > 1 else "")]
+
+
+def _terms_in_words(study: Study) -> str:
+    """The terms of what is minimised."""
     wanted = study.objective
     if wanted.is_max_vsr:
-        return "max VSR, the largest volume-to-surface ratio of all subspaces"
+        weighted = ", times the weight of its zones" if study.zones else ""
+        return f"max VSR, the largest volume-to-surface ratio of all subspaces{weighted}"
     terms = [] if wanted.max_vsr is None else [f"{wanted.max_vsr:g} × max VSR in metres"]
     if wanted.inscribed_radius is not None:
         terms.append(f"{wanted.inscribed_radius:g} × the radius of the largest sphere in a subspace, in metres")

@@ -1,0 +1,105 @@
+"""What a rig has to withstand: LiDARs that fail, and mounts that are not quite where they should be.
+
+With `lost` LiDARs gone, a rig is as good as the worst rig that may be left. With mounting errors it is as good as one
+of the quantile of some draws: in each, every LiDAR is off by a normally distributed error along x, y and z, and turned
+by another about its own x, y and z axes. The draws are the same for every trial, every search and every seed.
+"""
+
+import math
+from itertools import combinations
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from lidarcfg.config import Model, fault
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array, angles, turned
+
+CASES_MAX = 1000  # rigs that may be left, and draws
+SAMPLES, QUANTILE = 16, 0.9  # unless the study says otherwise
+SEED = 20180913  # of the draws; with a LiDAR's number it makes that one's own
+SIGMAS = ("position_sigma_m", "angle_sigma_deg")
+
+
+class Robust(Model):
+    """What a rig has to withstand; of LiDARs that fail and of mounting errors the larger cost counts."""
+
+    lost: Annotated[int, Field(ge=1)] | None = None  # so many LiDARs fail at once
+    position_sigma_m: Annotated[float, Field(ge=0, le=10)] | None = None  # of every coordinate of every LiDAR
+    angle_sigma_deg: Annotated[float, Field(ge=0, le=180)] | None = None  # about every axis of every LiDAR
+    samples: Annotated[int, Field(ge=1, le=CASES_MAX)] | None = None  # draws of all LiDARs' errors
+    quantile: Annotated[float, Field(gt=0, le=1)] | None = None  # of their costs: the ⌈quantile · samples⌉-th smallest
+
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults(cls, values: Any) -> Any:
+        if isinstance(values, dict) and any(values.get(key) is not None for key in SIGMAS):
+            return {"samples": SAMPLES, "quantile": QUANTILE} | values
+        return values
+
+    @model_validator(mode="after")
+    def _check(self) -> "Robust":
+        sigmas = [getattr(self, key) for key in SIGMAS]
+        if sigmas == [None, None]:
+            for key in ("samples", "quantile"):
+                if getattr(self, key) is not None:
+                    raise fault(f"draws need errors to draw; give {' or '.join(SIGMAS)}", key)
+            if self.lost is None:
+                raise fault(f"asks for nothing; allowed: lost, {', '.join(SIGMAS)}")
+        elif not any(sigmas):
+            key = SIGMAS[0] if self.position_sigma_m is not None else SIGMAS[1]
+            raise fault("without any error all draws are alike; allowed: one of the two sigmas above 0", key)
+        return self
+
+    @property
+    def drawn(self) -> int:
+        """How many draws of mounting errors there are; 0: none are asked for."""
+        return self.samples or 0
+
+    @property
+    def spare(self) -> int:
+        """How many draws may be worse than the quantile."""
+        return self.drawn - max(math.ceil((self.quantile or 1.0) * self.drawn - 1e-9), 1)
+
+    def check(self, lidars: int) -> None:
+        """Raises ConfigError unless so many LiDARs can lose as many as are to be lost."""
+        if self.lost is None:
+            return
+        if self.lost >= lidars:
+            of = "the only LiDAR leaves" if lidars == 1 else f"{self.lost} of {lidars} LiDARs leave"
+            allowed = "studies of two LiDARs or more" if lidars == 1 else f"1 to {lidars - 1}"
+            raise ConfigError(f"to lose {of} none; allowed: {allowed}")
+        if (count := math.comb(lidars, self.lost)) > CASES_MAX:
+            what = f"{self.lost} of {lidars} LiDARs can fail in {count:,} ways"
+            raise ConfigError(f"{what}; allowed: at most {CASES_MAX:,}")
+
+    def kept(self, lidars: int) -> NDArray[np.bool_]:
+        """(cases, lidars) the LiDARs that may be left; no cases where none is lost. Raises ConfigError, see `check`."""
+        self.check(lidars)
+        ways = list(combinations(range(lidars), self.lost)) if self.lost else []
+        out = np.ones((len(ways), lidars), bool)
+        for row, lost in zip(out, ways, strict=True):
+            row[list(lost)] = False
+        return out
+
+    def errors(self, lidars: int) -> Array:
+        """(samples, lidars, 6) the draws: metres along x, y and z, radians about the LiDAR's own x, y and z."""
+        each = [np.random.default_rng((SEED, number)).standard_normal((self.drawn, 6)) for number in range(lidars)]
+        sigma = np.repeat([self.position_sigma_m or 0.0, math.radians(self.angle_sigma_deg or 0.0)], 3)
+        out: Array = np.stack(each, axis=1) * sigma
+        return out
+
+
+def mounted(poses: Array, errors: Array) -> Array:
+    """(…, lidars, 6) where LiDARs at poses (…, lidars, 6) are with errors (lidars, 6).
+
+    R = Rz(yaw) Ry(pitch) Rx(roll) of the pose, times the same of the errors.
+    """
+    out = poses + errors
+    if errors[:, 3:].any():
+        out[..., 3:] = angles(turned(poses[..., 3:], errors[:, 3:]))
+    else:
+        out[..., 3:] = poses[..., 3:]
+    return out

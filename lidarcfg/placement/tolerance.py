@@ -1,0 +1,105 @@
+"""The costs of a study's trials, with what a rig has to withstand; see robustness.py.
+
+Of mounting errors every draw is a search's evaluation of its own, with witnesses and links of its own. A trial is
+refuted as soon as more draws reach what is to be beaten than may be worse than the quantile: then the quantile does.
+"""
+
+from types import TracebackType
+
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.evaluator import Evaluator, Index
+from lidarcfg.placement.objective import Recent
+from lidarcfg.placement.robustness import mounted
+from lidarcfg.placement.study import Study
+
+
+class StudyEvaluator:
+    """Evaluates poses (n, slots, 6) of a study's sensors; a context that owns its threads. See Evaluator."""
+
+    def __init__(self, study: Study, threads: int | None = None, skip: bool = True) -> None:
+        lidars, robust = [slot.lidar for slot in study.slots], study.robust
+        self._skip, self._robust, self._drawn = skip, robust, robust.drawn if robust else 0
+        self._at_rest, self._off = None, None
+        if robust is None or robust.lost:
+            criterion = study.criterion(robust.kept(len(lidars))) if robust else study.criterion()
+            self._at_rest = Evaluator(study.region, lidars, threads, skip, criterion, visibility=study.visibility)
+        if robust and robust.drawn:
+            self._errors = robust.errors(len(lidars))
+            self._off = Evaluator(
+                study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility,
+                remembered=robust.drawn,
+            )  # fmt: skip
+        self._refuting: Recent[int] = Recent()  # draws
+        self._sources = self._off_sources = np.empty((0, len(lidars), 6))
+
+    def __enter__(self) -> "StudyEvaluator":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
+        for one in self._parts:
+            one.__exit__(kind, value, at)
+
+    @property
+    def _parts(self) -> list[Evaluator]:
+        return [one for one in (self._at_rest, self._off) if one]
+
+    @property
+    def full_evaluations(self) -> int:
+        """How many rigs were evaluated in full: several a trial where it has to withstand something."""
+        return sum(one.full_evaluations for one in self._parts)
+
+    @property
+    def cuboids(self) -> int:
+        """How many were evaluated."""
+        return sum(one.cuboids for one in self._parts)
+
+    @property
+    def segments(self) -> int:
+        """How many were cast from LiDARs to cuboids, at most."""
+        return sum(one.segments for one in self._parts)
+
+    def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
+        """(n,) the costs, or inf where one is not below `to_beat` (n,). See Evaluator.costs."""
+        cost = np.full(len(poses), -np.inf)
+        if self._at_rest:
+            cost = self._at_rest.costs(poses, source, source_poses, to_beat)
+        if self._off:
+            some = np.flatnonzero(cost < (to_beat if self._skip else np.inf))
+            off = self._quantiles(self._off, poses[some], source[some], source_poses, to_beat[some])
+            cost[some] = np.maximum(cost[some], off)
+        return cost
+
+    def _quantiles(
+        self, evaluator: Evaluator, poses: Array, source: Index, source_poses: Array, to_beat: Array
+    ) -> Array:
+        """(n,) the quantiles of the draws' costs, or inf where one is not below `to_beat`."""
+        assert self._robust
+        if self._sources.shape != source_poses.shape or (self._sources != source_poses).any():
+            everywhere = [mounted(source_poses, error) for error in self._errors]
+            self._sources, self._off_sources = source_poses.copy(), np.concatenate(everywhere)
+        first = len(source_poses) * np.arange(self._drawn)
+        order = list(dict.fromkeys((*self._refuting.items, *range(self._drawn))))
+        values, spare = np.full((len(poses), self._drawn), np.nan), self._robust.spare
+        if not self._skip:
+            to_beat = np.full(len(poses), np.inf)
+        for witnesses_alone in (True, False):
+            for draw in order:
+                worse = (values >= to_beat[:, None]).sum(axis=1)
+                open_ones = np.flatnonzero((worse <= spare) & np.isnan(values[:, draw]))
+                if not len(open_ones):
+                    continue
+                off = mounted(poses[open_ones], self._errors[draw])
+                asked = off, source[open_ones] + first[draw], self._off_sources, to_beat[open_ones]
+                if witnesses_alone:
+                    values[open_ones[evaluator.refuted(*asked)], draw] = np.inf
+                else:
+                    values[open_ones, draw] = evaluator.costs(*asked)
+                for _ in range(int((values[open_ones, draw] == np.inf).sum())):
+                    self._refuting.add(draw)
+        self._refuting.learn()
+        settled = (values >= to_beat[:, None]).sum(axis=1) > spare
+        out = np.full(len(poses), np.inf)
+        out[~settled] = np.sort(values[~settled], axis=1)[:, self._drawn - 1 - spare]
+        return out
