@@ -7,6 +7,7 @@ OBJECTS = {"boxes", "spheres", "cylinders", "planes", "meshes"}
 MOTIONS = {"velocity_m_s", "arc", "poses"}
 MARKS = {  # the keys that only one kind has, the first that fits
     "sensor": {"beams"},
+    "record of a capture": {"rig", "scene", "duration_s"},
     "study": {"region"},
     "trajectory": MOTIONS,
     "scene": {"ground", "weather", "geo_origin"},

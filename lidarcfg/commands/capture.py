@@ -9,6 +9,7 @@ import cloup
 
 from lidarcfg.commands.options import (
     FILE,
+    START,
     START_HELP,
     Factor,
     PositiveNumber,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     from lidarcfg.capture.pcap import Datagram
     from lidarcfg.capture.stream import SourceStats
+    from lidarcfg.rig import ReturnMode, Rig
     from lidarcfg.simulate.simulator import Counts
 
 
@@ -56,6 +58,11 @@ if TYPE_CHECKING:
         help="What travels along: YAML, or a mesh.  [default: the rig's]",
     ),
     cloup.option("--start", metavar="TIME", help=START_HELP),
+    cloup.option(
+        "--return-mode",
+        type=click.Choice(["strongest", "last", "first", "dual"]),
+        help="Of every sensor.  [default: the rig's]",
+    ),
     cloup.option("--duration", type=PositiveNumber(86_400), metavar="SECONDS", required=True, help="Simulated time."),
 )
 @cloup.option_group(
@@ -74,6 +81,7 @@ def export(
     split: bool,
     at: str,
     start: str | None,
+    return_mode: "ReturnMode | None",
     trajectory: Path | None,
     vehicle: Path | None,
     truth: Path | None,
@@ -82,12 +90,14 @@ def export(
 ) -> None:
     """Simulate what a rig's sensors send in a scene, as a pcap.
 
-    The vehicle stands, or moves along a trajectory. The same input gives the same bytes.
+    The vehicle stands, or moves along a trajectory. The same input gives the same bytes. What it was is noted in
+    a YAML file beside the pcap, by which `decode --deskew` takes the motion out.
     """
     import time
     from contextlib import ExitStack
 
     from lidarcfg.capture.pcap import write_pcap
+    from lidarcfg.capture.record import save_record
     from lidarcfg.files import together
     from lidarcfg.rig import load_rig
     from lidarcfg.simulate import export as capture
@@ -98,7 +108,7 @@ def export(
     for path, suffix, option in ((output, ".pcap", "-o"), (truth, ".npz", "--truth")):
         if path and path.suffix != suffix:
             raise click.BadParameter(f"{str(path)!r} does not end in {suffix}", param_hint=option)
-    mounted, world = load_rig(rig), load_scene(scene)
+    mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
     if vehicle:
         bodies = None if str(vehicle) == "none" else load_vehicle(vehicle)
     else:
@@ -139,6 +149,10 @@ def export(
             beside_each = capture.save_companions(output, mounted.mounts)
             paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
         records = beside.save() if beside else 0
+        files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
+        values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
+        for path in paths:
+            save_record(path, files, values)
     if not quiet:
         for path, count in zip(paths, counts, strict=True):
             click.echo(f"{path}: {count:,} packets, {duration:g} s")
@@ -149,6 +163,18 @@ def export(
     if stats:
         rays, hits = total
         click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
+
+
+def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":
+    """The rig with the return mode of all of its sensors replaced."""
+    if return_mode is None:
+        return rig
+    from dataclasses import replace
+
+    thin = [one.name for one in rig.mounts if not (one.realism and one.realism.divergence)]
+    if return_mode == "dual" and thin:
+        warn(f"{', '.join(thin)}: beams without divergence have one echo, so that both returns are the same")
+    return replace(rig, mounts=tuple(replace(one, return_mode=return_mode) for one in rig.mounts))
 
 
 @cloup.command(
@@ -168,6 +194,9 @@ def export(
 @cloup.option_group("Selection", from_option, to_option, sensor_option, help="Read only a part of the capture.")
 @cloup.option_group(
     "Motion",
+    cloup.option(
+        "--deskew", is_flag=True, help="Deskew by what an export noted beside the pcap: rig, trajectory, start."
+    ),
     cloup.option("--trajectory", type=FILE, help="Deskew by this motion of the vehicle; needs --rig."),
     cloup.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"),
     cloup.option("--start", metavar="TIME", help="When it starts; " + START_HELP),
@@ -178,6 +207,7 @@ def decode(
     pcap: Path,
     rig: Path | None,
     model: str | None,
+    deskew: bool,
     trajectory: Path | None,
     at: str | None,
     start: str | None,
@@ -190,25 +220,31 @@ def decode(
 ) -> None:
     """Decode a capture into a point cloud.
 
-    Without --trajectory each point is in the vehicle frame of the moment it was measured; with it, all points are in
+    Each point is in the vehicle frame of the moment it was measured; with --deskew or --trajectory, all points are in
     the world frame.
     """
     from dataclasses import replace
 
     from lidarcfg.capture.decode import decode_pcap
+    from lidarcfg.capture.record import load_record, record_path
     from lidarcfg.capture.selection import Selection
     from lidarcfg.cloud import save_clouds
     from lidarcfg.rig import load_rig
 
+    if deskew:
+        record = load_record(pcap)
+        rig = rig or record.path("rig", record_path(pcap))
+        trajectory = trajectory or record.path("trajectory", record_path(pcap))
+        at, start = at or record.at, start or record.start
     if trajectory and not rig:
         raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")
-    if (at or start) and not trajectory:
+    if (at or start) and not (trajectory or deskew):
         raise click.UsageError("--at and --start say where and when a --trajectory starts")
     sources: list[SourceStats] = []
     selection = Selection(from_s, to_s, sensors)
     on_stats = sources.append if stats else None
     clouds = decode_pcap(pcap, warn, load_rig(rig) if rig else None, model, on_stats=on_stats, selection=selection)
-    if trajectory:
+    if trajectory or deskew:
         from lidarcfg.simulate.export import START_NS
 
         moved = load_trajectory(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)

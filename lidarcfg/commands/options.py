@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from lidarcfg.world.vehicle import Vehicle
 
 FILE = click.Path(path_type=Path)
-START_HELP = "ISO 8601; UTC unless it names a zone.  [default: 2026-01-01T00:00:00]"
+START = "2026-01-01T00:00:00"
+START_HELP = f"ISO 8601; UTC unless it names a zone.  [default: {START}]"
 
 
 class Png(click.Path):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import ConfigDict
 
+from lidarcfg.capture.record import Record
 from lidarcfg.config import Model, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -112,6 +113,13 @@ def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
     return ("an arc" if motion.arc else "a constant velocity"), ()
 
 
+def _record(path: Path) -> tuple[str, Iterable[str]]:
+    record = load(path, Record)
+    for key in ("rig", "scene", "trajectory", "vehicle"):
+        record.path(key, path)
+    return f"{record.duration_s:g} s from {record.start} on, by version {record.version}", ()
+
+
 def _models(models: Iterable[str | None]) -> str:
     """Sensors by their models."""
     counts = Counter(Path(model).stem if model else "beams of its own" for model in models)
@@ -133,4 +141,5 @@ SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "sensor": _sensor,
     "vehicle": _vehicle,
     "trajectory": _trajectory,
+    Record.kind: _record,
 }

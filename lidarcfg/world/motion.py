@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 TUM = ".tum"  # text lines of time_s x y z qx qy qz qw, as the TUM RGB-D benchmark defined and evo reads them
 STEP_NS = 1_000_000  # over which a velocity is taken
+EDGE_S = 1e-3  # before the first and after the last of timed poses
 LIMIT = 1e8
 
 Speed = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -111,8 +112,11 @@ class MotionPath:
         return self.motion == STANDING
 
     def check_span(self, first_s: float, last_s: float, prefix: str = "") -> None:
-        """Raises ConfigError if the motion is timed poses and they do not cover these times."""
-        if len(self.times_s) and not self.times_s[0] <= first_s <= last_s <= self.times_s[-1]:
+        """Raises ConfigError if the motion is timed poses and they do not cover these times.
+
+        The first and the last segment go on for EDGE_S: a sensor may fire shortly before its first packet's time.
+        """
+        if len(self.times_s) and not self.times_s[0] - EDGE_S <= first_s <= last_s <= self.times_s[-1] + EDGE_S:
             span = f"{self.times_s[0]:g} to {self.times_s[-1]:g} s"
             raise ConfigError(f"{prefix}a pose is needed at {first_s:g} to {last_s:g} s; the timed poses cover {span}")
 

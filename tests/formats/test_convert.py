@@ -178,7 +178,7 @@ def test_a_capture_by_the_command(tmp_path):
         assert done.returncode == 2, done.stderr
         assert done.stderr.startswith(f"lidarcfg: {output}: ")
         assert len(done.stderr.splitlines()) == 1
-    assert {item.name for item in tmp_path.iterdir()} == {"a.pcap", "bag"}
+    assert {item.name for item in tmp_path.iterdir()} == {"a.pcap", "a.pcap.yaml", "bag"}
 
 
 def test_loading_the_command_loads_no_library_of_others():
