@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory, check_regular
 from lidarcfg.units import SECOND_NS
 
 SUFFIXES = (".ply", ".pcd", ".npz")
@@ -36,6 +37,9 @@ _XYZ = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
 PLY_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<i4"), ("time_s", "<f8"), ("time_rest_ns", "<i4")])
 PCD_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<u2"), ("time_ns", "<i8")])
 PLY_TYPES = {np.dtype("<f8"): "double", np.dtype("<i4"): "int", np.dtype("u1"): "uchar"}
+UNPACKED_MIN, UNPACKED_RATIO = 1 << 26, 20  # bytes; and so many times the archive's: real arrays hardly pack
+UNPACKED_COPIES = 3  # of the arrays, in memory at once
+FILE_COPIES = 4  # of a PLY or PCD file
 XYZ_MAX_M = np.float64(1e9)
 # What np.load and the archive's members raise for bytes that are no archive of arrays. zipfile raises RuntimeError for
 # encryption and unknown versions, KeyError for a member that is not there; numpy's header parser raises SyntaxError and
@@ -135,18 +139,25 @@ def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty:
         return checked(path, read_arrays(path, (*FIELDS, "sensor_names")), allow_empty)
     from lidarcfg.cloud_rows import read_columns
 
+    try:
+        check_memory(str(path), FILE_COPIES * check_regular(path))
+    except OSError as error:
+        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     return checked(path, read_columns(path, on_warning), allow_empty)
 
 
 def read_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Those of the named arrays that a .npz holds. Raises CloudError."""
     try:
+        size = check_regular(path)
         with open(path, "rb") as file:
-            arrays = np.load(file, allow_pickle=False)
-            if not isinstance(arrays, np.lib.npyio.NpzFile):
+            if not zipfile.is_zipfile(file):
                 raise CloudError(f"{path}: not a whole npz file: allowed is an archive of arrays")
-            with arrays:
-                found = {name: arrays[name] for name in names if name in arrays}
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as arrays:
+                wanted = [name for name in names if name in arrays]
+                _check_unpacked(path, size, [arrays.zip.getinfo(_member(arrays, name)).file_size for name in wanted])
+                found = {name: arrays[name] for name in wanted}
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except NPZ_ERRORS as error:
@@ -154,6 +165,19 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
     if odd := [name for name, array in found.items() if not isinstance(array, np.ndarray)]:
         raise CloudError(f"{path}: not a whole npz file: {odd[0]} is no array")
     return found
+
+
+def _member(arrays: Any, name: str) -> str:
+    """The name of an array's file in the archive."""
+    return name if name in arrays.zip.namelist() else f"{name}.npy"
+
+
+def _check_unpacked(path: Path, packed: int, sizes: Sequence[int]) -> None:
+    """Raises LidarcfgError for arrays that unpack to far more than arrays do, or that memory does not hold."""
+    unpacked = sum(sizes)
+    if unpacked > UNPACKED_MIN + UNPACKED_RATIO * packed:
+        raise CloudError(f"{path}: {packed:,} bytes that say they unpack to {unpacked:,} are no cloud or log")
+    check_memory(str(path), UNPACKED_COPIES * unpacked)
 
 
 def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> PointCloud:

@@ -23,6 +23,7 @@ from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.inputs import read_any, too_large
 from lidarcfg.kinds import kind_of
 
 Key = tuple[str | int, ...]  # a path in the file: ("sensors", 0, "model")
@@ -34,7 +35,10 @@ Metres = Annotated[float, Field(ge=-COORDINATE_MAX_M, le=COORDINATE_MAX_M)]
 Position = tuple[Metres, Metres, Metres]
 Angle = Annotated[float, Field(ge=-ANGLE_MAX, le=ANGLE_MAX)]
 Angles = tuple[Angle, Angle, Angle]
-NODES_MAX = 1_000_000  # beyond this it is an alias bomb, not a configuration
+NODES_MAX = 500_000  # keys and values: beyond this it is an alias bomb, not a configuration
+DEPTH_MAX = 50
+TOO_MANY = f"has more than the {NODES_MAX:,} keys and values that are read of a file"
+LARGE = 200_000  # characters, from which on a file is read by libyaml
 NUMBER_MAX = 400  # characters of a number: no float needs more
 FILE_MAX = 64_000_000  # bytes: a file without an end, such as /dev/zero, is larger
 
@@ -102,18 +106,29 @@ class _Loader(Reader, Scanner, Parser, Composer, _Resolver):
         _Resolver.__init__(self)
 
 
-_OwnLoader: type[Any] = _Loader
+_QuickLoader: type[Any] = _Loader
 if yaml.__with_libyaml__:
     from yaml._yaml import CParser
 
-    class _QuickLoader(CParser, _Resolver):
-        """The same with libyaml: about ten times as fast, but without a limit on nesting, so for our own files only."""
+    class _LibraryLoader(CParser, _Resolver):
+        """The same with libyaml: several times as fast, but without a limit on nesting, and with other messages."""
 
         def __init__(self, text: str) -> None:
             CParser.__init__(self, text)
             _Resolver.__init__(self)
 
-    _OwnLoader = _QuickLoader
+    _QuickLoader = _LibraryLoader
+
+
+def _check_nodes(text: str, name: str) -> None:
+    """Raises ConfigError for a large text of more nodes, or more within another, than are read."""
+    nodes = depth = 0
+    for event in yaml.parse(text, _QuickLoader):
+        nodes += isinstance(event, yaml.NodeEvent)
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if (nodes > NODES_MAX or depth > DEPTH_MAX) and (mark := event.start_mark):
+            what = "nested too deeply" if depth > DEPTH_MAX else TOO_MANY
+            raise ConfigError(f"{name}:{mark.line + 1}:{mark.column + 1}: {what}")
 
 
 class Document:
@@ -125,7 +140,9 @@ class Document:
         self._others: dict[Key, tuple[Document, Key]] = {}  # where the values at some keys came from
         self._nodes = 0
         try:
-            root = (_OwnLoader if own else _Loader)(text).get_single_node()
+            if large := len(text) > LARGE:
+                _check_nodes(text, name)
+            root = (_QuickLoader if own or large else _Loader)(text).get_single_node()
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
@@ -198,7 +215,7 @@ class Document:
         self.places.setdefault(key, (node.start_mark.line + 1, node.start_mark.column + 1))
         if id(node) in parents or self._nodes > NODES_MAX:
             raise self.error(key, "an alias inside itself, or too many of them")
-        if len(parents) > 50:
+        if len(parents) > DEPTH_MAX:
             raise self.error(key, "nested too deeply")
         parents = (*parents, id(node))
         if isinstance(node, yaml.MappingNode) and node.tag == _TAG + "map":
@@ -313,10 +330,9 @@ class Section:
 
 def _read(path: str | Path) -> str:
     try:
-        with open(path, "rb") as file:
-            content = file.read(FILE_MAX + 1)
+        content = read_any(path, FILE_MAX)
         if len(content) > FILE_MAX:
-            raise ConfigError(f"{path}: larger than the {FILE_MAX // 10**6} MB that are read of such a file")
+            raise ConfigError(f"{path}: {too_large(FILE_MAX)}")
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}:1:1: not text in UTF-8 (byte {error.start})") from None

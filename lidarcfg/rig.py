@@ -111,10 +111,11 @@ class RigFile(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "RigFile":
-        names = [mount.name for mount in self.sensors]
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                raise fault(f"{name!r} is a sensor already; each name may stand once", "sensors", i, "name")
+        names: set[str] = set()
+        for i, mount in enumerate(self.sensors):
+            if mount.name in names:
+                raise fault(f"{mount.name!r} is a sensor already; each name may stand once", "sensors", i, "name")
+            names.add(mount.name)
         return self
 
 

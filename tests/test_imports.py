@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "lidarcfg"
-GROUND = {"errors", "units", "files", "aside", "geometry", "config", "kinds", "jit", "realism"}
+GROUND = {"errors", "inputs", "units", "files", "aside", "geometry", "config", "kinds", "jit", "realism"}
 # What each part may import besides itself and the ground: docs and commands stand on all of it.
 BELOW = {
     "sensor": set(),

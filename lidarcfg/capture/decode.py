@@ -20,6 +20,7 @@ from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window
 from lidarcfg.capture.stream import OnHeads, Place, SourceStats, Stream
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
+from lidarcfg.inputs import read_regular
 from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, codec, family
 from lidarcfg.packets.point_fields import asked
 from lidarcfg.sensor import Sensor, catalogue, load_sensor
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from lidarcfg.rig import Rig
 
 CHUNK_PACKETS = 1024
+COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
 
 Job = Callable[[], PointCloud]
 OnSource = Callable[[str, str], None]
@@ -267,7 +269,7 @@ def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
     stem, end = escape(path.stem), escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
     try:
-        return {one.name: one.read_bytes() for one in sorted(found)}
+        return {one.name: read_regular(one, COMPANION_MAX) for one in sorted(found)}
     except OSError as error:
         raise PacketError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
 

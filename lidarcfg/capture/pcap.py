@@ -17,6 +17,7 @@ from lidarcfg.capture.fragments import Reassembly
 from lidarcfg.capture.frames import ETHERNET, LINK_HEADERS, RECORD, Datagrams, Frames, Piece, datagrams, gathered
 from lidarcfg.errors import PacketError
 from lidarcfg.files import replacing
+from lidarcfg.inputs import check_regular
 from lidarcfg.packets.codec import Times
 from lidarcfg.units import SECOND_NS
 
@@ -84,6 +85,7 @@ def read_batches(
     """
     reassembly = Reassembly(0 if from_ns is None else from_ns + SECOND_NS)
     try:
+        check_regular(path)
         with BufferedReader(FileIO(path), buffer) as file:
             magic = file.read(4)
             if not magic:

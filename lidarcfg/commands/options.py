@@ -131,9 +131,9 @@ def warn_of(vehicle: "Vehicle | None") -> None:
 
 def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
     """The vehicle's motion from X,Y,YAW_DEG on; without a file it stands there."""
-    from lidarcfg.world.motion import STANDING, Trajectory, load_motion, prepared
+    from lidarcfg.world.motion import STANDING, Trajectory, load_path, prepared
 
-    return Trajectory(_vehicle_pose(at), prepared(load_motion(path) if path else STANDING), start_ns)
+    return Trajectory(_vehicle_pose(at), load_path(path) if path else prepared(STANDING), start_ns)
 
 
 def _vehicle_pose(at: str) -> "Array":

@@ -9,10 +9,12 @@ import numpy as np
 from lidarcfg.cloud import PointCloud, checked
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
+from lidarcfg.inputs import check_memory, check_regular
 
 FULL = 255  # the intensity that is a reflectance of 1
 WARNING_M = 1e-4  # float32 rounding beyond that is worth a warning
 CHUNK = 1 << 20  # points
+FILE_COPIES = 8  # of a file, in memory at once
 LACKS = ("ring", "time_ns", "sensor", "return_type")
 
 
@@ -43,6 +45,7 @@ def load_kitti(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
     if path.name.lower().endswith(".pcd.bin"):
         raise CloudError(f"{path}: is a nuScenes file, with five numbers a point; allowed: KITTI's four")
     try:
+        check_memory(str(path), FILE_COPIES * check_regular(path))
         raw = path.read_bytes()
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None

@@ -18,6 +18,7 @@ from lidarcfg.files import replacing
 from lidarcfg.formats.extra import missing
 from lidarcfg.formats.gps import gps_seconds, unix_ns
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory, check_regular
 
 STEP_M = 1e-4  # a coordinate is an int32 of these steps from the file's offset
 RANGE_M = STEP_M * (2**31 - 2)
@@ -31,6 +32,7 @@ EXTRA = {
 TIME_MAX_S = 9e9  # beyond it, nanoseconds since 1970 do not fit into int64
 DAY_NS = 86_400 * 10**9
 CHUNK = 1 << 20  # points
+POINT_BYTES = 200  # of memory a point, with what is read and what it becomes
 CHUNK_BYTES = 1 << 26  # read at a time, whatever the size of a point
 # Places in the header and in a VLR, by LAS 1.4 and the LASzip specification: the header's size, where the points begin,
 # the number of VLRs, the point format, with its highest bit set in LAZ, and a point's size; in a VLR its user, record
@@ -100,6 +102,7 @@ def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) 
     """
     laspy, lazrs = _libraries()
     try:
+        check_regular(path)
         _check_header(path)
         with laspy.open(path, read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
             columns, header = _read(laspy, reader, chunk), reader.header
@@ -129,6 +132,7 @@ def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) 
 def _read(laspy: Any, reader: Any, chunk: int) -> dict[str, NDArray[Any]]:
     """All the points' columns that we keep. Raises ValueError where there are fewer than the header announces."""
     header = reader.header
+    check_memory(f"a cloud of {header.point_count:,} points", POINT_BYTES * header.point_count)
     chunks = [_columns(laspy.ScaleAwarePointRecord.zeros(0, header=header))]
     left = header.point_count
     while left:

@@ -18,7 +18,7 @@ from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
 from lidarcfg.rig import Mount, load_rig
 from lidarcfg.sensor import Sensor, load_sensor
-from lidarcfg.world.motion import load_motion
+from lidarcfg.world.motion import load_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, load_vehicle, rig_vehicle
 
@@ -106,11 +106,11 @@ def _vehicle(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
-    motion = load_motion(path)
-    if motion.poses:
-        first, last = motion.poses[0].time_s, motion.poses[-1].time_s
-        return f"{len(motion.poses):,} timed poses from {first:g} s to {last:g} s", ()
-    return ("an arc" if motion.arc else "a constant velocity"), ()
+    found = load_path(path)
+    times_s = found.times_s
+    if len(times_s):
+        return f"{len(times_s):,} timed poses from {times_s[0]:g} s to {times_s[-1]:g} s", ()
+    return ("an arc" if found.motion.arc else "a constant velocity"), ()
 
 
 def _record(path: Path) -> tuple[str, Iterable[str]]:

@@ -15,6 +15,7 @@ from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
+from lidarcfg.inputs import check_regular
 from lidarcfg.packets.codec import pattern
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.rig import Rig, load_rig
@@ -66,6 +67,7 @@ def kind_of(path: Path) -> Kind:
         return "truth" if suffix == ".npz" and _is_truth(path) else "cloud"
     if suffix in YAMLS:
         return _yaml_kind(path)
+    check_regular(path)
     with path.open("rb") as file:
         if file.read(4) in MAGIC:
             return "capture"

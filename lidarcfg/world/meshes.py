@@ -1,7 +1,9 @@
 """Triangle meshes: of the shapes of a scene, and from files."""
 
 import math
-import stat
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from lidarcfg.config import COORDINATE_MAX_M, Vec3
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
+from lidarcfg.inputs import check_regular
 
 if TYPE_CHECKING:
     from lidarcfg.world.scene import Box, Cylinder, MeshFile, Plane, Sphere
@@ -20,6 +23,8 @@ NO_MESHES = {  # by suffix, what some other file is, and what to do
     ".xodr": "an OpenDRIVE map has lanes and no triangles; export a mesh of it, for example an OBJ with libOpenDRIVE",
     **dict.fromkeys((".pcd", ".las", ".laz", ".xyz", ".pts", ".e57", ".bin", ".npz"), _CLOUD),
 }
+
+FILE_MAX = 500_000_000  # bytes of a mesh's file: ten million triangles
 
 Mesh = tuple[Array, NDArray[np.int64]]  # vertices (V, 3) in metres, triangles (T, 3)
 
@@ -91,7 +96,7 @@ def read_mesh(path: Path) -> Mesh:
     _check_readable(path)
     if path.suffix.lower() in NO_MESHES:
         raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with silent(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)
     triangles = np.array(mesh.triangles, np.int64)
@@ -106,15 +111,25 @@ def read_mesh(path: Path) -> Mesh:
     return vertices, triangles
 
 
+@contextmanager
+def silent() -> Iterator[None]:
+    """What a library's C code prints to stderr is thrown away meanwhile."""
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
 def _check_readable(path: Path) -> None:
     """Raises SceneError, as Open3D does not tell a file that it cannot open from one without triangles."""
     try:
-        mode = path.stat().st_mode
-        if stat.S_ISREG(mode):
-            path.open("rb").close()
+        check_regular(path, FILE_MAX)
+        path.open("rb").close()
     except OSError as error:
         raise SceneError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except ValueError as error:
         raise SceneError(f"{str(path)!r}: {error}") from None
-    if not stat.S_ISREG(mode):
-        raise SceneError(f"{path}: is {'a directory' if stat.S_ISDIR(mode) else 'not a regular file'}")

@@ -12,15 +12,20 @@ from pydantic import Field, model_validator
 from lidarcfg.config import Model, Vec3, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, rotation, transform
+from lidarcfg.inputs import read_regular
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.world.motion_kernels import Paths
 
 TUM = ".tum"  # text lines of time_s x y z qx qy qz qw, as the TUM RGB-D benchmark defined and evo reads them
+TUM_ROW = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
+TUM_MAX = 500_000_000  # bytes: some four million poses
 STEP_NS = 1_000_000  # over which a velocity is taken
 EDGE_S = 1e-3  # before the first and after the last of timed poses
 LIMIT = 1e8
+TIME_LIMIT_S = 1e9
+UNIT = 0.01  # by which the length of a quaternion may differ from 1
 
 Speed = Annotated[float, Field(ge=-1e5, le=1e5)]
 Metres = Annotated[float, Field(ge=-LIMIT, le=LIMIT)]
@@ -37,7 +42,7 @@ class Arc(Model):
 class TimedPose(Model):
     """Where an object is at a time."""
 
-    time_s: Annotated[float, Field(ge=-1e9, le=1e9)]
+    time_s: Annotated[float, Field(ge=-TIME_LIMIT_S, le=TIME_LIMIT_S)]
     position_m: tuple[Metres, Metres, Metres]
     rpy_deg: Vec3 | None = None
     quaternion_xyzw: tuple[float, float, float, float] | None = None
@@ -47,7 +52,7 @@ class TimedPose(Model):
         if self.rpy_deg is not None and self.quaternion_xyzw is not None:
             raise fault("stands beside rpy_deg; give one of them", "quaternion_xyzw")
         length = np.linalg.norm(self.quaternion_xyzw or (1,))
-        if not abs(length - 1) <= 0.01:
+        if not abs(length - 1) <= UNIT:
             raise fault(f"is of length {length:g}; allowed: 1", "quaternion_xyzw")
         return self
 
@@ -133,24 +138,31 @@ class MotionPath:
 def prepared(motion: Motion) -> MotionPath:
     """The path of a motion."""
     poses = motion.poses or ()
-    rotations, rotation_vectors_rad = np.zeros((len(poses), 3, 3)), np.zeros((len(poses), 3))
-    if poses:
+    rotations = np.zeros((len(poses), 3, 3))
+    turned = [i for i, one in enumerate(poses) if one.quaternion_xyzw]
+    if turned:
+        rotations[turned] = _matrices(np.array([poses[i].quaternion_xyzw for i in turned]))
+    for i, one in enumerate(poses):
+        if not one.quaternion_xyzw:
+            rotations[i] = rotation(np.radians(one.rpy_deg or (0.0, 0.0, 0.0)))
+    positions_m = np.array([pose.position_m for pose in poses]).reshape(-1, 3)
+    return _path(motion, np.array([pose.time_s for pose in poses]), positions_m, rotations)
+
+
+def _matrices(quaternions_xyzw: Array) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternions_xyzw).as_matrix())
+
+
+def _path(motion: Motion, times_s: Array, positions_m: Array, rotations: Array) -> MotionPath:
+    vectors = np.zeros((len(rotations), 3))
+    if len(rotations):
         from scipy.spatial.transform import Rotation
 
-        for i, one in enumerate(poses):
-            if one.quaternion_xyzw:
-                rotations[i] = Rotation.from_quat(one.quaternion_xyzw).as_matrix()
-            else:
-                rotations[i] = rotation(np.radians(one.rpy_deg or (0.0, 0.0, 0.0)))
         attitudes = Rotation.from_matrix(rotations)
-        rotation_vectors_rad[:-1] = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
-    return MotionPath(
-        motion=motion,
-        times_s=np.array([pose.time_s for pose in poses]),
-        positions_m=np.array([pose.position_m for pose in poses]).reshape(-1, 3),
-        rotations=rotations,
-        rotation_vectors_rad=rotation_vectors_rad,
-    )
+        vectors[:-1] = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
+    return MotionPath(motion, times_s, positions_m, rotations, vectors)
 
 
 def packed(paths: Sequence[MotionPath]) -> "Paths":
@@ -231,26 +243,64 @@ def rotated(R: Array, vectors: Array) -> Array:
 def load_motion(path: str | Path) -> Motion:
     """The motion in a YAML file, or the timed poses in a .tum file. Raises ConfigError."""
     path = Path(path)
-    return _load_tum(path) if path.suffix == TUM else load(path, Motion)
+    if path.suffix != TUM:
+        return load(path, Motion)
+    rows = [tuple(row) for row in _read_tum(path).tolist()]
+    return Motion(poses=tuple(TimedPose(time_s=r[0], position_m=r[1:4], quaternion_xyzw=r[4:]) for r in rows))
 
 
-def _load_tum(path: Path) -> Motion:
+def load_path(path: str | Path) -> MotionPath:
+    """The path of the motion in a file; a million poses in a .tum file take seconds. Raises ConfigError."""
+    path = Path(path)
+    if path.suffix != TUM:
+        return prepared(load(path, Motion))
+    rows = _read_tum(path)
+    timed = Motion.model_construct(poses=())  # which are in the arrays
+    return _path(timed, rows[:, 0].copy(), rows[:, 1:4].copy(), _matrices(rows[:, 4:]))
+
+
+def _read_tum(path: Path) -> Array:
+    """(K, 8): the checked rows of the file. Raises ConfigError with the line that is none."""
     try:
-        lines = path.read_text().splitlines()
+        lines = read_regular(path, TUM_MAX).decode().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text in UTF-8"
         raise ConfigError(f"{path}: {(reason or str(error)).lower()}") from None
-    poses: list[TimedPose] = []
-    for number, line in enumerate(lines, 1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            try:
-                time_s, x, y, z, qx, qy, qz, qw = map(float, line.split())
-                poses.append(TimedPose(time_s=time_s, position_m=(x, y, z), quaternion_xyzw=(qx, qy, qz, qw)))
-            except ValueError:
-                what = f"{line.strip()[:60]!r} is not a pose; allowed: time_s x y z qx qy qz qw, of a unit quaternion"
-                raise ConfigError(f"{path}:{number}:1: {what}") from None
-            if len(poses) > 1 and not poses[-1].time_s > poses[-2].time_s:
-                raise ConfigError(f"{path}:{number}:1: {poses[-1].time_s:g} is not after {poses[-2].time_s:g}")
-    if len(poses) < 2:
-        raise ConfigError(f"{path}: {len(poses)} poses; allowed: at least 2")
-    return Motion(poses=tuple(poses))
+    numbers = [n for n, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    if len(numbers) < 2:
+        raise ConfigError(f"{path}: {len(numbers)} poses; allowed: at least 2")
+    try:
+        rows = np.loadtxt([lines[n] for n in numbers], comments=None, ndmin=2)
+    except ValueError:  # one by one, to say which
+        rows = np.array([_tum_row(path, n, lines[n]) for n in numbers])
+    if rows.shape[1] != len(TUM_ROW):
+        _tum_row(path, numbers[0], lines[numbers[0]])
+    odd = np.flatnonzero(~_are_poses(rows))
+    late = np.flatnonzero(~(np.diff(rows[:, 0]) > 0)) + 1
+    if len(odd) and not (len(late) and late[0] < odd[0]):
+        raise _no_pose(path, numbers[odd[0]], lines[numbers[odd[0]]])
+    if len(late):
+        before, after = rows[late[0] - 1 : late[0] + 1, 0]
+        raise ConfigError(f"{path}:{numbers[late[0]] + 1}:1: {after:g} is not after {before:g}")
+    return np.asarray(rows)
+
+
+def _are_poses(rows: Array) -> NDArray[np.bool_]:
+    """Which of the rows (K, 8) are poses, by the limits of `TimedPose`."""
+    near = (np.abs(rows[:, :4]) <= (TIME_LIMIT_S, LIMIT, LIMIT, LIMIT)).all(axis=1)
+    return np.asarray(near & (np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1) <= UNIT))
+
+
+def _tum_row(path: Path, number: int, line: str) -> list[float]:
+    try:
+        row = [float(word) for word in line.split()]
+    except ValueError:
+        raise _no_pose(path, number, line) from None
+    if len(row) != len(TUM_ROW):
+        raise _no_pose(path, number, line)
+    return row
+
+
+def _no_pose(path: Path, number: int, line: str) -> ConfigError:
+    allowed = f"allowed: {' '.join(TUM_ROW)}, of a unit quaternion"
+    return ConfigError(f"{path}:{number + 1}:1: {line.strip()[:60]!r} is not a pose; {allowed}")

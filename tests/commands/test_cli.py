@@ -384,9 +384,9 @@ def test_files_without_an_end(tmp_path):
     """A device, and a file of ten gigabytes that takes no room."""
     with open(tmp_path / "large.yaml", "wb") as file:
         file.truncate(10**10)
-    for path in ("/dev/zero", tmp_path / "large.yaml"):
-        assert "larger than the 64 MB that are read" in one_line("evaluate", path, "data/rigs/roof.yaml")
-        assert "not a capture" in one_line("decode", path, "-o", tmp_path / "a.ply")
+    for path, what in (("/dev/zero", "is not a regular file"), (tmp_path / "large.yaml", "not a capture")):
+        assert "larger than the 64 million bytes that are read" in one_line("evaluate", path, "data/rigs/roof.yaml")
+        assert what in one_line("decode", path, "-o", tmp_path / "a.ply")
 
 
 def test_a_name_that_is_no_unicode(tmp_path):

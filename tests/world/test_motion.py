@@ -12,7 +12,7 @@ from lidarcfg.geometry import pose, rotation
 from lidarcfg.rig import Rig
 from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, prepared
+from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, load_path, prepared
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene, tilted_rig
 
@@ -203,3 +203,22 @@ def test_between_poses_scipy_agrees():
     np.testing.assert_allclose(R, Slerp(times, turns)(asked).as_matrix(), atol=1e-13)
     np.testing.assert_allclose(t, np.stack([np.interp(asked, times, c) for c in places.T], axis=1), atol=1e-11)
     np.testing.assert_allclose(t[1000:], places, atol=1e-12)
+
+
+def test_a_path_of_timed_lines_is_that_of_their_poses(tmp_path):
+    """Read at once as pose by pose; a number as only Python writes it is read too."""
+    rng = np.random.default_rng(3)
+    quaternions = rng.normal(size=(200, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    rows = np.column_stack([np.arange(200) * 0.1, rng.normal(size=(200, 3)) * 100, quaternions])
+    lines = [" ".join(map(repr, row)) for row in rows.tolist()]
+    for text in ("# a\n\n" + "\n".join(lines), "\n".join(lines) + "\n1_000 0 0 0 0 0 0 1"):
+        (tmp_path / "a.tum").write_text(text)
+        at_once, singly = load_path(tmp_path / "a.tum"), prepared(load_motion(tmp_path / "a.tum"))
+        for name in ("times_s", "positions_m", "rotations", "rotation_vectors_rad"):
+            assert np.array_equal(getattr(at_once, name), getattr(singly, name)), name
+        seconds = np.linspace(0, 19.9, 77)
+        for one, other in zip(at_once.at(seconds), singly.at(seconds), strict=True):
+            assert np.array_equal(one, other)
+        assert at_once.speed_max_m_s == singly.speed_max_m_s
+        assert not at_once.is_static

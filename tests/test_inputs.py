@@ -1,0 +1,136 @@
+"""Files that are no files, have no end, or unpack to more than memory holds: each refused in one line, before."""
+
+import os
+import threading
+import time
+import zipfile
+
+import numpy as np
+import pytest
+import yaml
+
+from lidarcfg import config, inputs
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.cloud import load_cloud, read_arrays, save_clouds
+from lidarcfg.config import LARGE, Document, load
+from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
+from lidarcfg.formats.kitti import load_kitti
+from lidarcfg.formats.las import load_las
+from lidarcfg.rig import RigFile
+from lidarcfg.world.meshes import read_mesh
+from lidarcfg.world.motion import load_path
+from tests.capture_fixtures import no_warning
+from tests.test_cloud import cloud
+
+READERS = {
+    ".pcap": lambda path: list(decode_pcap(path, no_warning)),
+    ".npz": lambda path: load_cloud(path, no_warning),
+    ".ply": lambda path: load_cloud(path, no_warning),
+    ".pcd": lambda path: load_cloud(path, no_warning),
+    ".las": lambda path: load_las(path, no_warning),
+    ".bin": lambda path: load_kitti(path, no_warning),
+    ".tum": load_path,
+    ".stl": read_mesh,
+    ".obj": read_mesh,
+}
+
+
+@pytest.mark.parametrize("suffix", READERS)
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+def test_what_is_no_file_is_not_waited_for(tmp_path, suffix, make):
+    path = tmp_path / f"a{suffix}"
+    make(path)
+    with pytest.raises(LidarcfgError, match=rf"a{suffix}: is not a regular file$"):
+        READERS[suffix](path)
+
+
+@pytest.mark.parametrize("suffix", READERS)
+def test_ten_gigabytes_that_take_no_room(tmp_path, monkeypatch, suffix):
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 8e9)
+    with open(path := tmp_path / f"a{suffix}", "wb") as file:
+        file.truncate(10**10)
+    with pytest.raises(LidarcfgError, match=rf"a{suffix}(: | needs )"):
+        READERS[suffix](path)
+
+
+def test_a_pipe_is_read_as_it_is_written_and_not_waited_for_in_vain(tmp_path, monkeypatch):
+    """A writer may be slow; that nobody writes is told."""
+    monkeypatch.setattr(inputs, "WRITER_S", 0.2)
+    os.mkfifo(path := tmp_path / "a.yaml")
+    with pytest.raises(ConfigError, match="is a pipe to which nothing is written"):
+        load(path, RigFile)
+
+    def write():
+        with open(path, "w") as file:
+            time.sleep(0.4)
+            file.write("name: slow\nsensors:\n  - {name: a, model: vlp-16,")
+            file.flush()
+            time.sleep(0.1)
+            file.write(" position_m: [1, 2, 3]}\n")
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    assert load(path, RigFile).sensors[0].position_m == (1, 2, 3)
+    thread.join()
+
+
+def test_an_archive_that_unpacks_to_gigabytes(tmp_path):
+    """By the size that it declares, whether that is true or not; and one that memory does not hold."""
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("xyz.npy", "w") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**7, 3)})
+        for _ in range(240):
+            file.write(bytes(10**6))
+    assert path.stat().st_size < 10**6
+    with pytest.raises(CloudError, match=r"a\.npz: [\d,]+ bytes that say they unpack to 240,000,128"):
+        read_arrays(path, ["xyz"])
+    save_clouds(path, [cloud()])
+    assert len(load_cloud(path, no_warning).xyz)
+
+
+def test_what_memory_does_not_hold_is_refused_with_what_it_needs(tmp_path, monkeypatch):
+    save_clouds(tmp_path / "a.npz", [cloud()])
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 100.0)
+    with pytest.raises(LidarcfgError, match=r"a\.npz needs 0\.0 GB of memory; 0\.0 GB are free"):
+        load_cloud(tmp_path / "a.npz", no_warning)
+
+
+def test_memory_is_what_the_machine_has():
+    assert 1e8 < inputs.memory_bytes() <= os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+LONG = "# " + "x" * LARGE + "\n"
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="a wheel of PyYAML without libyaml")
+def test_a_large_file_says_what_a_small_one_does():
+    """Read by libyaml, the other by PyYAML: the same values at the same places, and errors at the same."""
+    text = "a: [1, 0x10, 0o17, 1e-5, .5, true, ~, on, 'x', \"\\u00e4\"]\nb:\n  - {c: &d [1, 2], e: *d}\n  - |\n    two\n    lines\n"
+    small, large = Document("#\n" + text, "a"), Document(LONG + text, "a")
+    assert large.value == small.value
+    assert large.places == small.places
+    assert small.value["a"] == (1, 16, 15, 1e-5, 0.5, True, None, "on", "x", "ä")
+    for bad, where in (
+        ("a: 1\na: 2\n", "3:1"),
+        ("a: [1\nb: 2\n", "3:2"),
+        ("a: !x 1\n", "2:1"),
+        ("? [1]\n: 2\n", "2:3"),
+    ):
+        for head in ("#\n", LONG):
+            with pytest.raises(ConfigError, match=rf"^f:{where}: "):
+                Document(head + bad, "f")
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("[" * 10**6, "nested too deeply"),
+        ("- " * 10**5, "nested too deeply"),
+        ("[" + "1," * (config.NODES_MAX + 1), "has more than the 500,000 keys and values"),
+        ("[" * 10, "not YAML: "),
+    ],
+)
+def test_large_files_that_are_no_configuration(text, what):
+    with pytest.raises(ConfigError, match=what) as error:
+        Document(LONG + text, "f")
+    assert str(error.value).startswith("f:2:") or what == "not YAML: "
