@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from lidarcfg.config import COORDINATE_MAX_M, Key, Model, Position, error_at, fault
-from lidarcfg.geometry import Array, leaning, up
+from lidarcfg.geometry import Array, leaning, level, up
 from lidarcfg.sensor import Metres, Sensor
-from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.tracer import Hits, Tracer
 from lidarcfg.world.vehicle import Vehicle
 
 Side = Literal["above", "front", "rear", "left", "right"]
@@ -35,6 +35,7 @@ DISC = np.array(
     ]
 )
 ON_M = 1e-6  # how exactly a base lies on its surface, and its axis along the normal
+RIM = 33  # points of a rim that is drawn
 HALVES_MAX = 64  # of a patch's extent across the line of sight: so many places are on each side of the middle
 
 
@@ -78,7 +79,8 @@ class Surface:
     radius_m: float  # of the base
     step_m: float
     upright: bool
-    mirror_y_m: float | None = None  # the plane in which the next sensor is this one's image
+    mirror_y_m: float | None = None  # the plane that mirrors one of a pair into the other
+    is_image: bool = False  # whether this is the second of the pair
 
     @property
     def axis(self) -> int:
@@ -97,11 +99,11 @@ class Surface:
 
     @cached_property
     def image(self) -> "Surface":
-        """Its image in the plane of its mirror."""
+        """The surface of the other sensor of a pair."""
         low, high, y_m = self.low_m.copy(), self.high_m.copy(), self.mirror_y_m or 0.0
         low[1], high[1] = 2 * y_m - self.high_m[1], 2 * y_m - self.low_m[1]
         side = OPPOSITE.get(self.side, self.side)
-        return replace(self, side=side, low_m=low, high_m=high, mirror_y_m=None)
+        return replace(self, side=side, low_m=low, high_m=high, is_image=not self.is_image)
 
     @cached_property
     def patch(self) -> "Patch":
@@ -110,13 +112,16 @@ class Surface:
 
     def heights_m(self, points_m: Array) -> Array:
         """(…) how far out the line of sight through points (…, 3) first hits anything; NaN unless that is the body."""
-        starts = points_m.reshape(-1, 3).copy()
-        starts[:, self.axis] = self.sign * self._start_m
-        inward = np.zeros_like(starts)
-        inward[:, self.axis] = -self.sign
-        hits = self.tracer.cast(starts, inward)
+        hits = self.seen(points_m.reshape(-1, 3))
         found = hits.object == self.tracer.scene.names.index(self.body)
         return np.where(found, self._start_m - hits.range_m, np.nan).reshape(points_m.shape[:-1])
+
+    def seen(self, points_m: Array) -> Hits:
+        """What the lines of sight through points (N, 3) first hit of the vehicle."""
+        starts, inward = points_m.copy(), np.zeros_like(points_m)
+        starts[:, self.axis] = self.sign * self._start_m
+        inward[:, self.axis] = -self.sign
+        return self.tracer.cast(starts, inward)
 
     def poses(self, coordinates: Array) -> Array:
         """(n, 6) the poses of sensors at coordinates (n, 6): bases across the line of sight, and angles.
@@ -154,6 +159,14 @@ class Surface:
         if not self.upright:
             total += np.maximum(abs(mount - self._normals(heights)) - ON_M, 0.0).sum(axis=1)
         return total
+
+    def rims_m(self, poses: Array) -> Array:
+        """(n, RIM, 3) the rims of the bases of sensors at poses (n, 6)."""
+        plane = level(leaning(self._mount(poses), np.zeros(len(poses))))
+        turn = np.linspace(0.0, 2 * math.pi, RIM)
+        disc = plane[:, None, :, 0] * np.cos(turn)[:, None] + plane[:, None, :, 1] * np.sin(turn)[:, None]
+        rims: Array = self.bases_m(poses)[:, None] + self.radius_m * disc
+        return rims
 
     @cached_property
     def _disc_m(self) -> Array:
@@ -200,6 +213,16 @@ class Patch:
     hit: NDArray[np.bool_]  # (a, b) whether there is a surface in the box
     fits: NDArray[np.bool_]  # (a, b) whether a base is wholly on it
 
+    @property
+    def cells_m(self) -> Array:
+        """(F, 4, 3) the cells of the grid at whose corners bases fit."""
+        index = [np.arange(max(count, 2)).clip(max=count - 1) for count in self.fits.shape]  # a line has cells, too
+        bases, fits = self.bases_m[np.ix_(*index)], self.fits[np.ix_(*index)]
+        corners = [(slice(a, a - 1 or None), slice(b, b - 1 or None)) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        whole = np.logical_and.reduce([fits[corner] for corner in corners])
+        cells: Array = np.stack([bases[corner][whole] for corner in corners], axis=1)
+        return cells
+
     def nearest_m(self, point_m: Array, across: tuple[int, int]) -> Array:
         """(3,) the place that fits nearest to a point (3,) across the line of sight."""
         spots = self.bases_m[self.fits]
@@ -217,14 +240,16 @@ def _patch(surface: Surface) -> Patch:
             lines[axis] = np.linspace(low[axis], high[axis], 2 * halves + 1)
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     places = np.concatenate([grid, np.zeros_like(grid)], axis=1)
-    surfaces, coordinates = [surface], [places]
-    if surface.mirror_y_m is not None:
-        surfaces, coordinates = [surface, surface.image], [places, mirrored(places, surface.mirror_y_m)]
-    poses = np.stack([one.poses(at) for one, at in zip(surfaces, coordinates, strict=True)], axis=1)
-    bases = surface.bases_m(poses[:, 0])
+    poses = surface.poses(places)
+    bases = surface.bases_m(poses)
+    if surface.mirror_y_m is None:
+        fits = violation([surface], poses[:, None]) == 0.0
+    else:
+        others = surface.image.poses(mirrored(places, surface.mirror_y_m))
+        pair = ((surface, poses), (surface.image, others))[:: -1 if surface.is_image else 1]
+        fits = violation([one for one, _ in pair], np.stack([at for _, at in pair], axis=1)) == 0.0
     hit = ~np.isnan(surface.heights_m(grid)) & (bases >= low - ON_M).all(axis=1) & (bases <= high + ON_M).all(axis=1)
     shape = tuple(len(lines[axis]) for axis in surface.across)
-    fits = violation(surfaces, poses) == 0.0
     return Patch(bases.reshape(*shape, 3), hit.reshape(shape), fits.reshape(shape))
 
 
@@ -245,7 +270,7 @@ def violation(surfaces: Sequence[Surface | None], poses: Array) -> Array:
         if surface is None:
             continue
         total += surface.violation(poses[:, i])
-        if surface.mirror_y_m is not None:
+        if surface.mirror_y_m is not None and not surface.is_image:
             apart = poses[:, i + 1, :3] - mirrored(poses[:, i], surface.mirror_y_m)[:, :3]
             apart_m = np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2 + apart[:, 2] ** 2)
             total += np.maximum(apart_m - surface.step_m, 0.0)

@@ -16,6 +16,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
 from lidarcfg.report.html import Figure, Table, render
+from lidarcfg.report.surfaces import draw_surfaces
 from lidarcfg.report.words import (
     as_yaml,
     bounds_table,
@@ -97,6 +98,7 @@ def _drawings(study: Study, rig: Rig, details: Details, placement: Placement | N
     found, region = details.evaluation, study.region
     return {
         "mounts": drawings.draw_mounts(study, rig),
+        "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
         "history": drawings.draw_history(study, placement) if placement else None,
         "worst": drawings.draw_worst(rig, found),
         "sizes": drawings.draw_sizes([("", details)]),

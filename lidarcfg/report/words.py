@@ -169,6 +169,7 @@ def constraints_in_words(study: Study) -> str:
     limits = study.constraints
     terms = [] if limits.max_tilt_deg == 180 else [f"every sensor's tilt at most {limits.max_tilt_deg:g}°"]
     terms += [] if not limits.min_distance_m else [f"sensors at least {limits.min_distance_m:g} m apart"]
+    terms += ["bases wholly on their surfaces"] * any(slot.surface for slot in study.slots)
     return "; ".join(["the bounds below", *terms])
 
 
@@ -190,7 +191,11 @@ def bounds_table(study: Study) -> Table:
             continue
         angles = np.degrees([low[3:], high[3:]])
         pairs = [*zip(low[:3], high[:3], strict=True), *zip(*angles, strict=True)]
-        rows.append([slot.name, slot.sensor.name, *(f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs)])
+        cells = [f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs]
+        if slot.surface:
+            cells[slot.surface.axis] = f"on {slot.surface.body}, from {slot.surface.side}"
+            cells[3:5] = cells[3:5] if slot.surface.upright else ["normal"] * 2
+        rows.append([slot.name, slot.sensor.name, *cells])
     head = ("sensor", "model", *(f"{c} ({'m' if i < 3 else '°'})" for i, c in enumerate(COORDINATES)))
     return Table("Bounds of each sensor; a single number is fixed", head, rows, texts=(1,))
 
