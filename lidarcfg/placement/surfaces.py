@@ -93,6 +93,12 @@ class Surface:
         return OUT[self.side][1]
 
     @property
+    def out(self) -> Array:
+        """(3,) to where one looks at it from."""
+        out: Array = self.sign * np.eye(3)[self.axis]
+        return out
+
+    @property
     def across(self) -> tuple[int, int]:
         """The two other axes."""
         return (self.axis == 0) + 0, 2 - (self.axis == 2)

@@ -20,29 +20,47 @@ FITS = "#2a9d5c"
 MARGIN_M = 0.15
 PIXELS = 500  # along the longer edge of the picture of a body
 FROM_BEHIND = ("left", "rear")  # from where the axis that is drawn across points to the left
-LABELS_IN = 0.55  # of a panel's height, for its title and axis
+LABELS_IN, TITLE_IN = 0.9, 0.55  # beside a panel, and above and below it
 
 
 def draw_surfaces(study: Study, rig: Rig) -> Markup:
     """The vehicle from each side that sensors sit on, where their bases fit, and the bases of the rig."""
+    alt = f"where sensors may sit on the vehicle, from {', '.join(_sides(study))}"
+    return drawing("surfaces", sum(heights_in(study)), alt, lambda figure: fill_figure(figure, study, rig))
+
+
+def heights_in(study: Study) -> list[float]:
+    """How high the panel of each side is."""
+    low, high = _frame(study)
+    pairs = [seats[0][1].across for seats in _sides(study).values()]
+    scale = (WIDTH_IN - LABELS_IN) / max(high[across] - low[across] for across, _ in pairs)
+    return [TITLE_IN + scale * float(high[up] - low[up]) for _, up in pairs]
+
+
+def fill_figure(figure: "Figure", study: Study, rig: Rig) -> None:
+    """Draw them below each other."""
+    sides, (low, high) = _sides(study), _frame(study)
+    grid = figure.add_gridspec(len(sides), 1, height_ratios=heights_in(study))
+    for row, (side, seats) in enumerate(sides.items()):
+        axes = figure.add_subplot(grid[row, 0])
+        _draw_side(axes, seats, rig, study, low, high)
+        axes.set_title(f"from {'' if side == 'above' else 'the '}{side}")
+
+
+def _sides(study: Study) -> dict[str, list[tuple[int, Surface]]]:
+    """The numbers and surfaces of the slots that are on any, by side."""
     sides: dict[str, list[tuple[int, Surface]]] = {}
     for i, slot in enumerate(study.slots):
         if slot.surface:
             sides.setdefault(slot.surface.side, []).append((i, slot.surface))
-    bodies = next(iter(sides.values()))[0][1].tracer.scene.mesh()[0]
-    low, high = bodies.min(axis=0) - MARGIN_M, bodies.max(axis=0) + MARGIN_M
-    widest = max(high[one.across[0]] - low[one.across[0]] for ((_, one), *_) in sides.values())
-    scale = (WIDTH_IN - 0.9) / widest
-    heights = [scale * (high[one.across[1]] - low[one.across[1]]) + LABELS_IN for ((_, one), *_) in sides.values()]
+    return sides
 
-    def draw(figure: "Figure") -> None:
-        grid = figure.add_gridspec(len(sides), 1, height_ratios=heights)
-        for row, (side, seats) in enumerate(sides.items()):
-            axes = figure.add_subplot(grid[row, 0])
-            _draw_side(axes, seats, rig, study, low, high)
-            axes.set_title(f"from {side}" if side == "above" else f"from the {side}")
 
-    return drawing("surfaces", sum(heights), f"where sensors may sit, from {', '.join(sides)}", draw)
+def _frame(study: Study) -> tuple[Array, Array]:
+    """The corners (3,) of a box around the vehicle."""
+    ((_, surface), *_), *_ = _sides(study).values()
+    bodies = surface.tracer.scene.mesh()[0]
+    return bodies.min(axis=0) - MARGIN_M, bodies.max(axis=0) + MARGIN_M
 
 
 def _draw_side(axes: "Axes", seats: list[tuple[int, Surface]], rig: Rig, study: Study, low: Array, high: Array) -> None:

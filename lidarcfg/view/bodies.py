@@ -15,10 +15,12 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.placement.subspace import Subspaces, segment
+from lidarcfg.placement.surfaces import Surface
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.rig import Rig
 
 TOLERANCE = 1e-9  # metres and radians
+RAISED_M = 0.002, 0.004  # above a body, so that they are seen: where bases may be, and bases
 
 
 @dataclass(frozen=True)
@@ -116,15 +118,48 @@ def _back(index: NDArray[np.intp], along: int) -> NDArray[np.intp]:
     return out
 
 
+def seats_m(study: Study) -> Array:
+    """(F, 4, 3) where the bases of sensors may be on the vehicle."""
+    surfaces = [surface for surface in dict.fromkeys(slot.surface for slot in study.slots) if surface]
+    cells = [surface.patch.cells_m + RAISED_M[0] * surface.out for surface in surfaces]
+    return np.concatenate([np.empty((0, 4, 3)), *cells])
+
+
+def bases_m(study: Study, rig: Rig) -> Array:
+    """(T, 3, 3) triangles of the bases of a rig's sensors on the vehicle; none for a rig with other sensors."""
+    found = [np.empty((0, 3, 3))]
+    for slot, pose in zip(study.slots, _poses(study, rig), strict=False):
+        if slot.surface:
+            rim = slot.surface.rims_m(pose[None])[0] + RAISED_M[1] * slot.surface.out
+            middle = np.broadcast_to(rim[:-1].mean(axis=0), (len(rim) - 1, 3))
+            found.append(np.stack([middle, rim[:-1], rim[1:]], axis=1))
+    return np.concatenate(found)
+
+
+def has_its_sensors(study: Study, rig: Rig) -> bool:
+    """Whether a rig has the sensors of a study."""
+    return [mount.sensor.beams for mount in rig.mounts] == [slot.sensor.beams for slot in study.slots]
+
+
+def _poses(study: Study, rig: Rig) -> Array:
+    """(slots, 6) of a rig with the study's sensors; (0, 6) of another."""
+    if not has_its_sensors(study, rig):
+        return np.empty((0, 6))
+    return np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
+
+
 def violations(study: Study, rig: Rig) -> list[str]:
     """Which of the study's bounds and constraints a rig violates, in words; none for a rig with other sensors."""
-    if [mount.sensor.beams for mount in rig.mounts] != [slot.sensor.beams for slot in study.slots]:
-        return []
-    found = []
-    poses = np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
+    found: list[str] = []
+    poses = _poses(study, rig)
+    if not len(poses):
+        return found
     tilt_deg = np.degrees(np.arccos(np.clip(up(poses[:, 3:])[:, 2], -1.0, 1.0)))
     for i, mount in enumerate(rig.mounts):
-        if np.isnan(study.mirror[i]):
+        surface = study.slots[i].surface
+        if surface:
+            found += [f"{mount.name}: {text}" for text in _off(surface, poses[i], study.lower[i], study.upper[i])]
+        elif np.isnan(study.mirror[i]):
             found += [f"{mount.name}: {text}" for text in _outside(poses[i], study.lower[i], study.upper[i])]
         else:
             image = poses[i - 1] * (1, -1, 1, -1, 1, -1) + (0, 2 * study.mirror[i], 0, 0, 0, 0)
@@ -140,6 +175,16 @@ def violations(study: Study, rig: Rig) -> list[str]:
             names = f"{rig.mounts[i].name} and {rig.mounts[j].name}"
             found.append(f"{names}: {apart_m:.3f} m apart; allowed: {study.constraints.min_distance_m:g} m and more")
     return found
+
+
+def _off(surface: Surface, pose: Array, low: Array, high: Array) -> list[str]:
+    """Whether a sensor does not sit on its surface, and which of its angles (6,) are out of bounds."""
+    is_off = surface.violation(pose[None])[0] > 0
+    found = [f"its base is not wholly on {surface.body} as seen from {surface.side}"] if is_off else []
+    if not surface.upright or surface.is_image:
+        return found
+    anywhere = np.where(np.arange(6) < 3, np.inf, 0.0)
+    return found + _outside(pose, low - anywhere, high + anywhere)
 
 
 def _near(a: Array, b: Array) -> bool:

@@ -30,6 +30,8 @@ WORST = "#FF7F50"
 EXCLUDED = "#9AA4B2"
 BLIND = "#A98BFF"
 VEHICLE = "#C3CAD4"
+SEAT = "#2A9D5C"
+BASE = "#101418"
 DIFFUSE = 100  # intensities up to here are diffuse, in per cent
 
 

@@ -19,7 +19,16 @@ from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
-from lidarcfg.view.bodies import faces, hides, other_max_vsr_m, score, violations
+from lidarcfg.view.bodies import (
+    bases_m,
+    faces,
+    has_its_sensors,
+    hides,
+    other_max_vsr_m,
+    score,
+    seats_m,
+    violations,
+)
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import COLOUR_BY, By, colour
 from lidarcfg.view.shades import span
@@ -76,6 +85,8 @@ def page_of(stage: Stage, by: By = "sensor", camera: Camera | None = None, worst
             "excluded": colours.EXCLUDED,
             "blind": colours.BLIND,
             "vehicle": colours.VEHICLE,
+            "seat": colours.SEAT,
+            "base": colours.BASE,
         },
         "sensors": [{"name": name, "colour": code} for name, code in stage.colours.items()],
         "points": points,
@@ -251,7 +262,7 @@ def _mount(mount: Mount) -> dict[str, Any]:
 
 
 def _study(study: Study, rig: Rig) -> dict[str, Any]:
-    ours = [mount.sensor.beams for mount in rig.mounts] == [slot.sensor.beams for slot in study.slots]
+    ours, bases = has_its_sensors(study, rig), bases_m(study, rig)
     return {
         "name": study.name,
         "min_m": study.region.min_m.tolist(),
@@ -266,6 +277,8 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         ]
         if ours
         else [],
+        "seats": _quads(seats_m(study)) if ours else None,
+        "bases": _mesh(bases.reshape(-1, 3), np.arange(3 * len(bases)).reshape(-1, 3)) if len(bases) else None,
     }
 
 

@@ -15,7 +15,7 @@ from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.words import date
+from lidarcfg.report.words import bounds_table, constraints_in_words, date
 from lidarcfg.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
@@ -297,3 +297,30 @@ def test_in_a_browser(runs):
         assert driver.execute_script(outside) == []
         drawn = driver.execute_script("return document.querySelectorAll('figure svg').length")
         assert drawn == 7
+
+
+def test_mount_surfaces_are_said_and_drawn(tmp_path):
+    """Which coordinate follows from the body, and a panel for each side that sensors are on."""
+    mounts = """
+  - name: top
+    elevation_deg: [-10, 0, 10]
+    on: {body: cab, from: above, within: {min_m: [4.5, 3.2, 1], max_m: [7.5, 4.8, 2]}, base_radius_m: 0.05}
+  - name: side
+    elevation_deg: [-10, 0, 10]
+    count: 2
+    mirror_y_m: 4
+    on: {body: cab, from: left, within: {min_m: [5, 4, 0.2], max_m: [7, 6, 1.2]}, base_radius_m: 0.05, upright: false}
+    yaw_deg: [0, 20]
+"""
+    text = STUDY.replace("sensors:", VEHICLE + "sensors:" + mounts)
+    study = make(tmp_path, text)
+    rig = study.rig(study.midpoint)
+    report.save_evaluation(study, rig, details(study, rig, evaluate(study, rig), cheap_cuboids=100), tmp_path / "o")
+    page = read((tmp_path / "o/report.html").read_text())
+    assert "where sensors may sit on the vehicle, from above, left, right" in [label for _, label in page.labels]
+    assert "Green: the middle of a base may be here." in page.words
+    rows = {row[0]: row[2:] for row in bounds_table(study).rows}
+    assert rows["top"] == ["4.5 … 7.5", "3.2 … 4.8", "on cab, from above", "0", "0", "0"]
+    assert rows["side_0"] == ["5 … 7", "on cab, from left", "0.2 … 1.2", "normal", "normal", "0 … 20"]
+    assert rows["side_1"][0] == "image in y = 4 m"
+    assert "bases wholly on their surfaces" in constraints_in_words(study)

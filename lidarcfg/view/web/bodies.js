@@ -78,9 +78,12 @@ export function region(study, colours) {
   return group;
 }
 
-export function bounds(study) {
+// Boxes, and on the vehicle where the bases of sensors may be, and where they are.
+export function bounds(study, colours) {
   const group = new Group();
   for (const { min_m, max_m } of study.bounds) group.add(box(min_m, max_m, "white"));
+  if (study.seats) group.add(body(study.seats, colours.seat, 0.6));
+  if (study.bases) group.add(body(study.bases, colours.base, 0.9));
   return group;
 }
 

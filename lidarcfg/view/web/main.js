@@ -120,7 +120,7 @@ function bodyControls(view, panel, mounts) {
   };
   if (about.study) {
     toggled("region", "region, and what it excludes (the vehicle)", region(about.study, about.colours));
-    if (about.study.bounds.length) toggled("bounds", "bounds of the sensors", bounds(about.study));
+    if (about.study.bounds.length) toggled("bounds", "bounds of the sensors", bounds(about.study, about.colours));
     view.worst = new Worst(stage, about.colours);
     toggled("bodies", "worst subspaces", view.worst.object);
     if (about.evaluation.blind) {
