@@ -312,7 +312,7 @@ def test_what_the_page_shows_of_a_roof(tmp_path):
     poses[1, 5] += math.pi
     assert violations(loaded, loaded.rig(poses)) == [
         "cab_0: its base is not wholly on cab as seen from above",
-        "cab_1: yaw -135.00° is outside 0 to 90°",
+        "cab_1: yaw 225.00° is outside 0 to 90°",
     ]
     other = study(
         tmp_path,
