@@ -228,7 +228,7 @@ def test_the_violation_by_hand(tmp_path):
 
 def test_constraints_that_nothing_keeps(tmp_path):
     with pytest.raises(ConfigError, match="found no rig that keeps the constraints"):
-        optimize(study(tmp_path, SMALL + "constraints: {min_distance_m: 50}\n"))
+        optimize(study(tmp_path, SMALL + "constraints: {min_distance_m: 2.06}\n"))  # from corner to corner are 2.062
 
 
 @pytest.mark.parametrize(
