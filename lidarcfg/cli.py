@@ -19,6 +19,7 @@ from lidarcfg.commands.files import init, schema, validate
 from lidarcfg.commands.placement import compare, evaluate, optimize
 from lidarcfg.commands.progress import Interrupts
 from lidarcfg.commands.sensors import sensors
+from lidarcfg.commands.sweep import sweep
 from lidarcfg.commands.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line
 
@@ -82,7 +83,7 @@ def _fail(message: str) -> None:
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     sections=[
-        cloup.Section("Place sensors on a vehicle", [optimize, evaluate, compare]),
+        cloup.Section("Place sensors on a vehicle", [optimize, evaluate, compare, sweep]),
         cloup.Section("Simulate and read captures", [export, decode, replay]),
         cloup.Section("Look at the results", [view]),
         cloup.Section("Use them in other tools", [convert]),

@@ -45,11 +45,13 @@ def _within(package: str, frame: FrameType | None) -> bool:
 
 
 @contextmanager
-def progress(quiet: bool, interrupts: Interrupts | None = None) -> Iterator[Callable[[float, str], None]]:
+def progress(
+    quiet: bool, interrupts: Interrupts | None = None, mean_over_s: float = 30.0
+) -> Iterator[Callable[[float, str], None]]:
     """A bar on stderr, and the function that updates it with the fraction done and a text.
 
-    The bar appears at the first update. An update raises KeyboardInterrupt if an interrupt was lost; the interrupts
-    are those of the running command unless given.
+    The bar appears at the first update; its time left is by the updates of the last `mean_over_s` seconds. An update
+    raises KeyboardInterrupt if an interrupt was lost; the interrupts are those of the running command unless given.
     """
     interrupts = interrupts or click.get_current_context().ensure_object(Interrupts)
     if quiet:
@@ -59,7 +61,7 @@ def progress(quiet: bool, interrupts: Interrupts | None = None) -> Iterator[Call
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (BarColumn(30), TextColumn("{task.description}"), TimeRemainingColumn())
-    bar = Progress(*columns, console=Console(stderr=True))
+    bar = Progress(*columns, console=Console(stderr=True), speed_estimate_period=mean_over_s)
     task = bar.add_task("", total=1.0)
 
     def on_progress(fraction: float, text: str) -> None:

@@ -18,6 +18,7 @@ from lidarcfg.report.results import (
     save_progress,
     to_json,
 )
+from lidarcfg.report.sweep import SweepFolder
 from lidarcfg.report.tables import (
     analytic_line,
     print_comparison,
@@ -35,6 +36,7 @@ __all__ = [
     "FRONT",
     "RESULTS",
     "Commands",
+    "SweepFolder",
     "analytic_line",
     "check_count",
     "check_writable",

@@ -1,0 +1,172 @@
+"""A sweep: the runs of a plan on many workers, each a search of one thread."""
+
+import json
+import pickle
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.placement.optimize import Placement, optimize
+from lidarcfg.placement.plan import Plan, Run, versions
+from lidarcfg.placement.study import Study, with_solver
+from lidarcfg.placement.study_file import Solver, StudyFile
+from lidarcfg.placement.workers import Workers, check_versions
+from lidarcfg.rig import Rig
+
+ATTEMPTS = 5  # of a run whose workers are killed
+LOOK_S = 2.0  # between two looks at who is there
+TRIALS = 300  # evaluations by which the time of a search is estimated
+DRAWS = 100  # of poses, for one that meets the constraints
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a run."""
+
+    found: dict[str, float | int | None]  # figures by name
+    rig: Rig | None  # None: there is none
+    seconds: float
+    error: str = ""  # why there is no rig
+    lasting: bool = True  # whether it would be the same again
+
+
+def work(content: bytes, theirs: dict[str, str]) -> Outcome:
+    """What a worker does: a run of a pickled study, made with these versions. Raises ConfigError for others."""
+    check_versions(theirs, "the command")
+    started = time.perf_counter()
+    try:
+        placement = optimize(pickle.loads(content), threads=1)
+    except LidarcfgError as error:
+        return Outcome({}, None, time.perf_counter() - started, str(error))
+    except Exception as error:  # one run's, and the others go on
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        what = f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
+        return Outcome({}, None, time.perf_counter() - started, what, lasting=False)
+    return Outcome(figures(placement), placement.rig, time.perf_counter() - started)
+
+
+def figures(found: Placement) -> dict[str, float | int | None]:
+    """The figures of a search, by the names of the table's columns."""
+    evaluation = found.evaluation
+    volume = evaluation.blind.seen_by_m3
+    return {
+        "cost": found.objective,
+        "max_vsr_m": evaluation.max_vsr_m,
+        "evaluations": found.evaluations,
+        **{f"detection.{name}": one.rate for name, one in evaluation.detection.items()},
+        **{f"seen_by.{count}": float(part) for count, part in enumerate(volume / volume.sum())},
+    }
+
+
+def sweep(plan: Plan, runs: Iterable[Run], workers: Workers, done: Callable[[Run, Outcome], None]) -> None:
+    """Do some runs of a plan; `done` is called after each, in the order in which they end.
+
+    A run whose worker was killed is done again. Raises ConfigError if the workers are gone or of other versions.
+    """
+    left = iter(runs)
+    pending: dict[Future[Outcome], tuple[Run, bytes]] = {}
+    attempts: dict[int, int] = {}
+
+    def submit(run: Run, content: bytes) -> None:
+        pending[workers.submit(work, content, versions())] = run, content
+
+    following = _prepared(plan, next(left, None))
+    while following or pending:
+        while following and len(pending) < workers.room:
+            submit(*following)
+            following = _prepared(plan, next(left, None))  # while the workers work
+        finished, _ = wait(pending, LOOK_S, FIRST_COMPLETED)
+        for future in finished:
+            run, content = pending.pop(future)
+            outcome = _outcome(future)
+            if outcome is None:
+                attempts[run.number] = attempts.get(run.number, 0) + (workers.count > 0)  # raises if they are gone
+                if attempts[run.number] < ATTEMPTS:
+                    submit(run, content)
+                    continue
+                outcome = Outcome({}, None, 0.0, f"its worker ended {ATTEMPTS} times; out of memory?", lasting=False)
+            done(run, outcome)
+
+
+def _prepared(plan: Plan, run: Run | None) -> tuple[Run, bytes] | None:
+    """A run with what its worker needs: the whole study, so that it reads no file."""
+    return None if run is None else (run, pickle.dumps(plan.studies.of(run.file)))
+
+
+def _outcome(future: "Future[Outcome]") -> Outcome | None:
+    """What came of a run; None if its worker ended. Raises ConfigError for a worker of other versions."""
+    if future.cancelled():
+        return None
+    error = future.exception()
+    if isinstance(error, LidarcfgError):
+        raise error
+    return None if error else future.result()
+
+
+def warm(study: Study) -> None:
+    """Compile the loops that a search of the study needs, so that no two processes do."""
+    rng = np.random.default_rng(1)
+    lidars = [slot.lidar for slot in study.slots]
+    poses = study.poses(rng.random((DRAWS, int(study.free.sum()))))
+    poses = poses[study.violation(poses) == 0.0][:2]
+    source, nothing = np.zeros(1, np.int64), np.full(1, np.inf)
+    with Evaluator(study.region, lidars, 1, criterion=study.criterion(), visibility=study.visibility) as evaluator:
+        for row in poses[:, None]:
+            nothing = evaluator.costs(row, source, poses[:1], nothing)
+    for row in poses[:1]:
+        with suppress(ConfigError):
+            evaluate(study, study.rig(row))
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast searches of a study are."""
+
+    evaluation_s: float
+    cycle_s: float
+    rest_s: float  # what a run takes beside its search
+
+    def seconds(self, solver: Solver) -> float:
+        """About how long a run takes with this solver's budgets."""
+        budgets = (solver.evaluations, self.evaluation_s), (solver.cycles, self.cycle_s), (solver.seconds, 1.0)
+        return self.rest_s + min(budget * each for budget, each in budgets if budget is not None)
+
+
+def pace(study: Study) -> Pace:
+    """By a search of a few evaluations. Raises ConfigError if that finds no rig."""
+    started = time.perf_counter()
+    trial = optimize(with_solver(study, evaluations=TRIALS), threads=1)
+    count = trial.evaluations + trial.first_evaluations + trial.scout_evaluations
+    rest = time.perf_counter() - started - trial.seconds
+    return Pace(trial.seconds / count, trial.seconds / max(trial.history[-1].cycle, 1), rest)
+
+
+def kind(file: StudyFile) -> str:
+    """Which loops a search needs, as a text to compare."""
+    return " ".join([file.solver.method, *sorted(set(_names(file.model_dump(exclude_unset=True))))])
+
+
+def size(file: StudyFile) -> str:
+    """What a search's pace depends on, as a text to compare."""
+    sensors = [(group.model, group.elevation_deg, group.count) for group in file.sensors]
+    return json.dumps([kind(file), sensors, file.region.model_dump_json()])
+
+
+def _names(values: Any) -> Iterator[str]:
+    """All keys of nested maps and lists."""
+    if isinstance(values, dict):
+        yield from values
+        values = values.values()
+    if not isinstance(values, str | float | int | None):
+        for value in values:
+            yield from _names(value)

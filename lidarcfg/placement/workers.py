@@ -1,0 +1,196 @@
+"""Who does the runs of a sweep: processes of this machine, or a Dask cluster."""
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import warnings
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from queue import SimpleQueue
+from typing import Any, Protocol
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.placement.plan import versions
+
+CONNECT_S = 5.0  # for a scheduler to answer
+WAIT_S = 60.0  # for its first worker
+AHEAD = 2  # runs that a cluster is given for each of its threads
+
+
+class WorkerDiedError(Exception):
+    """A worker ended in the middle of a run."""
+
+
+class Workers(Protocol):
+    """Who does runs."""
+
+    @property
+    def count(self) -> int:
+        """How many runs they do at a time. Raises ConfigError if they are gone, or of other versions."""
+
+    @property
+    def room(self) -> int:
+        """How many they can be given. Raises as `count` does."""
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+        """Call a function of a module there. The future raises whatever happens to the worker meanwhile."""
+
+    def close(self) -> None:
+        """End what they do for us."""
+
+
+class Processes:
+    """Processes of this machine. They end with this one, however that ends; one that is killed is replaced."""
+
+    def __init__(self, count: int) -> None:
+        self.count, self._closed = count, False
+        self._threads = ThreadPoolExecutor(count)
+        self._idle: SimpleQueue[_Process] = SimpleQueue()
+        self._all = [_Process() for _ in range(count)]
+        for process in self._all:
+            self._idle.put(process)
+
+    @property
+    def room(self) -> int:
+        """One run each."""
+        return self.count
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+        """Call a function in a process. The future raises WorkerDiedError if that ends before."""
+        return self._threads.submit(self._call, function, arguments)
+
+    def close(self) -> None:
+        """Kill them."""
+        self._closed = True
+        for process in self._all:
+            process.kill()
+        self._threads.shutdown(cancel_futures=True)
+
+    def _call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        process = self._idle.get()
+        try:
+            return process.call(function, arguments)
+        except (EOFError, OSError):
+            if not self._closed:
+                process.start()
+            raise WorkerDiedError("its worker ended") from None
+        finally:
+            self._idle.put(process)
+
+
+class _Process:
+    """A process, and the pipe to it."""
+
+    def __init__(self) -> None:
+        self.start()
+
+    def start(self) -> None:
+        """Start it, in place of one that ended."""
+        context = multiprocessing.get_context("spawn")  # a fork would copy locks that other threads hold
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()  # so that the pipe ends with the process
+
+    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        """What the function returns there. Raises EOFError or OSError if the process ends before."""
+        self._pipe.send((function, arguments))
+        return self._pipe.recv()
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+
+
+def _serve(pipe: Any) -> None:
+    """What a process does, until the other end of the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, OSError):
+        while True:
+            function, arguments = pipe.recv()
+            pipe.send(function(*arguments))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent
+    parent.join()
+    os._exit(0)
+
+
+class Cluster:
+    """The workers of a Dask scheduler; they come and go as they like."""
+
+    def __init__(self, address: str) -> None:
+        """Raises ConfigError if there is no scheduler, no worker, or one of other versions."""
+        try:
+            from distributed import Client
+        except ImportError:
+            raise ConfigError("distributed is not installed; pip install 'lidarcfg[sweep]'") from None
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it says is said here in a line
+        self._address, self._known = address, set[str]()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of other versions
+            try:
+                self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
+            except (OSError, ValueError) as error:
+                raise self._error(str(error)) from None
+        try:
+            self._client.wait_for_workers(1, timeout=WAIT_S)
+        except TimeoutError:
+            self._client.close()
+            raise self._error(f"has no workers after {WAIT_S:g} s") from None
+        self._executor = self._client.get_executor(pure=False)
+        _ = self.count  # they are like this program
+
+    @property
+    def count(self) -> int:
+        """Its threads. Raises ConfigError if the scheduler is gone, or a worker is of other versions."""
+        try:
+            threads: dict[str, int] = self._client.nthreads()
+            fresh = set(threads) - self._known
+            if fresh:
+                self._check(self._client.run(versions, workers=sorted(fresh), on_error="return"))
+                self._known |= fresh
+        except OSError:
+            raise self._error("is gone; start again when it is back, what is done is kept") from None
+        return sum(threads.values())
+
+    @property
+    def room(self) -> int:
+        """Some runs for each thread. Raises as `count` does."""
+        return AHEAD * self.count
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+        """Call a function on a worker, on another if that one ends before."""
+        future: Future[Any] = self._executor.submit(function, *arguments)
+        return future
+
+    def close(self) -> None:
+        """Give up what is not done, and the connection."""
+        self._client.close()
+
+    def _check(self, found: dict[str, Any]) -> None:
+        """Raises ConfigError for a worker of other versions."""
+        for address, theirs in found.items():
+            if isinstance(theirs, OSError):  # it has gone again
+                continue
+            if not isinstance(theirs, dict):
+                raise ConfigError(f"worker {address}: cannot load lidarcfg {versions()['lidarcfg']}: {theirs}")
+            check_versions(theirs, f"worker {address}")
+
+    def _error(self, what: str) -> ConfigError:
+        return ConfigError(f"scheduler {self._address}: {what}")
+
+
+def check_versions(theirs: dict[str, str], who: str) -> None:
+    """Raises ConfigError where a worker's versions are not those of this program."""
+    for name, ours in versions().items():
+        if theirs.get(name) != ours:
+            raise ConfigError(
+                f"{who}: has {name} {theirs.get(name)}; this command has {ours}, and both must be the same"
+            )

@@ -1,0 +1,94 @@
+"""The results of a sweep in a folder: a folder for each run, and all of them in one table and a plot."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
+from lidarcfg.placement.plan import Plan, Run, versions
+from lidarcfg.placement.sweep import Outcome
+from lidarcfg.report.results import check_writable, to_json
+from lidarcfg.rig import save_rig
+
+Row = dict[str, Any]  # of the table, by column
+PLAN, TABLES = "plan.json", ("table.csv", "table.parquet")
+LAST = ("rig", "version", "error", "seconds")  # columns at the end; only seconds differ between sweeps
+
+
+class SweepFolder:
+    """The results of a plan's runs. A run is there once its result.json is, which is written last."""
+
+    def __init__(self, folder: Path, plan: Plan) -> None:
+        """Raises ConfigError if it holds the runs of another plan."""
+        self.folder, self._plan = folder, plan
+        self._failed: dict[int, Row] = {}  # of runs that are worth another try
+        known = folder / PLAN
+        self._about = to_json({"study": plan.study, "varied": sorted(plan.varied)}) + "\n"
+        if known.exists() and known.read_text() != self._about:
+            raise ConfigError(f"{known}: of another plan, with another study or other keys; give another folder")
+        self._plain = {path for path in plan.varied if _is_plain([run.values[path] for run in plan.runs])}
+
+    def start(self) -> None:
+        """Make it ready to be written into. Raises OSError at once, not after hours, if it cannot be."""
+        check_writable(self.folder, (PLAN, *TABLES))
+        with replacing(self.folder / PLAN) as file:
+            file.write(self._about)
+
+    def row(self, run: Run) -> Row | None:
+        """A run's row of the table, if it is there."""
+        try:
+            found = json.loads((self._at(run) / "result.json").read_text())
+        except (OSError, ValueError):
+            return self._failed.get(run.number)
+        return self._row(run, found)
+
+    def save(self, run: Run, outcome: Outcome) -> None:
+        """Keep what came of a run, unless it is worth another try."""
+        found = outcome.found | {"rig": None, "version": versions()["lidarcfg"], "error": outcome.error or None}
+        if outcome.rig:
+            found["rig"] = f"runs/{run.digest}/rig.yaml"
+            save_rig(outcome.rig, self._at(run) / "rig.yaml")
+        found["seconds"] = round(outcome.seconds, 3)
+        if not outcome.lasting:
+            self._failed[run.number] = self._row(run, found)
+            return
+        with replacing(self._at(run) / "result.json") as file:
+            file.write(to_json(found) + "\n")
+
+    def save_table(self) -> list[str]:
+        """Write all rows that are there as table.csv and, with pyarrow, as table.parquet. Returns the files' names."""
+        rows = [row for run in self._plan.runs if (row := self.row(run))]
+        if not rows:
+            return []
+        columns = [*dict.fromkeys(key for row in rows for key in row if key not in LAST), *LAST]
+        with replacing(self.folder / TABLES[0]) as file:
+            writer = csv.DictWriter(file, columns, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError:
+            return [TABLES[0]]
+        table = pyarrow.table({key: [row.get(key) for row in rows] for key in columns})
+        with replacing(self.folder / TABLES[1], "wb") as file:
+            pyarrow.parquet.write_table(table, file)
+        return [*TABLES]
+
+    def _at(self, run: Run) -> Path:
+        return self.folder / "runs" / run.digest
+
+    def _row(self, run: Run, found: Row) -> Row:
+        values = {
+            path: value if path in self._plain or value is None else json.dumps(value, ensure_ascii=False)
+            for path, value in run.values.items()
+        }
+        return {"run": run.number, **values, **found}
+
+
+def _is_plain(values: list[Any]) -> bool:
+    """Whether values are numbers, texts or truth values, all of a kind: others stand in the table as JSON."""
+    kinds = {type(value) for value in values if value is not None}
+    return kinds <= {int, float} or kinds in ({str}, {bool})
