@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 import lidarcfg
-from lidarcfg.config import Document, Key, Model, document, fault
+from lidarcfg.config import Document, Key, Model, document, error_at, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.firing import Patterns
@@ -166,7 +166,7 @@ class Studies:
         if key not in self._digests:
             study = self.of(file)
             if not study.free.any():
-                raise ConfigError("nothing is free to move: every bound is equal")
+                raise error_at(self.path, ("sensors",), "nothing is free to move; every bound is equal")
             content = hashlib.sha256()
             for field in fields(study):
                 if field.name != "solver":
@@ -243,7 +243,7 @@ def _check_place(base: Document, path: str, plan: Document, at: Key) -> None:
             if not isinstance(value, tuple):
                 raise plan.error(at, f"the study has no list before [{part}]")
             if part >= len(value):
-                raise plan.error(at, f"the study's list has {len(value)} items; allowed: [0] to [{len(value) - 1}]")
+                raise plan.error(at, f"the study's list has no [{part}]; it ends with [{len(value) - 1}]")
             value = value[part]
         else:
             if not isinstance(value, dict | None):
@@ -275,9 +275,9 @@ def _placed(error: ConfigError, plan: Document, base: Document, places: Places, 
     name, key, what = error.at or ("", (), "")
     if name == plan.name and key[:1] in (("vary",), ("together",)):
         return error
-    if name == base.name:
-        for path, at in places:
-            if key and parsed(path)[: len(key)] == key and key[0] not in base.value:
-                return plan.error(at, f"{key[-1]}: {what}")  # made for the path
+    for path, at in places:
+        top = parsed(path)[0]
+        if key and key[-1] == top and top not in base.value:  # a key that is there for the path alone
+            return plan.error(at, f"{top}: {what}")
     where = ", ".join(f"{path}: {shown(value)}" for path, value in values.items())
     return ConfigError(f"{error} (with {where})")
