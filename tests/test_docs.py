@@ -21,6 +21,7 @@ import lidarcfg
 from lidarcfg.cli import cli
 from lidarcfg.config import Model, load
 from lidarcfg.errors import LidarcfgError
+from lidarcfg.placement.plan import PlanFile
 from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.realism import Realism
 from lidarcfg.report.summaries import summary
@@ -45,6 +46,7 @@ COMMANDS = {
 SUBSTITUTIONS = [
     (r"--seconds [\d.]+", "--evaluations 250"),
     (r"--evaluations \d{4,}", "--evaluations 300"),
+    (r"^sweep \S+", f"sweep {ROOT / 'tests/placement/studies/plan.yaml'}"),
     (r"^(optimize (?!.*--evaluations).*)$", r"\1 --evaluations 250"),
     (r"--duration [\d.]+", "--duration 0.1"),
     (r"--tolerance [\d.]+", "--tolerance 0.1"),
@@ -56,12 +58,14 @@ RESULTS = {
     "optimize": ["report.html", "rig.yaml", "result.json", "history.csv", "convergence.png", "rig.png", "search.npz"],
     "evaluate": ["report.html", "result.json", "rig.png"],
     "compare": ["compare.html", "compare.json"],
+    "sweep": ["table.csv", "table.parquet"],
 }
 FRONT = ["front.html", "front.json", "front.png", "history.csv", "search.npz"]
 POINT = [*RESULTS["optimize"], "study.yaml"]
 FOLDERS = [["metadata.yaml"], ["sensor.json", "calibrated_sensor.json"]]  # ROS 2, nuScenes
 MAGIC = {
     ".pcap": b"\xd4\xc3\xb2\xa1",  # little-endian, microseconds
+    ".parquet": b"PAR1",
     ".ply": b"ply\nformat binary_little_endian 1.0\n",
     ".pcd": b"# .PCD v0.7",
     ".npz": b"PK\x03\x04",
@@ -121,6 +125,8 @@ def run(words):
 
 def outputs(words):
     """The files that a command should write."""
+    if "--dry-run" in words:
+        return []
     options = dict(pairwise(words))
     named = [Path(options[name]) for name in ("-o", "--output", "--html", "--png", "--truth") if name in options]
     if words[0] == "optimize":
@@ -261,7 +267,14 @@ def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
         if text.lstrip().startswith("- "):
             text = f"name: rig\nsensors:\n{text}"
         keys = set(re.findall(r"^(\w+):", text, re.MULTILINE))
-        kinds = {"region": StudyFile, "beams": Sensor, "sensors": RigFile, "ground": SceneFile, "boxes": SceneFile}
+        kinds = {
+            "vary": PlanFile,
+            "region": StudyFile,
+            "beams": Sensor,
+            "sensors": RigFile,
+            "ground": SceneFile,
+            "boxes": SceneFile,
+        }
         (tmp_path / "it.yaml").write_text(text)
         kind = next((kinds[key] for key in kinds if key in keys), Motion)
         assert isinstance(load(tmp_path / "it.yaml", kind), kind)
@@ -326,7 +339,7 @@ def parts(annotation):
         yield from parts(argument)
 
 
-@pytest.mark.parametrize("model", [StudyFile, RigFile, SceneFile, Sensor, Motion, Realism])
+@pytest.mark.parametrize("model", [StudyFile, PlanFile, RigFile, SceneFile, Sensor, Motion, Realism])
 def test_every_key_of_a_file_is_documented(model):
     text = documentation()
     assert [key for key in keys(model) if not re.search(rf"\b{key}\b", text)] == []

@@ -3,6 +3,7 @@
 import csv
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,19 +21,7 @@ from lidarcfg.placement.workers import Processes
 from tests.command_line import lidarcfg as command
 
 BIN = Path(sys.executable).parent
-PLAN = """
-study:
-  region: {min_m: [-4, -3, 0], max_m: [4, 3, 2], cuboid_m: [1, 0.5, 0.25]}
-  sensors:
-    - model: fan-4
-      min: {position_m: [-1, -1, 1.2], rpy_deg: [-20, -20, 0]}
-      max: {position_m: [1, 1, 1.5], rpy_deg: [20, 20, 0]}
-  solver: {method: cmaes, evaluations: 60}
-  detection: [{name: box, size_m: [1, 1, 1]}]
-vary:
-  "sensors[0].count": [1, 2]
-  solver.seed: [1, 2, 3]
-"""
+PLAN = Path(__file__).parents[1] / "placement/studies/plan.yaml"
 
 
 def rows(folder):
@@ -48,9 +37,7 @@ def rigs(folder):
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory):
-    path = tmp_path_factory.mktemp("sweep") / "plan.yaml"
-    path.write_text(PLAN)
-    return path
+    return Path(shutil.copy(PLAN, tmp_path_factory.mktemp("sweep")))
 
 
 @pytest.fixture(scope="module")
