@@ -116,24 +116,24 @@ class Annealing:
 
 
 class AnnealingRounds:
-    """Rounds of annealing, longer and longer. What is the best end of a round so far is refined by another run."""
+    """Rounds of annealing, longer and longer. What is the best end of a round so far is refined by another run.
 
-    def __init__(self, groups: NDArray[np.int64], seed: int) -> None:
+    `start` (dimensions,), if given, is refined before the first round.
+    """
+
+    def __init__(self, groups: NDArray[np.int64], seed: int, start: Array | None = None) -> None:
         self._rng = np.random.default_rng(seed)
         self._groups = groups
         self.rounds = self.cycles = 0  # completed
         self.best_x, self.best_cost = np.full(len(groups), 0.5), np.inf
         self._end_x, self._end = self.best_x, np.inf  # the best of the current round
         self._record = np.inf  # the best end of a round before
-        self._begin()
+        self._opens, self._refines = start is not None, start is not None  # what the current run is
+        self._run = self._new_run(start)
 
-    def _begin(self) -> None:
-        self._refines, self._end = False, np.inf
-        self._run = Annealing(self._groups, self._rng, TRIALS * self._scale)
-
-    @property
-    def _scale(self) -> int:
-        return len(self._groups) << self.rounds // LONGER
+    def _new_run(self, start: Array | None) -> Annealing:
+        trials = (TRIALS if start is None else REFINING) * len(self._groups) << self.rounds // LONGER
+        return Annealing(self._groups, self._rng, trials, start)
 
     @property
     def sources(self) -> Array:
@@ -162,7 +162,8 @@ class AnnealingRounds:
             return
         if self._end < self._record and not self._refines:
             self._record, self._refines = self._end, True
-            self._run = Annealing(self._groups, self._rng, REFINING * self._scale, self._end_x)
+            self._run = self._new_run(self._end_x)
         else:
-            self.rounds += 1
-            self._begin()
+            self.rounds += not self._opens
+            self._opens, self._refines, self._end = False, False, np.inf
+            self._run = self._new_run(None)

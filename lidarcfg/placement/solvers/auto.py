@@ -2,7 +2,7 @@
 
 CMA-ES from the best of some random points is the quickest to a good rig; restarts with ever larger populations find
 better ones. But CMA-ES is a local search that moves everything at once. So annealing follows, whose chains move one
-group of coordinates at a time, climb out of basins, and begin anew many times.
+group of coordinates at a time. It refines the best so far, then begins anew many times.
 """
 
 import numpy as np
@@ -70,7 +70,7 @@ class Auto:
     def _follow(self) -> None:
         """What comes after a run of CMA-ES: another one, or annealing."""
         if self._spent >= EVALUATIONS * len(self._groups) * 2**self._turn:
-            self._annealing = self._annealing or AnnealingRounds(self._groups, self._seed())
+            self._annealing = self._annealing or AnnealingRounds(self._groups, self._seed(), self.best_x)
             self._run = self._annealing
         elif self._first:
             self._first, self._run = False, CmaEs(len(self._groups), self._seed())

@@ -155,6 +155,20 @@ def test_four_rounds_are_of_one_length_and_the_best_end_so_far_is_refined():
     assert solver.best_cost == 3.0
 
 
+def test_a_given_point_is_refined_before_the_first_round():
+    start = np.array([0.25, 0.75])
+    solver, runs = AnnealingRounds(np.array([0, 1]), 1, start), []
+    assert np.array_equal(solver.ask().x, np.tile(start, (32, 1)))
+    while solver.rounds < 1:
+        asked = solver.ask()
+        if np.isinf(asked.to_beat).all():
+            runs.append([len(asked.x), 0])
+        runs[-1][1] += len(asked.x)
+        solver.tell(sphere(asked.x))
+    assert [first for first, _ in runs] == [32, 64, 32]
+    assert [trials for _, trials in runs] == pytest.approx([8000, 16000, 8000], rel=0.02)
+
+
 def test_it_climbs_out_of_basins():
     """Rastrigin's function: 11^4 valleys, one of them the deepest, at 1."""
     run, found = Annealing(np.arange(4), np.random.default_rng(3), 40000), np.inf

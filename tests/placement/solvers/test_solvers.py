@@ -97,7 +97,9 @@ def test_auto_is_cma_es_and_four_rounds_of_annealing_in_turns():
     solver = Auto(np.zeros(2, int), 1)
     for turn in (1, 2):  # 1000 evaluations a dimension, and 8000 a round; twice as many in the second turn
         sizes = []
-        while (size := len(solver.ask().x)) != 64:  # where the chains of a round begin
+        while (size := len(solver.ask().x)) != (32, 64)[
+            turn - 1
+        ]:  # where chains that refine, or those of a round, begin
             sizes.append(size)
             solver.tell(bowl(solver.ask().x))
         first = sizes.index(6)  # the usual population of two dimensions, which is doubled again and again
@@ -106,13 +108,15 @@ def test_auto_is_cma_es_and_four_rounds_of_annealing_in_turns():
         runs = sorted(set(sizes[first:]))
         assert runs == [6 * 2**n for n in range(len(runs))]
         assert sum(sizes) - runs[-1] * sizes.count(runs[-1]) < 2000 * turn <= sum(sizes)
-        rounds, annealed = 0, 0
+        best, rounds, annealed = solver.best_x, 0, 0
+        if turn == 1:
+            assert np.array_equal(solver.ask().x, np.tile(best, (32, 1)))
         while (size := len(solver.ask().x)) != 200:
             rounds += size == 64 and np.isinf(solver.ask().to_beat).all()
             annealed += size
             solver.tell(bowl(solver.ask().x))
         assert rounds == 4
-        assert 4 * 16000 * turn * 0.98 < annealed < 4 * 24000 * turn * 1.02  # those that are refined take half more
+        assert 4 * 16000 * turn * 0.98 < annealed < (4 * 24000 * turn + 8000) * 1.02  # refining takes half a round
 
 
 def test_lshade_restarts_with_twice_the_evaluations():
