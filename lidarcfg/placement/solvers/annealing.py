@@ -5,9 +5,10 @@ whose cost is below cost × exp(T × Exp(1)), which is what the rule that draws 
 the cost. So an evaluator may refute a trial as soon as it is known not to be below that. A step is Gaussian, of any
 size, or a difference between two chains (ter Braak 2006).
 
-Chains live on islands, and no island knows of another: a good basin is found by few of them, and chains that learn
-from each other all end in one. Which island is in a good one shows early, while it is warm; so the worse half of the
-islands is given up again and again, as in successive halving (Jamieson and Talwalkar 2016).
+Chains live on islands, and no island knows of another. Some basins are found by few chains, while these are hot, and
+chains that learn from each other all end in one. So in every other round there are many small islands, of which the
+worse half is given up early and again, as in successive halving (Jamieson and Talwalkar 2016). Other basins are reached
+late, by many chains that learn from each other. So in the rounds between all chains live on one island.
 """
 
 import numpy as np
@@ -16,36 +17,43 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Trials, checked
 
-ISLANDS, CHAINS, TRIES = 8, 8, 4  # chains an island, trials a chain at a time; the first that it takes moves it
-HOT, WARM, COLD = 0.03, 0.004, 0.0005  # T at the beginning, where a run goes on from a good point, and at the end
+MANY, ONE = (8, 8), (1, 32)  # islands, and chains on each
+TRIES = 4  # trials of a chain at a time; the first that it takes moves it
+HOT, WARM, COLD = 0.04, 0.004, 0.0005  # T at the beginning, where a run goes on from a good point, and at the end
 HALVED = (0.3, 0.38, 0.46)  # how far a run has come when the worse half of the islands is given up
 LEAST, MOST = 0.001, 0.3  # standard deviations of Gaussian steps, in the unit cube
 JITTER = 1e-4  # of a difference, so that chains that stand in one place can part
 STEP_COORDINATE = 0.6  # the probability of a coordinate of the group to take part in a Gaussian step
 RENEWALS, RENEWED = 20, 0.1  # how often in a run, and what fraction of an island's chains, worst to best
-TRIALS, REFINING = 8000, 4000  # of a round, and of refining what it found, per dimension
+TRIALS, REFINING = 10_000, 4000  # of a round, and of refining what it found, per dimension
 LONGER = 4  # so many rounds are of one length; the next ones are twice as long
 
 
 class Annealing:
     """One run of about `trials` trials; `over` once they are used up.
 
-    groups (dimensions,): coordinates of equal numbers move together. `start` (dimensions,): where all chains begin, as
-    one island and less hot; without it every chain begins at a random point.
+    groups (dimensions,): coordinates of equal numbers move together. shape: MANY or ONE. `start` (dimensions,): where
+    all chains begin, less hot; without it every chain begins at a random point.
     """
 
     def __init__(
-        self, groups: NDArray[np.int64], rng: np.random.Generator, trials: int, start: Array | None = None
+        self,
+        groups: NDArray[np.int64],
+        rng: np.random.Generator,
+        trials: int,
+        shape: tuple[int, int] = MANY,
+        start: Array | None = None,
     ) -> None:
-        self._rng, self._asks, self._renewals = rng, 0, 0
+        self._rng, self._asks, self._renewals, self._halvings = rng, 0, 0, 0
         self._members = np.unique(groups)[:, None] == groups
-        count = ISLANDS * CHAINS
-        self._x = rng.random((count, len(groups))) if start is None else np.tile(start, (count // 2, 1))
+        self._islands = np.arange(shape[0] * shape[1]).reshape(shape)  # those that are left, by their chains
+        self._x = rng.random((self._islands.size, len(groups)))
+        if start is not None:
+            self._x[:] = start
         self._cost = np.full(len(self._x), np.inf)
         self._hot = HOT if start is None else WARM
-        self._islands = np.arange(len(self._x)).reshape(ISLANDS if start is None else 1, -1)  # those that are left
-        stages = np.diff((0.0, *HALVED, 1.0)) / 2.0 ** np.arange(len(HALVED) + 1)
-        fraction = stages.sum() if start is None else 1.0  # of the trials that all chains would take to the end
+        left = np.maximum(shape[0] >> np.arange(len(HALVED) + 1), 1) / shape[0]
+        fraction = (np.diff((0.0, *HALVED, 1.0)) * left).sum()  # of the trials that all chains would take to the end
         self._most_asks = max(1, round(trials / (TRIES * len(self._x) * fraction)))
         self.over = False
         self._asked = Trials("trial", self._x.copy(), np.arange(len(self._x)), self._cost.copy())
@@ -77,11 +85,10 @@ class Annealing:
         self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
         self._asks += 1
         self.over = self._asks >= self._most_asks
-        halvings = sum(self._asks >= when * self._most_asks for when in HALVED)
-        left = max(1, ISLANDS >> halvings)
-        if len(self._islands) > left:
-            order = np.argsort(self._cost[self._islands].mean(axis=1), kind="stable")
-            self._islands = self._islands[np.sort(order[:left])]
+        if len(self._islands) > 1 and self._asks >= HALVED[self._halvings] * self._most_asks:
+            self._halvings += 1
+            order = np.argsort(self._cost[self._islands].min(axis=1), kind="stable")
+            self._islands = self._islands[np.sort(order[: len(order) // 2])]
         if self._asks * RENEWALS >= (self._renewals + 1) * self._most_asks:
             self._renewals += 1
             self._renew()
@@ -133,7 +140,8 @@ class AnnealingRounds:
 
     def _new_run(self, start: Array | None) -> Annealing:
         trials = (TRIALS if start is None else REFINING) * len(self._groups) << self.rounds // LONGER
-        return Annealing(self._groups, self._rng, trials, start)
+        shape = MANY if start is None and self.rounds % 2 == 0 else ONE
+        return Annealing(self._groups, self._rng, trials, shape, start)
 
     @property
     def sources(self) -> Array:
