@@ -103,3 +103,40 @@ def test_an_unknown_section(tool, capsys):
     told = capsys.readouterr().err
     assert "no section is called optimums; allowed: " in told
     assert "optimum, detection, precision" in told
+
+
+def test_searches_against_the_best_known(tool):
+    """Medians, worst and what is kept, by hand: 1.005 and 1.05 times the best known; 1.02 times."""
+    bench = tool("bench_search")
+    known = {name: {"max_vsr_m": 2.0} for name in bench.STUDIES}
+    values = {"1x4": (2.0, 2.01, 2.1), "2x8": (2.04, 2.04, 2.04)}
+    runs = [
+        {"study": study, "method": "auto", "max_vsr_m": value, "evaluations": 1000 * n}
+        for study, found in values.items()
+        for n, value in enumerate(found, 1)
+    ]
+    lines = bench.compared(runs, ["auto"], known)
+    assert lines[2:4] == [
+        "| 1 × 4 | 2.0000 | 2.0000 2.0100 2.1000 | +0.5% +5.0% | 3 | 2,000 |",
+        "| 2 × 8 | 2.0000 | 2.0400 2.0400 2.0400 | +2.0% +2.0% | 3 | 2,000 |",
+    ]
+    assert lines[-1] == (
+        "`auto`: the median within 1% and the worst within 4% on 0 of 2 studies; the median on 1, the worst on 1."
+    )
+
+
+def test_a_better_rig_takes_the_place_of_the_best_known(tool, tmp_path, monkeypatch):
+    bench = tool("bench_search")
+    monkeypatch.setattr(bench, "KNOWN", tmp_path / "known.json")
+    monkeypatch.setattr(bench, "RUNS", tmp_path / "out/runs.jsonl")
+    monkeypatch.setattr(bench, "STUDIES", ["1x4"])
+    bench.KNOWN.write_text('{"1x4": {"max_vsr_m": 0.7, "found_by": "hand", "searched_s": 0.0, "poses": []}}')
+    before = bench.search("1x4", "auto", 1000, 0.2, 1)
+    assert 0.6 < before["max_vsr_m"] < 0.7
+    for run in (before, {**before, "max_vsr_m": 0.8, "seed": 1001}, {**before, "max_vsr_m": 0.5, "seed": 2}):
+        bench.record(run)
+        known = bench.json.loads(bench.KNOWN.read_text())["1x4"]
+        assert known["max_vsr_m"] == min(before["max_vsr_m"], run["max_vsr_m"])
+    assert known["searched_s"] == 0.4  # those with seeds from 1000 on
+    assert "seed 2, " in known["found_by"]
+    assert [run["seed"] for run in bench.finished()] == [1000, 1001, 2]

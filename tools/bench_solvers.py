@@ -31,6 +31,7 @@ STUDIES = {
 }
 METHODS = {
     "auto": "`auto`",
+    "annealing": "annealing alone",
     "cmaes": "`cma` alone, restarts of doubled populations",
     "de": "L-SHADE alone, restarts of doubled lengths",
     "abc": "bees, 40 sources",

@@ -1,0 +1,205 @@
+#!/usr/bin/env python3
+"""How near `auto` comes to the best rigs known on the paper's 15 studies, beside `cma` alone in the same run.
+
+    .venv/bin/python tools/bench_search.py                        five seeds, 60 s each, all cores: 75 minutes a method
+    .venv/bin/python tools/bench_search.py --studies 2x8 3x16 --seeds 1 2 --methods auto
+    .venv/bin/python tools/bench_search.py --best-known 3600      an hour a study, in searches of ten minutes
+
+Writes the table of docs/benchmarks.md. What is finished stands in out/search.jsonl and is not run again, so a run
+may be stopped at any time and started anew. A rig better than the best known takes its place in
+data/reference/best_known.json and docs/paper.md. `--best-known` only searches for such: seeds from 1000 on, until
+the runs of a study come to that many seconds.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import lidarcfg
+from lidarcfg.files import replacing
+from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.report import COLOURS, new_figure, save_figure
+
+ROOT = Path(__file__).parent.parent
+RUNS = ROOT / "out/search.jsonl"
+KNOWN = ROOT / "data/reference/best_known.json"
+LIDARS = (1, 2, 3, 4, 5)
+STUDIES = [f"{lidars}x{beams}" for beams in (4, 8, 16) for lidars in LIDARS]
+METHODS = {"auto": "`auto`", "cmaes": "`cma` alone", "annealing": "annealing alone", "de": "L-SHADE alone"}
+MEDIAN, WORST = 0.01, 0.04  # how far over the best known they may be
+PIECE_S, FIRST_SEED = 600.0, 1000  # of searches for the best known
+Run = dict[str, Any]
+
+
+def code() -> str:
+    """What the compared code is: runs of other code are made again."""
+    files = sorted((ROOT / "lidarcfg/placement").rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
+
+
+def search(study: str, method: str, seed: int, seconds: float, threads: int) -> Run:
+    """One search."""
+    loaded = load_study(ROOT / f"data/studies/liu2018-{study}.yaml")
+    optimize(with_solver(loaded, method=method, evaluations=300), threads)  # loads what is compiled
+    found = optimize(with_solver(loaded, method=method, seed=seed, seconds=seconds), threads)
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return {
+        "study": study,
+        "method": method,
+        "seed": seed,
+        "seconds": seconds,
+        "threads": threads,
+        "code": code(),
+        "date": time.strftime("%Y-%m-%d"),
+        "load": os.getloadavg()[0],
+        "max_vsr_m": found.objective,
+        "evaluations": found.evaluations,
+        "poses": [{"position_m": list(one.position_m), "rpy_rad": list(one.rpy_rad)} for one in found.rig.mounts],
+    }
+
+
+def finished() -> list[Run]:
+    """The runs so far."""
+    return [json.loads(line) for line in RUNS.read_text().splitlines()] if RUNS.exists() else []
+
+
+def record(run: Run) -> None:
+    """Add a run to what is finished, and its rig to the best known if it is better."""
+    RUNS.parent.mkdir(exist_ok=True)
+    with RUNS.open("a") as file:
+        file.write(json.dumps(run) + "\n")
+    known = json.loads(KNOWN.read_text())
+    best, study = known[run["study"]], run["study"]
+    best["searched_s"] += run["seconds"] if run["seed"] >= FIRST_SEED else 0.0
+    if run["max_vsr_m"] < best["max_vsr_m"]:
+        by = f"`{run['method']}`, seed {run['seed']}, {run['seconds']:.0f} s on {run['threads']} threads, {run['date']}"
+        known[study] = {**best, "max_vsr_m": run["max_vsr_m"], "found_by": by, "poses": run["poses"]}
+    with replacing(KNOWN) as file:
+        json.dump(known, file, indent=1)
+        file.write("\n")
+
+
+def write(page: Path, name: str, lines: list[str]) -> None:
+    """Replace what stands between a page's markers."""
+    marks = (f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->\n")
+    before, rest = page.read_text().split(marks[0])
+    with replacing(page) as file:
+        file.write(before + marks[0] + "\n".join(lines) + "\n" + marks[1] + rest.split(marks[1])[1])
+
+
+def best_known() -> None:
+    """The table of docs/paper.md, and its picture."""
+    known = json.loads(KNOWN.read_text())
+    figure = new_figure(7, 4.2)
+    axes = figure.subplots()
+    for beams, colour in zip((4, 8, 16), COLOURS, strict=False):
+        least = [known[f"{lidars}x{beams}"]["max_vsr_m"] for lidars in LIDARS]
+        axes.plot(LIDARS, least, "o-", color=colour, label=f"{beams} beams")
+        for lidars, value in zip(LIDARS, least, strict=True):
+            axes.annotate(f"{value:.3f}", (lidars, value), (0, 5), textcoords="offset points", ha="center", fontsize=7)
+    axes.set(xlabel="LiDARs", ylabel="best max VSR known (m)", xticks=LIDARS)
+    axes.margins(y=0.1)
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    save_figure(figure, ROOT / "docs/paper/best-known.png")
+    lines = ["| LiDARs × beams | best known (m) | found by | longer searches (min) |", "|---|---|---|---|"]
+    for study in STUDIES:
+        one = known[study]
+        title = study.replace("x", " × ")
+        lines.append(f"| {title} | {one['max_vsr_m']:.4f} | {one['found_by']} | {one['searched_s'] / 60:.0f} |")
+    write(ROOT / "docs/paper.md", "best known", lines)
+
+
+def compared(runs: list[Run], methods: list[str], known: dict[str, Any]) -> list[str]:
+    """The table of docs/benchmarks.md, and how many studies keep the targets."""
+    cells = ("best, median, worst (m)", "median and worst over the best known", "seeds", "evaluations")
+    head = " | ".join(f"{METHODS[method]}: {cells[0]} | {' | '.join(cells[1:])}" for method in methods)
+    lines = [f"| LiDARs × beams | best known (m) | {head} |", "|---" * (2 + len(cells) * len(methods)) + "|"]
+    kept: dict[str, list[tuple[bool, bool]]] = {method: [] for method in methods}
+    for study in STUDIES:
+        least, row = known[study]["max_vsr_m"], []
+        for method in methods:
+            some = [run for run in runs if (run["study"], run["method"]) == (study, method)]
+            if not some:
+                row += ["–"] * len(cells)
+                continue
+            found = sorted(run["max_vsr_m"] for run in some)
+            median, worst = statistics.median(found), found[-1]
+            kept[method].append((median <= least * (1 + MEDIAN), worst <= least * (1 + WORST)))
+            row += [f"{found[0]:.4f} {median:.4f} {worst:.4f}", f"{median / least - 1:+.1%} {worst / least - 1:+.1%}"]
+            row += [f"{len(found)}", f"{statistics.median(run['evaluations'] for run in some):,.0f}"]
+        if any(cell != "–" for cell in row):
+            lines.append(f"| {study.replace('x', ' × ')} | {least:.4f} | " + " | ".join(row) + " |")
+    for method in methods:
+        both = sum(median and worst for median, worst in kept[method])
+        lines += [
+            "",
+            f"{METHODS[method]}: the median within {MEDIAN:.0%} and the worst within {WORST:.0%} on {both} of "
+            f"{len(kept[method])} studies; the median on {sum(one for one, _ in kept[method])}, "
+            f"the worst on {sum(one for _, one in kept[method])}.",
+        ]
+    return lines
+
+
+def hunt(studies: list[str], seconds: float, threads: int) -> None:
+    """Search for better rigs than the best known, in pieces, until so many seconds were spent on each study."""
+    for study in studies:
+        while (spent := json.loads(KNOWN.read_text())[study]["searched_s"]) < seconds:
+            seed = FIRST_SEED + sum(run["study"] == study and run["seed"] >= FIRST_SEED for run in finished())
+            run = search(study, "auto", seed, min(PIECE_S, seconds - spent), threads)
+            record(run)
+            print(f"{study}: {run['max_vsr_m']:.6f} m, seed {seed}, {spent + run['seconds']:.0f} s", flush=True)
+            best_known()
+
+
+def compare(given: argparse.Namespace) -> None:
+    """Run what is not finished, seed by seed, and write the table."""
+    digest = code()
+    for seed in given.seeds:
+        for study in given.studies:
+            for method in given.methods:
+                budget = {"seconds": given.seconds, "threads": given.threads}
+                key = {"study": study, "method": method, "seed": seed, **budget, "code": digest}
+                if not any(key.items() <= run.items() for run in finished()):
+                    run = search(study, method, seed, **budget)
+                    record(run)
+                    print(f"{study} {method}, seed {seed}: {run['max_vsr_m']:.6f} m", flush=True)
+    runs = [run for run in finished() if (run["code"], run["seconds"]) == (digest, given.seconds)]
+    runs = [run for run in runs if run["seed"] < FIRST_SEED and run["threads"] == given.threads]
+    loads = [run["load"] for run in runs]
+    lines = [
+        f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, {given.seconds:g} s a search, "
+        f"{given.threads} threads, load {min(loads):.1f} to {max(loads):.1f}.",
+        "",
+        *compared(runs, given.methods, json.loads(KNOWN.read_text())),
+    ]
+    write(ROOT / "docs/benchmarks.md", "search", lines)
+    best_known()
+    print("\n".join(lines))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--studies", nargs="+", choices=STUDIES, default=STUDIES)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=["auto", "cmaes"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4, 5])
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    parser.add_argument("--best-known", type=float, metavar="SECONDS")
+    given = parser.parse_args()
+    if given.best_known:
+        hunt(given.studies, given.best_known, given.threads)
+    else:
+        compare(given)
+
+
+if __name__ == "__main__":
+    main()
