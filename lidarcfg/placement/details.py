@@ -12,7 +12,7 @@ from lidarcfg.placement.coverage import Coverage, coverage
 from lidarcfg.placement.detection import Counts, DetectionObject, Rings, counted_places, detection_by_distance
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.evaluator import max_vsr
-from lidarcfg.placement.metric import inscribed_radii_m, volume_m3
+from lidarcfg.placement.metric import volume_m3
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.rig import Rig
@@ -76,7 +76,7 @@ def details(
         evaluation=found,
         midpoint_max_vsr_m=midpoint_max_vsr_m,
         volume_m3=volume_m3(subspaces),
-        sphere_m=float(inscribed_radii_m(subspaces).max()),
+        sphere_m=found.sphere_m,
         coverage=coverage(subspaces),
         vehicle_m=vehicle,
         rings={

@@ -45,6 +45,7 @@ class Evaluation:
     subspaces: Subspaces
     vsr_m: Array  # (n,) by subspace
     worst: tuple[Worst, ...]
+    sphere_m: float  # radius of the largest sphere inside any subspace
     detection: dict[str, Detection]  # by object
     sightings: dict[str, Sightings]  # by object that is detected by returns
     blind: BlindSpots
@@ -95,7 +96,9 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
         for item in study.detection
     }
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    return Evaluation(subspaces, vsr, tuple(worst), rates, seen, blind, converged, time.perf_counter() - started)
+    return Evaluation(
+        subspaces, vsr, tuple(worst), float(radius.max()), rates, seen, blind, converged, time.perf_counter() - started
+    )
 
 
 def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:

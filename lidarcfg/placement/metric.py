@@ -1,15 +1,22 @@
 """How large a subspace is: the paper's volume-to-surface ratio, and the largest sphere inside."""
 
 # mypy: disallow-untyped-decorators=False
+import math
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
 from lidarcfg.jit import njit
 from lidarcfg.placement.flood import Labels
 from lidarcfg.placement.subspace import Subspaces
 
+PIECE = 4_000_000  # cuboids whose spheres are found at a time, where the region's shape allows
+CUBOID_BYTES = 8 * (3 * 4 + 4 + 1)  # of memory: eight nodes, each with its nearest face, its subspace and a flag
+ADVICE = "use larger cuboids"
 Counts = NDArray[np.int64]
 Node = tuple[int, int, int]  # a point of the lattice of half cuboids, whose origin is the region's lower corner
 
@@ -55,36 +62,85 @@ def inscribed_radii_m(subspaces: Subspaces) -> Array:
     """(n,) the radius of the largest sphere inside each subspace's cuboids.
 
     Exact among all centres on the lattice of half cuboids: from such a point the nearest point of a face lies on
-    that lattice too, so one distance transform over the lattice's nodes finds all.
+    that lattice too, so a distance transform over the lattice's nodes finds all. Raises LidarcfgError where memory
+    does not hold it.
     """
-    owner, distance = _distances(subspaces)
-    radius = np.zeros(len(subspaces))
-    np.maximum.at(radius, owner[owner >= 0], distance[owner >= 0])
-    return radius
+    return _spheres(subspaces)[0]
 
 
 def largest_sphere(subspaces: Subspaces) -> tuple[float, Node]:
     """The radius in metres and the centre of the largest sphere inside any subspace's cuboids."""
-    _, distance = _distances(subspaces)
-    i, j, k = np.unravel_index(int(distance.argmax()), distance.shape)
-    return float(distance[i, j, k]), (int(i), int(j), int(k))
+    radius, node = _spheres(subspaces)
+    largest = np.flatnonzero(radius == radius.max())
+    i, j, k = min(map(tuple, node[largest].tolist()))  # of equal ones the first in the lattice
+    return float(radius.max()), (i, j, k)
 
 
-def _distances(subspaces: Subspaces) -> tuple[Labels, Array]:
-    """By node: the subspace that it is inside of, −1 on a face or outside; and how far it is from such a node."""
-    label = np.pad(subspaces.label, 1, constant_values=-1)
-    low = np.full([2 * n + 1 for n in subspaces.label.shape], np.iinfo(np.int32).max)
-    high = np.full_like(low, -1)  # the least and the greatest label of the up to eight cuboids around a node
-    for corner in np.ndindex(2, 2, 2):
-        around = label
-        for axis, side in enumerate(corner):
-            index = (np.arange(low.shape[axis]) + 1 + side) // 2
-            around = np.take(around, index, axis=axis)
-        np.minimum(low, around, out=low)
-        np.maximum(high, around, out=high)
-    owner: Labels = np.where(low == high, low, -1).astype(np.int32)
-    distance: Array = ndimage.distance_transform_edt(owner >= 0, sampling=subspaces.region.cuboid_m / 2)
-    return owner, distance
+def _spheres(subspaces: Subspaces) -> tuple[Array, Counts]:
+    """The largest sphere inside each subspace: radius (n,) and centre (n, 3)."""
+    label, cuboid_m = subspaces.label, subspaces.region.cuboid_m
+    square, node = np.full(len(subspaces), -1.0), np.zeros((len(subspaces), 3), np.int64)
+    for piece, core, first in _pieces(label.shape, cuboid_m):
+        check_memory("the largest spheres of so many cuboids", CUBOID_BYTES * float(label[piece].size), ADVICE)
+        owner = _owners(label, np.array([one.start for one in piece]), np.array([one.stop for one in piece]))
+        nearest = ndimage.distance_transform_edt(
+            owner >= 0, sampling=cuboid_m / 2, return_distances=False, return_indices=True
+        )
+        _largest(owner, nearest, cuboid_m / 2, core, first, square, node)
+    return np.sqrt(square), node
+
+
+def _pieces(shape: tuple[int, ...], cuboid_m: Array) -> Iterator[tuple[tuple[slice, slice, slice], Counts, Counts]]:
+    """Parts of a region whose spheres are found one after another: cuboids, and of their nodes those to find from.
+
+    No sphere is larger than half the region's shortest side, so a part as much longer than its nodes' on either side
+    has all faces that can be nearest. The nodes are (2, 3): from, to; behind them the part's own first node (3,).
+    """
+    size_m = shape * cuboid_m
+    axis = int(np.argmax(size_m))
+    beyond = math.ceil(size_m.min() / 2 / cuboid_m[axis]) + 1
+    layers = PIECE * shape[axis] // math.prod(shape) - 2 * beyond
+    step = min(max(layers, beyond), shape[axis])
+    for start in range(0, shape[axis], step):
+        stop = min(start + step, shape[axis])
+        whole = [slice(0, n) for n in shape]
+        whole[axis] = slice(max(start - beyond, 0), min(stop + beyond, shape[axis]))
+        core = np.array([np.zeros(3), 2 * np.array(shape) + 1], np.int64)
+        core[:, axis] = 2 * start, 2 * stop + 1
+        yield (whole[0], whole[1], whole[2]), core, 2 * np.array([one.start for one in whole])
+
+
+@njit(cache=True, nogil=True)
+def _owners(label: Labels, low: Counts, high: Counts) -> Labels:
+    """By node of the cuboids from low to high: the subspace that it is inside of, −1 on a face."""
+    a, b, c = 2 * (high - low) + 1
+    owner = np.full((a, b, c), -1, np.int32)
+    for i in range(a):
+        for j in range(b):
+            for k in range(c):
+                x, y, z = i + 2 * low[0], j + 2 * low[1], k + 2 * low[2]
+                if not _on_face(label, x, y, z):
+                    owner[i, j, k] = label[x // 2, y // 2, z // 2]
+    return owner
+
+
+@njit(cache=True, nogil=True)
+def _largest(
+    owner: Labels, nearest: Labels, half: Array, core: Counts, first: Counts, square: Array, node: Counts
+) -> None:
+    """Write the largest squared distance from a face, and from where, by subspace; summed up as SciPy does."""
+    for i in range(core[0, 0] - first[0], core[1, 0] - first[0]):
+        for j in range(core[0, 1] - first[1], core[1, 1] - first[1]):
+            for k in range(core[0, 2] - first[2], core[1, 2] - first[2]):
+                one = owner[i, j, k]
+                if one >= 0:
+                    x = (nearest[0, i, j, k] - i) * half[0]
+                    y = (nearest[1, i, j, k] - j) * half[1]
+                    z = (nearest[2, i, j, k] - k) * half[2]
+                    distance = x * x + y * y + z * z
+                    if distance > square[one]:
+                        square[one] = distance
+                        node[one, 0], node[one, 1], node[one, 2] = i + first[0], j + first[1], k + first[2]
 
 
 def clearance_m(subspaces: Subspaces, centre: Node) -> float:
@@ -134,13 +190,21 @@ def _clearance(label: Labels, centre: Node, half: Array) -> float:
 
 def centroid_m(subspaces: Subspaces, number: int) -> Array:
     """(3,) the mean of a subspace's cuboids' centres."""
-    index = np.argwhere(subspaces.label == number).mean(axis=0)
+    counts = _profiles(subspaces, number)
+    index = np.array([count @ np.arange(len(count)) / count.sum() for count in counts])
     centre: Array = subspaces.region.min_m + (index + 0.5) * subspaces.region.cuboid_m
     return centre
 
 
 def bounds_m(subspaces: Subspaces, number: int) -> tuple[Array, Array]:
     """The box around a subspace: its lower and upper corner, (3,) each."""
-    index = np.argwhere(subspaces.label == number)
+    layers = [np.flatnonzero(count) for count in _profiles(subspaces, number)]
     low, edge = subspaces.region.min_m, subspaces.region.cuboid_m
-    return low + index.min(axis=0) * edge, low + (index.max(axis=0) + 1) * edge
+    first, last = (np.array([layer[end] for layer in layers]) for end in (0, -1))
+    return low + first * edge, low + (last + 1) * edge
+
+
+def _profiles(subspaces: Subspaces, number: int) -> list[Counts]:
+    """A subspace's cuboids by layer along x, y and z."""
+    inside = subspaces.label == number
+    return [inside.sum(axis=tuple({0, 1, 2} - {axis}), dtype=np.int64) for axis in range(3)]

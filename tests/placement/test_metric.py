@@ -1,0 +1,71 @@
+"""The largest spheres found in parts, and subspaces measured layer by layer, against SciPy over everything at once."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from lidarcfg import inputs
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.placement import metric
+from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, largest_sphere
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import Subspaces
+
+
+def bodies(shape, cuboid_m, seed):
+    """Connected bodies of random sizes, some cuboids excluded."""
+    rng = np.random.default_rng(seed)
+    blobs = ndimage.zoom(rng.integers(0, 4, (3, 2, 2)), np.array(shape) / (3, 2, 2), order=0)[
+        : shape[0], : shape[1], : shape[2]
+    ]
+    label, count = np.full(shape, -1, np.int32), 0
+    for value in range(1, 4):
+        found, n = ndimage.label(blobs == value)
+        label[found > 0] = found[found > 0] - 1 + count
+        count += n
+    low = np.array((1.0, -2.0, 0.5))
+    region = Region(low, low + np.array(shape) * cuboid_m, label >= 0)
+    none = np.zeros((count, 3), np.int64)
+    return Subspaces(region, label, np.bincount(label[label >= 0], minlength=count), none, none[:, :1], none[:, 0])
+
+
+def brute_force(spaces):
+    """For each body: of all nodes of the half cuboids' lattice the distance from the nearest face, and where."""
+    label, half = np.pad(spaces.label, 1, constant_values=-1), spaces.region.cuboid_m / 2
+    shape = [2 * n + 1 for n in spaces.label.shape]
+    inside = np.full(shape, -1)
+    for node in np.ndindex(*shape):
+        around = label[tuple(slice((n + 1) // 2, (n + 1 + 1) // 2 + 1) for n in node)]
+        if (around == around.flat[0]).all():
+            inside[node] = around.flat[0]
+    distance = ndimage.distance_transform_edt(inside >= 0, sampling=half)
+    return [distance[inside == number].max() for number in range(len(spaces))], distance
+
+
+@pytest.mark.parametrize("piece", [1, 200, 10**6])
+@pytest.mark.parametrize(("shape", "cuboid_m"), [((30, 6, 5), (0.5, 0.4, 0.3)), ((4, 5, 40), (1.0, 1.0, 0.25))])
+def test_spheres_in_parts(monkeypatch, shape, cuboid_m, piece):
+    monkeypatch.setattr(metric, "PIECE", piece)
+    for seed in range(3):
+        spaces = bodies(shape, np.array(cuboid_m), seed)
+        radii, distance = brute_force(spaces)
+        assert inscribed_radii_m(spaces).tolist() == radii
+        radius, centre = largest_sphere(spaces)
+        assert radius == distance.max() == distance[centre]
+
+
+def test_where_a_subspace_is():
+    spaces = bodies((30, 6, 5), np.array((0.5, 0.4, 0.3)), 4)
+    edge = spaces.region.cuboid_m
+    for number in range(len(spaces)):
+        index = np.argwhere(spaces.label == number)
+        assert centroid_m(spaces, number).tolist() == (spaces.region.min_m + (index.mean(axis=0) + 0.5) * edge).tolist()
+        low, high = bounds_m(spaces, number)
+        assert low.tolist() == (spaces.region.min_m + index.min(axis=0) * edge).tolist()
+        assert high.tolist() == (spaces.region.min_m + (index.max(axis=0) + 1) * edge).tolist()
+
+
+def test_what_memory_does_not_hold_is_refused_with_the_bytes(monkeypatch):
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 1000.0)
+    with pytest.raises(LidarcfgError, match=r"needs 0\.0 GB of memory; 0\.0 GB are free; use larger cuboids"):
+        inscribed_radii_m(bodies((30, 6, 5), np.array((0.5, 0.4, 0.3)), 0))
