@@ -96,7 +96,7 @@ def _pieces(shape: tuple[int, ...], cuboid_m: Array) -> Iterator[tuple[tuple[sli
     No sphere is larger than half the region's shortest side, so a part as much longer than its nodes' on either side
     has all faces that can be nearest. The nodes are (2, 3): from, to; behind them the part's own first node (3,).
     """
-    size_m = shape * cuboid_m
+    size_m: Array = np.array(shape) * cuboid_m
     axis = int(np.argmax(size_m))
     beyond = math.ceil(size_m.min() / 2 / cuboid_m[axis]) + 1
     layers = PIECE * shape[axis] // math.prod(shape) - 2 * beyond

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from lidarcfg.config import COORDINATE_MAX_M, Model, Position, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
 
 if TYPE_CHECKING:
     import open3d
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.vehicle import Vehicle
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
+CUBOID_BYTES = 40  # of memory to evaluate one, measured; the largest spheres need more and say so
 NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
@@ -122,8 +124,10 @@ class Region:
 
     @classmethod
     def from_file(cls, file: RegionFile) -> "Region":
-        """The region that a study file describes."""
+        """The region that a study file describes. Raises LidarcfgError where memory does not hold its evaluation."""
         boxes = tuple((box.min_m, box.max_m) for box in file.exclude)
+        cuboids = math.prod(round((file.max_m[axis] - file.min_m[axis]) / file.cuboid_m[axis]) for axis in range(3))
+        check_memory(f"a region of {cuboids:,} cuboids", CUBOID_BYTES * cuboids, "use larger cuboids")
         return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
 
     def without(self, bodies: "Vehicle") -> "Region":

@@ -21,6 +21,7 @@ from lidarcfg.view.stage import Stage
 HERE = "127.0.0.1"
 HOSTS = (HERE, "localhost")  # any other name could be a page from elsewhere
 REQUEST_MAX = 1 << 20  # bytes
+IDLE_S = 30.0  # a connection that says nothing for so long is closed
 
 
 class Server(ThreadingHTTPServer):
@@ -54,6 +55,7 @@ class Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     server: Server
     protocol_version = "HTTP/1.1"
+    timeout = IDLE_S
 
     def do_GET(self) -> None:
         if not self._is_local():

@@ -8,7 +8,7 @@ from lidarcfg import inputs
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement import metric
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, largest_sphere
-from lidarcfg.placement.region import Region
+from lidarcfg.placement.region import Region, RegionFile
 from lidarcfg.placement.subspace import Subspaces
 
 
@@ -67,5 +67,10 @@ def test_where_a_subspace_is():
 
 def test_what_memory_does_not_hold_is_refused_with_the_bytes(monkeypatch):
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 1000.0)
+    file = RegionFile(min_m=(0.0, 0.0, 0.0), max_m=(100.0, 100.0, 10.0), cuboid_m=(0.1, 0.1, 0.1))
+    with pytest.raises(
+        LidarcfgError, match=r"a region of 100,000,000 cuboids needs 4\.0 GB of memory; 0\.0 GB are free"
+    ):
+        Region.from_file(file)
     with pytest.raises(LidarcfgError, match=r"needs 0\.0 GB of memory; 0\.0 GB are free; use larger cuboids"):
         inscribed_radii_m(bodies((30, 6, 5), np.array((0.5, 0.4, 0.3)), 0))
