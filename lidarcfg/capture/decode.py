@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 CHUNK_PACKETS = 1024
 COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
+CLAIMED_BY = 3  # packets of a source at most that tell whose they are
 
 Job = Callable[[], PointCloud]
 OnSource = Callable[[str, str], None]
@@ -134,6 +135,8 @@ class Capture:
                         waiting = 0
             job = self._job(last=True)
             self._check_found()
+            for damaged in filter(None, (stream.damaged for stream in self.streams)):
+                self._on_warning(damaged)
             yield job
         except LidarcfgError as error:
             yield partial(_fail, error)
@@ -142,11 +145,12 @@ class Capture:
         """Those that hold a LiDAR's returns, each with a key of host, port and size; the others are counted."""
         host, port, size = (column.astype(np.uint64) for column in (batch.host, batch.port, batch.size))
         keys = np.asarray(host << 32 | port << 16 | size, np.uint64)
-        kinds, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-        for key, row in zip(kinds.tolist(), first.tolist(), strict=True):
+        kinds, inverse = np.unique(keys, return_inverse=True)
+        for key in kinds.tolist():
             if key not in self._families:
-                payload = batch.data[batch.start[row] : batch.start[row] + batch.size[row]].tobytes()
-                self._families[key] = self._family(key, payload)
+                rows = np.flatnonzero(keys == key)[:CLAIMED_BY].tolist()  # the first may be damaged
+                payloads = (batch.data[batch.start[i] : batch.start[i] + batch.size[i]].tobytes() for i in rows)
+                self._families[key] = next(filter(None, (self._family(key, one) for one in payloads)), None)
         lidar = np.array([self._families[key] is not None for key in kinds.tolist()], np.bool_)[inverse]
         self._others.update(batch.size[~lidar].tolist())
         return batch[lidar], keys[lidar]
@@ -269,7 +273,7 @@ def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
     stem, end = escape(path.stem), escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
     try:
-        return {one.name: read_regular(one, COMPANION_MAX) for one in sorted(found)}
+        return {str(one): read_regular(one, COMPANION_MAX) for one in sorted(found)}
     except OSError as error:
         raise PacketError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
 

@@ -84,8 +84,8 @@ class Stream:
         if self._decoder is None and len(packets) < ENOUGH and not last:
             return None
         decoder = self._decoder = self._decoder or self._open(packets)
-        packets, times_ns, device_ns = self._in_order(decoder, packets, times_ns)
-        decoder.check(packets)
+        sound = self._sound(decoder, packets)
+        packets, times_ns, device_ns = self._in_order(decoder, packets[sound], times_ns[sound])
         stop = len(packets) if last else max(len(packets) - HELD, self._decoded)
         wanted = (times_ns >= self._place.window_ns[0]) & (times_ns < self._place.window_ns[1])
         wanted[: self._decoded] = wanted[stop:] = False
@@ -122,6 +122,18 @@ class Stream:
             driver=decoder.driver_columns(packets, wanted) if self._driver else {},
         )
 
+    def _sound(self, decoder: Decoder, packets: Octets) -> Flags | slice:
+        """The packets without damaged ones, which are counted. Raises PacketError if not even most make sense."""
+        try:
+            decoder.check(packets)
+        except PacketError:
+            sound = decoder.sound(packets)
+            if 2 * sound.sum() <= len(packets):
+                raise
+            self._count["damaged"] += int((~sound).sum())
+            return sound
+        return slice(None)
+
     def _in_order(self, decoder: Decoder, packets: Octets, times_ns: Times) -> tuple[Octets, Times, Times]:
         """The packets in the order of their device times, without duplicates; their host and device times.
 
@@ -142,6 +154,12 @@ class Stream:
         self._count["duplicates"] += int(duplicate.sum())
         kept = order[~duplicate]
         return packets[~duplicate], times_ns[kept], device_ns[kept]
+
+    @property
+    def damaged(self) -> str:
+        """A warning of packets that were passed over, or nothing."""
+        count = self._count["damaged"]
+        return f"{self._place.where}: {count} damaged packets are passed over" if count else ""
 
     @property
     def packets(self) -> int:

@@ -136,6 +136,10 @@ class Decoder(Protocol):
         """Raises PacketError for packets of another model than the first ones."""
         return
 
+    def sound(self, packets: Octets) -> Flags:
+        """(P,) of packets that `check` refuses: whether each may stay. A few that may not are damaged ones."""
+        return np.zeros(len(packets), np.bool_)
+
     def count(self, packets: Octets, wanted: Flags) -> None:
         """Count those packets that are wanted (P,) of successive ones, and what is missing before each."""
 

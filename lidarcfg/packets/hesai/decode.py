@@ -1,8 +1,10 @@
 """Points of packets."""
 
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
@@ -44,6 +46,11 @@ class HesaiDecoder(Decoder):
             check(self._unit, self._unit.packets_of(packets))
         except PacketError as error:
             raise PacketError(f"{self._where}: {error}") from None
+
+    def sound(self, packets: Octets) -> Flags:
+        """See `Decoder`."""
+        wrong = [wrong for wrong, _, _ in _mistakes(self._unit, self._unit.packets_of(packets))]
+        return np.asarray(~np.logical_or.reduce(wrong))
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
@@ -94,7 +101,14 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
 
 def check(unit: Unit, packets: Packets) -> None:
     """Raises PacketError for packets that are not this model's, or say what makes no sense."""
-    header = packets["header"]
+    for wrong, said, describe in _mistakes(unit, packets):
+        if wrong.any():
+            raise PacketError(describe(int(said[wrong][0])))
+
+
+def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.integer], Callable[[int], str]]]:
+    """Which packets (P,) are wrong, what they say, and a sentence about it; for each mistake that there may be."""
+    header, name = packets["header"], unit.name
     major, minor = map(int, unit.facts.packet.protocol.split("."))
     for key, right in (
         ("major", major),
@@ -102,16 +116,15 @@ def check(unit: Unit, packets: Packets) -> None:
         ("lasers", unit.count),
         ("blocks", unit.facts.packet.blocks),
     ):
-        wrong = header[key] != right
-        if wrong.any():
-            raise PacketError(f"not a packet of {unit.name}: {key} {header[key][wrong][0]}; allowed: {right}")
+        yield header[key] != right, header[key], partial(_other, name, key, right)
     mode = packets["tail"]["return_mode"]
-    unknown = ~np.isin(mode, list(MODES))
-    if unknown.any():
-        allowed = ", ".join(f"0x{code:02X} {name}" for code, name in MODES.items())
-        raise PacketError(f"{unit.name}: return mode 0x{mode[unknown][0]:02X}; read are {allowed}")
-    if (header["unit_mm"] == 0).any():
-        raise PacketError(f"{unit.name}: a distance unit of 0 mm")
+    allowed = ", ".join(f"0x{code:02X} {name}" for code, name in MODES.items())
+    yield ~np.isin(mode, list(MODES)), mode, lambda said: f"{name}: return mode 0x{said:02X}; read are {allowed}"
+    yield header["unit_mm"] == 0, header["unit_mm"], lambda said: f"{name}: a distance unit of {said} mm"
+
+
+def _other(name: str, key: str, right: int, said: int) -> str:
+    return f"not a packet of {name}: {key} {said}; allowed: {right}"
 
 
 @lru_cache

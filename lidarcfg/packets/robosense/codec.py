@@ -19,7 +19,7 @@ from lidarcfg.packets.codec import (
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense.facts import Facts, unit
 from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, octets_of, packets_of
-from lidarcfg.packets.robosense.recognise import check_model, check_msop, identify
+from lidarcfg.packets.robosense.recognise import check_model, check_msop, identify, undamaged
 from lidarcfg.packets.spin import Spin, Spinning
 from lidarcfg.sensor import Sensor
 
@@ -84,14 +84,15 @@ class Robosense(Spinning):
         """See `Codec`."""
         from lidarcfg.packets.robosense.difop import find
 
-        return identify(source.where, packets_of(packets), find(source), [unit(one) for one in known()]).sensor
+        first = undamaged(packets_of(packets))
+        return identify(source.where, first, find(source), [unit(one) for one in known()]).sensor
 
     def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
         """See `Codec`."""
         from lidarcfg.packets.robosense.decode import RobosenseDecoder, reading
         from lidarcfg.packets.robosense.difop import find
 
-        first, difop = packets_of(packets), find(source)
+        first, difop = undamaged(packets_of(packets)), find(source)
         check_msop(source.where, first)
         if trusted:
             check_model(source.where, self.unit, first, difop)

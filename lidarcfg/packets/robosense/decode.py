@@ -10,9 +10,9 @@ from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Source, Tall
 from lidarcfg.packets.robosense import decode_kernels as kernels
 from lidarcfg.packets.robosense.difop import Difop
 from lidarcfg.packets.robosense.facts import Unit
-from lidarcfg.packets.robosense.layout import BLOCK_ID, RADIANS, Packets, packets_of, read_time_ns
+from lidarcfg.packets.robosense.layout import RADIANS, Packets, packets_of, read_time_ns
 from lidarcfg.packets.robosense.losses import Losses
-from lidarcfg.packets.robosense.recognise import check_msop, is_dual
+from lidarcfg.packets.robosense.recognise import check_msop, is_dual, sound
 from lidarcfg.packets.robosense.slots import slots
 from lidarcfg.packets.unit import read_only
 
@@ -69,6 +69,10 @@ class RobosenseDecoder(Decoder):
         """See `Decoder`."""
         check_msop(self._where, packets_of(packets))
 
+    def sound(self, packets: Octets) -> Flags:
+        """See `Decoder`."""
+        return sound(packets_of(packets))
+
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
         self._losses.add(packets_of(packets), wanted)
@@ -79,9 +83,6 @@ class RobosenseDecoder(Decoder):
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
-        ids = packets_of(packets)["blocks"]["id"]
-        if (ids != BLOCK_ID).any():
-            raise PacketError(f"not a packet of {self._reading.unit.name}: block flag 0x{ids[ids != BLOCK_ID][0]:04X}")
         return decode(self._reading, packets, wanted)
 
 

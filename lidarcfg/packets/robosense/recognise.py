@@ -5,9 +5,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from lidarcfg.errors import PacketError
+from lidarcfg.packets.codec import Flags
 from lidarcfg.packets.robosense.difop import Difop
 from lidarcfg.packets.robosense.facts import Unit
-from lidarcfg.packets.robosense.layout import HELIOS, MSOP_ID, Packets, lidar_type, read_time_ns
+from lidarcfg.packets.robosense.layout import BLOCK_ID, HELIOS, MSOP_ID, Packets, lidar_type, read_time_ns
+
+
+def sound(packets: Packets) -> Flags:
+    """(P,) whether each is an MSOP packet of a Helios, of the model that most say."""
+    models, counts = np.unique(packets["model"], return_counts=True)
+    right = (packets["id"] == MSOP_ID) & (lidar_type(packets) == HELIOS) & (packets["model"] == models[counts.argmax()])
+    return np.asarray(right & (packets["blocks"]["id"] == BLOCK_ID).all(axis=1))
+
+
+def undamaged(packets: Packets) -> Packets:
+    """Those that are sound, if most are; else all."""
+    which = sound(packets)
+    return packets[which] if 2 * which.sum() > len(packets) else packets
 
 
 def check_msop(where: str, packets: Packets) -> None:
@@ -21,6 +35,9 @@ def check_msop(where: str, packets: Packets) -> None:
             raise PacketError(f"{where} sends {what} 0x{said[0]:02X} and 0x{other:02X}: two sensors on one port")
     if lidar_type(packets)[0] != HELIOS:
         raise PacketError(f"{where} sends the LiDAR type 0x{lidar_type(packets)[0]:02X}; known: 0x{HELIOS:02X} Helios")
+    ids = packets["blocks"]["id"]
+    if (ids != BLOCK_ID).any():
+        raise PacketError(f"{where} sends the block flag 0x{ids[ids != BLOCK_ID][0]:04X}; allowed: 0x{BLOCK_ID:04X}")
 
 
 def identify(where: str, packets: Packets, difop: Difop | None, known: Sequence[Unit]) -> Unit:

@@ -225,7 +225,7 @@ def test_early_firmware_without_difop(tmp_path, model, mode, found):
         ),
         ([(31, b"\x31")], True, "sends the LiDAR type 0x31; known: 0x06 Helios"),
         ([(32, b"\x02")], False, "no DIFOP near its start, and those of model 0x02 are not helios-32's"),
-        ([(42, b"\xff\xdd")], True, "not a packet of helios-32: block flag 0xFFDD"),
+        ([(42, b"\xff\xdd")], True, "sends the block flag 0xFFDD; allowed: 0xFFEE"),
     ],
 )
 def test_what_cannot_be_read_says_why(tmp_path, patches, difop, what):
