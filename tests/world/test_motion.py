@@ -1,5 +1,7 @@
 """Motion against closed forms: arcs on paper, a moving sensor before walls, moving objects, and back to a static world."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import velodyne_decoder as vd
@@ -7,6 +9,7 @@ import velodyne_decoder as vd
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cloud import concatenate
+from lidarcfg.config import Section
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation
 from lidarcfg.rig import Rig
@@ -169,20 +172,33 @@ def test_a_trajectory_that_ends_too_soon(tmp_path):
         export(Rig("one", (mount(),)), stage, drive(Motion(velocity_m_s=(1e5, 0, 0))), 20_000 * SECOND_NS)
 
 
-def test_position_packets_move(tmp_path):
-    """Ten metres a second to the north-east: 19.438 knots, course 45, and the place of each moment, by another decoder."""
+@pytest.mark.parametrize(("rate_hz", "begins_s"), [(1, 0.0), (5, 0.0), (1, 0.7)])
+def test_position_packets_hold_the_last_fix(tmp_path, rate_hz, begins_s):
+    """Ten metres a second to the north-east: 19.438 knots, course 45, by another decoder; one place for each UTC time.
+
+    The fix before the drive has the place where it begins.
+    """
     stage = scene(tmp_path, "ground: {reflectivity: 9}\ngeo_origin: {latitude_deg: 0, longitude_deg: 0}")
-    trajectory = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))))
-    write_pcap(tmp_path / "a.pcap", export(Rig("one", (mount(),)), stage, trajectory, SECOND_NS)[0])
+    begins_ns = START_NS + round(begins_s * SECOND_NS)
+    trajectory = drive(Motion(velocity_m_s=(10.0, 0.0, 0.0)), pose((0, 0, 0), (0, 0, np.radians(45))), begins_ns)
+    one = replace(mount(), settings=Section({"fix_rate_hz": rate_hz}))
+    streams = export(Rig("one", (one,)), stage, trajectory, 5 * SECOND_NS // 4, begins_ns)
+    write_pcap(tmp_path / "a.pcap", streams[0])
     sent = [d for d in datagrams_of(tmp_path / "a.pcap") if d.port == 8308]
-    assert len(sent) == 147
+    assert len(sent) == 184  # 147 a second
+    fixes = {}
     for number, datagram in enumerate(sent):
         words = vd.TelemetryPacket(datagram.payload).nmea_sentence.split(",")
         assert (words[7], words[8]) == ("19.438", "45.0")
-        north_m = 10 * number / 147 * np.sqrt(0.5)
+        fix_s = np.floor((begins_s + number / 147) * rate_hz) / rate_hz
+        assert float(words[1][4:]) == pytest.approx((START_NS // SECOND_NS % 60 + fix_s) % 60, abs=1e-9)
+        north_m = 10 * max(fix_s - begins_s, 0) * np.sqrt(0.5)
         minutes = north_m / 110574.3 * 60  # metres in a degree of latitude at the equator
         assert words[3][:2] == "00"
         assert float(words[3][2:]) == pytest.approx(minutes, abs=2e-7)
+        fixes.setdefault(words[1], set()).add((words[3], words[5]))
+    assert len(fixes) == {(1, 0.0): 2, (5, 0.0): 7, (1, 0.7): 2}[rate_hz, begins_s]
+    assert all(len(places) == 1 for places in fixes.values())
 
 
 def test_between_poses_scipy_agrees():

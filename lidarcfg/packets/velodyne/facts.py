@@ -147,6 +147,7 @@ class Settings(Model):
     """All that a rig's file says of a mount under `velodyne`."""
 
     pps: PpsState = "locked"  # what position packets and status bytes say of the GPS receiver's pulse
+    fix_rate_hz: Literal[1, 2, 4, 5, 10, 20] = 1  # of the receiver: its sentences say hundredths of a second
 
 
 class Unit(AnyUnit[Facts]):

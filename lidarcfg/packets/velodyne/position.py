@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 CHUNK = 1024  # position packets at a time
 YEAR_2000_NS = 946_684_800 * 10**9
 KNOT_M_S = 1852 / 3600
+HUNDREDTH_NS = SECOND_NS // 100
 SLOWEST_M_S = 0.1  # a vehicle that is slower has its heading for a course
 
 
@@ -32,13 +33,14 @@ def position_payloads(
     facts, headers = unit.facts.position_packet, unit.facts.headers
     if facts is None or headers is None or headers.position is None:
         return
-    pps = mount.settings.checked(Settings).pps
+    settings = mount.settings.checked(Settings)
     period_ns = SECOND_NS / Fraction(facts.rate_hz)
     total = math.ceil(duration_ns / period_ns)
     for first in range(0, total, CHUNK):
         numbers = range(first, min(first + CHUNK, total))
         times_ns = start_ns + np.array([int(number * period_ns) for number in numbers], np.int64)
-        packets = position_packets(times_ns, pps, sentences(unit, pps, trajectory, origin, start_ns, times_ns))
+        nmea = sentences(unit, settings, trajectory, origin, start_ns, times_ns)
+        packets = position_packets(times_ns, settings.pps, nmea)
         sent_ns = (times_ns + 500) // 1000 * 1000
         yield Payloads(sent_ns, octets_of(packets), mount.telemetry_port, headers, headers.position, first)
 
@@ -53,32 +55,34 @@ def position_packets(time_ns: Times, pps: PpsState, nmea: Sequence[bytes]) -> ND
 
 
 def sentences(
-    unit: Unit, pps: PpsState, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, times_ns: Times
+    unit: Unit, settings: Settings, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, times_ns: Times
 ) -> list[bytes]:
-    """What the sensor has of its receiver at these times (n,): with a fix if its pulse is locked."""
-    facts, seconds = unit.facts.position_packet, times_ns // SECOND_NS
-    if pps != "locked":
-        if pps == "absent":
-            if facts is None or facts.sentence_without_gps == "none":
-                return [b""] * len(times_ns)
-            seconds = (times_ns - start_ns + YEAR_2000_NS) // SECOND_NS
-        by_second = {s: gprmc(s * SECOND_NS, None) for s in np.unique(seconds).tolist()}
-        return [by_second[second] for second in seconds.tolist()]
+    """What the sensor has of its receiver at these times (n,): its last sentence, with a fix if its pulse is locked."""
+    facts, period_ns = unit.facts.position_packet, SECOND_NS // settings.fix_rate_hz
+    if settings.pps == "absent":
+        if facts is None or facts.sentence_without_gps == "none":
+            return [b""] * len(times_ns)
+        times_ns = times_ns - start_ns + YEAR_2000_NS
+    at_ns, which = np.unique(times_ns // period_ns * period_ns, return_inverse=True)
+    if settings.pps == "locked":
+        found = _fixes(trajectory, origin, at_ns, np.maximum(at_ns, start_ns))
+    else:
+        found = [gprmc(one_ns, None) for one_ns in at_ns.tolist()]
+    return [found[i] for i in which.tolist()]
+
+
+def _fixes(trajectory: "Trajectory", origin: "GeoOrigin", at_ns: Times, known_ns: Times) -> list[bytes]:
+    """Sentences of fixes at times (n,); the last one before the drive has the place of its start, at `known_ns`."""
     from lidarcfg.world.geodesy import geographic  # loaded where it is needed
 
-    place_m = trajectory.world(np.zeros((len(times_ns), 3)), times_ns)
-    ahead_m = trajectory.world(np.tile([1.0, 0.0, 0.0], (len(times_ns), 1)), times_ns) - place_m
-    velocity_m_s = trajectory.velocity_m_s(times_ns)
+    place_m = trajectory.world(np.zeros((len(known_ns), 3)), known_ns)
+    ahead_m = trajectory.world(np.tile([1.0, 0.0, 0.0], (len(known_ns), 1)), known_ns) - place_m
+    velocity_m_s = trajectory.velocity_m_s(known_ns)
     speed_m_s = np.hypot(*velocity_m_s[:, :2].T)
     along = np.where(speed_m_s[:, None] >= SLOWEST_M_S, velocity_m_s, ahead_m)
     course_rad = np.arctan2(along[:, 1], along[:, 0])
-    found: dict[tuple[int, tuple[float, ...]], bytes] = {}  # a vehicle at rest has one sentence a second
-    keys = [tuple(row) for row in np.column_stack([geographic(origin, place_m), course_rad, speed_m_s]).tolist()]
-    for key in zip(seconds.tolist(), keys, strict=True):
-        if key not in found:
-            second, (latitude, longitude, course, speed) = key
-            found[key] = gprmc(second * SECOND_NS, (latitude, longitude), course, speed)
-    return [found[key] for key in zip(seconds.tolist(), keys, strict=True)]
+    rows = np.column_stack([geographic(origin, place_m), course_rad, speed_m_s]).tolist()
+    return [gprmc(one_ns, (row[0], row[1]), row[2], row[3]) for one_ns, row in zip(at_ns.tolist(), rows, strict=True)]
 
 
 def gprmc(
@@ -89,13 +93,14 @@ def gprmc(
     Speed is in knots; the course is clockwise from north, of a `course_rad` counter-clockwise from east. Without a
     place the receiver has no fix: the status is V, and there is no position, speed or course.
     """
-    now = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=time_ns // 10**9)
+    now = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=time_ns // SECOND_NS)
+    clock = f"{now:%H%M%S}.{time_ns % SECOND_NS // HUNDREDTH_NS:02d}"
     if place_deg:
         course_deg = round(90 - math.degrees(course_rad), 1) % 360
         place = f"{_degrees(place_deg[0], 2, 'NS')},{_degrees(place_deg[1], 3, 'EW')}"
-        text = f"GPRMC,{now:%H%M%S}.00,A,{place},{speed_m_s / KNOT_M_S:.3f},{course_deg:.1f},{now:%d%m%y},0.0,E,A"
+        text = f"GPRMC,{clock},A,{place},{speed_m_s / KNOT_M_S:.3f},{course_deg:.1f},{now:%d%m%y},0.0,E,A"
     else:
-        text = f"GPRMC,{now:%H%M%S}.00,V,,,,,,,{now:%d%m%y},,,N"
+        text = f"GPRMC,{clock},V,,,,,,,{now:%d%m%y},,,N"
     body, checksum = text.encode(), 0
     for byte in body:
         checksum ^= byte
