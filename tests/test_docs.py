@@ -76,7 +76,7 @@ MAGIC = {
     ".mcap": b"\x89MCAP0\r\n",
 }
 # Words of a command that is not run, and why.
-NOT_RUN = {"--window": "needs a screen"}
+NOT_RUN = {"--window": "needs a screen", "--scheduler": "needs a cluster"}
 
 
 def name_of(page):

@@ -165,6 +165,11 @@ class Studies:
         key = file.model_dump_json(exclude={"solver"})
         if key not in self._digests:
             study = self.of(file)
+            if study.to_choose:
+                what = (
+                    "choose has a front for an answer, not a rig; vary sensors[…].model instead, or optimize the study"
+                )
+                raise error_at(self.path, ("sensors",), what)
             if not study.free.any():
                 raise error_at(self.path, ("sensors",), "nothing is free to move; every bound is equal")
             content = hashlib.sha256()

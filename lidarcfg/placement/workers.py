@@ -3,6 +3,7 @@
 import logging
 import multiprocessing
 import os
+import re
 import signal
 import threading
 import warnings
@@ -15,6 +16,7 @@ from typing import Any, Protocol
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.plan import versions
 
+ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:\d{1,5}")
 CONNECT_S = 5.0  # for a scheduler to answer
 WAIT_S = 60.0  # for its first worker
 AHEAD = 2  # runs that a cluster is given for each of its threads
@@ -131,6 +133,8 @@ class Cluster:
             from distributed import Client
         except ImportError:
             raise ConfigError("distributed is not installed; pip install 'lidarcfg[sweep]'") from None
+        if not ADDRESS.fullmatch(address):
+            raise ConfigError(f"scheduler {address!r}: is not an address such as tcp://192.168.1.9:8786")
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it says is said here in a line
         self._address, self._known = address, set[str]()
         with warnings.catch_warnings():
@@ -191,6 +195,4 @@ def check_versions(theirs: dict[str, str], who: str) -> None:
     """Raises ConfigError where a worker's versions are not those of this program."""
     for name, ours in versions().items():
         if theirs.get(name) != ours:
-            raise ConfigError(
-                f"{who}: has {name} {theirs.get(name)}; this command has {ours}, and both must be the same"
-            )
+            raise ConfigError(f"{who} has {name} {theirs.get(name)}, and this program {ours}; both must be the same")

@@ -3,21 +3,28 @@
 import csv
 import multiprocessing
 import os
+import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
+from contextlib import suppress
 from pathlib import Path
 
+import kubernetes_validate
 import pyarrow.parquet
 import pytest
+import yaml
 
 import lidarcfg
+from lidarcfg.placement import plan as plans
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.sweep import sweep
-from lidarcfg.placement.workers import Processes
+from lidarcfg.placement.workers import Processes, WorkerDiedError
 from tests.command_line import lidarcfg as command
 
 BIN = Path(sys.executable).parent
@@ -111,3 +118,102 @@ def test_a_worker_that_is_killed_is_replaced(plan, serial):
     finally:
         crew.close()
     assert [str(found[n].found["cost"]) for n in range(1, 7)] == [row["cost"] for row in rows(serial)]
+
+
+def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
+    """A study that is possible, but in which a search that short finds no rig; the others go on."""
+    one_tilt = "vary:\n  constraints.max_tilt_deg: [90, 0]"
+    (tmp_path / "plan.yaml").write_text(plan.read_text().replace("vary:", one_tilt).replace("[1, 2]", "[1]"))
+    said = command("sweep", tmp_path / "plan.yaml", "-o", tmp_path / "out")
+    found = rows(tmp_path / "out")
+    assert said.stderr.endswith("warning: 3 runs have no rig; the column error of the table says why\n")
+    assert [row["cost"] == "" for row in found] == [False] * 3 + [True] * 3
+    assert all("found no rig that keeps the constraints" in row["error"] for row in found[3:])
+    assert command("sweep", tmp_path / "plan.yaml", "-o", tmp_path / "out").stdout.startswith("6 runs, 6 of them done")
+
+
+class Dead:
+    """Workers that are killed in every run."""
+
+    count = room = 2
+
+    def submit(self, function, *arguments):
+        future = Future()
+        future.set_exception(WorkerDiedError())
+        return future
+
+
+def test_a_run_that_kills_every_worker_ends(plan):
+    loaded, found = load_plan(plan), {}
+    sweep(loaded, loaded.runs, Dead(), lambda run, outcome: found.update({run.number: outcome}))
+    assert found.keys() == set(range(1, 7))
+    assert all("its worker ended 5 times" in one.error and not one.lasting for one in found.values())
+
+
+def one_line(*words):
+    (line,) = command(*words, "--quiet", code=2).stderr.splitlines()
+    return line
+
+
+def test_folders_and_addresses_that_are_wrong(plan, serial, tmp_path):
+    (tmp_path / "other.yaml").write_text(plan.read_text().replace("solver.seed", "solver.limit"))
+    assert "plan.json: of another plan, with another study or other keys" in one_line(
+        "sweep", tmp_path / "other.yaml", "-o", serial
+    )
+    (tmp_path / "plan.yaml").write_text(plan.read_text().replace("[1, 2]", "[1]").replace("[1, 2, 3]", "[1, 3]"))
+    assert command("sweep", tmp_path / "plan.yaml", "-o", serial, "--dry-run").stdout.startswith(
+        "2 runs, 2 of them done"
+    )
+    assert "scheduler 'here': is not an address such as tcp://" in one_line(
+        "sweep", plan, "--scheduler", "here", "--quiet"
+    )
+    words = "sweep", plan, "--scheduler", "tcp://127.0.0.1:9", "--workers", "2", "--quiet"
+    assert "--workers are local" in one_line(*words)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """The address of a scheduler with two workers, each a program of its own."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = [*dask, "scheduler", "--host", address, "--no-dashboard"]
+    worker = [*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+    parts = [
+        subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for words in (scheduler, worker, worker)
+    ]
+    yield address
+    for part in parts:
+        part.kill()
+        part.wait()
+
+
+def test_a_cluster_finds_the_same(plan, serial, cluster, tmp_path, monkeypatch):
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        with suppress(OSError), socket.create_connection(cluster.removeprefix("tcp://").split(":")):
+            break
+        time.sleep(0.1)
+    command("sweep", plan, "-o", tmp_path / "out", "--scheduler", cluster)
+    assert rows(tmp_path / "out") == rows(serial)
+    assert rigs(tmp_path / "out") == rigs(serial)
+    monkeypatch.setattr(plans, "version", lambda name: "9.9")
+    line = one_line("sweep", plan, "-o", tmp_path / "none", "--scheduler", cluster)
+    assert re.search(r"worker tcp://\S+ has numba \S+, and this program 9.9; both must be the same", line)
+    assert not list((tmp_path / "none").glob("runs/*"))
+
+
+def test_the_manifest_is_what_kubernetes_takes():
+    text = (Path(__file__).parents[2] / "docs/examples/cluster.yaml").read_text()
+    parts = list(yaml.safe_load_all(text))
+    assert [part["kind"] for part in parts] == ["Service", "Deployment", "Deployment", "Job"]
+    for part in parts:
+        kubernetes_validate.validate(part, kubernetes_validate.latest_version(), strict=True)
+    service, scheduler, worker, job = parts
+    assert service["spec"]["selector"] == scheduler["spec"]["template"]["metadata"]["labels"]
+    images = {part["spec"]["template"]["spec"]["containers"][0]["image"] for part in (scheduler, worker, job)}
+    assert len(images) == 1
+    assert next(iter(images)).endswith(f":{lidarcfg.__version__}")
+    assert text.count(f"tcp://{service['metadata']['name']}:8786") == 2
