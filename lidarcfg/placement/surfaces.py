@@ -20,7 +20,7 @@ from lidarcfg.config import COORDINATE_MAX_M, Key, Model, Position, error_at, fa
 from lidarcfg.geometry import Array, leaning, level, up
 from lidarcfg.sensor import Metres, Sensor
 from lidarcfg.world.tracer import Hits, Tracer
-from lidarcfg.world.vehicle import Vehicle
+from lidarcfg.world.vehicle import Solid, Vehicle
 
 Side = Literal["above", "front", "rear", "left", "right"]
 OUT: dict[str, tuple[int, int]] = {"above": (2, 1), "front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1)}
@@ -71,7 +71,7 @@ class Surface:
     """What is seen of a body from one side, and how a sensor sits on it."""
 
     tracer: Tracer  # of the vehicle's bodies
-    body: str
+    body: Solid
     side: str
     low_m: Array  # (3,) corners of the box that bases must lie in
     high_m: Array  # (3,)
@@ -119,7 +119,7 @@ class Surface:
     def heights_m(self, points_m: Array) -> Array:
         """(…) how far out the line of sight through points (…, 3) first hits anything; NaN unless that is the body."""
         hits = self.seen(points_m.reshape(-1, 3))
-        found = hits.object == self.tracer.scene.names.index(self.body)
+        found = hits.object == self.tracer.scene.names.index(self.body.name)
         return np.where(found, self._start_m - hits.range_m, np.nan).reshape(points_m.shape[:-1])
 
     def seen(self, points_m: Array) -> Hits:
@@ -241,9 +241,10 @@ def _patch(surface: Surface) -> Patch:
     low, high = surface.low_m, surface.high_m
     lines = list(0.5 * (low + high)[:, None])
     for axis in surface.across:
-        if low[axis] < high[axis]:
-            halves = min(math.ceil((high[axis] - low[axis]) / surface.radius_m), HALVES_MAX)
-            lines[axis] = np.linspace(low[axis], high[axis], 2 * halves + 1)
+        least, most = max(low[axis], surface.body.low_m[axis]), min(high[axis], surface.body.high_m[axis])
+        if least < most:  # the rest of the box holds nothing of the body
+            halves = min(math.ceil((most - least) / surface.radius_m), HALVES_MAX)
+            lines[axis] = np.unique([*np.linspace(least, most, 2 * halves + 1), np.clip(lines[axis][0], least, most)])
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     places = np.concatenate([grid, np.zeros_like(grid)], axis=1)
     poses = surface.poses(places)
@@ -287,7 +288,7 @@ def on_surface(
     file: SurfaceFile, bodies: Vehicle, sensor: Sensor, mirror_y_m: float | None, path: Path, at: Key
 ) -> Surface:
     """The surface that stands in a file under a key. Raises ConfigError where there is none, or no base fits on it."""
-    closed = [solid.name for solid in bodies.solids]
+    closed = {solid.name: solid for solid in bodies.solids}
     if file.body not in closed:
         what = "is not closed" if file.body in bodies.scene.names else "is no body of the vehicle"
         allowed = ", ".join(closed) or "a closed body, of which the vehicle has none"
@@ -297,7 +298,7 @@ def on_surface(
         raise error_at(path, at, f"the housing of sensor {sensor.name!r} is not known; give base_radius_m")
     surface = Surface(
         tracer=bodies.tracer,
-        body=file.body,
+        body=closed[file.body],
         side=file.side,
         low_m=np.array(file.within.min_m),
         high_m=np.array(file.within.max_m),

@@ -193,7 +193,7 @@ def bounds_table(study: Study) -> Table:
         pairs = [*zip(low[:3], high[:3], strict=True), *zip(*angles, strict=True)]
         cells = [f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs]
         if slot.surface:
-            cells[slot.surface.axis] = f"on {slot.surface.body}, from {slot.surface.side}"
+            cells[slot.surface.axis] = f"on {slot.surface.body.name}, from {slot.surface.side}"
             cells[3:5] = cells[3:5] if slot.surface.upright else ["normal"] * 2
         rows.append([slot.name, slot.sensor.name, *cells])
     head = ("sensor", "model", *(f"{c} ({'m' if i < 3 else '°'})" for i, c in enumerate(COORDINATES)))

@@ -180,7 +180,7 @@ def violations(study: Study, rig: Rig) -> list[str]:
 def _off(surface: Surface, pose: Array, low: Array, high: Array) -> list[str]:
     """Whether a sensor does not sit on its surface, and which of its angles (6,) are out of bounds."""
     is_off = surface.violation(pose[None])[0] > 0
-    found = [f"its base is not wholly on {surface.body} as seen from {surface.side}"] if is_off else []
+    found = [f"its base is not wholly on {surface.body.name} as seen from {surface.side}"] if is_off else []
     if not surface.upright or surface.is_image:
         return found
     anywhere = np.where(np.arange(6) < 3, np.inf, 0.0)
