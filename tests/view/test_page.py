@@ -611,6 +611,7 @@ vehicle:
   boxes: [{name: cab, center_m: [0, 0, 0.75], size_m: [4, 2, 1.5], exclude: true}]
 sensors:
   - {name: front, elevation_deg: [-20, -8, 3, 12], min: {position_m: [2.2, -0.5, 0.4], rpy_deg: [0, 0, 0]}, max: {position_m: [2.2, 0.5, 0.8], rpy_deg: [0, 0, 0]}}
+  - {name: top, elevation_deg: [-20, -8, 3, 12], on: {body: cab, from: above, within: {min_m: [-2, -1, 1], max_m: [2, 1, 2]}, base_radius_m: 0.1}}
 """
 
 
@@ -623,7 +624,7 @@ def cab(tmp_path):
 
 @in_browser
 def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
-    """Max VSR with and without what hides, and the blind volume, are evaluate's; served, and in a file."""
+    """Max VSR with and without what hides, and the blind volume, are evaluate's; where bases may be; served, and in a file."""
     study, rig = cab.study, cab.rigs[0]
     with_body, without = evaluate(study, rig), evaluate(replace(study, visibility=None), rig)
     assert with_body.max_vsr_m != without.max_vsr_m
@@ -648,7 +649,10 @@ def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
                 pytest.approx(with_body.blind.volume_m3, abs=0.01),
             )
             click(chromium, "#bodies")
+            shown_seats = picture(chromium)
+            click(chromium, "#bounds")
             solid = picture(chromium)
+            assert different(shown_seats, solid) > 500  # the roof is green where a base may be
             click(chromium, "#blind")
             blind = picture(chromium)
             assert different(blind, solid) > 500
