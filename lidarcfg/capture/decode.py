@@ -145,12 +145,14 @@ class Capture:
         """Those that hold a LiDAR's returns, each with a key of host, port and size; the others are counted."""
         host, port, size = (column.astype(np.uint64) for column in (batch.host, batch.port, batch.size))
         keys = np.asarray(host << 32 | port << 16 | size, np.uint64)
-        kinds, inverse = np.unique(keys, return_inverse=True)
-        for key in kinds.tolist():
-            if key not in self._families:
-                rows = np.flatnonzero(keys == key)[:CLAIMED_BY].tolist()  # the first may be damaged
-                payloads = (batch.data[batch.start[i] : batch.start[i] + batch.size[i]].tobytes() for i in rows)
-                self._families[key] = next(filter(None, (self._family(key, one) for one in payloads)), None)
+        kinds, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        if not self._families.keys() >= set(kinds.tolist()):
+            order, ends = np.argsort(inverse, kind="stable"), np.cumsum(counts)
+            for key, count, end in zip(kinds.tolist(), counts.tolist(), ends.tolist(), strict=True):
+                if key not in self._families:
+                    rows = order[end - count : end][:CLAIMED_BY].tolist()  # the first may be damaged
+                    payloads = (batch.data[batch.start[i] : batch.start[i] + batch.size[i]].tobytes() for i in rows)
+                    self._families[key] = next(filter(None, (self._family(key, one) for one in payloads)), None)
         lidar = np.array([self._families[key] is not None for key in kinds.tolist()], np.bool_)[inverse]
         self._others.update(batch.size[~lidar].tolist())
         return batch[lidar], keys[lidar]

@@ -2,6 +2,7 @@
 
 import re
 import socket
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -357,3 +358,23 @@ def test_metadata_of_another_sensor(still, tmp_path):
         list(decode_pcap(path, lambda warning: None))
     assert re.search(r"mixed.pcap: 192.168.1.201:7502: .*/mixed-roof.json is of OS-1-64 122001$", str(error.value))
     assert "\n" not in str(error.value)
+
+
+def test_memory_does_not_grow_with_the_capture(still, tmp_path):
+    """The same packets four times as often: as much memory at most, of what Python and numpy take."""
+    for one in still[0].parent.iterdir():
+        (tmp_path / one.name).write_bytes(one.read_bytes())
+    path, data = tmp_path / still[0].name, still[0].read_bytes()
+
+    def taken(times):
+        path.write_bytes(data[:24] + data[24:] * times)
+        tracemalloc.start()
+        points = sum(len(cloud.xyz) for cloud in decode_pcap(path, lambda warning: None, chunk_packets=64))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return points, peak
+
+    taken(1)
+    (few, short), (many, long) = taken(3), taken(12)
+    assert many > 3.9 * few
+    assert long < 1.2 * short, f"{short / 1e6:.1f} and {long / 1e6:.1f} MB"

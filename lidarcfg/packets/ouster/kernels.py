@@ -9,11 +9,12 @@ loop = inner(error_model="numpy")
 
 
 @njit(cache=True, nogil=True)
-def measured(range_m, reflectivity, limits, signal_scale, by_strength, out):
+def measured(range_m, reflectivity, limits, light, by_strength, out):
     """Fields of N firings from what they measured (N, R): `out` (3 R, N) gets range, reflectivity and signal of each.
 
     What is measured, and the beam's start ahead of the axis, is written in the packet's unit. Limits are least and
-    greatest length, that start, unit and how many of it there may be. Of two returns that are alike the second is none.
+    greatest length, that start, unit and how many of it there may be. `light` (256,) are photons of reflectivities from
+    a metre away; they fall with the square of the range. Of two returns that are alike the second is none.
     With `by_strength` the stronger of two comes first.
     """
     least_m, most_m, start_m, unit_m, most = limits
@@ -27,20 +28,20 @@ def measured(range_m, reflectivity, limits, signal_scale, by_strength, out):
                     units = 0.0
             if units > 0:
                 bright = reflectivity[n, r]
-                photons = min(np.rint(signal_scale * bright / (length_m * length_m)), 65535.0)
+                photons = min(np.rint(light[reflectivity[n, r]] / (length_m * length_m)), 65535.0)
             if r == 1 and out[0, n] == units and out[1, n] == bright:
                 units, bright, photons = 0.0, 0, 0.0
             out[3 * r, n], out[3 * r + 1, n], out[3 * r + 2, n] = units, bright, photons
         two = range_m.shape[1] == 2 and out[0, n] > 0 and out[3, n] > 0
-        if by_strength and two and _weaker(range_m[n], reflectivity[n]):
+        if by_strength and two and _weaker(range_m[n], reflectivity[n], light):
             for k in range(3):
                 out[k, n], out[3 + k, n] = out[3 + k, n], out[k, n]
 
 
 @njit(cache=True, nogil=True)
-def _weaker(range_m, reflectivity):
-    """Whether the first of two returns is weaker than the second: their light falls with the square of the range."""
-    return reflectivity[0] * range_m[1] ** 2 < reflectivity[1] * range_m[0] ** 2
+def _weaker(range_m, reflectivity, light):
+    """Whether the first of two returns is weaker than the second."""
+    return light[reflectivity[0]] * range_m[1] ** 2 < light[reflectivity[1]] * range_m[0] ** 2
 
 
 @njit(cache=True, nogil=True)

@@ -63,7 +63,9 @@ def test_packets_are_those_of_the_tables(profile, firmware, fov):
                 if len(returns) == 2 and returns[0] == returns[1]:
                     returns[1] = 0, 0, 0
                 if firmware == "2.3" and len(returns) == 2 and all(one[0] for one in returns):
-                    strength = [g / m**2 for m, g in zip(range_m[n].tolist(), gray[n].tolist(), strict=True)]
+                    strength = [
+                        naive.light(g) / m**2 for m, g in zip(range_m[n].tolist(), gray[n].tolist(), strict=True)
+                    ]
                     returns = returns if strength[0] >= strength[1] else returns[::-1]
                 pixels.append(naive.pixel(profile, returns if valid else [(0, 0, 0)] * len(returns)))
             columns.append((int(batch.firings.time_ns[at]), measurement, valid, pixels))
