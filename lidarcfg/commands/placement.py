@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -179,6 +180,7 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     from lidarcfg.packets.codec import pattern
     from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate as evaluation
+    from lidarcfg.placement.sensitivity import robustness
     from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
 
@@ -193,6 +195,8 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
         shown = details(loaded, mounted, found)
         report.save_evaluation(loaded, mounted, shown, output, report.Commands(typed, typed))
         found = shown.evaluation
+    else:
+        found = replace(found, robustness=robustness(loaded, mounted))
     if as_json:
         click.echo(report.to_json(report.evaluation_dict(loaded, mounted, found)))
     elif not quiet:

@@ -14,6 +14,7 @@ from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import volume_m3
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.sensitivity import robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.rig import Rig
 
@@ -63,13 +64,15 @@ def details(
 ) -> Details:
     """The details of a rig's evaluation; `midpoint_max_vsr_m` if a search has computed it.
 
-    A study with more than `cheap_cuboids` gets no error bar and no comparison that it does not bring along.
+    A study with more than `cheap_cuboids` gets no error bar and no comparison that it does not bring along. What
+    failures and mounting errors do is omitted for large regions, see `robustness`.
     """
     cheap = study.region.included.size <= cheap_cuboids
     if found.analytic is None and cheap:
         found = replace(found, analytic=analytic(study.region, rig_lidars(rig), ONE_HALVING, study.visibility))
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
+    found = replace(found, robustness=robustness(study, rig))
     subspaces, vehicle = found.subspaces, study.reference_m
     edges = ring_edges_m(study.region, vehicle)
     return Details(

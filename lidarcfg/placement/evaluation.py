@@ -12,6 +12,7 @@ from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Detection, detection
 from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
 from lidarcfg.placement.sightings import Sightings, sightings
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
@@ -49,8 +50,10 @@ class Evaluation:
     detection: dict[str, Detection]  # by object
     sightings: dict[str, Sightings]  # by object that is detected by returns
     blind: BlindSpots
+    zones: tuple[ZoneVsr, ...]  # of studies that have some
     analytic: Analytic | None  # if a tolerance was asked for
     seconds: float
+    robustness: Robustness | None = None  # where it was asked for, and is cheap
 
     @property
     def max_vsr_m(self) -> float:
@@ -96,9 +99,8 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
         for item in study.detection
     }
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    return Evaluation(
-        subspaces, vsr, tuple(worst), float(radius.max()), rates, seen, blind, converged, time.perf_counter() - started
-    )
+    zones, seconds = by_zone(study, subspaces), time.perf_counter() - started
+    return Evaluation(subspaces, vsr, tuple(worst), float(radius.max()), rates, seen, blind, zones, converged, seconds)
 
 
 def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:

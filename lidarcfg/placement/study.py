@@ -170,11 +170,14 @@ class Study:
         hidden = self.visibility is not None and self.visibility.blocks
         return self.rigs[1] * int(self.region.included.sum()) * hidden
 
-    def criterion(self, kept: NDArray[np.bool_] = EVERY_CASE) -> Criterion:
-        """The objective, made ready for this region and these objects; of the worst case where there are any."""
+    def criterion(self, kept: NDArray[np.bool_] = EVERY_CASE, mounts: Sequence[Mount] = ()) -> Criterion:
+        """The objective, made ready for this region and these objects; of the worst case where there are any.
+
+        Of a rig whose sensors are not the study's it needs the mounts.
+        """
         spot = self.objective.blind_spot_m
         around = None if spot is None else self.directions(spot.height_m)
-        mounts = self.rig(self.lower).mounts
+        mounts = mounts or self.rig(self.lower).mounts
 
         @cache
         def fired(some: tuple[int, ...]) -> Scans:

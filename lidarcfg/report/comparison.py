@@ -18,6 +18,7 @@ from lidarcfg.report.blind_spots import compare_contours
 from lidarcfg.report.document import Commands
 from lidarcfg.report.html import Best, Figure, Table, render
 from lidarcfg.report.results import evaluation_dict, to_json
+from lidarcfg.report.robustness import FAR, draw_lost
 from lidarcfg.report.words import (
     as_yaml,
     beams,
@@ -97,6 +98,9 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
     ]
     if bars := _analytic_row(rigs):
         out.append(bars)
+    for i, zone in enumerate(rigs[0].found.zones):
+        out.append(row(f"max VSR in {zone.name} (m)", ".6f", partial(_zone, i), -1))
+    out += _robust_rows(rigs, row)
     out += [
         row("subspaces", ",", lambda rig: len(rig.found.subspaces)),
         row("volume of the worst (m³)", ".2f", lambda rig: rig.found.worst[0].volume_m3, -1),
@@ -112,6 +116,32 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
         row("positions with one sensor's beams", ".2%", lambda rig: rig.details.coverage.by_one_sensor, -1),
     ]
     return out
+
+
+def _zone(i: int, rig: Contender) -> float:
+    return rig.found.zones[i].max_vsr_m
+
+
+def _robust_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
+    """What failures and mounting errors do at most; none where that was omitted."""
+    known = [rig.found.robustness for rig in rigs]
+    if None in known:
+        return []
+    out = []
+    if all(found and found.worst for found in known):
+        out.append(row("max VSR with the worst LiDAR lost (m)", ".6f", _worst_lost, -1))
+    for angles, far in zip((False, True), FAR, strict=True):
+        out.append(row(f"max VSR grows with a mount {far} off (mm)", ".1f", partial(_growth, angles), -1))
+    return out
+
+
+def _worst_lost(rig: Contender) -> float:
+    found = rig.found.robustness
+    return found.worst.max_vsr_m if found and found.worst else rig.found.max_vsr_m
+
+
+def _growth(angles: bool, rig: Contender) -> float:
+    return 1e3 * rig.found.robustness.largest_m(angles) if rig.found.robustness else 0.0
 
 
 def _blind_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
@@ -215,6 +245,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
             drawings.compare_worst(f"worst{n}", [(rig.title, rig.rig, rig.found) for rig in part])
             for n, part in enumerate(parts)
         ],
+        lost=draw_lost([(rig.title, rig.found.robustness) for rig in rigs if rig.found.robustness]),
         sizes=drawings.draw_sizes([(rig.title, rig.details) for rig in rigs]),
         rings=drawings.draw_rings(rings) if rings else None,
         blind=compare_contours(study.region, blind) if blind[0][2].contours else None,

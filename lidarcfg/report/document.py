@@ -16,6 +16,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
 from lidarcfg.report.html import Figure, Table, render
+from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
 from lidarcfg.report.surfaces import draw_surfaces
 from lidarcfg.report.words import (
     as_yaml,
@@ -59,7 +60,7 @@ def report(
 
     Raises ConfigError if SOURCE_DATE_EPOCH is not a time.
     """
-    found = details.evaluation
+    found, robust = details.evaluation, details.evaluation.robustness
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
@@ -81,6 +82,9 @@ def report(
         detection=_detection(study, found),
         rings=_rings(details.rings),
         vehicle=[f"{value:.2f}" for value in details.vehicle_m],
+        zones=zones_table(found.zones) if found.zones else None,
+        lost=lost_table(robust, not study.objective.is_max_vsr) if robust and robust.without else None,
+        sensitivity=sensitivity_table(rig, robust) if robust else None,
         volumes=volumes_table(found.blind),
         contours=contours_table(found.blind) if found.blind.contours else None,
         limits=limits_in_words(study),
@@ -100,7 +104,8 @@ def _drawings(study: Study, rig: Rig, details: Details, placement: Placement | N
         "mounts": drawings.draw_mounts(study, rig),
         "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
         "history": drawings.draw_history(study, placement) if placement else None,
-        "worst": drawings.draw_worst(rig, found),
+        "worst": drawings.draw_worst(study, rig, found),
+        "lost": draw_lost([("", found.robustness)]) if found.robustness else None,
         "sizes": drawings.draw_sizes([("", details)]),
         "rings": drawings.draw_rings([("", details.rings)]) if details.rings else None,
         "places": drawings.draw_places(region, rig, details.places) if details.places else None,

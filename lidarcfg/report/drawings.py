@@ -160,8 +160,19 @@ def _tint(rank: int) -> str:
     return WORST if rank == 0 else colour(rank % 5)  # the sixth colour is WORST
 
 
-def draw_worst(rig: Rig, found: Evaluation) -> Markup:
-    """The worst subspaces in the region from top, side and front."""
+def _draw_zones(axes: "Axes", view: str, study: Study) -> None:
+    """The study's zones as dashed boxes with their names."""
+    across, up = VIEWS[view]
+    for zone in study.zones:
+        if zone.box_m:
+            (left, bottom), (right, top) = (corner[[across, up]] for corner in zone.box_m)
+            axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "k--", lw=0.9)
+            if view == "top":
+                axes.text(left, top, f" {label(zone.name)}", ha="left", va="top", fontsize=7, clip_on=True)
+
+
+def draw_worst(study: Study, rig: Rig, found: Evaluation) -> Markup:
+    """The worst subspaces in the region from top, side and front, and the study's zones."""
     size = found.subspaces.region.max_m - found.subspaces.region.min_m
 
     def draw(figure: "Figure") -> None:
@@ -169,6 +180,7 @@ def draw_worst(rig: Rig, found: Evaluation) -> Markup:
         for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
             axes = figure.add_subplot(place)
             worst_view(axes, view, rig, found, len(found.worst))
+            _draw_zones(axes, view, study)
             name_axes(axes, view, "" if view == "top" else " (height stretched)")
 
     alt = f"the {len(found.worst)} worst subspaces in the region, from top, side and front"

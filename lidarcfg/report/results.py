@@ -19,8 +19,9 @@ from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Log, Placement
+from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.study_file import BUDGETS
+from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.document import Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.rig import Rig, rig_to_dict, save_rig
@@ -47,10 +48,24 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "seen_by_m3": found.blind.seen_by_m3.tolist(),
         "blind_volume_m3": found.blind.volume_m3,
         "blind_spots": [_contour(contour) for contour in found.blind.contours],
+        "zones": [asdict(zone) for zone in found.zones],
+        "robustness": found.robustness and _robustness(rig, found.robustness),
         "worst": [asdict(worst) for worst in found.worst],
         "skipped": {"full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
+    }
+
+
+def _robustness(rig: Rig, found: Robustness) -> dict[str, Any]:
+    """Each LiDAR lost, and by mount and axis the changes of max VSR with it off."""
+    change = zip(rig.mounts, found.change_m.tolist(), strict=True)
+    return {
+        "whole": asdict(found.whole),
+        "without": [asdict(left) for left in found.without],
+        "off_m": [STEP_M * off for off in OFFSETS],
+        "off_deg": [STEP_DEG * off for off in OFFSETS],
+        "max_vsr_change_m": {mount.name: dict(zip(COORDINATES, by_axis, strict=True)) for mount, by_axis in change},
     }
 
 
@@ -85,8 +100,8 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
         "seed": study.solver.seed,
         "solver": study.solver.method,
         "skipped": {
-            "full_evaluations": trials - found.full_evaluations,
-            "cuboids": trials * study.region.included.size - found.cuboids,
+            "full_evaluations": trials * study.rigs[0] - found.full_evaluations,
+            "cuboids": trials * study.rigs[0] * study.region.included.size - found.cuboids,
             "segments": trials * study.segments - found.segments,
         },
     }

@@ -54,6 +54,7 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     budget = ", ".join(f"{getattr(solver, key):,} {key}" for key in sorted(BUDGETS) if getattr(solver, key) is not None)
     search = f"{solver.method} searches {free} free coordinates for {budget}" if free else "nothing is free to move"
     what = "max VSR" if study.objective.is_max_vsr else "a weighted mean"
+    what += " by zones" * bool(study.zones) + ", with failures or mounting errors" * bool(study.robust)
     text = (
         f"{int(study.region.included.sum()):,} cuboids, {_models(slot.model for slot in study.slots)}, "
         f"{len(study.detection)} objects; {search}, to minimise {what}"

@@ -16,6 +16,7 @@ from lidarcfg.placement.front import Front
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.comparison import Contender, rows
+from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.words import returns_in_words
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
@@ -77,6 +78,11 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     if found.analytic:
         console.print(analytic_line(found.analytic))
+    for zone in found.zones:
+        weighted = f"; {zone.weight * zone.max_vsr_m:.6f} m with its weight of {zone.weight:g}"
+        console.print(f"max VSR in {zone.name}: {zone.max_vsr_m:.6f} m{weighted}")
+    for line in robust_lines(found.robustness) if found.robustness else ():
+        console.print(line)
     for name, detection in found.detection.items():
         how = f"± {detection.half_width:.4f}, {detection.places:,} drawn positions"
         if not detection.half_width:

@@ -1,6 +1,8 @@
 """LiDARs that fail, mounting errors and zones: against loops over all of them, and with and without skipping."""
 
 import math
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import lidarcfg
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.robustness import Robust, mounted
+from lidarcfg.placement.sensitivity import changes_m, robustness
 from lidarcfg.placement.study import load_study, with_solver
 from tests.naive import placement as naive_placement
 from tests.naive import robust as naive
@@ -72,23 +75,18 @@ def test_of_both_the_larger_counts(tmp_path):
         assert both.cost(poses) == max(lost.cost(poses), off.cost(poses))
 
 
-@pytest.mark.parametrize(
-    "more",
-    [
-        "robust: {lost: 1}\n",
-        "robust: {lost: 2}\n" + ZONES,
-        TOLERANCES,
-        BOTH + ZONES + BODY,
-        ZONES,
-        "robust: {lost: 1}\nobjective: {max_vsr: 1, inscribed_radius: 0.2, detection: {box: 0.1}}\n" + OBJECTS,
-        BOTH + ZONES + "objective: {max_vsr: 1, detection: {box: 0.5}}\n" + OBJECTS,
-        BOTH + BODY + "objective: {blind_volume: 1, seen_by_two: 0.5, blind_spot_m: {weight: 0.01}}\n",
-    ],
-)
-@pytest.mark.parametrize("method", ["abc", "de"])
-def test_skipping_changes_nothing(tmp_path, more, method):
+MAX_VSR = ["robust: {lost: 1}\n", "robust: {lost: 2}\n" + ZONES, TOLERANCES, BOTH + ZONES + BODY, ZONES]
+WEIGHTED = [
+    "robust: {lost: 1}\nobjective: {max_vsr: 1, inscribed_radius: 0.2, detection: {box: 0.1}}\n" + OBJECTS,
+    BOTH + ZONES + "objective: {max_vsr: 1, detection: {box: 0.5}}\n" + OBJECTS,
+    "robust: {lost: 1}\n" + BODY + "objective: {blind_volume: 1, seen_by_two: 0.5}\n",
+]
+
+
+@pytest.mark.parametrize(("method", "more"), [*product(["abc", "de"], MAX_VSR), *product(["abc"], WEIGHTED)])
+def test_skipping_changes_nothing(tmp_path, method, more):
     loaded = study(tmp_path, more)
-    loaded = with_solver(loaded, method=method, **({"evaluations": 240} if method == "de" else {"cycles": 8}))
+    loaded = with_solver(loaded, method=method, **({"evaluations": 300} if method == "de" else {"cycles": 4}))
     runs = [optimize(loaded, threads=threads, skip=skip) for threads, skip in ((1, False), (2, True))]
     assert runs[1].rig == runs[0].rig
     assert [(c.cycle, c.best, c.mean) for c in runs[1].history] == [(c.cycle, c.best, c.mean) for c in runs[0].history]
@@ -134,6 +132,42 @@ def test_a_zone_of_weight_one_is_no_zone(tmp_path):
     zoned, plain = (optimize(study(tmp_path, more)) for more in (everything, ""))
     assert zoned.rig == plain.rig
     assert [(c.best, c.mean) for c in zoned.history] == [(c.best, c.mean) for c in plain.history]
+
+
+@pytest.mark.parametrize("more", ["", ZONES + OBJECTS + "objective: {detection: {box: 1}}\n"])
+def test_what_failures_and_mounting_errors_do(tmp_path, more):
+    """Rigs evaluated one by one, by loops over all cuboids."""
+    loaded = study(tmp_path, more)
+    poses = random_poses(loaded, 1, 4)[0]
+    found, beams = robustness(loaded, loaded.rig(poses)), lidars(loaded, poses)
+    rigs = [beams, *([*beams[:i], *beams[i + 1 :]] for i in range(3))]
+    for left, kept in zip((found.whole, *found.without), rigs, strict=True):
+        assert left.max_vsr_m == pytest.approx(naive.max_vsr(REGION, kept), rel=1e-12)
+        if more:
+            assert left.zones[0].max_vsr_m == pytest.approx(naive.zone_max_vsr(REGION, kept, *FRONT), rel=1e-12)
+            assert left.zones[1].name == "elsewhere"
+        else:
+            assert left.objective == left.max_vsr_m
+    assert [left.lost for left in (found.whole, *found.without)] == [None, "a", "b_0", "b_1"]
+    assert found.worst.max_vsr_m == max(left.max_vsr_m for left in found.without)
+    changes = changes_m(loaded, loaded.rig(poses), 0.1, 2)
+    for lidar, axis, offset in ((0, 0, 0), (0, 3, 3), (1, 2, 1), (2, 4, 2), (1, 5, 3)):
+        moved = poses.copy()
+        moved[lidar, axis] += (-5, -1, 1, 5)[offset] * (0.1 if axis < 3 else math.radians(2))
+        change = naive.max_vsr(REGION, lidars(loaded, moved)) - naive.max_vsr(REGION, beams)
+        assert changes[lidar, axis, offset] == pytest.approx(change, abs=1e-12)
+    line = replace(found, change_m=np.multiply.outer(found.change_m[:, :, 0], (-5, -1, 1, 5)))
+    assert line.slope_m == pytest.approx(found.change_m[:, :, 0])
+    assert line.largest_m(True) == pytest.approx(5 * np.abs(found.change_m[:, 3:, 0]).max())
+
+
+def test_a_rig_of_one_lidar_and_a_large_region(tmp_path):
+    loaded = study(tmp_path)
+    rig = loaded.rig(random_poses(loaded, 1, 4)[0])
+    alone = robustness(loaded, replace(rig, mounts=rig.mounts[:1]))
+    assert (alone.without, alone.worst) == ((), None)
+    fine = study(tmp_path, text=STUDY.replace("[1, 0.5, 0.25]", "[0.1, 0.1, 0.1]"))
+    assert robustness(fine, rig) is None
 
 
 def test_draws_are_normal_and_each_lidars_own():

@@ -41,7 +41,20 @@ sensors:
     max: {position_m: [7, 5, 3.0], rpy_deg: [30, 30, 0]}
 solver: {method: abc, bees: 10, cycles: 4, seed: 1}
 """
-SECTIONS = ["asked", "rig", "search", "worst", "sizes", "blind", "detection", "coverage", "trust", "skipped", "repeat"]
+SECTIONS = [
+    "asked",
+    "rig",
+    "search",
+    "worst",
+    "robust",
+    "sizes",
+    "blind",
+    "detection",
+    "coverage",
+    "trust",
+    "skipped",
+    "repeat",
+]
 
 
 VOID = {"meta", "br", "path", "use", "image", "rect", "circle", "line", "polygon", "polyline"}
@@ -296,7 +309,7 @@ def test_in_a_browser(runs):
             })"""
         assert driver.execute_script(outside) == []
         drawn = driver.execute_script("return document.querySelectorAll('figure svg').length")
-        assert drawn == 7
+        assert drawn == 8
 
 
 def test_mount_surfaces_are_said_and_drawn(tmp_path):

@@ -1,0 +1,113 @@
+"""What a rig's max VSR and objective become if a LiDAR fails, and how much each axis of each mount matters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.objective import Criterion, Trial
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.subspace import Subspaces
+from lidarcfg.placement.zones import with_the_rest
+from lidarcfg.rig import Rig
+
+CUBOIDS_MAX = 100_000  # for larger regions it is omitted
+STEP_M, STEP_DEG, OFFSETS = 0.01, 0.1, (-5, -1, 1, 5)  # a coordinate is so many steps off
+HUGE = float(np.finfo(np.float64).max)  # to beat: everything does
+
+
+@dataclass(frozen=True)
+class ZoneVsr:
+    """How well a rig does in a zone."""
+
+    name: str
+    weight: float
+    max_vsr_m: float
+
+
+@dataclass(frozen=True)
+class Left:
+    """What is left of a rig, or the whole rig."""
+
+    lost: str | None  # the mount that fails; None: the whole rig
+    max_vsr_m: float
+    objective: float  # the study's, of what is left
+    zones: tuple[ZoneVsr, ...]
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """What failures and mounting errors do to a rig."""
+
+    whole: Left
+    without: tuple[Left, ...]  # each LiDAR in turn; none where there is one alone
+    change_m: Array  # (lidars, 6, OFFSETS) of max VSR, with x, y, z, roll, pitch or yaw off
+
+    @property
+    def worst(self) -> Left | None:
+        """What is left of the largest max VSR."""
+        return max(self.without, key=lambda left: left.max_vsr_m, default=None)
+
+    @property
+    def slope_m(self) -> Array:
+        """(lidars, 6) the change of max VSR per step: the line through the whole rig's that fits its changes best."""
+        off = np.array(OFFSETS, np.float64)
+        slope: Array = self.change_m @ off / (off @ off)
+        return slope
+
+    @property
+    def increase_m(self) -> Array:
+        """(lidars, 6) the largest increase of max VSR; 0 where there is none."""
+        most: Array = np.maximum(self.change_m.max(axis=2), 0.0)
+        return most
+
+    def largest_m(self, angles: bool) -> float:
+        """The largest increase of max VSR by a position, or an angle, that is off."""
+        return float((self.increase_m[:, 3:] if angles else self.increase_m[:, :3]).max())
+
+
+def by_zone(study: Study, subspaces: Subspaces) -> tuple[ZoneVsr, ...]:
+    """Max VSR of the study's zones, and of what lies in none; none without zones."""
+    if not study.zones:
+        return ()
+    vsr = vsr_m(subspaces)
+    zones = with_the_rest(study.zones, study.region)
+    return tuple(ZoneVsr(zone.name, zone.weight, zone.max_vsr_m(subspaces, vsr)) for zone in zones)
+
+
+def robustness(study: Study, rig: Rig) -> Robustness | None:
+    """What failures and mounting errors do to a rig; None where the region has too many cuboids for a quick answer."""
+    if study.region.included.size > CUBOIDS_MAX:
+        return None
+    trial, criterion = Trial(study.region, rig_lidars(rig), study.visibility), study.criterion(mounts=rig.mounts)
+    names, everyone = [mount.name for mount in rig.mounts], range(len(rig.mounts))
+    without = [
+        _left(study, criterion, trial.left(tuple(i for i in everyone if i != lost)), names[lost])
+        for lost in everyone
+        if len(names) > 1
+    ]
+    return Robustness(_left(study, criterion, trial, None), tuple(without), changes_m(study, rig))
+
+
+def _left(study: Study, criterion: Criterion, trial: Trial, lost: str | None) -> Left:
+    subspaces = trial.subspaces
+    return Left(lost, float(vsr_m(subspaces).max()), criterion.of(trial), by_zone(study, subspaces))
+
+
+def changes_m(study: Study, rig: Rig, step_m: float = STEP_M, step_deg: float = STEP_DEG) -> Array:
+    """(lidars, 6, OFFSETS): by how much max VSR changes with a coordinate of a pose so many steps off."""
+    pose = np.array([[*mount.position_m, *mount.rpy_rad] for mount in rig.mounts])
+    step = np.repeat([step_m, np.radians(step_deg)], 3)
+    lidars, axes = np.indices((len(pose), 6)).reshape(2, -1)
+    moved = np.repeat(pose[None], len(OFFSETS) * pose.size, axis=0)
+    for number, off in enumerate(OFFSETS):
+        moved[number :: len(OFFSETS)][np.arange(pose.size), lidars, axes] += off * step[axes]
+    every = np.concatenate([pose[None], moved])
+    with Evaluator(study.region, rig_lidars(rig), visibility=study.visibility) as evaluator:
+        source = np.zeros(len(every), np.int64)
+        cost = evaluator.costs(every, source, pose[None], np.full(len(every), HUGE))
+    change: Array = cost[1:] - cost[0]
+    return change.reshape(len(pose), 6, len(OFFSETS))
