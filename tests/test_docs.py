@@ -58,7 +58,7 @@ RESULTS = {
     "optimize": ["report.html", "rig.yaml", "result.json", "history.csv", "convergence.png", "rig.png", "search.npz"],
     "evaluate": ["report.html", "result.json", "rig.png"],
     "compare": ["compare.html", "compare.json"],
-    "sweep": ["table.csv", "table.parquet"],
+    "sweep": ["table.csv", "table.parquet", "sweep.png"],
 }
 FRONT = ["front.html", "front.json", "front.png", "history.csv", "search.npz"]
 POINT = [*RESULTS["optimize"], "study.yaml"]

@@ -58,8 +58,8 @@ def sweep(
 ) -> None:
     """Search once for every combination of values of a study's keys.
 
-    Writes a table with one row per run, and the rig of each. However the command ends, the same command again does
-    what is missing. The result depends neither on the number of workers nor on where they are.
+    Writes a table with one row per run, a plot, and the rig of each run. However the command ends, the same command
+    again does what is missing. The result depends neither on the number of workers nor on where they are.
     """
     from lidarcfg import report
     from lidarcfg.packets.codec import pattern
@@ -84,7 +84,7 @@ def sweep(
         if missing:
             failed = _do(loaded, missing, kept, where, quiet)
     finally:
-        written = kept.save_table()
+        written = kept.save_tables()
     if failed:
         warn(f"{failed} runs have no rig; the column error of the table says why")
     if not quiet:

@@ -9,11 +9,13 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.plan import Plan, Run, versions
 from lidarcfg.placement.sweep import Outcome
+from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import check_writable, to_json
+from lidarcfg.report.sweep_plot import draw_sweep
 from lidarcfg.rig import save_rig
 
 Row = dict[str, Any]  # of the table, by column
-PLAN, TABLES = "plan.json", ("table.csv", "table.parquet")
+PLAN, TABLES, PLOT = "plan.json", ("table.csv", "table.parquet"), "sweep.png"
 LAST = ("rig", "version", "error", "seconds")  # columns at the end; only seconds differ between sweeps
 
 
@@ -32,7 +34,7 @@ class SweepFolder:
 
     def start(self) -> None:
         """Make it ready to be written into. Raises OSError at once, not after hours, if it cannot be."""
-        check_writable(self.folder, (PLAN, *TABLES))
+        check_writable(self.folder, (PLAN, *TABLES, PLOT))
         with replacing(self.folder / PLAN) as file:
             file.write(self._about)
 
@@ -57,8 +59,11 @@ class SweepFolder:
         with replacing(self._at(run) / "result.json") as file:
             file.write(to_json(found) + "\n")
 
-    def save_table(self) -> list[str]:
-        """Write all rows that are there as table.csv and, with pyarrow, as table.parquet. Returns the files' names."""
+    def save_tables(self) -> list[str]:
+        """Write all rows that are there as table.csv, with pyarrow as table.parquet too, and plot them.
+
+        Returns the files' names.
+        """
         rows = [row for run in self._plan.runs if (row := self.row(run))]
         if not rows:
             return []
@@ -71,11 +76,21 @@ class SweepFolder:
             import pyarrow
             import pyarrow.parquet
         except ImportError:
-            return [TABLES[0]]
+            return [TABLES[0], *self._save_plot(rows)]
         table = pyarrow.table({key: [row.get(key) for row in rows] for key in columns})
         with replacing(self.folder / TABLES[1], "wb") as file:
             pyarrow.parquet.write_table(table, file)
-        return [*TABLES]
+        return [*TABLES, *self._save_plot(rows)]
+
+    def _save_plot(self, rows: list[Row]) -> list[str]:
+        """Write sweep.png, if there is anything to plot."""
+        found = {row["run"]: row.get("cost") for row in rows}
+        is_max_vsr = all(row.get("cost") == row.get("max_vsr_m") for row in rows)
+        figure = draw_sweep(self._plan, [found.get(run.number) for run in self._plan.runs], is_max_vsr)
+        if figure is None:
+            return []
+        save_figure(figure, self.folder / PLOT)
+        return [PLOT]
 
     def _at(self, run: Run) -> Path:
         return self.folder / "runs" / run.digest
