@@ -8,6 +8,7 @@ MOTIONS = {"velocity_m_s", "arc", "poses"}
 MARKS = {  # the keys that only one kind has, the first that fits
     "sensor": {"beams"},
     "record of a capture": {"rig", "scene", "duration_s"},
+    "plan": {"vary", "together"},
     "study": {"region"},
     "trajectory": MOTIONS,
     "scene": {"ground", "weather", "geo_origin"},

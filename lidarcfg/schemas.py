@@ -13,6 +13,7 @@ from lidarcfg.packets.codec import FAMILIES, family
 
 KINDS = {  # module and model of each kind of file, loaded when they are needed
     "study": "lidarcfg.placement.study_file:StudyFile",
+    "plan": "lidarcfg.placement.plan:PlanFile",
     "rig": "lidarcfg.rig:RigFile",
     "scene": "lidarcfg.world.scene:SceneFile",
     "sensor": "lidarcfg.sensor:Sensor",

@@ -35,6 +35,7 @@ Places = list[tuple[str, Key]]  # the paths that a run varies, and where in the 
 class PlanFile(Model):
     """A plan's file."""
 
+    kind = "plan"
     study: Any  # its file, relative to the plan's; or the study itself
     vary: dict[str, tuple[Any, ...]] = Field(default_factory=dict)  # values by path: every combination is a run
     together: tuple[Values, ...] = ()  # rows of values by path: keys that change together

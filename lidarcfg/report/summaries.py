@@ -14,6 +14,7 @@ from lidarcfg.files import example
 from lidarcfg.kinds import MARKS, kind_of
 from lidarcfg.packets.codec import codec, pattern
 from lidarcfg.placement.checks import rig_warnings, study_warnings
+from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
 from lidarcfg.rig import Mount, load_rig
@@ -61,6 +62,11 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     )
     vehicle = study.vehicle.warnings if study.vehicle else ()
     return text, (*vehicle, *study_warnings(path, study))
+
+
+def _plan(path: Path) -> tuple[str, Iterable[str]]:
+    plan = load_plan(path, pattern)
+    return f"{len(plan.runs):,} runs of a sweep over {', '.join(plan.varied)}", ()
 
 
 def _rig(path: Path) -> tuple[str, Iterable[str]]:
@@ -136,6 +142,7 @@ def _triangles(scene: Scene) -> str:
 
 
 SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
+    "plan": _plan,
     "study": _study,
     "rig": _rig,
     "scene": _scene,

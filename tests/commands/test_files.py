@@ -46,6 +46,8 @@ def validators():
 
 
 def kind_by_folder(path):
+    if path.stem == "trend":
+        return "plan"
     return {"studies": "study", "rigs": "rig", "scenes": "scene", "sensors": "sensor"}[path.parent.name]
 
 
