@@ -138,7 +138,7 @@ def _draw_rig(axes: "Axes", study: Study, point: Point, models: list[str]) -> No
     outline = _outline(study)
     if len(outline):
         axes.fill(outline[:, 0], outline[:, 1], color=EXCLUDED, alpha=0.35, lw=0)
-    else:
+    elif not study.region.included.all():
         shade_excluded(axes, study.region, "top")
     for mount in point.placement.rig.mounts:
         model = models.index(mount.sensor.name)

@@ -8,6 +8,7 @@ from lidarcfg.placement.solvers.search import Trials, checked
 
 STEP = 0.25  # the initial standard deviation, in the unit cube
 HUGE = 1e300  # stands for inf, as cma subtracts costs
+FEWEST = 2  # dimensions that cma can do; one has another beside it that changes nothing
 
 
 class CmaEs:
@@ -42,20 +43,21 @@ class CmaEs:
             "seed": np.nan,  # leave NumPy's global generator alone: `randn` is ours
             "verbose": -9,
         }
+        start = np.concatenate([start, np.full(max(FEWEST - len(start), 0), 0.5)])
         self._es = cma.CMAEvolutionStrategy(start, self._step, options)
         self._asked = self._es.ask()
 
     def ask(self) -> Trials:
         """The next generation."""
         n = len(self._asked)
-        return Trials("trial", np.array(self._asked), np.zeros(n, np.int64), np.full(n, np.inf))
+        return Trials("trial", np.array(self._asked)[:, : self._dimensions], np.zeros(n, np.int64), np.full(n, np.inf))
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the generation."""
         self._es.tell(self._asked, list(np.minimum(checked(cost), HUGE)))
         best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = np.array(self._asked[best]), float(cost[best])
+            self.best_x, self.best_cost = np.array(self._asked[best])[: self._dimensions], float(cost[best])
         self.mean_cost = float(np.mean(cost))
         self.cycles += 1
         self.over = bool(self._es.stop())

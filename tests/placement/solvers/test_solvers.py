@@ -41,6 +41,14 @@ def run(solver, function, trials):
 
 
 @pytest.mark.parametrize("name", SOLVERS)
+def test_one_dimension_is_enough(name):
+    solver = SOLVERS[name](1, 1)
+    x = run(solver, bowl, 2000)
+    assert x.shape[1] == len(solver.best_x) == 1
+    assert solver.best_x == pytest.approx([0.3], abs=0.01)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
 def test_they_find_the_bottom_of_a_bowl(name):
     solver = SOLVERS[name](4, 1)
     x = run(solver, bowl, 40_000 if name == "annealing" else 8000)  # a round of annealing ends cold
