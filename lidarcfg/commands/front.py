@@ -1,5 +1,6 @@
 """lidarcfg optimize, where a study lets one choose sensors: the front of price against objective."""
 
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
 SAVE_EVERY_S = 5.0
 
 
-def find_front(study: "Study", folder: Path, resume: Path | None, threads: int | None, quiet: bool) -> None:
-    """Search, write the folder, print the table; ends with 130 after Ctrl-C."""
+def find_front(study: "Study", path: Path, folder: Path, resume: Path | None, threads: int | None, quiet: bool) -> None:
+    """Search a study of a file, write the folder, print the table; ends with 130 after Ctrl-C."""
     import time
 
     from lidarcfg import report
@@ -37,6 +38,8 @@ def find_front(study: "Study", folder: Path, resume: Path | None, threads: int |
                 saved = time.monotonic()
 
         found = front(study, threads, on_part, logs)
+    words = ("--solver", study.solver.method, "--seed", study.solver.seed, "--evaluations", max(found.evaluations, 1))
+    again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words)))
     untried = sum(not one.evaluations for one in found.candidates)
     if untried:
         warn(f"the budget was spent before {untried} of {len(found.candidates)} combinations were tried")
@@ -45,7 +48,7 @@ def find_front(study: "Study", folder: Path, resume: Path | None, threads: int |
         def on_point(number: int, point: "Point") -> None:
             on_progress(number / len(found.points), f"report of {point.combination.name}")
 
-        report.save_front(study, found, folder, command_line(), on_point)
+        report.save_front(study, found, folder, report.Commands(command_line(), again), on_point)
     if not quiet:
         report.print_front(study, found)
         click.echo(f"written to {folder}/: front.html front.json front.png history.csv search.npz points/")
@@ -58,6 +61,6 @@ def _line(search: "FrontRun") -> str:
     """The state of the search."""
     on_front = search.on_front()
     rate = search.evaluations / max(search.seconds, 1e-9)
-    tried = sum(run.evaluations > 0 for run in search.runs)
+    tried = sum(entrant.evaluations > 0 for entrant in search.entrants)
     state = f"{sum(on_front)} on the front, {tried} of {len(on_front)} combinations tried"
     return f"{state}  {rate:,.0f} evaluations/s"

@@ -98,7 +98,7 @@ def optimize(
         warn(message)
     folder = output or resume or Path("out") / loaded.name
     if loaded.to_choose:
-        find_front(loaded, folder, resume, threads, quiet)
+        find_front(loaded, study, folder, resume, threads, quiet)
         return
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder, report.RESULTS)

@@ -24,6 +24,7 @@ class Combination:
     name: str
     price: float
     study: Study
+    groups: tuple[int, ...]  # of the whole study, by slot
 
     @property
     def sensors(self) -> str:
@@ -73,9 +74,10 @@ def _combination(
     """The study with these models in the groups' first places."""
     numbers: list[int] = []
     slots: list[Slot] = []
+    members: list[int] = []
     files: list[dict[str, Any]] = []
     price = 0.0
-    for group, part in zip(groups, chosen, strict=True):
+    for i, (group, part) in enumerate(zip(groups, chosen, strict=True)):
         of_model = {choice.model: choice for choice in part if choice}
         counts = Counter(choice.model for choice in part if choice)
         place = group.first
@@ -94,6 +96,7 @@ def _combination(
                 seat = choice.surface.image if choice.surface and number % group.together else choice.surface
                 slots.append(Slot(slot, choice.sensor, model, of.range_m, of.azimuth_fov_deg, seat))
                 numbers.append(place + number)
+                members.append(i)
             place += count
     for slot, times in Counter(one.name for one in slots).items():
         if times > 1:
@@ -101,7 +104,7 @@ def _combination(
     used = {values["model"] for values in files}
     prices = {model: each for model, each in study.file["prices"].items() if model in used}
     file = study.file | {"sensors": files, "prices": prices}
-    return Combination(name, price, replace(study.chosen(numbers, slots, file), name=name))
+    return Combination(name, price, replace(study.chosen(numbers, slots, file), name=name), tuple(members))
 
 
 def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -> str:

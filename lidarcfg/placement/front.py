@@ -6,6 +6,7 @@ PROGRESS with each e-fold of its evaluations, so that one with n evaluations, a 
 more, needs n exp(g / PROGRESS). So the front gets most of the budget, and what is far from it little; but never less
 than 1 / NEGLECT of the evaluations that the front's combinations have, as early values say little.
 
+Whenever the evaluations of its own search have doubled, a combination also learns from the others, see transfer.py.
 Nothing depends on the budget, so a search that is resumed ends where an unbroken one does.
 """
 
@@ -18,14 +19,16 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.combinations import Combination, combinations
-from lidarcfg.placement.optimize import INFEASIBLE, Budget, Log, Placement, Run
+from lidarcfg.placement.optimize import INFEASIBLE, Budget, Cycle, Log, Placement, Run
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.transfer import Example, Transfer, starts
 
-PROGRESS = 0.05
-NEGLECT = 16.0
+PROGRESS = 0.1
+NEGLECT = 4.0
 PART, GROWTH = 200, 0.25  # evaluations of a part, at least; of those so far
+TRANSFER = 300  # evaluations of what is learnt from others, each time
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Front:
     points: tuple[Point, ...]  # by price; each has a smaller objective than the one before
     candidates: tuple[Candidate, ...]  # all combinations, by price, then objective
     history: tuple[Part, ...]
-    logs: tuple[Log, ...]  # by combination, in their own order
+    logs: tuple[tuple[Log, ...], ...]  # by combination, in their own order, those of its searches
     seconds: float
     interrupted: bool
 
@@ -115,7 +118,7 @@ def front(
     study: Study,
     threads: int | None = None,
     on_part: Callable[["FrontRun"], None] | None = None,
-    logs: Sequence[Log] = (),
+    logs: Sequence[Sequence[Log]] = (),
     skip: bool = True,
 ) -> Front:
     """Search for the rig with the least objective for each price, over all combinations that a study allows.
@@ -134,38 +137,127 @@ def front(
     return search.result(interrupted)
 
 
+class Entrant:
+    """A combination and its searches: the ordinary one first, then those that learn from others."""
+
+    def __init__(self, combination: Combination, logs: Sequence[Log]) -> None:
+        self.combination = combination
+        self._logs = list(logs)
+        study = combination.study
+        search = start_search(study.solver, study.groups) if study.free.any() else FixedPoint()
+        self.runs = [self._run(search)]
+        self._transfer: Transfer | None = None  # the last one's search
+
+    def _run(self, search: Search) -> Run:
+        return Run(self.combination.study, search, self._logs.pop(0) if self._logs else None)
+
+    @property
+    def own(self) -> Run:
+        """The ordinary search."""
+        return self.runs[0]
+
+    @property
+    def best(self) -> Run:
+        """The search with the best rig."""
+        return min(self.runs, key=lambda run: run.best_cost)
+
+    @property
+    def objective(self) -> float:
+        """The least so far; inf without a rig that meets the constraints."""
+        return self.best.best_cost if self.best.best_cost < INFEASIBLE else math.inf
+
+    @property
+    def evaluations(self) -> int:
+        """Of all its searches."""
+        return sum(run.evaluations for run in self.runs)
+
+    @property
+    def cycles(self) -> int:
+        """Of all its searches."""
+        return sum(run.cycles for run in self.runs)
+
+    @property
+    def seconds(self) -> float:
+        """Of all its searches."""
+        return sum(run.seconds for run in self.runs)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing is left to try."""
+        return self.evaluations > 0 and not self.combination.study.free.any()
+
+    @property
+    def is_to_learn(self) -> bool:
+        """Whether its own search has doubled since it last learnt from others."""
+        return self.own.evaluations >= PART << (len(self.runs) - 1)
+
+    def learn(self, entrants: Sequence["Entrant"], number: int) -> Run | None:
+        """A search that starts from what all have found; none if nothing fits. `number` is this one's among them."""
+        known = [entrant for entrant in entrants if entrant.objective < math.inf]
+        examples = [Example(one.combination, one.best.best_x, one.objective) for one in known]
+        rng = np.random.default_rng([self.combination.study.solver.seed, number, len(self.runs)])
+        found = starts(self.combination, examples, rng)
+        if not len(found):
+            return None
+        self._transfer = Transfer(found, int(rng.integers(2**63)))
+        self.runs.append(self._run(self._transfer))
+        return self.runs[-1]
+
+    def is_over(self, run: Run) -> bool:
+        """Whether one of its searches has nothing more to try for now."""
+        return self.is_done or (run is not self.own and self._transfer is not None and self._transfer.over)
+
+    def placement(self, interrupted: bool) -> Placement:
+        """The best rig, with the ordinary search's history and log."""
+        found, own = self.best.placement(interrupted), self.own
+        if len(self.runs) == 1:
+            return found
+        last = Cycle(self.cycles, self.evaluations, self.best.best_cost, own.history[-1].mean, self.seconds)
+        works = [run.work for run in self.runs]
+        return replace(
+            found,
+            history=(*own.history, last),
+            log=own.log(),
+            evaluations=self.evaluations,
+            first_evaluations=own.asked["first"],
+            scout_evaluations=own.asked["scout"],
+            full_evaluations=sum(work.full_evaluations for work in works),
+            cuboids=sum(work.cuboids for work in works),
+            segments=sum(work.segments for work in works),
+            seconds=self.seconds,
+        )
+
+
 class FrontRun:
     """The searches of all combinations, in progress."""
 
-    def __init__(self, study: Study, logs: Sequence[Log] = ()) -> None:
-        self.study, self.combinations = study, combinations(study)
-        self.runs = [
-            Run(one.study, _start(one.study), log)
-            for one, log in zip(self.combinations, logs or [Log.empty()] * len(self.combinations), strict=True)
-        ]
+    def __init__(self, study: Study, logs: Sequence[Sequence[Log]] = ()) -> None:
+        self.study = study
+        ones = combinations(study)
+        self.entrants = [Entrant(one, log) for one, log in zip(ones, logs or [()] * len(ones), strict=True)]
         self.history: list[Part] = []
-        self._prices = np.array([one.price for one in self.combinations])
+        self._prices = np.array([one.price for one in ones])
         self._budget = Budget.of(study.solver)
 
     @property
     def evaluations(self) -> int:
         """Of all combinations."""
-        return sum(run.evaluations for run in self.runs)
+        return sum(entrant.evaluations for entrant in self.entrants)
 
     @property
     def cycles(self) -> int:
         """Of all combinations."""
-        return sum(run.cycles for run in self.runs)
+        return sum(entrant.cycles for entrant in self.entrants)
 
     @property
     def seconds(self) -> float:
         """Of all combinations."""
-        return sum(run.seconds for run in self.runs)
+        return sum(entrant.seconds for entrant in self.entrants)
 
     @property
     def objectives(self) -> Array:
         """(combinations,) the least so far; inf without a rig that meets the constraints."""
-        return np.array([run.best_cost if run.best_cost < INFEASIBLE else math.inf for run in self.runs])
+        return np.array([entrant.objective for entrant in self.entrants])
 
     @property
     def spent(self) -> float:
@@ -176,61 +268,71 @@ class FrontRun:
         """(combinations,) which are on the front so far."""
         return on_front(self._prices.tolist(), self.objectives.tolist())
 
-    def logs(self) -> list[Log]:
-        """All that is needed to resume."""
-        return [run.log() for run in self.runs]
+    def logs(self) -> list[list[Log]]:
+        """All that is needed to resume: by combination the logs of its searches."""
+        return [[run.log() for run in entrant.runs] for entrant in self.entrants]
 
     def run(self, threads: int | None, on_part: Callable[["FrontRun"], None] | None = None, skip: bool = True) -> None:
         """Search until the budget is spent, or nothing is left to try."""
-        budget = self._budget
-        while (i := self._next()) is not None:
-            run = self.runs[i]
-            end = run.evaluations + max(PART, GROWTH * run.evaluations)
-            done = not run.study.free.any()
-            with run.evaluator(threads, skip) as evaluator:
-                while True:
-                    run.step(evaluator, self._left(budget, run))
-                    spent = budget.spent(self.evaluations, self.cycles)
-                    if spent or done or run.evaluations >= end:
-                        break
-            name, front = self.combinations[i].name, self.on_front()[i]
-            self.history.append(Part(self.evaluations, name, run.evaluations, run.best_cost, front, self.seconds))
+        while (i := self._next()) is not None and not (self.history and self._is_spent()):
+            entrant = self.entrants[i]
+            learner = entrant.learn(self.entrants, i) if entrant.is_to_learn else None
+            if learner:
+                self._work(entrant, learner, TRANSFER, threads, skip)
+            else:
+                self._work(entrant, entrant.own, max(PART, int(GROWTH * entrant.own.evaluations)), threads, skip)
+            state = entrant.evaluations, entrant.best.best_cost, self.on_front()[i], self.seconds
+            self.history.append(Part(self.evaluations, entrant.combination.name, *state))
             if on_part:
                 on_part(self)
-            if spent:
-                return
 
-    def _left(self, budget: Budget, run: Run) -> Budget:
+    def _work(self, entrant: Entrant, run: Run, evaluations: int, threads: int | None, skip: bool) -> None:
+        """Run a part of one of its searches."""
+        end = run.evaluations + evaluations
+        with run.evaluator(threads, skip) as evaluator:
+            while True:
+                run.step(evaluator, self._left(run))
+                if entrant.is_over(run) or run.evaluations >= end or self._is_spent():
+                    return
+
+    def _is_spent(self) -> bool:
+        return self._budget.spent(self.evaluations, self.cycles)
+
+    def _left(self, run: Run) -> Budget:
         """What one search may use until the budget of all is spent."""
+        budget = self._budget
         evaluations = None if budget.evaluations is None else budget.evaluations - self.evaluations + run.evaluations
         cycles = None if budget.cycles is None else budget.cycles - self.cycles + run.cycles
         return replace(budget, evaluations=evaluations, cycles=cycles)
 
     def _next(self) -> int | None:
         """The combination that will soonest be on the front: first those not tried yet, by price."""
-        open_ = [i for i, run in enumerate(self.runs) if run.study.free.any() or not run.evaluations]
-        if not open_:
+        there = [i for i, entrant in enumerate(self.entrants) if not entrant.is_done]
+        if not there:
             return None
-        fresh = [i for i in open_ if not self.runs[i].evaluations]
+        fresh = [i for i in there if not self.entrants[i].evaluations]
         if fresh:
             return min(fresh, key=lambda i: self._prices[i])
-        effort = np.log([max(run.evaluations, 1) for run in self.runs]) + delay(self._prices, self.objectives)
-        return min(open_, key=lambda i: effort[i])
+        spent = np.array([max(entrant.evaluations, 1) for entrant in self.entrants])
+        effort = np.log(spent) + delay(self._prices, self.objectives)
+        return min(there, key=lambda i: effort[i])
 
     def result(self, interrupted: bool) -> Front:
         """The front so far. Raises KeyboardInterrupt if there is none yet, ConfigError where no rig is allowed."""
-        if not any(math.isfinite(run.best_cost) for run in self.runs):
+        if not any(math.isfinite(entrant.best.best_cost) for entrant in self.entrants):
             raise KeyboardInterrupt
         front, objectives = self.on_front(), self.objectives.tolist()
         if not any(front):
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
         order = sorted(range(len(front)), key=lambda i: (self._prices[i], objectives[i]))
-        ones = self.combinations
+        ones = self.entrants
         return Front(
-            points=tuple(Point(ones[i], self.runs[i].placement(interrupted)) for i in order if front[i]),
-            candidates=tuple(Candidate(ones[i], objectives[i], self.runs[i].evaluations, front[i]) for i in order),
+            points=tuple(Point(ones[i].combination, ones[i].placement(interrupted)) for i in order if front[i]),
+            candidates=tuple(
+                Candidate(ones[i].combination, objectives[i], ones[i].evaluations, front[i]) for i in order
+            ),
             history=tuple(self.history),
-            logs=tuple(self.logs()),
+            logs=tuple(tuple(logs) for logs in self.logs()),
             seconds=self.seconds,
             interrupted=interrupted,
         )
@@ -247,7 +349,3 @@ def delay(prices: Array, objectives: Array) -> Array:
     gap[objectives == least] = 0.0
     gap[np.isinf(objectives)] = math.inf
     return np.minimum(gap / PROGRESS, most)
-
-
-def _start(study: Study) -> Search:
-    return start_search(study.solver, study.groups) if study.free.any() else FixedPoint()

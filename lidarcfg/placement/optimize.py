@@ -146,7 +146,8 @@ class Work:
 class Run:
     """A search in progress; the costs in `log` are told first, without evaluating anything.
 
-    It may pause: what evaluates its trials is made anew for each part of it.
+    `best_x` and `best_cost` are those of the best trial so far, and `work` is what has been done. It
+    may pause: what evaluates its trials is made anew for each part of it.
     """
 
     def __init__(self, study: Study, search: Search, log: Log | None = None) -> None:
@@ -154,15 +155,15 @@ class Run:
         self.study, self._search = study, search
         self._replay, self._told = log.cost, [log.cost]
         self._spent, self._since = log.seconds, math.inf  # seconds before this part; when it began
-        self._asked = {"first": 0, "scout": 0, "trial": 0}
+        self.asked = {"first": 0, "scout": 0, "trial": 0}
         self.history: list[Cycle] = []
-        self._best_x, self.best_cost = search.best_x, math.inf
-        self._work = Work()
+        self.best_x, self.best_cost = search.best_x, math.inf
+        self.work = Work()
 
     @property
     def evaluations(self) -> int:
         """Trials so far, not counting first sources and scouts."""
-        return self._asked["trial"]
+        return self.asked["trial"]
 
     @property
     def cycles(self) -> int:
@@ -176,7 +177,7 @@ class Run:
 
     def rig(self) -> Rig:
         """The best rig so far."""
-        return self.study.rig(self.study.poses(self._best_x[None])[0])
+        return self.study.rig(self.study.poses(self.best_x[None])[0])
 
     def log(self) -> Log:
         """All costs told so far."""
@@ -190,19 +191,19 @@ class Run:
             try:
                 yield one
             finally:
-                self._work = self._work.plus(one)
+                self.work = self.work.plus(one)
                 self._spent, self._since = self.seconds, math.inf
 
     def step(self, evaluator: StudyEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials. Returns whether that made a line of the history, of this session's own."""
         search = self._search
         trials = search.ask()
-        kind = trials.phase if trials.phase in self._asked else "trial"
+        kind = trials.phase if trials.phase in self.asked else "trial"
         cost = self._costs(evaluator, trials, kind, budget)
-        self._asked[kind] += len(cost)
+        self.asked[kind] += len(cost)
         best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
-            self._best_x, self.best_cost = trials.x[best].copy(), float(cost[best])
+            self.best_x, self.best_cost = trials.x[best].copy(), float(cost[best])
         cycles = search.cycles
         if len(cost) == len(trials.x):  # one cut short is not told: a resumed run asks for all of it
             search.tell(cost)
@@ -241,11 +242,11 @@ class Run:
             midpoint_max_vsr_m=max_vsr(study.region, study.lidars(study.midpoint), study.visibility),
             history=tuple(self.history),
             evaluations=self.evaluations,
-            first_evaluations=self._asked["first"],
-            scout_evaluations=self._asked["scout"],
-            full_evaluations=self._work.full_evaluations,
-            cuboids=self._work.cuboids,
-            segments=self._work.segments,
+            first_evaluations=self.asked["first"],
+            scout_evaluations=self.asked["scout"],
+            full_evaluations=self.work.full_evaluations,
+            cuboids=self.work.cuboids,
+            segments=self.work.segments,
             log=log,
             seconds=log.seconds,
             interrupted=interrupted,

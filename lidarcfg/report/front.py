@@ -2,7 +2,6 @@
 
 import csv
 import math
-import shlex
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
@@ -29,7 +28,8 @@ from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement,
 from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, solver_in_words, versions
 
 STUDY = "study.yaml"  # of a point
-LOG = {"cost": ("f", 1), "told": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}  # arrays of search.npz
+# the arrays of search.npz: kind and dimensions
+LOG = {"cost": ("f", 1), "told": ("i", 1), "owner": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}
 
 
 def front_dict(study: Study, found: Front) -> dict[str, Any]:
@@ -75,11 +75,11 @@ def _point(point: Point) -> dict[str, Any]:
 
 
 def save_front(
-    study: Study, found: Front, folder: Path, typed: str, on_point: Callable[[int, Point], None] | None = None
+    study: Study, found: Front, folder: Path, commands: Commands, on_point: Callable[[int, Point], None] | None = None
 ) -> None:
     """Write front.html, front.json, front.png, history.csv, search.npz, and the folder points/ with one a point.
 
-    `typed` is the command. `on_point` is called before each point's folder is written.
+    `on_point` is called before each point's folder is written.
     """
     save_front_log(study, found.logs, folder)
     names = [point.combination.name for point in found.points]
@@ -89,7 +89,7 @@ def save_front(
     for number, point in enumerate(found.points):
         if on_point:
             on_point(number, point)
-        _save_point(point, folder / "points" / point.combination.name, typed)
+        _save_point(point, folder / "points" / point.combination.name, commands)
     values = front_dict(study, found)
     with together():
         write_text(to_json(values) + "\n", folder / "front.json")
@@ -98,17 +98,15 @@ def save_front(
             writer.writerow(asdict(found.history[0]))
             writer.writerows(asdict(part).values() for part in found.history)
         save_figure(draw_front(study, found), folder / "front.png")
-        write_text(front_page(study, found, values, typed), folder / "front.html")
+        write_text(front_page(study, found, values, commands), folder / "front.html")
 
 
-def _save_point(point: Point, folder: Path, typed: str) -> None:
+def _save_point(point: Point, folder: Path, commands: Commands) -> None:
     """Write what `optimize` writes of the combination's study, and the study."""
     study, found = point.combination.study, point.placement
     shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
-    words = ("lidarcfg", "optimize", folder / STUDY, "-o", folder, "--evaluations", max(found.evaluations, 1))
-    again = shlex.join(map(str, words)) if study.free.any() else typed
     write_text(as_yaml(study.file) + "\n", folder / STUDY)
-    save_placement(study, found, shown, folder, Commands(typed, again))
+    save_placement(study, found, shown, folder, commands)
 
 
 def _remove_point(folder: Path) -> None:
@@ -119,48 +117,53 @@ def _remove_point(folder: Path) -> None:
         folder.rmdir()
 
 
-def save_front_log(study: Study, logs: Sequence[Log], folder: Path) -> None:
+def save_front_log(study: Study, logs: Sequence[Sequence[Log]], folder: Path) -> None:
     """Write search.npz, from which the search of a front can resume.
 
     The other results of an earlier search are removed: a folder holds those of one search.
     """
+    every = [(owner, log) for owner, of_one in enumerate(logs) for log in of_one]
     with (
         together(gone=(folder / name for name in {*FRONT, *RESULTS} if name != "search.npz")),
         replacing(folder / "search.npz", "wb") as file,
     ):
         np.savez_compressed(
             file,
-            cost=np.concatenate([log.cost for log in logs]),
-            told=np.array([len(log.cost) for log in logs], np.int64),
-            seconds=np.array([log.seconds for log in logs]),
+            cost=np.concatenate([log.cost for _, log in every]),
+            told=np.array([len(log.cost) for _, log in every], np.int64),
+            owner=np.array([owner for owner, _ in every], np.int64),
+            seconds=np.array([log.seconds for _, log in every]),
             asked=fingerprint(study),
         )
 
 
-def load_front_logs(study: Study, folder: Path, combinations: int) -> list[Log]:
+def load_front_logs(study: Study, folder: Path, combinations: int) -> list[list[Log]]:
     """The logs in a folder's search.npz. Raises ConfigError if it is not one, or belongs to another search."""
     path = folder / "search.npz"
     try:
         arrays = read_arrays(path, tuple(LOG))
     except CloudError as error:
         raise ConfigError(str(error)) from None
-    shapes = {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()}
-    cost, told, seconds = (arrays[key] for key in ("cost", "told", "seconds"))
+    cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
     if (
-        shapes != LOG
+        {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG
+        or not len(told) == len(owner) == len(seconds) > 0
         or np.isnan(cost).any()
         or not ((seconds >= 0) & (seconds < np.inf)).all()
         or (told < 0).any()
         or told.sum() != len(cost)
     ):
         raise ConfigError(f"{path}: is not the log of a search for a front")
-    if str(arrays["asked"]) != fingerprint(study) or not len(told) == len(seconds) == combinations:
+    if str(arrays["asked"]) != fingerprint(study) or set(owner.tolist()) != set(range(combinations)):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
+    logs: list[list[Log]] = [[] for _ in range(combinations)]
     parts = np.split(cost.astype(np.float64), np.cumsum(told)[:-1])
-    return [Log(part, float(spent)) for part, spent in zip(parts, seconds, strict=True)]
+    for number, part, spent in zip(owner.tolist(), parts, seconds.tolist(), strict=True):
+        logs[number].append(Log(part, spent))
+    return logs
 
 
-def front_page(study: Study, found: Front, values: dict[str, Any], typed: str) -> str:
+def front_page(study: Study, found: Front, values: dict[str, Any], commands: Commands) -> str:
     """The front as one HTML file beside the folder points/. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
     cheapest, best = found.points[0], found.points[-1]
     tried = [one for one in found.candidates if one.evaluations]
@@ -184,7 +187,7 @@ def front_page(study: Study, found: Front, values: dict[str, Any], typed: str) -
             ("evaluations", f"{found.evaluations:,}"),
             ("… of combinations that are not on the front", f"{found.dominated_evaluations:,}"),
         ],
-        typed=typed,
+        commands=commands,
         interrupted=found.interrupted,
         repeat=[
             ("seed", values["seed"]),

@@ -107,11 +107,13 @@ def test_a_log_is_resumed_and_what_is_none_is_refused(tmp_path):
     found = front(with_solver(study, evaluations=1100), threads=2)
     save_front_log(study, found.logs, tmp_path)
     logs = load_front_logs(study, tmp_path, 5)
-    assert [log.cost.tolist() for log in logs] == [log.cost.tolist() for log in found.logs]
+    assert [[log.cost.tolist() for log in one] for one in logs] == [
+        [log.cost.tolist() for log in one] for one in found.logs
+    ]
     with pytest.raises(ConfigError, match=r"search.npz: is of another search; study, solver and seed must be the same"):
         load_front_logs(with_solver(study, seed=4), tmp_path, 5)
-    for told in (np.array([5, 6]), np.array([-1, len(logs[0].cost)]), np.array([1.5])):
-        arrays = {"cost": logs[0].cost, "told": told, "seconds": np.ones(len(told)), "asked": "x"}
+    for told in (np.array([5, 6]), np.array([-1, len(logs[0][0].cost)]), np.array([1.5])):
+        arrays = {"cost": logs[0][0].cost, "told": told, "owner": told, "seconds": np.ones(len(told)), "asked": "x"}
         np.savez(tmp_path / "search.npz", **arrays)
         with pytest.raises(ConfigError, match=r"search.npz: is not the log of a search for a front"):
             load_front_logs(study, tmp_path, 5)
