@@ -25,10 +25,10 @@ from lidarcfg.placement.solvers.search import Search, Trials
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.transfer import Example, Transfer, starts
 
-PROGRESS = 0.1
+PROGRESS = 0.4
 NEGLECT = 4.0
 PART, GROWTH = 200, 0.25  # evaluations of a part, at least; of those so far
-TRANSFER = 300  # evaluations of what is learnt from others, each time
+TRANSFER, LATER = 150, 16  # evaluations of what is learnt from others; its own, in multiples of those before
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class Entrant:
     @property
     def is_to_learn(self) -> bool:
         """Whether its own search has doubled since it last learnt from others."""
-        return self.own.evaluations >= PART << (len(self.runs) - 1)
+        return self.own.evaluations >= PART * LATER ** (len(self.runs) - 1)
 
     def learn(self, entrants: Sequence["Entrant"], number: int) -> Run | None:
         """A search that starts from what all have found; none if nothing fits. `number` is this one's among them."""
