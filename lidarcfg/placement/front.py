@@ -6,7 +6,8 @@ PROGRESS with each e-fold of its evaluations, so that one with n evaluations, a 
 more, needs n exp(g / PROGRESS). So the front gets most of the budget, and what is far from it little; but never less
 than 1 / NEGLECT of the evaluations that the front's combinations have, as early values say little.
 
-Whenever the evaluations of its own search have doubled, a combination also learns from the others, see transfer.py.
+Once its own search has made its first part, and again whenever that has grown by LATER, a combination also learns from
+the others for TRANSFER evaluations, see transfer.py.
 Nothing depends on the budget, so a search that is resumed ends where an unbroken one does.
 """
 
@@ -28,7 +29,7 @@ from lidarcfg.placement.transfer import Example, Transfer, starts
 PROGRESS = 0.4
 NEGLECT = 4.0
 PART, GROWTH = 200, 0.25  # evaluations of a part, at least; of those so far
-TRANSFER, LATER = 150, 16  # evaluations of what is learnt from others; its own, in multiples of those before
+TRANSFER, LATER = 150, 16
 
 
 @dataclass(frozen=True)
@@ -188,8 +189,8 @@ class Entrant:
 
     @property
     def is_to_learn(self) -> bool:
-        """Whether its own search has doubled since it last learnt from others."""
-        return self.own.evaluations >= PART * LATER ** (len(self.runs) - 1)
+        """Whether its own search is far enough to learn from others again."""
+        return self.own.evaluations >= PART * int(LATER ** (len(self.runs) - 1))
 
     def learn(self, entrants: Sequence["Entrant"], number: int) -> Run | None:
         """A search that starts from what all have found; none if nothing fits. `number` is this one's among them."""
