@@ -3,17 +3,38 @@
 import os
 import resource
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+import traceback
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 SECONDS, MEGABYTES = 10.0, 1000.0  # a bad input is refused, or used, within these
-HANGS_S = 25.0
-TRACEBACK = "Traceback (most recent call last)"
+HANGS_S = 100.0
+LIBRARIES = "numba scipy.ndimage scipy.spatial.transform matplotlib.figure open3d jinja2 lidarcfg.cli lidarcfg.report "
+LIBRARIES += (
+    "lidarcfg.view.page lidarcfg.view.still lidarcfg.simulate.export lidarcfg.formats.bag lidarcfg.placement.details"
+)
+
+
+@dataclass
+class Row:
+    """A line of the table: an attack, how often it was made, and what went wrong."""
+
+    what: str
+    cases: int = 0
+    failures: list[str] = field(default_factory=list)
+    seen: str = ""
+
+    def add(self, wrong: str) -> None:
+        """One more case; empty if all was well."""
+        self.cases += 1
+        if wrong:
+            self.failures.append(wrong)
+            print(f"  {self.what}: {wrong}", file=sys.stderr, flush=True)
 
 
 @dataclass(frozen=True)
@@ -21,77 +42,90 @@ class Ended:
     """How a command ended."""
 
     code: int  # negative: by this signal
-    out: str
     errors: str
     seconds: float
     megabytes: float  # resident, at most
 
     @property
-    def refused(self) -> bool:
-        """With exit 2 and one line, warnings aside."""
+    def said(self) -> str:
+        """What it said on stderr, warnings aside."""
         lines = [line for line in self.errors.splitlines() if not line.startswith("lidarcfg: warning: ")]
-        return self.code == 2 and len(lines) == 1 and lines[0].startswith("lidarcfg: ")
+        return "\n".join(lines)
+
+    @property
+    def not_refused(self) -> str:
+        """Empty if it ended with exit 2 and one line, in time and memory; else what it did instead."""
+        one_line = self.said.startswith("lidarcfg: ") and "\n" not in self.said
+        return self.unfit if self.code == 2 and one_line else f"exit {self.code}, {self.said[-200:]!r}"
+
+    @property
+    def unfit(self) -> str:
+        """Empty if it ended in time and memory."""
+        what = f"{self.seconds:.1f} s, {self.megabytes:.0f} MB"
+        return "" if self.seconds <= SECONDS and self.megabytes <= MEGABYTES else what
 
 
-def command(words: Sequence[object]) -> list[str]:
-    """The words of a `lidarcfg` command of this project."""
-    return [sys.executable, "-m", "lidarcfg", *map(str, words)]
+def load_libraries() -> None:
+    """Import what commands import, so that a forked one starts with its work."""
+    import importlib
+
+    for name in LIBRARIES.split():
+        importlib.import_module(name)
 
 
-def environment(**more: str) -> dict[str, str]:
-    """That of a user, with a screen of a usual width and no display."""
-    kept = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    return kept | {"PYTHONPATH": str(ROOT), "COLUMNS": "100"} | more
+def start(words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None) -> int:
+    """Start a `lidarcfg` command in a process of its own, and return its id."""
+    sys.stdout.flush()
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 1
+    try:  # the child
+        os.chdir(folder)
+        for number, name in enumerate((os.devnull, ".out", ".errors")):
+            os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
+        sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
+        sys.argv = ["lidarcfg", *map(str, words)]
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        limit()
+        from lidarcfg.cli import main
+
+        main()
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else 1
+    except BaseException:
+        traceback.print_exc()
+    finally:  # nothing of the parent is to be ended here
+        with suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
 
 
-def run(words: Sequence[object], cwd: Path = ROOT, file_bytes: int | None = None, **more: str) -> Ended:
-    """Run a command to its end; one that hangs is killed. With `file_bytes` no file may become larger."""
+def wait(pid: int, folder: Path, began: float) -> Ended:
+    """Until the process has ended."""
+    _, status, usage = os.wait4(pid, 0)
+    code, seconds = os.waitstatus_to_exitcode(status), time.monotonic() - began
+    return Ended(code, (folder / ".errors").read_text(errors="replace"), seconds, usage.ru_maxrss / 1024)
 
-    def limits() -> None:
-        if file_bytes is not None:
-            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write fails instead, as on a full disk
-            resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
+
+def run(words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None) -> Ended:
+    """A command to its end; one that hangs is killed."""
+
+    def limited() -> None:
+        signal.alarm(int(HANGS_S))
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        limit()
 
     began = time.monotonic()
-    process = subprocess.Popen(
-        command(words),
-        cwd=cwd,
-        env=environment(**more),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        preexec_fn=limits,
-    )
-    out, errors, usage = b"", b"", None
-    try:
-        out, errors, usage = _communicate(process)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            process.wait()
-    megabytes = usage.ru_maxrss / 1024 if usage else 0.0
-    texts = (one.decode(errors="replace") for one in (out, errors))
-    return Ended(process.returncode, *texts, time.monotonic() - began, megabytes)
+    return wait(start(words, folder, limited), folder, began)
 
 
-def _communicate(process: "subprocess.Popen[bytes]") -> tuple[bytes, bytes, resource.struct_rusage]:
-    """What it prints, and what it used: `wait4` tells of this process alone."""
-    import threading
+def small_files(most: int) -> Callable[[], None]:
+    """No file may become larger: a write fails, as on a full disk."""
 
-    texts: list[bytes] = [b"", b""]
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
-    def read(index: int) -> None:
-        stream = process.stderr if index else process.stdout
-        assert stream is not None
-        texts[index] = stream.read()
-
-    readers = [threading.Thread(target=read, args=(index,), daemon=True) for index in range(2)]
-    late = threading.Timer(HANGS_S, process.kill)
-    for one in (*readers, late):
-        one.start()
-    _, status, usage = os.wait4(process.pid, 0)
-    late.cancel()
-    for reader in readers:
-        reader.join(5)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return texts[0], texts[1], usage
+    return limit

@@ -7,7 +7,7 @@ import click
 import cloup
 
 from lidarcfg.commands.options import FILE, quiet_option, warn
-from lidarcfg.errors import LidarcfgError
+from lidarcfg.errors import LidarcfgError, one_line
 
 TEMPLATES = ("study", "rig", "scene", "sensor")
 SCHEMAS = (*TEMPLATES, "vehicle", "trajectory", "plan")
@@ -71,7 +71,7 @@ def validate(files: tuple[Path, ...], quiet: bool) -> None:
         for message in found.warnings:
             warn(message)
         if not quiet:
-            click.echo(f"{file}: {found.kind}: {found.text}")
+            click.echo(one_line(f"{file}: {found.kind}: {found.text}"))
     if failed:
         sys.exit(2)
 

@@ -8,6 +8,8 @@ from types import FrameType
 
 import click
 
+from lidarcfg.errors import one_line
+
 AGAIN_S = 0.02
 
 
@@ -58,6 +60,7 @@ def progress(
         yield lambda fraction, text: interrupts.check()
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (BarColumn(30), TextColumn("{task.description}"), TimeRemainingColumn())
@@ -67,7 +70,7 @@ def progress(
     def on_progress(fraction: float, text: str) -> None:
         interrupts.check()
         bar.start()
-        bar.update(task, completed=fraction, description=text)
+        bar.update(task, completed=fraction, description=escape(one_line(text)))
 
     try:
         yield on_progress

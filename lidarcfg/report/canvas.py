@@ -59,7 +59,7 @@ def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], No
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has more fonts
+        warnings.filterwarnings("ignore", "(?s)Glyph .* missing")  # the browser has more fonts
         figure = new_figure(WIDTH_IN, height_in)
         draw(figure)
         file = io.StringIO()

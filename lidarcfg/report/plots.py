@@ -1,5 +1,6 @@
 """Pictures in PNG: the course of a search, and the rig in its region."""
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,8 @@ CUT_OFF = 4  # times the best found
 
 def save_figure(figure: "Figure", path: Path) -> None:
     """Write a PNG, whole or not at all."""
-    with replacing(path, "wb") as file:
+    with replacing(path, "wb") as file, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s)Glyph .* missing")  # of a name: a box stands for it
         figure.savefig(file, format="png", dpi=120)
 
 

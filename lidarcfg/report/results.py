@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 import tempfile
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -109,7 +110,8 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
 
 def to_json(values: dict[str, Any]) -> str:
     """One JSON document. Raises ValueError on NaN and infinity, which would be a bug."""
-    return json.dumps(values, indent=1, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(values, indent=1, allow_nan=False, ensure_ascii=False)
+    return UNPRINTED.sub(lambda found: json.dumps(found[0])[1:-1], text)
 
 
 def save_evaluation(study: Study, rig: Rig, details: Details, folder: Path, commands: Commands | None = None) -> None:
@@ -144,6 +146,7 @@ def save_placement(
         write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
 
 
+UNPRINTED = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")  # controls and directions of text
 PROGRESS = ("search.npz", "rig.yaml")  # of a search that runs
 EVALUATED = ("result.json", "rig.png", "report.html")  # the files of an evaluation
 FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # of a search for a front

@@ -1,13 +1,15 @@
 """Results as tables on the terminal."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from rich.box import SIMPLE
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Column, Table
 
+from lidarcfg.errors import one_line
 from lidarcfg.packets.codec import codec
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
@@ -24,9 +26,19 @@ from lidarcfg.sensor import Sensor
 TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns", "source"}
 
 
+class _Terminal(Console):
+    """A console that writes the control characters of names as escapes."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The pieces of text."""
+        for piece in super().render(renderable, options):
+            lines = map(one_line, piece.text.split("\n"))
+            yield piece if piece.control else Segment("\n".join(lines), piece.style)
+
+
 def _console() -> Console:
     """Standard output, as wide as the terminal, or as the tables need where there is none."""
-    return Console(width=None if sys.stdout.isatty() else 110, highlight=False, markup=False, emoji=False)
+    return _Terminal(width=None if sys.stdout.isatty() else 110, highlight=False, markup=False, emoji=False)
 
 
 def print_placement(found: Placement, evaluation: Evaluation) -> None:

@@ -28,6 +28,7 @@ class Server(ThreadingHTTPServer):
     """Serves one page until it is shut down. Port 0 is any free one. Raises ConfigError if the port is taken."""
 
     daemon_threads = True
+    request_queue_size = 256  # connections that wait to be accepted
 
     def __init__(self, stage: Stage, page: Page, port: int = 0) -> None:
         self.stage, self.page, self.evaluating = stage, page, threading.Lock()

@@ -1,0 +1,37 @@
+"""A few of each of the attacks of tools/attack.py that take little time, and what the names of things may not do."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lidarcfg.report import to_json
+from tests.command_line import lidarcfg
+
+ROOT = Path(__file__).parents[1]
+MODEL = "name: {0}\nbeams: {{elevation_deg: [-5, 5]}}\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks, kills and limits as Linux has them")
+def test_attacks(tmp_path):
+    """Exit 0 means that no attack had an effect."""
+    groups = ("kills", "full_disk", "read_only", "two_writers", "server")
+    words = [sys.executable, str(ROOT / "tools/attack.py"), *groups, "--quick"]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [line for line in done.stdout.splitlines() if ": " in line]
+    assert len(rows) == 10
+    assert all(" 0 failures; " in row for row in rows)
+
+
+@pytest.mark.parametrize("name", ["\x1b[31mred\x07", "\x9b31m", "\u202egnp.exe\u2066", "a\u2028b", "a\rb"])
+def test_names_do_not_control_the_terminal(tmp_path, name):
+    (tmp_path / "model.yaml").write_text(MODEL.format(json.dumps(name)))
+    shown = lidarcfg("sensors", "show", tmp_path / "model.yaml").stdout
+    assert repr(name[0])[1:-1] in shown
+    assert all(letter.isprintable() for letter in shown.replace("\n", ""))
+    text = to_json({"name": name})
+    assert json.loads(text) == {"name": name}
+    assert all(letter.isprintable() for letter in text.replace("\n", ""))
