@@ -22,6 +22,7 @@ detection:
 solver: {{method: abc, bees: 10, cycles: 40, seed: {1}}}
 """
 RIG = "name: {0}\nsensors:\n  - {{name: {0}, model: {2}, position_m: [0, 0, {1}]}}\n"
+TIMED = "history.csv"  # holds seconds and no name: neither a mark nor the same bytes again
 MESSAGE = 400  # bytes that a command must be able to say, on a disk however full
 PROGRESS = {"rig.yaml", "search.npz"}  # of a search that was killed
 
@@ -93,6 +94,8 @@ def contents(folder: Path, outputs: Sequence[str]) -> Files:
 
 def whose(name: str, data: bytes, known: Sequence[Files]) -> str:
     """Of which run a file is: by the mark in it, or by its bytes, or "other" if it is of neither."""
+    if Path(name).name == TIMED:
+        return "either"
     found = []
     for mark, files in zip(MARKS, known, strict=True):
         wide = mark.encode("utf-32-le")
