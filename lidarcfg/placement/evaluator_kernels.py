@@ -156,7 +156,7 @@ def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods,
             if 0 <= cuboid < size and floods.left[cuboid >> 6] >> np.uint64(cuboid & 63) & np.uint64(1):
                 found.stamp[0] += 1
                 rows += flood(grid, walls, found.stamp[0], cuboid, floods)
-                value = worth(grid, floods)
+                value = worth(grid, grid.edge, grid.weight.size > 0, floods)
                 if value >= to_beat:
                     found.refuter[0] = w
                     return rows

@@ -278,11 +278,11 @@ def _weight(grid: Grid, floods: Floods) -> float:
     return float(weight[-1])
 
 
-@njit(cache=True, nogil=True)
-def worth(grid: Grid, floods: Floods) -> float:
-    """Volume to surface of the last flood, times its weight."""
-    value: float = vsr(floods.counts, grid.edge)
-    if grid.weight.size:
+@njit(inline="always")
+def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: Floods) -> float:
+    """Volume to surface of the last flood; times its weight, where cuboids are weighted."""
+    value: float = vsr(floods.counts, edge)
+    if weighted:
         value *= _weight(grid, floods)
     return value
 
@@ -350,7 +350,8 @@ def worst(
     """
     step_y, step_z = steps(grid)
     left, included, edge, links = floods.left, grid.included, grid.edge, walls.links
-    need, most = np.empty(9, np.int64), grid.weight[0] if grid.weight.size else 1.0
+    weighted = grid.weight.size > 0
+    need, most = np.empty(9, np.int64), grid.weight[0] if weighted else 1.0
     links_needed(values[-1] / most, edge, need)
     for row in range(step_z, included.size - step_z):
         if left[row] == NONE:
@@ -359,7 +360,7 @@ def worst(
         while word != NONE:
             flood(grid, walls, 0, row << 6 | lowest(word), floods)
             word &= left[row]
-            if keep(worth(grid, floods), first + inner_cuboid(floods), values, cuboids):
+            if keep(worth(grid, edge, weighted, floods), first + inner_cuboid(floods), values, cuboids):
                 if values[0] >= enough:
                     return
                 links_needed(values[-1] / most, edge, need)
