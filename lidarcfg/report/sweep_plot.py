@@ -30,6 +30,7 @@ def draw_sweep(plan: Plan, costs: Sequence[float | None], is_max_vsr: bool) -> "
     lines = list(product(*(values[path] for path in others)))
     if len(lines) > LINES_MAX:
         return None
+    drawn = sum(cost is not None for cost in costs)
     figure = new_figure(7, 4.2)
     axes = figure.subplots()
     for line in lines:
@@ -45,7 +46,7 @@ def draw_sweep(plan: Plan, costs: Sequence[float | None], is_max_vsr: bool) -> "
         axes.fill_between(x, [min(at[v]) for v in x], [max(at[v]) for v in x], color=colour, alpha=0.15, lw=0)
     ticks = {"xticks": values[across]} if len(values[across]) <= 12 else {}
     axes.set(xlabel=across, ylabel="max VSR (m)" if is_max_vsr else "cost", ylim=(0, None), **ticks)
-    axes.set_title(f"{plan.path.stem}: {len(plan.runs)} runs; median, least to greatest", parse_math=False)
+    axes.set_title(f"{plan.path.stem}: {drawn} runs; median, least to greatest", parse_math=False)
     axes.grid(alpha=0.3)
     if others:
         axes.legend(fontsize=8)

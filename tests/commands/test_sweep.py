@@ -81,8 +81,9 @@ def test_both_tables_say_the_same(serial):
     assert {type(row["sensors[0].count"]) for row in table} == {int}
 
 
-def test_killed_workers_and_commands_cost_nothing_but_time(plan, serial, tmp_path):
-    """kill -9 of a worker while it works, then of the command itself; then what is missing is done."""
+@pytest.mark.skipif(sys.platform != "linux", reason="finds the command's processes in /proc")
+def test_a_killed_command_costs_nothing_but_time(plan, serial, tmp_path):
+    """kill -9 of the command: its processes end with it, and what is missing is done by the next."""
     out = tmp_path / "out"
     words = [BIN / "lidarcfg", "sweep", plan, "-o", out, "--workers", "2"]
     started = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -93,9 +94,9 @@ def test_killed_workers_and_commands_cost_nothing_but_time(plan, serial, tmp_pat
     children = [int(pid) for pid in Path(f"/proc/{started.pid}/task/{started.pid}/children").read_text().split()]
     started.kill()
     started.wait()
-    assert 2 <= there() < 6
+    assert there() >= 2
     until = time.monotonic() + 20
-    while any(Path(f"/proc/{pid}/fd").exists() and os.path.exists(f"/proc/{pid}/exe") for pid in children):
+    while any(os.path.exists(f"/proc/{pid}/exe") for pid in children):
         assert time.monotonic() < until, "its processes outlive it"
         time.sleep(0.05)
     said = command("sweep", plan, "-o", out)
