@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.placement.cones import FIRST
 from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cuboid, keep, worst, worth
 from lidarcfg.placement.rows import Counts, Grid, Words, Work, link, room
@@ -87,7 +87,7 @@ def _new_found(grid: Grid, batch: Batch) -> Found:
     )
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _keep_common(out: Words, links: Words) -> None:
     """Take from `out` the links that are not in `links` too, (3, rows) both."""
     for axis in range(3):
@@ -95,7 +95,7 @@ def _keep_common(out: Words, links: Words) -> None:
             out[axis, row] &= links[axis, row]
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def remind(looks: Looks, lidar: int, stays: bool, clear: Words, source: int, number: int) -> None:
     """Have a LiDAR know what is clear of LiDAR `number` of a source, if it is where that is, or else nothing."""
     for row in range(looks.clear.shape[1]):
@@ -123,7 +123,7 @@ def _order(witness: Counts, size: int, order: Counts) -> int:
     return known
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _join(trial: int, case: int, batch: Batch, own: Words, out: Words) -> None:
     """Take from `out` (3, rows) the links that not all LiDARs of a case have.
 

@@ -55,6 +55,7 @@ class Floods(NamedTuple):
     reached: Words  # (32 rows, 2) the last flood, step by step: a row and bits of it
     counts: Counts  # (6,) cuboids, internal faces across x, y and z, steps, and the fullest step
     looks: Looks  # what the LiDARs see
+    need: Counts  # (9,) see links_needed
 
 
 @njit(cache=True, nogil=True)
@@ -71,6 +72,7 @@ def flood_room(grid: Grid, lidars: int) -> Floods:
         np.empty((32 * rows, 2), np.uint64),
         np.empty(6, np.int64),
         new_looks(lidars, rows),
+        np.empty(9, np.int64),
     )
 
 
@@ -257,7 +259,7 @@ def inner_cuboid(floods: Floods) -> int:
     return row << 6 | int(lowest(bits))
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def vsr(counts: Counts, edge: tuple[float, float, float]) -> float:
     """Volume to surface of the last flood; metric.vsr_m, term by term."""
     ex, ey, ez = edge
@@ -293,7 +295,7 @@ def _at_least(one: np.uint64, other: np.uint64, all_of_them: np.uint64, number: 
     return all_of_them if number == 0 else (one | other if number == 1 else one & other)
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def links_needed(least: float, edge: tuple[float, float, float], need: Counts) -> None:
     """need[3 z + y]: how many links along x a cuboid with z and y along those axes needs, 0 … 2; 3 if none suffice.
 
@@ -338,7 +340,7 @@ def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def worst(
     grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts, first: int = 0
 ) -> None:
@@ -351,7 +353,7 @@ def worst(
     step_y, step_z = steps(grid)
     left, included, edge, links = floods.left, grid.included, grid.edge, walls.links
     weighted = grid.weight.size > 0
-    need, most = np.empty(9, np.int64), grid.weight[0] if weighted else 1.0
+    need, most = floods.need, grid.weight[0] if weighted else 1.0
     links_needed(values[-1] / most, edge, need)
     for row in range(step_z, included.size - step_z):
         if left[row] == NONE:
