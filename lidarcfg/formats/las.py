@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import lidarcfg
 from lidarcfg.cloud import PointCloud, checked
-from lidarcfg.errors import CloudError
+from lidarcfg.errors import CloudError, LidarcfgError
 from lidarcfg.files import replacing
 from lidarcfg.formats.extra import missing
 from lidarcfg.formats.gps import gps_seconds, unix_ns
@@ -113,6 +113,8 @@ def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) 
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except (laspy.LaspyException, lazrs.LazrsError, ValueError) as error:  # the last is Unicode's, JSON's and numpy's
         raise CloudError.damaged(path, error) from None
+    except LidarcfgError as error:  # of memory
+        raise CloudError(f"{path}: {error}") from None
     if "gps_time" in columns:
         columns["time_ns"] = _time_ns(path, columns.pop("gps_time"), week)
     lacking = [key for key in ("time_ns", *EXTRA) if key not in columns]

@@ -136,7 +136,10 @@ def test_files_are_summed_up(tmp_path):
     (tmp_path / "arc.yaml").write_text("arc: {speed_m_s: 5, yaw_rate_deg_s: 10}\n")
     (tmp_path / "body.yaml").write_text("boxes: [{name: body, size_m: [4, 2, 1]}]\n")
     done = lidarcfg("validate", tmp_path / "odd.yaml", tmp_path / "arc.yaml", tmp_path / "body.yaml", code=2)
-    assert re.search(r"odd.yaml: is none of our files; allowed: rig, scene, sensor, study, trajectory", done.stderr)
+    assert re.search(
+        r"odd.yaml: is none of our files; allowed: plan, record of a capture, rig, scene, sensor, study, trajectory",
+        done.stderr,
+    )
     assert re.search(r"arc.yaml: trajectory: an arc\n.*body.yaml: vehicle: a vehicle of 1 bodies with 12", done.stdout)
     assert lidarcfg("init", "rig", "--vehicle", "truck", "-o", tmp_path / "r.yaml", code=2).stderr.startswith(
         "lidarcfg: --vehicle is for a study, not for a rig"

@@ -21,7 +21,7 @@ from lidarcfg.packets.velodyne.layout import (
 )
 from lidarcfg.packets.velodyne.position import gprmc, position_packets
 from lidarcfg.sensor import load_sensor
-from lidarcfg.units import HOUR_NS
+from lidarcfg.units import HOUR_NS, SECOND_NS
 from lidarcfg.world.geodesy import geographic
 from lidarcfg.world.scene import GeoOrigin
 from tests.capture_fixtures import AT_NS
@@ -232,7 +232,8 @@ def test_hour_wrap():
 def test_position_packet_by_another_parser():
     when = datetime(2016, 1, 21, 8, 18, 2, 340_595, tzinfo=UTC)
     time_ns = int(when.timestamp() * 10**6 + 0.5) * 1000
-    sentence = gprmc(time_ns, (36.829131, -2.40757), math.pi / 2)
+    second_ns = time_ns // SECOND_NS * SECOND_NS  # of the last fix
+    sentence = gprmc(second_ns, (36.829131, -2.40757), math.pi / 2)
     payload = position_packets(np.array([time_ns]), "locked", [sentence])[0].tobytes()
     telemetry = vd.TelemetryPacket(payload)
     assert telemetry.usec_since_toh == (18 * 60 + 2) * 10**6 + 340_595
