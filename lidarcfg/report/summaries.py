@@ -14,6 +14,7 @@ from lidarcfg.files import example
 from lidarcfg.kinds import MARKS, kind_of
 from lidarcfg.packets.codec import codec, pattern
 from lidarcfg.placement.checks import rig_warnings, study_warnings
+from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
@@ -54,10 +55,13 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     free, solver = int(study.free.sum()), study.solver
     budget = ", ".join(f"{getattr(solver, key):,} {key}" for key in sorted(BUDGETS) if getattr(solver, key) is not None)
     search = f"{solver.method} searches {free} free coordinates for {budget}" if free else "nothing is free to move"
+    sensors = _models(slot.model for slot in study.slots)
+    if study.to_choose:
+        sensors = f"{len(combinations(study)):,} combinations of sensors"
     what = "max VSR" if study.objective.is_max_vsr else "a weighted mean"
     what += " by zones" * bool(study.zones) + ", with failures or mounting errors" * bool(study.robust)
     text = (
-        f"{int(study.region.included.sum()):,} cuboids, {_models(slot.model for slot in study.slots)}, "
+        f"{int(study.region.included.sum()):,} cuboids, {sensors}, "
         f"{len(study.detection)} objects; {search}, to minimise {what}"
     )
     vehicle = study.vehicle.warnings if study.vehicle else ()

@@ -132,6 +132,8 @@ def test_files_are_summed_up(tmp_path):
         "20,000 evaluations, to minimise max VSR",
         "data/rigs/roof.yaml: rig: 2 × vlp-16, no vehicle; can be exported",
     ]
+    front = summary(ROOT / "data/studies/truck-prices.yaml").text
+    assert " 17 combinations of sensors, 2 objects" in front
     (tmp_path / "odd.yaml").write_text("colour: red\n")
     (tmp_path / "arc.yaml").write_text("arc: {speed_m_s: 5, yaw_rate_deg_s: 10}\n")
     (tmp_path / "body.yaml").write_text("boxes: [{name: body, size_m: [4, 2, 1]}]\n")
