@@ -93,7 +93,7 @@ def start(words: Sequence[object], folder: Path, limit: Callable[[], None] = lam
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 1
-    except BaseException:
+    except BaseException:  # a child reports whatever ends it, also an interrupt
         traceback.print_exc()
     finally:  # nothing of the parent is to be ended here
         with suppress(OSError):

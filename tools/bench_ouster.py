@@ -76,7 +76,7 @@ class Capture:
         self.pixels = sum(range_m.size for _, range_m, _ in self._measured)  # and returns, of each
         self.packets = np.concatenate([self._maker.encode(self._mount, *one).data for one in self._measured])
         metadata = self._maker.companions(self._mount)[".json"]
-        self._decoder = OusterDecoder("memory", read("memory", metadata), "os1-128")  # type: ignore[arg-type]
+        self._decoder = OusterDecoder("memory", read("memory", metadata), "os1-128")  # type: ignore[arg-type]  # a name for its source will do
         self._info = core.SensorInfo(metadata.decode())
         self._theirs = [_packet(core.PacketFormat.from_info(self._info), one) for one in self.packets]
         self._lut, self._dual = core.XYZLut(self._info), PROFILES[profile] == "dual"

@@ -54,7 +54,7 @@ def mount(model: str, return_mode: str) -> Mount:
         data_port=data_port,
         telemetry_port=telemetry_port,
         rpm=600.0,
-        return_mode=return_mode,  # type: ignore[arg-type]
+        return_mode=return_mode,  # type: ignore[arg-type]  # a text from a table above
     )
 
 

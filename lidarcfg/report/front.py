@@ -1,10 +1,8 @@
 """The front of price against objective: files, one page, a folder for each point, and the log to resume from."""
 
-import csv
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -24,7 +22,7 @@ from lidarcfg.report.document import Commands
 from lidarcfg.report.front_plot import draw_front, front_svg
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.plots import save_figure
-from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_text
+from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
 from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, solver_in_words, versions
 
 STUDY = "study.yaml"  # of a point
@@ -93,10 +91,7 @@ def save_front(
     values = front_dict(study, found)
     with together():
         write_text(to_json(values) + "\n", folder / "front.json")
-        with replacing(folder / "history.csv") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(asdict(found.history[0]))
-            writer.writerows(asdict(part).values() for part in found.history)
+        write_history(found.history, folder)
         save_figure(draw_front(study, found), folder / "front.png")
         write_text(front_page(study, found, values, commands), folder / "front.html")
 

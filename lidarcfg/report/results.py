@@ -5,7 +5,7 @@ import json
 import math
 import re
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -137,13 +137,18 @@ def save_placement(
     with together():
         _write_progress(study, found.rig, found.log, folder)
         write_text(to_json(values) + "\n", folder / "result.json")
-        with replacing(folder / "history.csv") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(asdict(found.history[0]))
-            writer.writerows(asdict(cycle).values() for cycle in found.history)
+        write_history(found.history, folder)
         save_figure(draw_convergence(study, found), folder / "convergence.png")
         save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
         write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
+
+
+def write_history(history: Sequence[Any], folder: Path) -> None:
+    """Write the lines of a search's history, dataclasses of one kind, into history.csv."""
+    with replacing(folder / "history.csv") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(asdict(history[0]))
+        writer.writerows(asdict(line).values() for line in history)
 
 
 UNPRINTED = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")  # controls and directions of text

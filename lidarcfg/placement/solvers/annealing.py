@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Trials, checked
+from lidarcfg.placement.solvers.search import Runs, Trials, checked
 
 MANY, ONE = (8, 8), (1, 32)  # islands, and chains on each
 TRIES = 4  # trials of a chain at a time; the first that it takes moves it
@@ -122,17 +122,17 @@ class Annealing:
         return Trials("trial", np.clip(x, 0.0, 1.0), chain, np.where(np.isnan(to_beat), np.inf, to_beat))
 
 
-class AnnealingRounds:
+class AnnealingRounds(Runs):
     """Rounds of annealing, longer and longer. What is the best end of a round so far is refined by another run.
 
     `start` (dimensions,), if given, is refined before the first round.
     """
 
     def __init__(self, groups: NDArray[np.int64], seed: int, start: Array | None = None) -> None:
+        super().__init__(len(groups))
         self._rng = np.random.default_rng(seed)
         self._groups = groups
-        self.rounds = self.cycles = 0  # completed
-        self.best_x, self.best_cost = np.full(len(groups), 0.5), np.inf
+        self.rounds = 0  # completed
         self._end_x, self._end = self.best_x, np.inf  # the best of the current round
         self._record = np.inf  # the best end of a round before
         self._opens, self._refines = start is not None, start is not None  # what the current run is
@@ -143,31 +143,14 @@ class AnnealingRounds:
         shape = MANY if start is None and self.rounds % 2 == 0 else ONE
         return Annealing(self._groups, self._rng, trials, shape, start)
 
-    @property
-    def sources(self) -> Array:
-        """(chains, dimensions) where the chains of the current run are."""
-        return self._run.sources
-
-    @property
-    def mean_cost(self) -> float:
-        """The mean cost of the chains."""
-        return self._run.mean_cost
-
-    def ask(self) -> Trials:
-        """The next trials of the chains."""
-        return self._run.ask()
-
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x, best = self._run.ask().x, int(np.argmin(checked(cost)))
+        x, best = self.ask().x, int(np.argmin(checked(cost)))
         if cost[best] < self._end:
             self._end_x, self._end = x[best].copy(), float(cost[best])
-        if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
-        self.cycles += 1
-        self._run.tell(cost)
-        if not self._run.over:
-            return
+        super().tell(cost)
+
+    def _follow(self) -> None:
         if self._end < self._record and not self._refines:
             self._record, self._refines = self._end, True
             self._run = self._new_run(self._end_x)

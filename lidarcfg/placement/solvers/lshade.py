@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Trials, checked
+from lidarcfg.placement.solvers.search import Runs, Trials, checked
 
 POINTS = 18  # of the first population, a dimension
 FEWEST = 4
@@ -102,40 +102,18 @@ class Lshade:
         return Trials("trial", np.where(crossed, v, x), point, self._cost[point])
 
 
-class LshadeRestarts:
+class LshadeRestarts(Runs):
     """Runs of L-SHADE, one after the other, each with twice the evaluations of the one before."""
 
     def __init__(self, dimensions: int, seed: int) -> None:
+        super().__init__(dimensions)
         self._rng = np.random.default_rng(seed)
         self._dimensions, self._evaluations = dimensions, EVALUATIONS * dimensions
         self._run = Lshade(dimensions, self._rng, self._evaluations)
-        self.cycles = 0
-        self.best_x, self.best_cost = np.full(dimensions, 0.5), np.inf
 
-    @property
-    def sources(self) -> Array:
-        """(n, dimensions) the points of the current run."""
-        return self._run.sources
-
-    @property
-    def mean_cost(self) -> float:
-        """The mean cost of the current population."""
-        return self._run.mean_cost
-
-    def ask(self) -> Trials:
-        """The next generation."""
-        return self._run.ask()
-
-    def tell(self, cost: Array) -> None:
-        """The costs (n,) of the generation."""
-        x, best = self._run.ask().x, int(np.argmin(checked(cost)))
-        if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
-        self.cycles += 1
-        self._run.tell(cost)
-        if self._run.over:
-            self._evaluations *= 2
-            self._run = Lshade(self._dimensions, self._rng, self._evaluations)
+    def _follow(self) -> None:
+        self._evaluations *= 2
+        self._run = Lshade(self._dimensions, self._rng, self._evaluations)
 
 
 def _cauchy(rng: np.random.Generator, centre: Array) -> Array:

@@ -50,3 +50,62 @@ def checked(cost: Array) -> Array:
             f"the cost of trial {wrong[0]} of {len(cost)} is {cost[wrong[0]]}; allowed: numbers, and inf"
         )
     return cost
+
+
+class Run(Protocol):
+    """A search that ends; see Search."""
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended."""
+
+    @property
+    def sources(self) -> Array:
+        """See Search."""
+
+    @property
+    def mean_cost(self) -> float:
+        """See Search."""
+
+    def ask(self) -> Trials:
+        """See Search."""
+
+    def tell(self, cost: Array) -> None:
+        """See Search."""
+
+
+class Runs:
+    """A search by runs of another, one after the other. `_run` is the current one; `_follow` begins the next."""
+
+    _run: Run
+
+    def __init__(self, dimensions: int) -> None:
+        self.cycles = 0
+        self.best_x, self.best_cost = np.full(dimensions, 0.5), np.inf
+
+    def _follow(self) -> None:
+        raise NotImplementedError
+
+    @property
+    def sources(self) -> Array:
+        """(s, dimensions) the points of the current run."""
+        return self._run.sources
+
+    @property
+    def mean_cost(self) -> float:
+        """The mean cost of the current population."""
+        return self._run.mean_cost
+
+    def ask(self) -> Trials:
+        """The next trials of the current run."""
+        return self._run.ask()
+
+    def tell(self, cost: Array) -> None:
+        """The costs (n,) of the trials."""
+        x, best = self.ask().x, int(np.argmin(checked(cost)))
+        if cost[best] < self.best_cost:
+            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
+        self.cycles += 1
+        self._run.tell(cost)
+        if self._run.over:
+            self._follow()
