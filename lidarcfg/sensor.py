@@ -22,6 +22,7 @@ from lidarcfg.geometry import Array
 Byte = Annotated[int, Field(ge=0, le=255)]
 Port = Annotated[int, Field(ge=1, le=65535)]
 Metres = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
+Least = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
@@ -77,15 +78,30 @@ class Rotation(Model):
     rpm_step: Positive  # informative: what the maker's settings offer; nothing here reads it
 
 
-class Range(Model):
-    """What distances the sensor measures."""
+class Reported(Model):
+    """Between which distances the device has returns, whatever its maker promises."""
 
     source: str
-    min_m: Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
+    min_m: Least
     max_m: Metres
+
+
+class Range(Model):
+    """What distances the sensor measures: as its maker promises, which placement counts on, and as it reports them."""
+
+    source: str
+    min_m: Least
+    max_m: Metres
+    reported: Reported | None = None  # exports keep these limits; None: those that are promised
     at_10_percent_m: Metres | None = None  # the greatest to a target that reflects 10 %; informative
     resolution_m: Annotated[float, Field(ge=1e-6, le=1e3)]  # one unit on the wire
     accuracy_m: Metres  # typical
+
+    @property
+    def reported_m(self) -> tuple[float, float]:
+        """The least and the greatest distance that packets have."""
+        limits = self.reported or self
+        return limits.min_m, limits.max_m
 
 
 class Ports(Model):
@@ -155,6 +171,8 @@ class Sensor(Model):
     def _check(self) -> "Sensor":
         if self.range and self.range.min_m >= self.range.max_m:
             raise fault(f"{self.range.min_m} is not below max_m", "range", "min_m")
+        if self.range and not self.range.reported_m[0] < self.range.reported_m[1]:
+            raise fault(f"{self.range.reported_m[0]:g} is not below max_m", "range", "reported", "min_m")
         if self.range and self.range.at_10_percent_m and self.range.at_10_percent_m > self.range.max_m:
             what = f"{self.range.at_10_percent_m:g} is above max_m, {self.range.max_m:g}"
             raise fault(what, "range", "at_10_percent_m")

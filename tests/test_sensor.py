@@ -10,6 +10,7 @@ from lidarcfg.config import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
+from tests.capture_fixtures import datagrams_of, recording
 
 
 def test_the_whole_catalogue_loads():
@@ -137,8 +138,10 @@ def test_rings_of_a_placement_sensor_do_not_wrap():
             "velodyne.position_packet.rate_hz: 10001 is too large; allowed: at most 10000",
         ),
         ("rate_hz: 147", "rate_hz: 0", "velodyne.position_packet.rate_hz: 0 is too small; allowed: above 0"),
-        ("min_m: 0.5", "min_m: 100", "range.min_m: 100.0 is not below max_m"),
-        ("max_m: 100", "max_m: 100\n  at_10_percent_m: 100.5", "range.at_10_percent_m: 100.5 is above max_m, 100"),
+        ("  min_m: 0.5\n  max", "  min_m: 100\n  max", "range.min_m: 100.0 is not below max_m"),
+        ("    min_m: 0.5\n", "    min_m: 110\n", "range.reported.min_m: 110 is not below max_m"),
+        ("    min_m: 0.5\n", "", "range.reported.min_m: missing"),
+        ("max_m: 100\n", "max_m: 100\n  at_10_percent_m: 100.5\n", "range.at_10_percent_m: 100.5 is above max_m, 100"),
         ("product_id: 0x22", "product_id: 256", "velodyne.packet.product_id: 256 is too large; allowed: at most 255"),
     ],
 )
@@ -150,3 +153,35 @@ def test_facts_that_contradict_each_other(tmp_path, old, new, message):
         unit(load_sensor(path))
     assert str(caught.value).startswith(f"{path}:")
     assert message in str(caught.value)
+
+
+def test_what_is_promised_and_what_is_reported():
+    """Every model says both, with sources; a file with the former alone reports just that."""
+    for name in catalogue():
+        if known := load_sensor(name).range:
+            assert known.source
+            assert known.reported.source
+            assert known.reported_m == (known.reported.min_m, known.reported.max_m)
+    alone = load_sensor("vlp-16").range.model_copy(update={"reported": None})
+    assert alone.reported_m == (alone.min_m, alone.max_m) == (0.5, 100)
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "least", "most"),
+    [
+        ("jerry_vlp16", "vlp-16", 2.43, 109.848),
+        ("nebula_vlp16", "vlp-16", 0.5, 14.624),
+        ("veloview_hdl32e_monterey", "hdl-32e", 1.35, 105.292),
+        ("nebula_vls128", "vls-128", 1.076, 238.68),
+        ("nebula_vlp32", "vlp-32c", 0.712, 24.008),
+    ],
+)
+def test_recordings_are_within_what_is_reported(name, model, least, most):
+    """All of their distances, read from the bytes alone: the figures that the files quote."""
+    sensor = load_sensor(model)
+    packets = [one.payload for one in datagrams_of(recording(f"{name}.pcap")) if len(one.payload) == 1206]
+    units = np.stack([np.frombuffer(one, np.uint8)[:1200].reshape(12, 100)[:, 4:].reshape(-1, 3) for one in packets])
+    metres = (units[..., 0] + 256.0 * units[..., 1]) * sensor.range.resolution_m
+    metres = metres[metres > 0]
+    assert (metres.min(), metres.max()) == pytest.approx((least, most), abs=1e-9)
+    assert sensor.range.reported_m[0] <= metres.min() <= metres.max() <= sensor.range.reported_m[1]

@@ -91,7 +91,8 @@ def measure(rig: Rig, near: Scene, scene: Scene, east_north_m: tuple[float, floa
         xyz - (starts + np.where(np.isfinite(ranges), ranges, 0)[:, None] * rays)[firing], axis=1
     )
     assert sensor.range
-    due = (ranges >= sensor.range.min_m) & (ranges <= sensor.range.max_m)
+    least_m, most_m = sensor.range.reported_m
+    due = (ranges >= least_m) & (ranges <= most_m)
     decoded = np.zeros(len(ranges), bool)
     decoded[firing] = True
     return Errors(

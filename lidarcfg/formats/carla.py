@@ -50,7 +50,7 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
         "dropoff_zero_intensity": 0.0,
     }
     if sensor.range:
-        attributes["range"] = sensor.range.max_m
+        attributes["range"] = sensor.range.reported_m[1]
     if sensor.codec:
         pace = codec(sensor).pace(mount)
         attributes["points_per_second"] = round(pace.firings * 1e9 / pace.period_ns)

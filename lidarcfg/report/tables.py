@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from rich.box import SIMPLE
@@ -210,8 +211,15 @@ def print_sensor(sensor: Sensor) -> None:
     facts = sensor.model_dump(mode="json", exclude_none=True)
     parts = {part: values for part, values in facts.items() if isinstance(values, dict) and part != sensor.codec}
     for part, values in (parts | dict(facts.get(sensor.codec or "", {}))).items():
-        source = values.get("source", "")
-        shown = {key: value for key, value in values.items() if key not in TABLE_KEYS}
-        if values:
-            console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
-            console.print(f"  source: {source.strip()}", style="dim")
+        _print_part(console, part, values)
+
+
+def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:
+    """The facts of a part of a sensor's file, their source, and the same of parts that have sources of their own."""
+    inner = {key: value for key, value in values.items() if isinstance(value, dict) and "source" in value}
+    shown = {key: value for key, value in values.items() if key not in TABLE_KEYS and key not in inner}
+    if values:
+        console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
+        console.print(f"  source: {values.get('source', '').strip()}", style="dim")
+    for key, value in inner.items():
+        _print_part(console, f"{part}.{key}", value)

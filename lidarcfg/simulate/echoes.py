@@ -113,7 +113,7 @@ def echoes(
     """All four candidates (N, 4) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
     count, alpha, objects = len(hits.range_m), extinction_per_m(weather), hits.object
-    range_m = np.where(hits.range_m <= sensor.range.max_m, hits.range_m, np.inf)
+    range_m = np.where(hits.range_m <= sensor.range.reported_m[1], hits.range_m, np.inf)
     albedo = hits.reflectivity / 100
     light = weights * np.where(hits.reflectivity > DIFFUSE_MAX, albedo, albedo * hits.cosine)
     byte = weights * hits.reflectivity.astype(np.float64)

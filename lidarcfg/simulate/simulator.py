@@ -61,7 +61,7 @@ class Simulator:
         """
         sensor, mount = self._mount.sensor, self._mount
         assert sensor.range
-        count, width = len(fired.time_ns), len(self._weights)
+        count, width, (_, most_m) = len(fired.time_ns), len(self._weights), sensor.range.reported_m
         found = Found(
             range_m=np.full(count * width, np.inf),
             slot=np.full(count * width, NONE, np.int32),
@@ -70,9 +70,9 @@ class Simulator:
         )
         if count:
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
-            columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), sensor.range.max_m + BEYOND_M
+            columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), most_m + BEYOND_M
             trace_firings(self._tracer.world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m, found)
-        counts = Counts(count * width, int(np.count_nonzero(found.range_m <= sensor.range.max_m)))
+        counts = Counts(count * width, int(np.count_nonzero(found.range_m <= most_m)))
         objects = self._objects(found.slot).reshape(count, width)
         reflectivity = self._reflectivity[objects]
         range_m = found.range_m.reshape(count, width)

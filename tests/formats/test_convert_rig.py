@@ -180,7 +180,7 @@ def test_carla_is_told_what_the_sensor_is():
     assert (sensor["type"], sensor["id"]) == ("sensor.lidar.ray_cast", "lidar")
     assert sensor["attributes"] == {
         "channels": 16,
-        "range": 100,
+        "range": 109.85,  # the farthest that recordings have
         "points_per_second": 289352,  # 16 / 55.296 us
         "rotation_frequency": 20,
         "upper_fov": 15,

@@ -71,7 +71,7 @@ def truth(street, rig, index):
     tracer = Tracer(street, T_WORLD_VEHICLE[:3, 3])
     hits = tracer.cast(transform(T, origins.reshape(-1, 3)), directions.reshape(-1, 3) @ T[:3, :3].T)
     range_m, reflectivity = hits.range_m, np.append(street.reflectivity, 0)[hits.object]
-    seen = (range_m >= 0.5) & (range_m <= 100)
+    seen = (range_m >= 0.5) & (range_m <= 109.85)
     laser = np.broadcast_to(np.arange(16), fired.time_ns.shape).ravel()
     packet = np.arange(len(laser)) // 384
     columns = fired.time_ns.ravel(), fired.azimuth_rad.ravel(), range_m, reflectivity, laser, packet

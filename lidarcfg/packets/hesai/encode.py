@@ -45,7 +45,7 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     returns = blocks["returns"]
     returns["confidence"] = unit.facts.packet.confidence
     column = np.array(PAIR * shape[1] if dual else (0,) * shape[1])
-    limits = facts.min_m, facts.max_m, facts.resolution_m, float(DISTANCE_MAX)
+    limits = *facts.reported_m, facts.resolution_m, float(DISTANCE_MAX)
     at_m, strength = (read_only(np.ascontiguousarray(one).reshape(*shape, 1 + dual)) for one in (range_m, reflectivity))
     wire = returns["distance"], returns["reflectivity"]
     encode_kernels.fill(at_m, strength, read_only(laser), column, inside, limits, *wire)

@@ -24,7 +24,7 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
     """
     layout, width = mode.layout, mode.layout.profile.returns
     names = list(layout.profile.fields)
-    least_m, most_m = unit.range.min_m, unit.range.max_m
+    least_m, most_m = unit.range.reported_m
     _, _, most, dropped = layout.bits[names.index("range")].tolist()
     raw = np.empty((3 * width, len(range_m)), np.uint32)
     limits = least_m, most_m, unit.start_mm[0] / 1000, (1 << dropped) / 1000, float(most)

@@ -173,7 +173,7 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
     if mode.nearest_first:
         config["return_order"] = "NEAREST_TO_FARTHEST"
     if mode.modern:
-        config["min_range_threshold_cm"] = round(unit.range.min_m * 100)
+        config["min_range_threshold_cm"] = round(unit.range.reported_m[0] * 100)
     said: dict[str, Any] = {
         "beam_intrinsics": {
             "beam_altitude_angles": list(beams.elevation_deg),

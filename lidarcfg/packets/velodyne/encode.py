@@ -106,9 +106,8 @@ def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]
 
 
 def _limits(unit: Unit) -> tuple[float, float, float, float]:
-    """What is measured, from and to, in metres; the packet's unit; and how many of them it can say."""
-    facts = unit.range
-    return facts.min_m, facts.max_m, facts.resolution_m, float(DISTANCE_MAX)
+    """What is reported, from and to, in metres; the packet's unit; and how many of them it can say."""
+    return *unit.range.reported_m, unit.range.resolution_m, float(DISTANCE_MAX)
 
 
 def _flat(values: NDArray[Any], rows: int) -> NDArray[Any]:

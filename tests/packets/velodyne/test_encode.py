@@ -79,7 +79,7 @@ def test_every_layout_is_the_twins(sensor, mode):
         beams = [dict(zip(tables, values, strict=True)) for values in zip(*tables.values(), strict=True)]
 
     def on_the_wire(laser, azimuth, metres, byte):
-        if not sensor.range.min_m <= metres <= sensor.range.max_m:
+        if not sensor.range.reported.min_m <= metres <= sensor.range.reported.max_m:
             return 0, 0
         units = round((metres - of.distance_offset_m[laser]) / sensor.range.resolution_m)
         if beams:

@@ -20,7 +20,7 @@ from lidarcfg.packets.velodyne.layout import (
     stamp_us,
 )
 from lidarcfg.packets.velodyne.position import gprmc, position_packets
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensor import Reported, load_sensor
 from lidarcfg.units import HOUR_NS, SECOND_NS
 from lidarcfg.world.geodesy import geographic
 from lidarcfg.world.scene import GeoOrigin
@@ -74,7 +74,7 @@ def test_encode_is_the_twin():
             row = []
             for laser in range(16):
                 r = float(range_m[p, sequence, laser])
-                seen = 0.5 <= r <= 100
+                seen = 0.5 <= r <= 109.85
                 row.append((round(r / 0.002), int(reflectivity[p, sequence, laser])) if seen else (0, 0))
             returns.append(row)
         stamp = (int(fired.time_ns[p, 0, 0]) + 500) // 1000 % 3_600_000_000
@@ -102,7 +102,9 @@ def test_decode_is_the_twin():
 
 def test_never_wraps():
     """Too near, too far and beyond 65535 units are no return."""
-    far = VLP16.model_copy(update={"range": VLP16.range.model_copy(update={"max_m": 1000.0})})
+    far = VLP16.model_copy(
+        update={"range": VLP16.range.model_copy(update={"reported": Reported(source="", min_m=0.5, max_m=1000)})}
+    )
     fired = firings(far, 600, 0, range(1))
     range_m = np.zeros((1, 24, 16))
     range_m[0, 0, :8] = [0.4999, 0.5, 131.07, 131.0715, 131.08, 131.072 * 2 + 1, 999, np.inf]

@@ -25,7 +25,7 @@ from lidarcfg.packets.velodyne.facts import unit as unit_of
 from lidarcfg.packets.velodyne.layout import PACKET, device_time_ns, is_dual
 from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig
-from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.sensor import Reported, catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.export import START_NS, export
 from lidarcfg.simulate.ground_truth import records
@@ -58,6 +58,7 @@ OTHERS = {
     "hdl-64e-s3": vd.Model.HDL64E_S3,
 }
 MODES = ["strongest", "last", "dual"]
+LIMITLESS = Reported(source="", min_m=0, max_m=300)
 RECORDINGS = {
     "mrpt_vlp16_gps": "vlp-16",
     "jerry_vlp16": "vlp-16",
@@ -385,7 +386,7 @@ def test_recorded_packets_encode_to_the_same_bytes(name):
         strength = packets["blocks"]["returns"]["intensity"]
         same = (last == first) & (strength[:, ::2] == strength[:, 1::2]).reshape(last.shape)
         range_m[same, 1], intensity[same, 1] = range_m[same, 0], intensity[same, 0]
-    wide = sensor.model_copy(update={"range": sensor.range.model_copy(update={"min_m": 0.0, "max_m": 300.0})})
+    wide = sensor.model_copy(update={"range": sensor.range.model_copy(update={"reported": LIMITLESS})})
     shape = (len(packets), -1, sensor.count, 2) if dual else (len(packets), -1, sensor.count)
     wide = with_facts(wide, packet={"product_id": int(packets["product_id"][0])})  # old firmware has another
     again = encode(wide, mode, fired, range_m.reshape(shape), intensity.reshape(shape))
@@ -525,7 +526,8 @@ def test_a_unit_through_the_commands(tmp_path):
     fired = firings(unit, 600, START_NS, range(1_500_000_000 // packet_period_ns(unit)))
     origins, directions = (values.reshape(-1, 3) for values in rays(unit, fired))
     hits = Tracer(load_scene(STREET), np.zeros(3)).cast(transform(T, origins), directions @ T[:3, :3].T)
-    met = np.flatnonzero((hits.range_m >= unit.range.min_m) & (hits.range_m <= unit.range.max_m))
+    least_m, most_m = unit.range.reported_m
+    met = np.flatnonzero((hits.range_m >= least_m) & (hits.range_m <= most_m))
     assert len(mine.xyz) == len(met) > 1_000_000
     assert abs(mine.time_ns - fired.time_ns.ravel()[met]).max() <= 1000
     laser = met % 64
