@@ -8,7 +8,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import copyfileobj
 from typing import Any
@@ -36,6 +36,7 @@ _XYZ = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
 # PLY has no 64-bit integers, and Open3D reads neither short nor uint: the time is whole seconds and a remainder.
 PLY_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<i4"), ("time_s", "<f8"), ("time_rest_ns", "<i4")])
 PCD_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<u2"), ("time_ns", "<i8")])
+OBJECT_ROW = [("object", "<i4")]
 PLY_TYPES = {np.dtype("<f8"): "double", np.dtype("<i4"): "int", np.dtype("u1"): "uchar"}
 UNPACKED_MIN, UNPACKED_RATIO = 1 << 26, 20  # bytes; and so many times the archive's: real arrays hardly pack
 UNPACKED_COPIES = 3  # of the arrays, in memory at once
@@ -64,12 +65,20 @@ class PointCloud:
         np.uint8
     ]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
     driver: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) what a maker's driver has; no file keeps it
+    object: NDArray[np.int32] | None = None  # (N,) index into object_names, -1: none of them; None: not known
+    object_names: tuple[str, ...] = ()
 
     @classmethod
     def none(cls, sensor_names: tuple[str, ...]) -> "PointCloud":
         """No points of these sensors."""
         columns: dict[str, Any] = {key: np.empty((0, 3) if key == "xyz" else 0, kind) for key, kind in FIELDS.items()}
         return cls(sensor_names=sensor_names, **columns)
+
+    def rows(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "PointCloud":
+        """Some of the points."""
+        columns: dict[str, Any] = {key: getattr(self, key)[which] for key in FIELDS}
+        columns["driver"] = {key: column[which] for key, column in self.driver.items()}
+        return replace(self, object=None if self.object is None else self.object[which], **columns)
 
 
 def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
@@ -82,7 +91,10 @@ def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
         if key != "sensor"
     }
     columns["sensor"] = np.concatenate([np.empty(0, np.uint16), *sensor])
-    return PointCloud(sensor_names=tuple(index), driver=_driver(clouds), **columns)
+    names: dict[str, int] = {}
+    if any(cloud.object is not None for cloud in clouds):
+        columns["object"] = np.concatenate([_object(cloud, names) for cloud in clouds])
+    return PointCloud(sensor_names=tuple(index), driver=_driver(clouds), object_names=tuple(names), **columns)
 
 
 def _driver(clouds: Sequence[PointCloud]) -> dict[str, NDArray[Any]]:
@@ -100,6 +112,14 @@ def _sensor(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.uint16]:
     return cloud.sensor if table == list(range(len(table))) else np.array(table, np.uint16)[cloud.sensor]
 
 
+def _object(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.int32]:
+    """The cloud's objects as numbers of `index`, to which new names are added; -1 where they are not known."""
+    if cloud.object is None:
+        return np.full(len(cloud.xyz), -1, np.int32)
+    table = np.array([*(index.setdefault(name, len(index)) for name in cloud.object_names), -1], np.int32)
+    return np.asarray(table[cloud.object])
+
+
 def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
     """Write the clouds as one file, whole or not at all, and return how many points.
 
@@ -112,16 +132,22 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
             whole = concatenate(list(clouds))
             with replacing(path, "wb") as file:
                 names = np.array(whole.sensor_names, np.str_)
-                np.savez(file, sensor_names=names, **{key: getattr(whole, key) for key in FIELDS})
+                arrays = {key: getattr(whole, key) for key in FIELDS}
+                if whole.object is not None:
+                    arrays |= {"object": whole.object, "object_names": np.array(whole.object_names, np.str_)}
+                np.savez(file, sensor_names=names, **arrays)
             return len(whole.xyz)
         with replacing(path, "wb") as file, tempfile.TemporaryFile(dir=path.parent) as body:
             index: dict[str, int] = {}
+            objects: dict[str, int] = {}
             dtype, head = (PLY_ROW, _ply_header) if kind == ".ply" else (PCD_ROW, _pcd_header)
-            for cloud in clouds:
-                body.write(_rows(cloud, _sensor(cloud, index), dtype).tobytes())
+            for number, cloud in enumerate(clouds):
+                if number == 0 and cloud.object is not None:
+                    dtype = np.dtype([*_fields(dtype), *OBJECT_ROW])
+                body.write(_rows(cloud, _sensor(cloud, index), _object(cloud, objects), dtype).tobytes())
             count = body.tell() // dtype.itemsize
             body.seek(0)
-            file.write(head(count, list(index)).encode())
+            file.write(head(count, dtype, {"sensor": index, "object": objects}).encode())
             copyfileobj(body, file, 1 << 20)
         return count
     except OSError as error:
@@ -136,7 +162,7 @@ def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty:
     """
     path = Path(path)
     if _suffix(path) == ".npz":
-        return checked(path, read_arrays(path, (*FIELDS, "sensor_names")), allow_empty)
+        return checked(path, read_arrays(path, (*FIELDS, "sensor_names", "object", "object_names")), allow_empty)
     from lidarcfg.cloud_rows import read_columns
 
     try:
@@ -208,20 +234,33 @@ def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> P
     if len(xyz) and columns["sensor"].max() >= len(names):
         raise CloudError(f"{path}: a point is of sensor {columns['sensor'].max()}; there are {len(names)}")
     fields: dict[str, Any] = {key: np.ascontiguousarray(columns[key], FIELDS[key]) for key in FIELDS}
+    if "object" in columns:
+        fields["object_names"] = _names(path, columns.get("object_names", ()), "object")
+        fields["object"] = _checked_objects(path, columns["object"], len(xyz), len(fields["object_names"]))
     return PointCloud(sensor_names=names, **fields)
 
 
-def _names(path: Path, names: Any) -> tuple[str, ...]:
-    """The names of the sensors. Raises CloudError unless they are texts that can be written."""
+def _checked_objects(path: Path, column: NDArray[Any], points: int, names: int) -> NDArray[np.int32]:
+    """The objects of points. Raises CloudError unless each is -1 or has a name."""
+    if column.dtype.kind not in "iu" or column.shape != (points,):
+        raise CloudError(f"{path}: object is not {points:,} integers, one a point")
+    bad = np.flatnonzero((column < -1) | (column >= names))
+    if len(bad):
+        raise CloudError(f"{path}: point {bad[0]}: object is {column[bad[0]]}; allowed: -1 to {names - 1}")
+    return np.ascontiguousarray(column, np.int32)
+
+
+def _names(path: Path, names: Any, kind: str = "sensor") -> tuple[str, ...]:
+    """The names of sensors or objects. Raises CloudError unless they are texts that can be written."""
     if isinstance(names, np.ndarray):
         names = names.tolist() if names.ndim == 1 else [names]
     for name in names:
         if not isinstance(name, str):
-            raise CloudError(f"{path}: sensor_names holds something other than a list of texts")
+            raise CloudError(f"{path}: {kind}_names holds something other than a list of texts")
         try:
             name.encode()
         except UnicodeEncodeError:
-            raise CloudError(f"{path}: the sensor name {name!r} is not Unicode text") from None
+            raise CloudError(f"{path}: the {kind} name {name!r} is not Unicode text") from None
     return tuple(names)
 
 
@@ -231,12 +270,20 @@ def _suffix(path: Path) -> str:
     return path.suffix.lower()
 
 
-def _rows(cloud: PointCloud, sensor: NDArray[np.uint16], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+def _fields(dtype: np.dtype[np.void]) -> list[tuple[str, str]]:
+    return [(key, dtype[key].str) for key in dtype.names or ()]
+
+
+def _rows(
+    cloud: PointCloud, sensor: NDArray[np.uint16], objects: NDArray[np.int32], dtype: np.dtype[np.void]
+) -> NDArray[np.void]:
     rows = np.empty(len(cloud.xyz), dtype)
     rows["x"], rows["y"], rows["z"] = cloud.xyz.T
     for key, _ in _BYTES:
         rows[key] = getattr(cloud, key)
     rows["sensor"] = sensor
+    if "object" in (dtype.names or ()):
+        rows["object"] = objects
     if "time_ns" in (dtype.names or ()):
         rows["time_ns"] = cloud.time_ns
     else:
@@ -244,28 +291,33 @@ def _rows(cloud: PointCloud, sensor: NDArray[np.uint16], dtype: np.dtype[np.void
     return rows
 
 
-def _ply_header(count: int, names: list[str]) -> str:
+def _comments(mark: str, names: Mapping[str, Iterable[str]]) -> list[str]:
+    """A line for each name of a sensor or an object."""
+    return [f"{mark} {kind} {json.dumps(name)}" for kind, all_ in names.items() for name in all_]
+
+
+def _ply_header(count: int, dtype: np.dtype[np.void], names: Mapping[str, Iterable[str]]) -> str:
     return "\n".join(
         [
             "ply",
             "format binary_little_endian 1.0",
             "comment time is time_s + time_rest_ns",
-            *(f"comment sensor {json.dumps(name)}" for name in names),
+            *_comments("comment", names),
             f"element vertex {count}",
-            *(f"property {PLY_TYPES[PLY_ROW[key]]} {key}" for key in PLY_ROW.names or ()),
+            *(f"property {PLY_TYPES[dtype[key]]} {key}" for key in dtype.names or ()),
             "end_header\n",
         ]
     )
 
 
-def _pcd_header(count: int, names: list[str]) -> str:
-    kinds = [PCD_ROW[key] for key in PCD_ROW.names or ()]
+def _pcd_header(count: int, dtype: np.dtype[np.void], names: Mapping[str, Iterable[str]]) -> str:
+    kinds = [dtype[key] for key in dtype.names or ()]
     return "\n".join(
         [
             "# .PCD v0.7 - Point Cloud Data file format",
-            *(f"# sensor {json.dumps(name)}" for name in names),
+            *_comments("#", names),
             "VERSION 0.7",
-            f"FIELDS {' '.join(PCD_ROW.names or ())}",
+            f"FIELDS {' '.join(dtype.names or ())}",
             f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}",
             f"TYPE {' '.join(kind.kind.upper() for kind in kinds)}",
             f"COUNT {' '.join('1' for _ in kinds)}",

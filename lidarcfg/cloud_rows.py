@@ -48,7 +48,7 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     fields = {_plain(name): rows[name] for name in rows.dtype.names or () if rows.dtype[name].kind in "iuf"}
-    names = _sensor_names(path, comments)
+    names, objects = _listed(path, comments, "sensor"), _listed(path, comments, "object")
     if absent := [name for name in "xyz" if name not in fields]:
         raise CloudError(f"{path}: missing: {', '.join(absent)}")
     xyz = np.stack([fields.pop(name) for name in "xyz"], axis=1, dtype=np.float64)
@@ -72,6 +72,8 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
             columns[key] = _intensity(path, name, fields.pop(name), remarks)
         else:
             columns[key] = _whole(path, name, fields.pop(name))
+    if objects is not None and "object" in fields:  # ours, with ground truth
+        columns |= {"object": _whole(path, "object", fields.pop("object")), "object_names": objects}
     if lacking:
         remarks.insert(0, f"has no {', '.join(lacking)}; 0 is assumed")
     remarks += [f"{', '.join(fields)} ignored"] * bool(fields)
@@ -126,13 +128,13 @@ def _plain(name: str) -> str:
     return name.lower().removeprefix(PREFIX)
 
 
-def _sensor_names(path: Path, comments: list[str]) -> list[Any] | None:
-    """What our comments say of the sensors, or none."""
-    found = [comment.partition(" ")[2] for comment in comments if comment.startswith("sensor ")]
+def _listed(path: Path, comments: list[str], kind: str) -> list[Any] | None:
+    """The names of sensors or objects that our comments list, or none."""
+    found = [comment.partition(" ")[2] for comment in comments if comment.startswith(f"{kind} ")]
     try:
         return [json.loads(name) for name in found] or None
     except (ValueError, RecursionError):
-        raise CloudError(f"{path}: the sensors' names are not JSON") from None
+        raise CloudError(f"{path}: the {kind}s' names are not JSON") from None
 
 
 def _numbered(path: Path, sensor: Column, unknown: bool) -> list[str]:

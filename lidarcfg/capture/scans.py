@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.decode import CHUNK_PACKETS, Capture, Details, OnSource
-from lidarcfg.cloud import FIELDS, PointCloud, concatenate
+from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
 from lidarcfg.rig import Rig
@@ -64,9 +63,8 @@ def scans(
 
 def _rows(cloud: PointCloud, rows: slice | NDArray[np.bool_], name: str) -> PointCloud:
     """Some of the cloud's points, all of the sensor of this name."""
-    columns: dict[str, Any] = {key: getattr(cloud, key)[rows] for key in FIELDS}
-    columns["driver"] = {key: column[rows] for key, column in cloud.driver.items()}
-    return PointCloud(sensor_names=(name,), **columns | {"sensor": np.zeros(len(columns["xyz"]), np.uint16)})
+    some = cloud.rows(rows)
+    return replace(some, sensor_names=(name,), sensor=np.zeros(len(some.xyz), np.uint16))
 
 
 class Head:

@@ -201,6 +201,9 @@ def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":
     cloup.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"),
     cloup.option("--start", metavar="TIME", help="When it starts; " + START_HELP),
 )
+@cloup.option(
+    "--truth", type=FILE, metavar="NPZ", help="Also write each point's object, by export's --truth; needs --rig."
+)
 @cloup.option("--stats", is_flag=True, help="Print each sensor's model, return mode, speed and lost packets.")
 @quiet_option
 def decode(
@@ -215,6 +218,7 @@ def decode(
     to_s: float,
     sensors: tuple[str, ...],
     output: Path,
+    truth: Path | None,
     stats: bool,
     quiet: bool,
 ) -> None:
@@ -228,7 +232,7 @@ def decode(
     from lidarcfg.capture.decode import decode_pcap
     from lidarcfg.capture.record import load_record, record_path
     from lidarcfg.capture.selection import Selection
-    from lidarcfg.cloud import save_clouds
+    from lidarcfg.cloud import concatenate, save_clouds
     from lidarcfg.rig import load_rig
 
     if deskew:
@@ -238,12 +242,19 @@ def decode(
         at, start = at or record.at, start or record.start
     if trajectory and not rig:
         raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")
+    if truth and not rig:
+        raise click.UsageError("--truth needs --rig, which says which sensor is which")
     if (at or start) and not (trajectory or deskew):
         raise click.UsageError("--at and --start say where and when a --trajectory starts")
     sources: list[SourceStats] = []
     selection = Selection(from_s, to_s, sensors)
     on_stats = sources.append if stats else None
-    clouds = decode_pcap(pcap, warn, load_rig(rig) if rig else None, model, on_stats=on_stats, selection=selection)
+    mounted = load_rig(rig) if rig else None
+    clouds = decode_pcap(pcap, warn, mounted, model, on_stats=on_stats, selection=selection)
+    if truth and mounted:
+        from lidarcfg.capture.objects import with_objects
+
+        clouds = iter([with_objects(truth, concatenate(list(clouds)), mounted)])
     if trajectory or deskew:
         from lidarcfg.simulate.export import START_NS
 

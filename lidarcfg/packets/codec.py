@@ -121,6 +121,11 @@ class Tally:
     rpm: float  # mean; NaN where it is not known
 
 
+def types(return_mode: str) -> tuple[int, ...]:
+    """The types of the returns that a mode reports."""
+    return {"strongest": (0,), "last": (1,), "first": (3,), "dual": (0, 1)}[return_mode]
+
+
 class Decoder(Protocol):
     """Decodes the packets of one source, (P, size) octets at a time."""
 
@@ -191,6 +196,13 @@ class Codec(Protocol):
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
         """(N, R): which ranges became returns in the packets; of an identical pair, the first."""
+
+    def return_types(self, mount: "Mount", range_m: Array, reflectivity: Octets) -> Octets:
+        """(N, R): the types of returns that are encoded so, as packets tell them apart: see `Returns`.
+
+        The second strongest of a pair counts as its strongest.
+        """
+        return np.broadcast_to(np.array(types(mount.return_mode), np.uint8), range_m.shape)
 
     def housekeeping(
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int

@@ -242,11 +242,12 @@ def _data_stream(
         if not len(batch.sent_ns):
             return None
         found, counts = simulator.echoes(batch.firings, first)
-        payloads = maker.encode(mount, batch, found.range_m + found.noise_m, found.reflectivity)
+        range_m = found.range_m + found.noise_m
+        payloads = maker.encode(mount, batch, range_m, found.reflectivity)
         truth = np.empty(0, RECORD)
         if task.truth:
-            sent = maker.sent(mount, batch, payloads)
-            truth = records(task.index, mount.return_mode, batch.firings, found, sent)
+            types, sent = maker.return_types(mount, range_m, found.reflectivity), maker.sent(mount, batch, payloads)
+            truth = records(task.index, types, batch.firings, found, sent)
         return _Chunk(frames(mount.host, payloads), truth, counts)
 
     with workers.pool() as pool:

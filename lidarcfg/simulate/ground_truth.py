@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.files import check_replaceable, replacing
-from lidarcfg.packets.codec import Firings, Flags
+from lidarcfg.packets.codec import Firings, Flags, Octets
 from lidarcfg.simulate.echoes import Echoes
 
 RECORD = np.dtype(
@@ -20,7 +20,7 @@ RECORD = np.dtype(
         ("sensor", "<u2"),  # index into sensor_names
         ("time_ns", "<i8"),  # of the firing, exact
         ("laser", "u1"),
-        ("return_type", "u1"),  # 0 strongest, 1 last, 3 first; an identical pair is one return, 0
+        ("return_type", "u1"),  # 0 strongest, 1 last, 3 first; of a pair 0 and 1, of an Ouster's 0 and 2; alike: 0
         ("object", "<i4"),  # index into object_names; -1: rain or fog
         ("range_m", "<f8"),  # exact, along the beam
         ("noise_m", "<f8"),  # added to it before it was rounded
@@ -28,16 +28,15 @@ RECORD = np.dtype(
 )
 
 RECORDS = 1 << 16  # at a time
-SINGLE = {"strongest": 0, "last": 1, "first": 3}  # types of single returns
 
 
-def records(sensor_index: int, return_mode: str, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
-    """The records of N firings: echoes, and which of them were sent, are (N, R)."""
+def records(sensor_index: int, types: Octets, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
+    """The records of N firings: echoes, their types, and which of them were sent, are (N, R)."""
     firing, which = np.nonzero(sent)
     out = np.empty(len(firing), RECORD)
     out["sensor"] = sensor_index
     out["time_ns"], out["laser"] = fired.time_ns[firing], fired.laser[firing]
-    out["return_type"] = which if sent.shape[1] == 2 else SINGLE[return_mode]
+    out["return_type"] = types[firing, which]
     for key in ("object", "range_m", "noise_m"):
         out[key] = getattr(found, key)[firing, which]
     return out

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.objects import Objects, load_objects
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
 from lidarcfg.config import Model, load
@@ -20,7 +21,6 @@ from lidarcfg.packets.codec import pattern
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.view.colours import colour
-from lidarcfg.view.objects import Objects, load_objects
 from lidarcfg.world.scene import Scene, SceneFile, load_scene
 
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]

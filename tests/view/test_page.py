@@ -18,13 +18,13 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from lidarcfg.capture.objects import Objects
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.rig import load_rig
 from lidarcfg.view.camera import Camera
-from lidarcfg.view.objects import Objects
 from lidarcfg.view.page import ASSETS, MODULES, moved, page_of, save_html
 from lidarcfg.view.server import Server
 from lidarcfg.view.stage import Stage, load_stage

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from lidarcfg.capture.objects import load_objects
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.selection import Selection
 from lidarcfg.cloud import PointCloud, save_clouds
@@ -29,7 +30,6 @@ from lidarcfg.view.bodies import faces, score
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, rgb, scaled
 from lidarcfg.view.kernels import fill
-from lidarcfg.view.objects import load_objects
 from lidarcfg.view.shades import point_colours
 from lidarcfg.view.stage import Stage, kind_of, load_stage
 from lidarcfg.view.still import save_still

@@ -7,7 +7,7 @@ import numpy as np
 
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
+from lidarcfg.packets.codec import Batch, Codec, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
 from lidarcfg.packets.hesai.facts import Facts, Settings, Unit, unit
 from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.recognise import check_size, claims, identify
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.scene import GeoOrigin
 
 
-class Hesai:
+class Hesai(Codec):
     """The packets of one Hesai sensor."""
 
     point_fields = STAMPED

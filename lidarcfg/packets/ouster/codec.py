@@ -9,7 +9,7 @@ import numpy as np
 from lidarcfg.errors import PacketError
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
+from lidarcfg.packets.codec import Batch, Codec, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
 from lidarcfg.packets.ouster.facts import Facts, Settings, mode, unit
 from lidarcfg.packets.ouster.layout import PROFILES, TICKS, Layout, heads
 from lidarcfg.packets.ouster.metadata import Metadata, read, written
@@ -26,7 +26,7 @@ PIXELS = (16, 32, 64, 128)
 USUAL = {(name, Layout(name, pixels, 1024).size) for name in PROFILES for pixels in PIXELS}  # profiles and sizes
 
 
-class Ouster:
+class Ouster(Codec):
     """The packets of one Ouster."""
 
     point_fields = OUSTER
@@ -64,6 +64,14 @@ class Ouster:
         from lidarcfg.packets.ouster.encode import sent
 
         return sent(mode(self.unit.sensor, mount), payloads.data)
+
+    def return_types(self, mount: "Mount", range_m: Array, reflectivity: Octets) -> Octets:
+        """See `Codec`; of two the stronger comes first, and the other is the second strongest."""
+        from lidarcfg.packets.ouster.encode import return_types
+
+        if mount.return_mode != "dual" or mode(self.unit.sensor, mount).nearest_first:
+            return super().return_types(mount, range_m, reflectivity)
+        return return_types(self.unit, range_m, reflectivity)
 
     def housekeeping(
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int

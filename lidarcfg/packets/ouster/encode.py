@@ -54,6 +54,15 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
     return assembled(layout, said, Columns(time_ns, measurement, valid), raw, np.array(rows, np.int64), footer)
 
 
+def return_types(unit: Unit, range_m: Array, reflectivity: Octets) -> Octets:
+    """(N, 2): of two returns that come by their strength, 0 of the stronger and 2 of the other."""
+    there = ((range_m >= unit.range.min_m) & (range_m <= unit.range.max_m)).all(axis=1)
+    far_m, light = range_m[there], LIGHT[reflectivity[there]]
+    weaker = np.zeros(len(range_m), np.bool_)
+    weaker[there] = light[:, 0] * far_m[:, 1] ** 2 < light[:, 1] * far_m[:, 0] ** 2
+    return np.stack([2 * weaker, 2 * ~weaker], axis=1).astype(np.uint8)
+
+
 def sent(mode: Mode, packets: Octets) -> Flags:
     """(N, R): which of the firings' returns are in the packets."""
     found = fields(mode.layout, packets)

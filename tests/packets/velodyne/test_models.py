@@ -551,7 +551,13 @@ def test_returns_that_are_alike_on_the_wire_are_one():
     echoes = Echoes(
         *(v.reshape(-1, 2) for v in (range_m, 0 * range_m, reflectivity, np.zeros(range_m.shape, np.int32)))
     )
-    true = records(0, "dual", fired.flat, echoes, are_sent(unit_of(unit), "dual", packets))
+    true = records(
+        0,
+        np.broadcast_to(np.array([0, 1]), echoes.range_m.shape),
+        fired.flat,
+        echoes,
+        are_sent(unit_of(unit), "dual", packets),
+    )
     got = decode(unit, packets, packet_stamps_ns(unit, fired)[1])
     assert fired.time_ns.size < len(true) < 2 * fired.time_ns.size
     assert len(got.laser) == len(true)

@@ -1,6 +1,6 @@
 """Which object each point of a cloud is on, by the ground truth that `export --truth` wrote beside the capture."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from lidarcfg.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
 LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
-RETURN_LAST = 1
+LAST, SECOND = 1, 2  # types of returns
 NAMES = ("sensor_names", "object_names")
 COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
 OTHER = "rain, fog or unknown"
@@ -55,16 +55,18 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
     start_ns = int(record["time_ns"].min()) - 2 * AWAY_NS
     if int(record["time_ns"].max()) - start_ns >= LATEST_NS:
         raise CloudError(f"{path}: is longer than {LATEST_NS / 6e10:.0f} minutes")
-    known = _key(
-        record["sensor"], ring[record["sensor"], record["laser"]], record["return_type"], record["time_ns"] - start_ns
-    )
+    by_strength = np.zeros(len(sensors) + 1, np.bool_)  # sensors whose pairs are the strongest and the second strongest
+    by_strength[record["sensor"][record["return_type"] == SECOND]] = True
+    second = np.isin(record["return_type"], (LAST, SECOND))
+    known = _key(record["sensor"], ring[record["sensor"], record["laser"]], second, record["time_ns"] - start_ns)
     order = np.argsort(known)
     known = known[order]
     sensor = np.array(
         [sensors.index(name) if name in sensors else len(sensors) for name in cloud.sensor_names], np.int64
     )
     since_ns = np.clip(cloud.time_ns - start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
-    asked = _key(sensor[cloud.sensor], cloud.ring, cloud.return_type, since_ns)
+    second = (cloud.return_type == LAST) | ((cloud.return_type == SECOND) & by_strength[sensor[cloud.sensor]])
+    asked = _key(sensor[cloud.sensor], cloud.ring, second, since_ns)
     after = np.searchsorted(known, asked).clip(1, len(known) - 1) if len(known) > 1 else np.zeros(len(asked), np.int64)
     near = np.where(asked - known[after - 1] < known[after] - asked, after - 1, after)
     index = np.where(abs(known[near] - asked) <= AWAY_NS, record["object"][order[near]], -1)
@@ -73,14 +75,17 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
     return Objects((*names, OTHER), np.where(index < 0, len(names), index).astype(np.uint16))
 
 
+def with_objects(path: Path, cloud: PointCloud, rig: Rig) -> PointCloud:
+    """The cloud with the objects of its points. Raises as `load_objects` does."""
+    found = load_objects(path, cloud, rig)
+    known = found.index < len(found.names) - 1
+    return replace(cloud, object=np.where(known, found.index, -1).astype(np.int32), object_names=found.names[:-1])
+
+
 def _key(
-    sensor: NDArray[np.generic],
-    ring: NDArray[np.generic],
-    return_type: NDArray[np.generic],
-    since_ns: NDArray[np.int64],
+    sensor: NDArray[np.generic], ring: NDArray[np.generic], second: NDArray[np.bool_], since_ns: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """One number, near another's only if all but the time is the same."""
-    last = np.asarray(return_type) == RETURN_LAST
-    high = (np.asarray(sensor, np.int64) * 256 + np.asarray(ring, np.int64)) * 2 + last
+    high = (np.asarray(sensor, np.int64) * 256 + np.asarray(ring, np.int64)) * 2 + second
     key: NDArray[np.int64] = high * (2 * LATEST_NS) + since_ns
     return key
