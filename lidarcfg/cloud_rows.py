@@ -43,10 +43,7 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
     Fields that the file lacks are 0. In a file that names no sensors, and so is not ours, points without finite
     coordinates stand for no return and are dropped. One warning says all that was assumed, scaled, dropped or ignored.
     """
-    try:
-        rows, comments = _read_ply(path) if path.suffix.lower() == ".ply" else _read_pcd(path)
-    except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    rows, comments = read_rows(path)
     fields = {_plain(name): rows[name] for name in rows.dtype.names or () if rows.dtype[name].kind in "iuf"}
     names, objects = _listed(path, comments, "sensor"), _listed(path, comments, "object")
     if absent := [name for name in "xyz" if name not in fields]:
@@ -80,6 +77,14 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
     if remarks:
         on_warning(f"{path}: {'; '.join(remarks)}")
     return columns | {"sensor_names": names or _numbered(path, columns["sensor"], "sensor" in lacking)}
+
+
+def read_rows(path: Path) -> tuple[Column, list[str]]:
+    """The points of a file as a structured array, and its comments. Raises CloudError."""
+    try:
+        return _read_ply(path) if path.suffix.lower() == ".ply" else _read_pcd(path)
+    except OSError as error:
+        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
 
 
 def _read_ply(path: Path) -> tuple[Column, list[str]]:

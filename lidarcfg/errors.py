@@ -44,3 +44,8 @@ class CloudError(LidarcfgError):
 
 class ConversionError(LidarcfgError):
     """The format cannot hold the input, or the output cannot be written."""
+
+
+def missing(library: str) -> ConversionError:
+    """The error for a `library` of an extra that is not installed."""
+    return ConversionError(f"{library} is not installed; pip install 'lidarcfg[convert]'")

@@ -11,7 +11,7 @@ MARKS = {  # the keys that only one kind has, the first that fits
     "plan": {"vary", "together"},
     "study": {"region"},
     "trajectory": MOTIONS,
-    "scene": {"ground", "weather", "geo_origin"},
+    "scene": {"ground", "weather", "geo_origin", "height_fields", "models", "surfels"},
     "vehicle": {"allow_inside"},
 }
 

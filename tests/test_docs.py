@@ -274,6 +274,9 @@ def test_yaml_on_a_page_is_what_it_looks_like(page, tmp_path):
             "sensors": RigFile,
             "ground": SceneFile,
             "boxes": SceneFile,
+            "height_fields": SceneFile,
+            "models": SceneFile,
+            "surfels": SceneFile,
         }
         (tmp_path / "it.yaml").write_text(text)
         kind = next((kinds[key] for key in kinds if key in keys), Motion)

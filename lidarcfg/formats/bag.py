@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
-from lidarcfg.errors import ConversionError, PacketError
+from lidarcfg.errors import ConversionError, PacketError, missing
 from lidarcfg.files import check_replaceable
-from lidarcfg.formats.extra import missing
 from lidarcfg.formats.folder import beside, replacing_folder
 from lidarcfg.formats.frames import BASE_LINK, quaternion_xyzw, ros_name, ros_names
 from lidarcfg.packets.codec import family

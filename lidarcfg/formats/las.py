@@ -1,21 +1,19 @@
 """LAS 1.4 and LAZ, by laspy: point format 6 with extra dimensions for ring, sensor and return type."""
 
 import json
-import os
-import struct
 from collections.abc import Callable
 from datetime import date, timedelta
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import lidarcfg
 from lidarcfg.cloud import PointCloud, checked
+from lidarcfg.cloud_las import check_header, libraries
 from lidarcfg.errors import CloudError, LidarcfgError
 from lidarcfg.files import replacing
-from lidarcfg.formats.extra import missing
 from lidarcfg.formats.gps import gps_seconds, unix_ns
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory, check_regular
@@ -34,12 +32,6 @@ DAY_NS = 86_400 * 10**9
 CHUNK = 1 << 20  # points
 POINT_BYTES = 200  # of memory a point, with what is read and what it becomes
 CHUNK_BYTES = 1 << 26  # read at a time, whatever the size of a point
-# Places in the header and in a VLR, by LAS 1.4 and the LASzip specification: the header's size, where the points begin,
-# the number of VLRs, the point format, with its highest bit set in LAZ, and a point's size; in a VLR its user, record
-# and length; in LASzip's VLR the number of items, each with two bytes of type, of size and of version.
-HEADER_AT, POINTS_AT, VLRS_AT, FORMAT_AT, SIZE_AT, COMPRESSED = 94, 96, 100, 104, 105, 0x80
-VLR_USER_AT, VLR_RECORD_AT, VLR_HEAD, LASZIP, LASZIP_ITEMS_AT = 2, 18, 54, b"laszip encoded", 32
-CHUNK_LEAST = 20  # bytes, fewer than any chunk has
 
 
 def save_las(path: Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
@@ -48,7 +40,7 @@ def save_las(path: Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
     Coordinates are kept to 0.05 mm, times to 30 ns. Raises CloudError for a cloud that is not finite or too
     wide, ConversionError without laspy.
     """
-    laspy, _ = _libraries()
+    laspy, _ = libraries()
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, STEP_M), _offsets(path, cloud.xyz)
     header.add_extra_dims(
@@ -100,10 +92,10 @@ def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) 
     `on_warning` gets the fields that the file lacks, which are then 0. Raises CloudError, and ConversionError without
     laspy.
     """
-    laspy, lazrs = _libraries()
+    laspy, lazrs = libraries()
     try:
         check_regular(path)
-        _check_header(path)
+        check_header(path)
         with laspy.open(path, read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
             columns, header = _read(laspy, reader, chunk), reader.header
         given = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == (VLR_USER, VLR_RECORD)]
@@ -153,60 +145,9 @@ def _time_ns(path: Path, gps_s: Array, week: bool) -> NDArray[np.int64]:
     return np.rint(gps_s * 1e9).astype(np.int64) if week else unix_ns(gps_s)
 
 
-def _check_header(path: Path) -> None:
-    """Raises ValueError for numbers that laspy and lazrs would take at their word.
-
-    laspy would look for as many VLRs as are announced; lazrs would allocate memory for as many chunks, and end the
-    process, and panic where the items of a point do not add up to its size.
-    """
-    with open(path, "rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        vlrs, points_at = _unpacked(file, VLRS_AT, "<I")[0], _unpacked(file, POINTS_AT, "<I")[0]
-        if vlrs * VLR_HEAD > size:
-            raise ValueError(f"{vlrs} VLRs are announced, and not there")
-        if not _unpacked(file, FORMAT_AT, "<B")[0] & COMPRESSED:
-            return
-        (table_at,) = _unpacked(file, points_at, "<q")
-        if table_at == -1:  # written as a stream: it is at the end
-            (table_at,) = _unpacked(file, size - 8, "<q")
-        chunks = _unpacked(file, table_at, "<II")[1]  # after its version
-        if chunks * CHUNK_LEAST > size:
-            raise ValueError(f"{chunks} chunks are announced, and not there")
-        (at,) = _unpacked(file, HEADER_AT, "<H")
-        for _ in range(vlrs):
-            length = _unpacked(file, at + VLR_RECORD_AT, "<HH")[1]
-            file.seek(at + VLR_USER_AT)
-            if file.read(len(LASZIP)) == LASZIP:
-                items_at = at + VLR_HEAD + LASZIP_ITEMS_AT
-                (count,) = _unpacked(file, items_at, "<H")
-                items = _unpacked(file, items_at + 2, f"<{3 * count}H")
-                if not count or sum(items[1::3]) != _unpacked(file, SIZE_AT, "<H")[0]:
-                    raise ValueError("its LASzip items are not those of its points")
-            at += VLR_HEAD + length
-
-
-def _unpacked(file: IO[bytes], at: int, form: str) -> tuple[int, ...]:
-    """Numbers at a place of the file. Raises ValueError where there is none."""
-    end = at + struct.calcsize(form)
-    if not 0 <= at < end <= os.fstat(file.fileno()).st_size:
-        raise ValueError(f"it has no byte {end - 1}")
-    file.seek(at)
-    return struct.unpack(form, file.read(end - at))
-
-
 def _columns(rows: Any) -> dict[str, NDArray[Any]]:
     """The columns of a chunk of points that a cloud has, unconverted."""
     there = set(rows.point_format.dimension_names)
     columns = {key: np.array(rows[key]) for key in ("intensity", "gps_time", *EXTRA) if key in there}
     with np.errstate(over="ignore"):  # of absurd scales; what they make is not finite
         return {"xyz": np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)} | columns
-
-
-def _libraries() -> tuple[Any, Any]:
-    """laspy and lazrs."""
-    try:
-        import laspy
-        import lazrs
-    except ImportError:
-        raise missing("laspy[lazrs]") from None
-    return laspy, lazrs

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,10 +18,13 @@ from lidarcfg.inputs import check_regular
 if TYPE_CHECKING:
     from lidarcfg.world.scene import Box, Cylinder, MeshFile, Plane, Sphere
 
-_CLOUD = "a point cloud has no surfaces; make a mesh of it, for example with Open3D's create_from_point_cloud_poisson"
+_CLOUD = "a point cloud has no surfaces; give it under surfels, with a radius, in a scene"
 NO_MESHES = {  # by suffix, what some other file is, and what to do
     ".xodr": "an OpenDRIVE map has lanes and no triangles; export a mesh of it, for example an OBJ with libOpenDRIVE",
-    **dict.fromkeys((".pcd", ".las", ".laz", ".xyz", ".pts", ".e57", ".bin", ".npz"), _CLOUD),
+    **dict.fromkeys((".pcd", ".las", ".laz", ".npz"), _CLOUD),
+    **dict.fromkeys((".xyz", ".pts", ".e57", ".bin"), f"{_CLOUD}, as PLY, PCD, LAS or npz"),
+    **dict.fromkeys((".tif", ".tiff", ".asc"), "heights are no mesh; give them under height_fields, as PNG or npy"),
+    **dict.fromkeys((".png", ".npy"), "heights are no mesh; give them under height_fields, in a scene"),
 }
 
 FILE_MAX = 500_000_000  # bytes of a mesh's file: ten million triangles
@@ -89,11 +92,18 @@ def placed(mesh: Mesh, item: "MeshFile") -> Mesh:
     return transform(pose(item.position_m, np.radians(item.rpy_deg)), vertices * item.scale), triangles
 
 
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    triangles = [mesh[1] + start for mesh, start in zip(meshes, first, strict=False)]
+    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(triangles)
+
+
 def read_mesh(path: Path) -> Mesh:
     """The mesh in a file. Raises SceneError if there is none or it is invalid."""
     import open3d as o3d
 
-    _check_readable(path)
+    check_readable(path, FILE_MAX)
     if path.suffix.lower() in NO_MESHES:
         raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
     with silent(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
@@ -103,12 +113,18 @@ def read_mesh(path: Path) -> Mesh:
     if not len(triangles):
         cloud = f"; {_CLOUD}" if len(vertices) else ""
         raise SceneError(f"{path}: no triangles that Open3D can read{cloud}")
+    check_mesh(str(path), (vertices, triangles))
+    return vertices, triangles
+
+
+def check_mesh(what: str, mesh: Mesh) -> None:
+    """Raises SceneError for vertices that are not finite and triangles of vertices that are not there."""
+    vertices, triangles = mesh
     if not np.isfinite(vertices).all():
-        raise SceneError(f"{path}: vertex {np.argwhere(~np.isfinite(vertices))[0][0]} is not finite")
+        raise SceneError(f"{what}: vertex {np.argwhere(~np.isfinite(vertices))[0][0]} is not finite")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         bad = triangles[(triangles < 0) | (triangles >= len(vertices))][0]
-        raise SceneError(f"{path}: a triangle names vertex {bad}; there are {len(vertices)}")
-    return vertices, triangles
+        raise SceneError(f"{what}: a triangle names vertex {bad}; there are {len(vertices)}")
 
 
 @contextmanager
@@ -124,10 +140,13 @@ def silent() -> Iterator[None]:
         os.close(kept)
 
 
-def _check_readable(path: Path) -> None:
-    """Raises SceneError, as Open3D does not tell a file that it cannot open from one without triangles."""
+def check_readable(path: Path, most: int) -> None:
+    """Raises SceneError for what is no regular file of at most so many bytes that can be opened.
+
+    Open3D does not tell a file that it cannot open from one without triangles.
+    """
     try:
-        check_regular(path, FILE_MAX)
+        check_regular(path, most)
         path.open("rb").close()
     except OSError as error:
         raise SceneError(f"{path}: {(error.strerror or str(error)).lower()}") from None

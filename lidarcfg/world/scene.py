@@ -14,12 +14,16 @@ from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.sensor import Byte
-from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, placed, plane_mesh, read_mesh, sphere_mesh
+from lidarcfg.world.height_field import height_field_mesh
+from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed, plane_mesh, read_mesh, sphere_mesh
+from lidarcfg.world.models import model_objects
 from lidarcfg.world.motion import Motion
+from lidarcfg.world.surfels import surfels_mesh
 
 DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
 GROUND = "ground"
-KINDS = ("boxes", "spheres", "cylinders", "planes", "meshes")
+KINDS = ("boxes", "spheres", "cylinders", "planes", "meshes")  # of objects, of a scene and of a vehicle
+FILES = ("meshes", "height_fields", "models", "surfels")  # of a scene, whose triangles are made from files
 NO_MESH = np.empty((0, 3)), np.empty((0, 3), np.int64)
 PLACES = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
 
@@ -81,6 +85,42 @@ class MeshFile(SceneObject):
     scale: Positive = 1.0
 
 
+class HeightField(SceneObject):
+    """Ground of a grid of heights: columns run along x, rows against y, as a map whose top is y."""
+
+    file: Annotated[str, Field(min_length=1)] | None = None  # .png in grey or .npy, relative to the scene's file
+    heights_m: Annotated[tuple[tuple[Metres, ...], ...], Field(min_length=2)] | None = None  # rows, in place of a file
+    cell_m: Size
+    position_m: Position  # of the last row's first height, at a height of 0
+    scale: Positive = 1.0  # metres per unit of the file
+
+    @model_validator(mode="after")
+    def _check(self) -> "HeightField":
+        if (self.file is None) == (self.heights_m is None):
+            raise fault("stands beside file; give one of them" if self.file else "missing; or give a file", "heights_m")
+        if self.heights_m and self.scale != 1.0:
+            raise fault("belongs to a file; heights_m are metres", "scale")
+        rows = self.heights_m or ()
+        for i, row in enumerate(rows):
+            if len(row) != max(len(rows[0]), 2):
+                allowed = f"{len(rows[0])}, as in the first row" if i else "at least 2"
+                raise fault(f"has {len(row)} heights; allowed: {allowed}", "heights_m", i)
+        return self
+
+
+class GltfModel(MeshFile):
+    """A glTF file each of whose nodes becomes an object NAME/NODE; its y up becomes z up."""
+
+    nodes: tuple[str, ...] | None = None  # only these
+    materials: dict[str, Byte] = Field(default_factory=dict)  # by name; the others reflect what the model does
+
+
+class Surfels(MeshFile):
+    """A disc around each point of a file, across the normal that the file gives or its neighbours suggest."""
+
+    radius_m: Size
+
+
 class Weather(Model):
     """Uniform fog and rain; simulate/echoes.py models what they do to a beam."""
 
@@ -106,6 +146,9 @@ class SceneFile(Model):
     cylinders: tuple[Cylinder, ...] = ()
     planes: tuple[Plane, ...] = ()
     meshes: tuple[MeshFile, ...] = ()
+    height_fields: tuple[HeightField, ...] = ()
+    models: tuple[GltfModel, ...] = ()
+    surfels: tuple[Surfels, ...] = ()
     geo_origin: GeoOrigin = GeoOrigin()
     weather: Weather = Weather()
 
@@ -118,11 +161,14 @@ class SceneFile(Model):
 def check_names(file: Model) -> None:
     """A model's validator: no two of the objects of any kind have one name, nor is one called as the ground."""
     names = {GROUND}
-    for kind in KINDS:
-        for i, item in enumerate(getattr(file, kind)):
+    for kind in dict.fromkeys((*KINDS, *FILES)):
+        for i, item in enumerate(getattr(file, kind, ())):
             if item.name in names:
                 raise fault(f"{item.name!r} is an object already; each name may be given once", kind, i, "name")
             names.add(item.name)
+
+
+Placed = tuple[Ground | SceneObject, Mesh]  # an object and its triangles in the world frame
 
 
 @dataclass(frozen=True)
@@ -155,7 +201,7 @@ class Scene:
         parts = [(self.vertices_m, self.triangles)]
         parts += [sphere_mesh(sphere, tolerance_m) for sphere in self.file.spheres]
         parts += [cylinder_mesh(cylinder, tolerance_m) for cylinder in self.file.cylinders]
-        return _joined(parts)
+        return joined(parts)
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -167,18 +213,19 @@ def load_scene(path: str | Path) -> Scene:
 
 def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     """The scene that stands in a file under the key `at`; meshes are beside it. Raises as load_scene does."""
-    objects: list[tuple[Ground | SceneObject, Mesh]] = [(file.ground, NO_MESH)] if file.ground else []
+    objects: list[Placed] = [(file.ground, NO_MESH)] if file.ground else []
     objects += [(box, box_mesh(box)) for box in file.boxes]
     objects += [(item, NO_MESH) for item in (*file.spheres, *file.cylinders)]
     objects += [(plane, plane_mesh(plane)) for plane in file.planes]
-    for i, item in enumerate(file.meshes):
-        try:
-            objects.append((item, placed(read_mesh(path.parent / item.file), item)))
-        except SceneError as error:
-            raise error_at(path, (*at, "meshes", i, "file"), error) from None
+    for kind in FILES:
+        for i, item in enumerate(getattr(file, kind)):
+            try:
+                objects += _unlike(_from_file(item, path.parent), objects)
+            except SceneError as error:
+                raise error_at(path, (*at, kind, i, "file"), error) from None
     if not objects:
         raise SceneError(f"{path}: the scene is empty; give a ground or an object")
-    vertices_m, triangles = _joined([mesh for _, mesh in objects])
+    vertices_m, triangles = joined([mesh for _, mesh in objects])
     return Scene(
         file=file,
         names=tuple(getattr(item, "name", GROUND) for item, _ in objects),
@@ -191,11 +238,24 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     )
 
 
-def _joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes as one."""
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    triangles = [mesh[1] + start for mesh, start in zip(meshes, first, strict=False)]
-    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(triangles)
+def _unlike(made: list[Placed], objects: Sequence[Placed]) -> list[Placed]:
+    """What is made from a file, if no object has one of its names. Raises SceneError."""
+    names = [getattr(item, "name", GROUND) for item, _ in (*objects, *made)]
+    if twice := next((name for name in names[len(objects) :] if names.count(name) > 1), None):
+        raise SceneError(f"{twice!r} would be two objects; each name may be given once")
+    return made
+
+
+def _from_file(item: SceneObject, folder: Path) -> list[Placed]:
+    """The objects that are made from a file, with their triangles. Raises SceneError."""
+    if isinstance(item, HeightField):
+        return [(item, height_field_mesh(item, folder))]
+    if isinstance(item, Surfels):
+        return [(item, surfels_mesh(item, folder))]
+    if isinstance(item, GltfModel):
+        return list(model_objects(item, folder))
+    assert isinstance(item, MeshFile)
+    return [(item, placed(read_mesh(folder / item.file), item))]
 
 
 def _place_m(item: Ground | SceneObject) -> Position:

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import jsonschema
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
 from lidarcfg.config import Document
 from lidarcfg.errors import ConfigError, SceneError
@@ -90,7 +92,12 @@ def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
     optional = re.sub(r"^#(?=\s*(- \{)?[a-z])", "", text, flags=re.M)
     assert optional.count("\n#") <= 4  # what is left says what the file is
     (tmp_path / "folder/scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
-    (tmp_path / "folder/tree.ply").write_bytes((ROOT / "data/scenes/meshes/tree.ply").read_bytes())
+    for name in ("tree.ply", "depot.ply"):
+        (tmp_path / "folder" / name).write_bytes((ROOT / "data/scenes/meshes/tree.ply").read_bytes())
+    Image.fromarray(np.eye(3, dtype=np.uint8)).save(tmp_path / "folder/land.png")
+    block = trimesh.creation.box()
+    block.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(name="glass"))
+    block.export(tmp_path / "folder/block.glb")
     path.write_text(optional)
     assert summary(path).kind == kind
     assert len(values(path)) + str(values(path)).count(":") > len(Document(text, "").value) + text.count("#")

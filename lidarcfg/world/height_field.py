@@ -1,0 +1,109 @@
+"""Height fields: ground from a grid of heights, two triangles a cell."""
+
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.config import COORDINATE_MAX_M
+from lidarcfg.errors import SceneError
+from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
+from lidarcfg.world.meshes import Mesh, check_readable
+
+if TYPE_CHECKING:
+    from lidarcfg.world.scene import HeightField
+
+SUFFIXES = ".png", ".npy"
+FILE_MAX = 500_000_000  # bytes
+CELLS_MAX = 10_000_000
+CELL_BYTES = 600  # of memory a cell while the tracer's tree is built
+PNG = b"\x89PNG\r\n\x1a\n"
+IHDR = struct.Struct(">16xIIBB")  # what stands before it, then width, height, bits and colour type
+GREY, BITS = 0, (8, 16)
+
+
+def height_field_mesh(item: "HeightField", folder: Path) -> Mesh:
+    """The triangles of a height field in the world frame, seen from above; a cell is cut from south-west to north-east.
+
+    Raises SceneError if its file cannot be used.
+    """
+    heights = read_heights(folder / item.file) if item.file else np.array(item.heights_m)
+    high = np.abs(heights * item.scale + item.position_m[2]).max()
+    if not high <= COORDINATE_MAX_M:
+        raise SceneError(f"{item.file}: a height is {high:g} m; allowed: at most {COORDINATE_MAX_M:g}")
+    rows, columns = heights.shape
+    vertices = np.empty((rows, columns, 3))
+    vertices[..., 0] = np.arange(columns) * item.cell_m
+    vertices[..., 1] = np.arange(rows)[::-1, None] * item.cell_m
+    vertices[..., 2] = heights * item.scale
+    index = np.arange(rows * columns).reshape(rows, columns)
+    west, east, low_west, low_east = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    triangles = np.stack([low_west, low_east, east, low_west, east, west], axis=-1)
+    return vertices.reshape(-1, 3) + item.position_m, triangles.reshape(-1, 3)
+
+
+def read_heights(path: Path) -> Array:
+    """(rows, columns): the grid in a file, as it stands there. Raises SceneError."""
+    check_readable(path, FILE_MAX)
+    if path.suffix.lower() not in SUFFIXES:
+        raise SceneError(f"{path}: is no height field; allowed: {', '.join(SUFFIXES)}")
+    with _described(path):
+        found = _png(path) if path.suffix.lower() == ".png" else _npy(path)
+        if odd := np.argwhere(~np.isfinite(found)).tolist():
+            row, column = odd[0]
+            raise SceneError(f"{path}: row {row}, column {column} is {found[row, column]:g}; a height must be finite")
+    return found
+
+
+def _npy(path: Path) -> Array:
+    """The array of a .npy file, unread until its size is known."""
+    mapped: NDArray[np.generic] = np.load(path, mmap_mode="r", allow_pickle=False)
+    if mapped.ndim != 2 or mapped.dtype.kind not in "iuf":
+        raise SceneError(f"{path}: has {mapped.ndim} axes of {mapped.dtype}; allowed: 2, rows and columns, of numbers")
+    _check_size(path, *mapped.shape)
+    return np.array(mapped, np.float64)
+
+
+def _png(path: Path) -> Array:
+    """The grey levels of an image."""
+    from PIL import Image
+
+    with open(path, "rb") as file:
+        head = file.read(IHDR.size)
+    if not head.startswith(PNG) or len(head) < IHDR.size:
+        raise SceneError(f"{path}: is no PNG file")
+    columns, rows, bits, colour = IHDR.unpack(head)
+    if colour != GREY or bits not in BITS:
+        raise SceneError(f"{path}: is not an image in grey of 8 or 16 bits; colours are no heights")
+    _check_size(path, rows, columns)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked
+        with Image.open(path, formats=["PNG"]) as image:
+            return np.array(image, np.float64)
+
+
+def _check_size(path: Path, rows: int, columns: int) -> None:
+    """Raises SceneError for a grid without a cell, or with more than are used."""
+    if min(rows, columns) < 2:
+        raise SceneError(f"{path}: has {rows} × {columns} heights; allowed: at least 2 × 2")
+    cells = (rows - 1) * (columns - 1)
+    if cells > CELLS_MAX:
+        size = f"{cells:,} cells, which take {cells * CELL_BYTES / 1e9:,.0f} GB of memory"
+        raise SceneError(f"{path}: has {size}; allowed: at most {CELLS_MAX:,} cells")
+    check_memory(f"{path}: a height field of {cells:,} cells", cells * CELL_BYTES)
+
+
+@contextmanager
+def _described(path: Path) -> Iterator[None]:
+    """What NumPy and Pillow raise for a damaged file, as SceneError."""
+    try:
+        yield
+    except (ValueError, OSError, SyntaxError, EOFError, struct.error, MemoryError) as error:
+        what = " ".join(str(error).split())[:200] or type(error).__name__
+        raise SceneError(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}") from None

@@ -1,0 +1,102 @@
+"""glTF files of several nodes, each of which becomes an object. Read by trimesh."""
+
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from lidarcfg.errors import SceneError
+from lidarcfg.geometry import transform
+from lidarcfg.world.meshes import FILE_MAX, Mesh, check_mesh, check_readable, joined, placed
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from lidarcfg.world.scene import GltfModel
+
+SUFFIXES = ".gltf", ".glb"
+Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # of y up: -z becomes y
+SHOWN = 8  # names in a message
+SEVERAL = "from_gltf_primitive"  # trimesh's mark of a mesh that is one of a node's several
+# What trimesh raises for damaged files: of JSON and of numpy, of keys and indices that are not there, and its asserts.
+ERRORS = (
+    *(ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error),
+    *(AssertionError, RecursionError, MemoryError, OverflowError, NotImplementedError, OSError),
+)
+
+
+class Part(NamedTuple):
+    """The triangles of one material of a node."""
+
+    node: str
+    material: str  # empty where the file names none
+    mesh: Mesh  # in the file's units, z up
+
+
+def model_objects(item: "GltfModel", folder: Path) -> list[tuple["GltfModel", Mesh]]:
+    """The nodes of a model as objects in the world frame, in the order of their names.
+
+    A node of several materials is several objects, NODE/MATERIAL. Raises SceneError.
+    """
+    path = folder / item.file
+    parts = read_parts(path)
+    _check_known(path, "node", item.nodes or (), sorted({part.node for part in parts}))
+    _check_known(path, "material", item.materials, sorted({part.material for part in parts} - {""}))
+    out: list[tuple[GltfModel, Mesh]] = []
+    for part in parts:
+        if item.nodes is None or part.node in item.nodes:
+            several = sum(other.node == part.node for other in parts) > 1
+            values = {
+                "name": f"{item.name}/{part.node}" + f"/{part.material}" * several,
+                "reflectivity": item.materials.get(part.material, item.reflectivity),
+            }
+            out.append((item.model_copy(update=values), placed(part.mesh, item)))
+    return out
+
+
+def read_parts(path: Path) -> list[Part]:
+    """The triangles of a glTF file by node and material, where its nodes' transforms have them. Raises SceneError."""
+    import trimesh
+
+    check_readable(path, FILE_MAX)
+    if path.suffix.lower() not in SUFFIXES:
+        raise SceneError(f"{path}: is no glTF file; allowed: {', '.join(SUFFIXES)}")
+    try:
+        found = sorted(_pieces(path, trimesh.load_scene(path, process=False)), key=itemgetter(0, 1, 2))
+    except ERRORS as error:
+        what = " ".join(str(error).split())[:200] or type(error).__name__
+        raise SceneError(f"{path}: not a whole glTF file: {what}") from None
+    if not found:
+        raise SceneError(f"{path}: no triangles in any of its nodes")
+    groups = groupby(found, itemgetter(0, 1))
+    return [Part(node, material, joined([one[-1] for one in own])) for (node, material), own in groups]
+
+
+def _pieces(path: Path, scene: "trimesh.Scene") -> Iterator[tuple[str, str, str, Mesh]]:
+    """Node, material, trimesh's name and triangles of everything that the nodes show."""
+    for name in scene.graph.nodes_geometry:
+        T_scene_node, geometry = scene.graph[name]
+        shape = scene.geometry[str(geometry)]
+        if not len(getattr(shape, "faces", ())):  # lines or points
+            continue
+        node = scene.graph.transforms.parents[name] if shape.metadata.get(SEVERAL) else name
+        material = getattr(getattr(shape.visual, "material", None), "name", None) or ""
+        mesh = transform(Z_UP @ T_scene_node, np.array(shape.vertices, np.float64)), np.array(shape.faces, np.int64)
+        check_mesh(f"{path}: node {node!r}", mesh)
+        if not np.ptp(mesh[0], axis=0).any():
+            raise SceneError(f"{path}: node {node!r} is a single point; if the file is compressed, export it without")
+        yield str(node), material, str(geometry), mesh
+
+
+def _check_known(path: Path, what: str, given: Iterable[str], known: Sequence[str]) -> None:
+    """Raises SceneError for a name that the file does not have."""
+    if unknown := [name for name in given if name not in known]:
+        close = get_close_matches(unknown[0], known, 1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        there = ", ".join(map(repr, known[:SHOWN])) + " …" * (len(known) > SHOWN)
+        raise SceneError(f"{path}: has no {what} {unknown[0]!r}; {hint}it has {there or 'none'}")
