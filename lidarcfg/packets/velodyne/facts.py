@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from lidarcfg.config import Model, fault
+from lidarcfg.config import Model, Positive, fault
 from lidarcfg.geometry import Array
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.spin import Spin
@@ -108,10 +108,19 @@ class Packet(Model):
         return () if self.product_id is None else (self.product_id, *self.old_product_ids)
 
 
+class Inertial(Model):
+    """The units of the three gyroscopes and the three accelerometers of two axes in the position packet."""
+
+    source: str
+    rate_deg_s: Positive
+    acceleration_g: Positive
+
+
 class PositionPacket(Model):
     """The facts of the position packet (512 bytes with an NMEA sentence)."""
 
     source: str
+    inertial: Inertial | None = None  # none: the bytes for it are zero
     rate_hz: Annotated[float, Field(gt=0, le=10_000)]
     sentence_without_gps: Literal["none", "since 2000"] = "none"  # the latter: as if it was switched on at 2000-01-01
 

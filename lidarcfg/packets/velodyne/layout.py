@@ -19,9 +19,9 @@ BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOT
 PACKET = np.dtype([("blocks", BLOCK, (BLOCKS,)), ("stamp_us", "<u4"), ("return_mode", "u1"), ("product_id", "u1")])
 POSITION = np.dtype(
     {
-        "names": ["stamp_us", "pps", "nmea"],
-        "formats": ["<u4", "u1", "S128"],
-        "offsets": [198, 202, 206],
+        "names": ["inertial", "stamp_us", "pps", "nmea"],  # three groups of gyroscope, temperature, accelerometer x, y
+        "formats": [("<u2", (3, 4)), "<u4", "u1", "S128"],
+        "offsets": [14, 198, 202, 206],
         "itemsize": 512,
     }
 )

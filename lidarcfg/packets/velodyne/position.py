@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Payloads, Times
-from lidarcfg.packets.velodyne.facts import PpsState, Settings, Unit
+from lidarcfg.packets.inertial import measured
+from lidarcfg.packets.velodyne.facts import Inertial, PpsState, Settings, Unit
 from lidarcfg.packets.velodyne.layout import POSITION, PPS_STATES, octets_of, stamp_us
 from lidarcfg.units import SECOND_NS
 
@@ -41,6 +43,8 @@ def position_payloads(
         times_ns = start_ns + np.array([int(number * period_ns) for number in numbers], np.int64)
         nmea = sentences(unit, settings, trajectory, origin, start_ns, times_ns)
         packets = position_packets(times_ns, settings.pps, nmea)
+        if facts.inertial:
+            packets["inertial"] = inertial(facts.inertial, *measured(mount, trajectory, np.zeros(3), times_ns))
         sent_ns = (times_ns + 500) // 1000 * 1000
         yield Payloads(sent_ns, octets_of(packets), mount.telemetry_port, headers, headers.position, first)
 
@@ -52,6 +56,19 @@ def position_packets(time_ns: Times, pps: PpsState, nmea: Sequence[bytes]) -> ND
     packets["pps"] = PPS_STATES.index(pps)
     packets["nmea"] = nmea
     return packets
+
+
+def inertial(facts: Inertial, acceleration_g: Array, rate_deg_s: Array) -> NDArray[np.uint16]:
+    """(n, 3, 4) of what is measured (n, 3) ahead, to the left and up: 12 bits of two's complement, and 4 of the kind.
+
+    Temperatures are 0, 25 degrees. Each gyroscope turns about the axis across its accelerometer's two.
+    """
+    ahead, left, up = np.rint(acceleration_g / facts.acceleration_g).T
+    turns = np.rint(rate_deg_s / facts.rate_deg_s)
+    none = np.zeros(len(turns))
+    groups = [(turns[:, 0], none, up, left), (turns[:, 1], none, up, -ahead), (turns[:, 2], none, -left, -ahead)]
+    values = np.moveaxis(np.array(groups), 2, 0).clip(-2048, 2047).astype(np.int64)
+    return (values % 4096 + 4096 * np.arange(4)).astype(np.uint16)
 
 
 def sentences(
