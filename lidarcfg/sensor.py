@@ -235,7 +235,7 @@ class Sensor(Model):
 
 def catalogue(codec: str | None = None) -> dict[str, Path]:
     """The sensor files that come with the project, by name; only those with a codec, if one is given."""
-    files = sorted(shipped("sensors").glob("*.yaml"))
+    files = sorted(shipped("sensors").glob("*.yaml"), key=lambda path: path.stem)
     line = re.compile(rf"^codec: {codec}\b", re.MULTILINE)
     return {path.stem: path for path in files if codec is None or line.search(path.read_text("utf-8"))}
 

@@ -172,7 +172,7 @@ def test_what_is_promised_and_what_is_reported():
         ("jerry_vlp16", "vlp-16", 2.43, 109.848),
         ("nebula_vlp16", "vlp-16", 0.5, 14.624),
         ("veloview_hdl32e_monterey", "hdl-32e", 1.35, 105.292),
-        ("nebula_vls128", "vls-128", 1.076, 238.68),
+        ("nebula_vls128", "vls-128-2020", 1.076, 238.68),
         ("nebula_vlp32", "vlp-32c", 0.712, 24.008),
     ],
 )

@@ -33,7 +33,7 @@ def identify(where: str, packets: Packets, known: Sequence[Unit]) -> Unit:
         raise PacketError(f"{where} sends a packet every {gap_us:g} us; {_periods(candidates, packets)}; give --model")
     if gap_us:
         fits.sort(key=lambda unit: abs(gap_us - _period_us(unit, packets)))  # stable: else in the order of names
-    elif any(unit.firing != fits[0].firing for unit in fits):
+    elif any(unit.sensor.beams != fits[0].sensor.beams for unit in fits):  # of two clocks, the first by name
         raise PacketError(f"{where} may be {' or '.join(unit.name for unit in fits)}; give --model")
     return fits[0]
 

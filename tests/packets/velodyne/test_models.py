@@ -65,7 +65,7 @@ RECORDINGS = {
     "nebula_vlp16": "vlp-16",
     "veloview_hdl32e_monterey": "hdl-32e",
     "nebula_vlp32": "vlp-32c",
-    "nebula_vls128": "vls-128",
+    "nebula_vls128": "vls-128-2020",
 }
 
 
@@ -276,15 +276,15 @@ def test_real_recordings(name, tmp_path):
         datagrams = [d for d in read_datagrams(path, no_warning) if len(d.payload) == 1206]
         write_pcap(tmp_path / "a.pcap", [replace(d, payload=d.payload[:-1] + b"\x22") for d in datagrams])
         path = tmp_path / "a.pcap"
-    theirs = list(elsewhere(path, OTHERS[model]))
+    theirs = list(elsewhere(path, OTHERS[model.removesuffix("-2020")]))
     unturned = 0
     if name == "nebula_vlp32":
         keep = np.concatenate([np.full(count, not cut) for count, cut in cut_packets(path)])
         ours = ours_where(ours, keep)
         theirs = [column[keep] for column in theirs]
     if name == "nebula_vls128":
-        unturned = ours.time_ns.min() + 150_000
-    agree(ours, *theirs[:4], 20e-6 if model == "vls-128" else 2e-6, unturned_ns=unturned)
+        unturned = ours.time_ns.min() + 160_000
+    agree(ours, *theirs[:4], 20e-6 if "vls-128" in model else 2e-6, unturned_ns=unturned)
     if name == "nebula_vlp16":
         assert (ours.return_type == 1).sum() == (theirs[4] == 2).sum() == 1236
         assert (ours.return_type != 1).sum() == len(ours.xyz) - 1236
@@ -772,3 +772,33 @@ def test_a_calibration_that_makes_no_sense(tmp_path):
     write(tmp_path / "a.pcap", bad, *calibrating(bad))
     with pytest.raises(PacketError, match=r"carry a calibration that no sensor has: .*95 is outside the allowed"):
         whole(tmp_path / "a.pcap")
+
+
+def test_both_clocks_of_a_vls_128(tmp_path):
+    """Two files that are alike but for the clock; a capture is taken for the one whose rate it has, alone for the manual's."""
+    one, other = (load_sensor(name) for name in ("vls-128", "vls-128-2020"))
+    assert facts(one).firing.sequence_ns == pytest.approx(1e9 / 18760, abs=6)  # the published rate
+    firing = {"firing": {key: facts(one).firing.model_dump()[key] for key in ("sequence_ns", "source")}}
+    same = {"name": one.name, "description": one.description}
+    assert with_facts(other, **firing).model_copy(update=same) == one
+    for name in ("vls-128", "vls-128-2020"):
+        for mode in ("strongest", "dual"):
+            sensor, packets, fired, *_ = sent(name, mode)
+            datagrams, stats = write(tmp_path / "a.pcap", sensor, packets, fired), []
+            write_pcap(tmp_path / "b.pcap", datagrams[:1])
+            for file in ("a.pcap", "b.pcap"):
+                list(decode_pcap(tmp_path / file, no_warning, on_stats=stats.append))
+            assert [one.models for one in stats] == [(name,), ("vls-128",)]
+
+
+def test_the_recorded_vls_128_has_its_own_clock():
+    """Stamps of the bytes alone: a packet every 165.83 us, and three sequences in each."""
+    packets = [one.payload for one in read_datagrams(recording("nebula_vls128.pcap"), no_warning)]
+    stamps_us = np.array([int.from_bytes(payload[1200:1204], "little") for payload in packets])
+    period_us = (stamps_us[-1] - stamps_us[0]) / (len(stamps_us) - 1)
+    assert period_us == pytest.approx(165.83, abs=0.005)
+    assert packet_period_ns(load_sensor("vls-128-2020")) / 1000 == pytest.approx(period_us, abs=0.005)
+    stats = []
+    list(decode_pcap(recording("nebula_vls128.pcap"), no_warning, on_stats=stats.append))
+    assert stats[0].models == ("vls-128-2020",)
+    assert stats[0].lost == 0
