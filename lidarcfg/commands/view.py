@@ -9,10 +9,13 @@ import cloup
 
 from lidarcfg.commands.options import (
     FILE,
+    START,
+    START_HELP,
     Png,
     from_option,
     load_trajectory,
     model_option,
+    nanoseconds,
     quiet_option,
     sensor_option,
     to_option,
@@ -67,17 +70,22 @@ def camera_numbers(text: str) -> tuple[float, ...]:
 )
 @cloup.option_group(
     "Captures",
-    cloup.option("--rig", type=FILE, help="The rig that recorded the captures: merges them by its poses."),
+    cloup.option("--rig", type=FILE, help="The rig that recorded the captures.  [default: as their export noted]"),
     model_option,
     from_option,
     to_option,
     sensor_option,
 )
 @cloup.option_group(
-    "Display",
+    "Motion",
+    cloup.option("--trajectory", type=FILE, help="How the vehicle drives: points are deskewed.  [default: as noted]"),
     cloup.option(
-        "--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: 0,0,0]"
+        "--at", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: as noted, or 0,0,0]"
     ),
+    cloup.option("--start", metavar="TIME", help="When it starts to drive; " + START_HELP),
+)
+@cloup.option_group(
+    "Display",
     cloup.option(
         "--colour",
         type=click.Choice(COLOURS),
@@ -118,7 +126,9 @@ def view(
     from_s: float,
     to_s: float,
     sensors: tuple[str, ...],
-    at: str,
+    trajectory: Path | None,
+    at: str | None,
+    start: str | None,
     colour: Any,
     worst: int,
     camera: tuple[float, ...] | None,
@@ -133,20 +143,24 @@ def view(
 
     Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study the
     rig's sensors can be dragged, and max VSR and the worst subspaces follow. Ground truth (export --truth) given
-    beside its capture names the object that each point lies on.
+    beside its capture names the object that each point lies on. Rig, scene, vehicle and trajectory of an exported
+    capture are taken from the .pcap.yaml beside it.
     """
     import numpy as np
 
     from lidarcfg.capture.selection import Selection
     from lidarcfg.view.camera import Camera
     from lidarcfg.view.page import page_of, save_html
+    from lidarcfg.view.recorded import Recorded, recorded
     from lidarcfg.view.stage import load_stage
     from lidarcfg.view.still import save_still
     from lidarcfg.view.window import show_window
 
     seen_from = Camera(np.array(camera[:3]), np.array(camera[3:6]), *camera[6:]) if camera else None
-    T_world_vehicle = load_trajectory(None, at, 0).T_world_start
-    stage = load_stage(files, rig, model, T_world_vehicle, warn, Selection(from_s, to_s, sensors))
+    given = Recorded(rig, trajectory=trajectory, at=at, start=start)
+    paths, known = recorded(files, given, warn)
+    drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
+    stage = load_stage(paths, known.rig, model, drive, warn, Selection(from_s, to_s, sensors), known.vehicle)
     count = len(stage.cloud.xyz)
     if png:
         save_still(stage, png, size, seen_from, colour, worst)
@@ -155,7 +169,7 @@ def view(
     if window:
         show_window(stage, colour)
     if html or not (png or window):
-        page = page_of(stage, colour, seen_from, worst)
+        page = page_of(stage, colour, seen_from, worst, served=html is None)
         if html:
             save_html(page, html)
             if not quiet:

@@ -94,13 +94,22 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
             )
         )
     seen = _sightings(study, rig)
-    rates = {
-        item.name: seen[item.name].detection if item.name in seen else detection(subspaces, item)
-        for item in study.detection
-    }
+    rates = _rates(study, subspaces, seen)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
     zones, seconds = by_zone(study, subspaces), time.perf_counter() - started
     return Evaluation(subspaces, vsr, tuple(worst), float(radius.max()), rates, seen, blind, zones, converged, seconds)
+
+
+def detection_rates(study: Study, rig: Rig, subspaces: Subspaces) -> dict[str, Detection]:
+    """How often each of the study's objects is detected, by its name. Raises ConfigError."""
+    return _rates(study, subspaces, _sightings(study, rig))
+
+
+def _rates(study: Study, subspaces: Subspaces, seen: dict[str, Sightings]) -> dict[str, Detection]:
+    return {
+        item.name: seen[item.name].detection if item.name in seen else detection(subspaces, item)
+        for item in study.detection
+    }
 
 
 def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:

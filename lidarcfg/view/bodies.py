@@ -12,6 +12,7 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import centroid_m, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.sensitivity import ZoneVsr, by_zone
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.placement.subspace import Subspaces, segment
@@ -50,6 +51,7 @@ class RigScore:
     subspaces: int
     worst: tuple[Body, ...]  # worst first
     blind: Blind | None  # None: nothing limits the sight of the LiDARs
+    zones: tuple[ZoneVsr, ...]  # of studies that have some
 
 
 def hides(study: Study) -> bool:
@@ -80,7 +82,8 @@ def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigS
         )
         for number in np.argsort(-vsr, kind="stable")[:worst].tolist()
     ]
-    return RigScore(float(vsr.max()), len(spaces), tuple(bodies), _blind(spaces) if study.visibility else None)
+    blind = _blind(spaces) if study.visibility else None
+    return RigScore(float(vsr.max()), len(spaces), tuple(bodies), blind, by_zone(study, spaces))
 
 
 def _blind(spaces: Subspaces) -> Blind:
@@ -134,6 +137,13 @@ def bases_m(study: Study, rig: Rig) -> Array:
             middle = np.broadcast_to(rim[:-1].mean(axis=0), (len(rim) - 1, 3))
             found.append(np.stack([middle, rim[:-1], rim[1:]], axis=1))
     return np.concatenate(found)
+
+
+def mirrored_pairs(study: Study, rig: Rig) -> list[tuple[int, int, float]]:
+    """A sensor, its mirror image and the y of the plane between them; none for a rig with other sensors."""
+    if not has_its_sensors(study, rig):
+        return []
+    return [(i - 1, i, y_m) for i, y_m in enumerate(study.mirror.tolist()) if not np.isnan(y_m)]
 
 
 def has_its_sensors(study: Study, rig: Rig) -> bool:

@@ -32,6 +32,7 @@ BLIND = "#A98BFF"
 VEHICLE = "#C3CAD4"
 SEAT = "#2A9D5C"
 BASE = "#101418"
+ZONE = "#F0E442"
 DIFFUSE = 100  # intensities up to here are diffuse, in per cent
 
 

@@ -2,8 +2,7 @@
 
 import base64
 import json
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -19,32 +18,28 @@ from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
-from lidarcfg.view.bodies import (
-    bases_m,
-    faces,
-    has_its_sensors,
-    hides,
-    other_max_vsr_m,
-    score,
-    seats_m,
-    violations,
-)
+from lidarcfg.view.bodies import bases_m, faces, has_its_sensors, hides, mirrored_pairs, seats_m
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import COLOUR_BY, By, colour
+from lidarcfg.view.evaluation import evaluation, rates
+from lidarcfg.view.packed import packed_mesh, packed_quads
+from lidarcfg.view.scenery import parts
 from lidarcfg.view.shades import span
 from lidarcfg.view.stage import Stage
 from lidarcfg.view.still import GROUND_M
+from lidarcfg.view.timeline import Timeline, timeline, tracks
 
 ASSETS = Path(__file__).parent / "web"
 MODULES = {"three": "vendor/three.js"} | {
     f"lidarcfg/{name}": f"{name}.js"
     for name in (
-        *("main", "data", "stage", "colours", "cloud", "points", "raster"),
-        *("labels", "bodies", "sensors", "handles", "measure", "panel"),
+        *("main", "data", "stage", "colours", "cloud", "points", "raster", "labels", "bodies", "sensors"),
+        *("handles", "history", "rig", "measure", "time", "tracks", "guides", "panel", "keys"),
     )
 }
 BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
-FRAME_NS = 100_000_000  # one revolution at 600 rpm
+SURROUNDINGS_M, ALONE_M = 40.0, 4.0  # shown around the vehicle in a scene, and around sensors without anything else
+SIDES = np.array([side for side in np.ndindex(3, 3, 3)]) - 1.0  # to look for outermost places
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
 
 
@@ -56,25 +51,29 @@ class Page:
     arrays: dict[str, NDArray[Any]]  # of the points, little-endian
 
 
-def page_of(stage: Stage, by: By = "sensor", camera: Camera | None = None, worst: int = 3) -> Page:
-    """All that the page shows. Raises CloudError if there is nothing to show, or the colour is unknown."""
+def page_of(
+    stage: Stage, by: By = "sensor", camera: Camera | None = None, worst: int = 3, served: bool = False
+) -> Page:
+    """All that the page shows; if it is served it asks for detection rates itself.
+
+    Raises CloudError if there is nothing to show, or the colour is unknown.
+    """
     if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
         raise CloudError("the cloud is empty; there is nothing to show")
     if by == "object" and stage.objects is None:
         raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
-    points, arrays = _points(stage) if len(stage.cloud.xyz) else (None, {})
-    center, radius_m = _extent(stage)
-    transparent = None
-    if stage.study and hides(stage.study):
-        transparent = evaluation(stage.study, stage.rigs[0], WORST, transparent=True)
+    line = timeline(stage)
+    points, arrays = _points(stage, line) if line and len(stage.cloud.xyz) else (None, {})
+    if line:
+        arrays["tracks"] = np.ascontiguousarray(tracks(stage, line), "<f8")
+    evaluations = _evaluations(stage.study, stage.rigs[0], served) if stage.study else [None, None]
     about = {
         "version": __version__,
         "by": by,
         "worst": worst,
         "camera": camera
         and {"eye_m": camera.eye_m.tolist(), "target_m": camera.target_m.tolist(), "field_deg": camera.field_deg},
-        "center_m": center.tolist(),
-        "radius_m": radius_m,
+        "opening": _opening(stage, evaluations[0], worst).tolist(),
         "colours": {
             "background": colours.NIGHT,
             "scale": list(colours.SCALE),
@@ -87,53 +86,30 @@ def page_of(stage: Stage, by: By = "sensor", camera: Camera | None = None, worst
             "vehicle": colours.VEHICLE,
             "seat": colours.SEAT,
             "base": colours.BASE,
+            "zone": colours.ZONE,
         },
         "sensors": [{"name": name, "colour": code} for name, code in stage.colours.items()],
         "points": points,
+        "timeline": line and _timeline(line, stage),
         "rigs": [{"name": rig.name, "mounts": [_mount(m) for m in rig.mounts]} for rig in stage.rigs],
         "study": stage.study and _study(stage.study, stage.rigs[0]),
-        "evaluation": stage.study and evaluation(stage.study, stage.rigs[0], WORST),
-        "transparent": transparent,
-        "vehicle": stage.study and stage.study.vehicle and {"mesh": _mesh(*stage.study.vehicle.scene.mesh())},
-        "scenes": [_scene(stage, i) for i in range(len(stage.scenes))],
+        "mirrored": mirrored_pairs(stage.study, stage.rigs[0]) if stage.study else [],
+        "evaluation": evaluations[0],
+        "transparent": evaluations[1],
+        "vehicle": stage.vehicle and {"mesh": packed_mesh(*stage.vehicle.scene.mesh())},
+        "ground_m": _ground_m(stage),
+        "scenes": _scenes(stage),
     }
     return Page(about, arrays)
 
 
-def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) -> dict[str, Any]:
-    """What the page shows of a rig in a study, where nothing hides anything if it is `transparent`."""
-    found = score(study, rig, worst, transparent)
-    return {
-        "transparent": transparent,
-        "other_max_vsr_m": other_max_vsr_m(study, rig, transparent) if hides(study) else None,
-        "blind": found.blind
-        and {
-            "volume_m3": found.blind.volume_m3,
-            "fraction": found.blind.fraction,
-            "mesh": _quads(found.blind.faces_m),
-        },
-        "max_vsr_m": found.max_vsr_m,
-        "subspaces": found.subspaces,
-        "violations": violations(study, rig),
-        "worst": [
-            {
-                "vsr_m": body.vsr_m,
-                "volume_m3": body.volume_m3,
-                "centroid_m": body.centroid_m.tolist(),
-                "mesh": _quads(body.faces_m),
-            }
-            for body in found.worst
-        ],
-    }
-
-
-def moved(rig: Rig, poses: Array) -> Rig:
-    """The rig with other poses (mounts, 6) of x, y, z, roll, pitch, yaw in metres and radians."""
-    mounts = [
-        replace(mount, position_m=(x, y, z), rpy_rad=(roll, pitch, yaw))
-        for mount, (x, y, z, roll, pitch, yaw) in zip(rig.mounts, poses.tolist(), strict=True)
-    ]
-    return replace(rig, mounts=tuple(mounts))
+def _evaluations(study: Study, rig: Rig, served: bool) -> list[dict[str, Any] | None]:
+    """Of the rig as it was given: as things are, and where something hides also as if nothing did."""
+    found: list[dict[str, Any] | None] = [None, None]
+    for transparent in (False, True) if hides(study) else (False,):
+        given = None if served else rates(study, rig, transparent)
+        found[transparent] = evaluation(study, rig, WORST, transparent) | {"rates": given}
+    return found
 
 
 def html(page: Page | None) -> str:
@@ -169,12 +145,10 @@ def _data_url(code: bytes) -> str:
     return f"data:text/javascript;base64,{base64.b64encode(code).decode()}"
 
 
-def _points(stage: Stage) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _points(stage: Stage, line: Timeline) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     cloud = stage.cloud
-    start_ns, end_ns = int(cloud.time_ns.min()), int(cloud.time_ns.max())
-    unit_ns = max(1000, math.ceil((end_ns - start_ns + 1) / 2**32))
-    time = ((cloud.time_ns - start_ns) // unit_ns).astype(np.uint32)
-    bins = (time * (BINS / (int(time.max()) + 1))).astype(np.uint8)
+    time = ((cloud.time_ns - line.start_ns) // line.unit_ns).astype(np.uint32)
+    bins = (time * (BINS / (line.end + 1))).astype(np.uint8)
     order = np.random.default_rng(1).permutation(len(time))
     order = order[np.argsort(bins[order], kind="stable")]
     origin = np.round(np.median(cloud.xyz[:: max(len(time) // 10_000, 1)], axis=0))
@@ -188,18 +162,13 @@ def _points(stage: Stage) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     }
     if stage.objects:
         arrays["thing"] = stage.objects.index.astype("<u2", copy=False)[order]
-    frame_ns = round(6e10 / min(m.rpm for m in stage.rigs[0].mounts)) if stage.rigs else FRAME_NS
-    frame = max(round(frame_ns / unit_ns), 1)
     counts = np.bincount(cloud.sensor, minlength=len(cloud.sensor_names))
     about = {
         "count": len(time),
         "origin_m": origin.tolist(),
         "bins": [0, *np.cumsum(np.bincount(bins, minlength=BINS)).tolist()],
-        "start": _utc(start_ns),
-        "unit_s": unit_ns / 1e9,
-        "end": int(time.max()),
-        "frame": frame,
-        "frames": np.unique(time // np.uint32(frame)).tolist(),
+        "unit_s": line.unit_ns / 1e9,
+        "end": line.end,
         "sensors": [
             {"name": name, "count": int(count)} for name, count in zip(cloud.sensor_names, counts, strict=True)
         ],
@@ -207,6 +176,17 @@ def _points(stage: Stage) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         "spans": {by: span(stage, by) for by in COLOUR_BY if by not in ("sensor", "object")},
     }
     return about, arrays
+
+
+def _timeline(line: Timeline, stage: Stage) -> dict[str, Any]:
+    return {
+        "start": _utc(line.start_ns),
+        "unit_s": line.unit_ns / 1e9,
+        "end": line.end,
+        "frame": line.frame,
+        "frames": line.frames.tolist(),
+        "drives": not stage.trajectory.path.is_static,
+    }
 
 
 def _objects(stage: Stage) -> list[dict[str, Any]] | None:
@@ -228,25 +208,38 @@ def _utc(time_ns: int) -> str:
         return f"{seconds} s since 1970"
 
 
-def _extent(stage: Stage) -> tuple[Array, float]:
-    """(3,) what to look at first, and the radius of what is around it, in metres."""
-    centres, radii = [], []
-    if stage.study:
-        low, high = stage.study.region.min_m, stage.study.region.max_m
-        centres.append((low + high) / 2)
-        radii.append(float(np.linalg.norm(high - low)) / 2)
-    if stage.rigs:
-        centres.insert(0, np.mean([mount.position_m for rig in stage.rigs for mount in rig.mounts], axis=0))
-        radii.append(5.0)
-    if len(stage.cloud.xyz):
+def _opening(stage: Stage, found: dict[str, Any] | None, worst: int) -> Array:
+    """(n, 3) outermost places of what the page shows whole when it opens: the vehicle, its sensors and the worst
+    subspaces; without a study also most of the points, or the scene around."""
+    corners = [np.array([mount.position_m for rig in stage.rigs for mount in rig.mounts]).reshape(-1, 3)]
+    if stage.vehicle:
+        corners.append(stage.vehicle.scene.mesh()[0])
+    if stage.study and found:
+        corners += [_corners(body["mesh"]) for body in found["worst"][:worst]]
+    elif len(stage.cloud.xyz):
         some = stage.cloud.xyz[:: max(len(stage.cloud.xyz) // 10_000, 1)]
-        centres.append(np.median(some, axis=0))
-        away = np.linalg.norm(some - centres[0], axis=1)
-        radii.append(min(max(float(np.percentile(away, 70)), 2.0), 60.0))
-    if not centres:
-        centres.append(np.zeros(3))
-        radii.append(40.0)
-    return centres[0], max(radii)
+        middle = corners[0].mean(axis=0) if len(corners[0]) else np.median(some, axis=0)
+        away = np.linalg.norm(some - middle, axis=1)
+        corners.append(some[away <= np.clip(np.percentile(away, 70), 2.0, 60.0)])
+    elif stage.scenes or not len(corners[0]):
+        corners.append(np.array([[-SURROUNDINGS_M, -SURROUNDINGS_M, 0], [SURROUNDINGS_M, SURROUNDINGS_M, 0]]))
+    else:
+        corners += [corners[0] - ALONE_M, corners[0] + ALONE_M]
+    return np.concatenate([some[np.argmax(some @ SIDES.T, axis=0)] for some in corners if len(some)])
+
+
+def _corners(mesh: dict[str, Any]) -> Array:
+    """(V, 3) the vertices of a packed mesh."""
+    vertices = np.frombuffer(base64.b64decode(mesh["vertices"]), "<f4").reshape(-1, 3)
+    return np.asarray(vertices + np.array(mesh["origin_m"]), np.float64)
+
+
+def _ground_m(stage: Stage) -> float:
+    """The height of the grid and of the range rings: the region's floor, or the ground's, or 0."""
+    if stage.study:
+        return float(stage.study.region.min_m[2])
+    heights = [_ground_center_m(stage, scene.file.ground.z_m)[2] for scene in stage.scenes if scene.file.ground]
+    return heights[0] if heights else 0.0
 
 
 def _mount(mount: Mount) -> dict[str, Any]:
@@ -269,7 +262,7 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         "max_m": study.region.max_m.tolist(),
         "cuboid_m": study.region.cuboid_m.tolist(),
         "cuboids": int(study.region.included.sum()),
-        "excluded": _quads(faces(study.region, ~study.region.included)),
+        "excluded": packed_quads(faces(study.region, ~study.region.included)),
         "bounds": [
             {"min_m": low[:3].tolist(), "max_m": high[:3].tolist()}
             for low, high, mirror in zip(study.lower, study.upper, study.mirror, strict=True)
@@ -277,40 +270,42 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         ]
         if ours
         else [],
-        "seats": _quads(seats_m(study)) if ours else None,
-        "bases": _mesh(bases.reshape(-1, 3), np.arange(3 * len(bases)).reshape(-1, 3)) if len(bases) else None,
+        "seats": packed_quads(seats_m(study)) if ours else None,
+        "bases": packed_mesh(bases.reshape(-1, 3), np.arange(3 * len(bases)).reshape(-1, 3)) if len(bases) else None,
+        "zones": [
+            {"name": zone.name, "weight": zone.weight, "min_m": zone.box_m[0].tolist(), "max_m": zone.box_m[1].tolist()}
+            for zone in study.zones
+            if zone.box_m
+        ],
+        "detects": len(study.detection) > 0,
     }
 
 
-def _scene(stage: Stage, index: int) -> dict[str, Any]:
-    scene = stage.scenes[index]
-    vertices, triangles = scene.mesh()
-    vertices = transform(stage.T_vehicle_world, vertices)
-    ground = None
-    if scene.file.ground:
-        x, y, z = transform(stage.T_vehicle_world, [[*stage.T_world_vehicle[:2, 3], scene.file.ground.z_m]])[0].tolist()
-        ground = {"center_m": [x, y, z], "half_m": GROUND_M}
-    return {
-        "name": scene.file.name,
-        "objects": len(scene.names),
-        "mesh": _mesh(vertices, triangles) if len(triangles) else None,
-        "ground": ground,
-    }
+def _scenes(stage: Stage) -> list[dict[str, Any]]:
+    """The scenes: what is static in the page's frame, and dynamic objects in their own, each with its track."""
+    found, T, track = [], stage.T_vehicle_world, 0  # the first track is the vehicle's
+    for scene in stage.scenes:
+        static, dynamic = None, []
+        for part in parts(scene):
+            if part.path:
+                track += 1
+                dynamic.append({"mesh": packed_mesh(*part.mesh), "track": track})
+            else:
+                static = packed_mesh(transform(T, part.mesh[0]), part.mesh[1])
+        ground = scene.file.ground
+        found.append(
+            {
+                "name": scene.file.name,
+                "objects": len(scene.names),
+                "mesh": static,
+                "dynamic": dynamic,
+                "ground": ground and {"center_m": _ground_center_m(stage, ground.z_m), "half_m": GROUND_M},
+            }
+        )
+    return found
 
 
-def _quads(quads: Array) -> dict[str, Any] | None:
-    """The mesh of quads (F, 4, 3), or none."""
-    if not len(quads):
-        return None
-    first = 4 * np.arange(len(quads))[:, None, None]
-    return _mesh(quads.reshape(-1, 3), (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3))
-
-
-def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> dict[str, Any]:
-    """Vertices (V, 3) relative to an origin of their own, so that float32 suffices anywhere."""
-    origin = vertices[0]
-    return {
-        "origin_m": origin.tolist(),
-        "vertices": base64.b64encode((vertices - origin).astype("<f4").tobytes()).decode(),
-        "triangles": base64.b64encode(triangles.astype("<u4").tobytes()).decode(),
-    }
+def _ground_center_m(stage: Stage, z_m: float) -> list[float]:
+    """The place of a scene's ground under the vehicle."""
+    below = transform(stage.T_vehicle_world, [[*stage.T_world_vehicle[:2, 3], z_m]])[0]
+    return [float(value) for value in below]

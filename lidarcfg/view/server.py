@@ -1,6 +1,7 @@
 """The page's server, for this machine only: the page's own routes, and evaluations of the rig as it is moved."""
 
 import json
+import secrets
 import sys
 import threading
 from http import HTTPStatus
@@ -15,12 +16,14 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import WORST
 from lidarcfg.rig import Rig, rig_text
-from lidarcfg.view.page import ASSETS, MODULES, Page, evaluation, html, moved
+from lidarcfg.view.evaluation import evaluation, moved, rates
+from lidarcfg.view.page import ASSETS, MODULES, Page, html
 from lidarcfg.view.stage import Stage
 
 HERE = "127.0.0.1"
 HOSTS = (HERE, "localhost")  # any other name could be a page from elsewhere
 REQUEST_MAX = 1 << 20  # bytes
+TOKEN = "X-Lidarcfg-Token"  # a header that a page from elsewhere can neither know nor send
 IDLE_S = 30.0  # a connection that says nothing for so long is closed
 
 
@@ -31,8 +34,9 @@ class Server(ThreadingHTTPServer):
     request_queue_size = 256  # connections that wait to be accepted
 
     def __init__(self, stage: Stage, page: Page, port: int = 0) -> None:
-        self.stage, self.page, self.evaluating = stage, page, threading.Lock()
-        about = page.about | {"live": True}
+        self.stage, self.page, self.source, self.token = stage, page, stage.source, secrets.token_urlsafe()
+        self.evaluating, self.counting, self.saving = threading.Lock(), threading.Lock(), threading.Lock()
+        about = page.about | {"live": True, "token": self.token, "file": stage.source and str(stage.source.path)}
         self.texts = {
             "/": ("text/html; charset=utf-8", html(None).encode()),
             "/about.json": ("application/json", json.dumps(about, allow_nan=False).encode()),
@@ -75,20 +79,40 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         if not self._is_local():
             return
-        stage = self.server.stage
         try:
             request = self._request()
-            rig = moved(stage.rigs[0], _poses(request, stage.rigs))
-            if self.path == "/rig.yaml":
-                self._send("application/yaml", rig_text(rig).encode())
-            elif self.path == "/evaluate" and stage.study:
-                with self.server.evaluating:
-                    found = evaluation(stage.study, rig, _count(request), _transparent(request))
-                self._send("application/json", json.dumps(found, allow_nan=False).encode())
+            poses = _poses(request, self.server.stage.rigs)
+            kind, answer = self._answer(request, poses)
+            if kind:
+                self._send(kind, answer)
             else:
                 self._refuse(HTTPStatus.NOT_FOUND, f"{self.path}: no such page")
+        except OSError as error:
+            if isinstance(error, ConnectionError):
+                raise
+            self._refuse(HTTPStatus.BAD_REQUEST, f"{error.filename}: {(error.strerror or str(error)).lower()}")
         except LidarcfgError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+
+    def _answer(self, request: dict[str, Any], poses: Array) -> tuple[str, bytes]:
+        """The kind and the body of an answer; both empty if there is none. Raises ConfigError, OSError."""
+        server, study = self.server, self.server.stage.study
+        rig = moved(server.stage.rigs[0], poses)
+        if self.path == "/rig.yaml":
+            return "application/yaml", rig_text(rig).encode()
+        if self.path == "/save" and server.source:
+            if not secrets.compare_digest(self.headers.get(TOKEN, "").encode(), server.token.encode()):
+                raise ConfigError("the request does not come from the page as it is served now; reload it")
+            with server.saving:
+                server.source = server.source.saved(poses)
+            return _json({"file": str(server.source.path)})
+        if self.path == "/evaluate" and study:
+            with server.evaluating:
+                return _json(evaluation(study, rig, _count(request), _transparent(request)))
+        if self.path == "/rates" and study:
+            with server.counting:
+                return _json(rates(study, rig, _transparent(request)))
+        return "", b""
 
     def log_message(self, format: str, *args: Any) -> None:
         """Nothing is logged."""
@@ -127,6 +151,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _refuse(self, status: HTTPStatus, what: str) -> None:
         self._send("text/plain; charset=utf-8", f"{what}\n".encode(), status)
+
+
+def _json(values: Any) -> tuple[str, bytes]:
+    return "application/json", json.dumps(values, allow_nan=False).encode()
 
 
 def _poses(request: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:

@@ -1,7 +1,8 @@
 """What is shown: any mix of captures, clouds, rigs, a study and scenes, in the vehicle frame."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -15,17 +16,23 @@ from lidarcfg.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_a
 from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
-from lidarcfg.geometry import Array, inverse
+from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.inputs import check_regular
 from lidarcfg.packets.codec import pattern
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.rig import Rig, load_rig
+from lidarcfg.units import SECOND_NS
 from lidarcfg.view.colours import colour
+from lidarcfg.view.rig_source import RigSource
+from lidarcfg.world.motion import Trajectory, standing
 from lidarcfg.world.scene import Scene, SceneFile, load_scene
+from lidarcfg.world.vehicle import Vehicle, load_vehicle, rig_vehicle
 
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]
 CAPTURES = (".pcap", ".pcapng", ".cap")
 YAMLS = (".yaml", ".yml", ".json")
+APART_S = 86_400.0  # that the points may lie after the start of a trajectory
+BEFORE_S = 1.0  # that a sensor may fire before it
 MAGIC = {bytes.fromhex(code) for code in ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d", "0a0d0d0a")}
 
 
@@ -37,7 +44,10 @@ class _Keys(Model):
 
 @dataclass(frozen=True)
 class Stage:
-    """What is shown, in the vehicle frame; each part may be missing."""
+    """What is shown, in the vehicle frame; each part may be missing.
+
+    Of a vehicle that drives this is the frame at the time of the first point: all points are deskewed into it.
+    """
 
     cloud: PointCloud  # empty if neither a capture nor a cloud was given
     objects: Objects | None  # by ground truth, if given
@@ -45,11 +55,37 @@ class Stage:
     study: Study | None
     scenes: tuple[Scene, ...]
     T_world_vehicle: Array  # (4, 4)
+    drive: Trajectory | None = None  # None: the vehicle stands
+    body: Vehicle | None = None  # where there is no study, which has its own
+    source: RigSource | None = None  # the file of the first rig
 
     @property
     def T_vehicle_world(self) -> Array:  # noqa: N802
         """(4, 4), world → vehicle."""
         return inverse(self.T_world_vehicle)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Where the vehicle is at each time."""
+        return self.drive or standing(self.T_world_vehicle)
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """The bodies that the sensors are mounted on."""
+        return self.study.vehicle if self.study else self.body
+
+    @cached_property
+    def first_ns(self) -> int:
+        """The time of the first point; without points that of the trajectory's first pose, or its start."""
+        if len(self.cloud.time_ns):
+            return int(self.cloud.time_ns.min())
+        return first_ns(self.trajectory)
+
+    @property
+    def zero_ns(self) -> int:
+        """When dynamic objects are at their places: when the trajectory starts, or else at the first point."""
+        zero_ns = self.trajectory.zero_ns
+        return zero_ns if near(self.first_ns, zero_ns) else self.first_ns
 
     @property
     def colours(self) -> dict[str, str]:
@@ -95,17 +131,31 @@ def _yaml_kind(path: Path) -> Kind:
     )
 
 
+def near(time_ns: int, zero_ns: int) -> bool:
+    """Whether a time is within a day after a start."""
+    return -BEFORE_S <= (time_ns - zero_ns) / SECOND_NS <= APART_S
+
+
+def first_ns(trajectory: Trajectory) -> int:
+    """The time of a trajectory's first pose, or of its start."""
+    first_s = trajectory.path.times_s[0] if len(trajectory.path.times_s) else 0.0
+    return trajectory.zero_ns + round(first_s * SECOND_NS)
+
+
 def load_stage(
     paths: Sequence[Path],
     rig: Path | None,
     model: str | None,
-    T_world_vehicle: Array,
+    at: Array | Trajectory,
     on_warning: Callable[[str], None],
     selection: Selection = ALL,
+    vehicle: Path | None = None,
 ) -> Stage:
     """All the files as one stage; `rig` is the one that recorded the captures, and comes first.
 
-    Of captures, only the selection is read. A study without a rig gets one at the midpoint of its bounds.
+    `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory, by which points are deskewed. Of
+    captures, only the selection is read. A study without a rig gets one at the midpoint of its bounds. The vehicle is
+    the study's, or else that in the file `vehicle`, or else the rig's.
     Raises ConfigError, PacketError, CloudError, SceneError.
     """
     kinds = [(kind_of(path), path) for path in map(example, paths)]
@@ -113,7 +163,9 @@ def load_stage(
     def of(kind: Kind) -> list[Path]:
         return [path for found, path in kinds if found == kind]
 
-    rigs = [load_rig(path) for path in (*([rig] if rig else []), *of("rig"))]
+    rig_paths = [*([rig] if rig else []), *of("rig")]
+    source = RigSource.of(example(rig_paths[0])) if rig_paths else None
+    rigs = [load_rig(path) for path in rig_paths]
     study = _only(of("study"), "study")
     loaded = load_study(study, pattern) if study else None
     captures, truth = of("capture"), _only(of("truth"), "truth")
@@ -124,9 +176,10 @@ def load_stage(
     clouds = [load_cloud(path, on_warning) for path in of("cloud")]
     for path in captures:
         clouds.extend(decode_pcap(path, on_warning, rigs[0] if rigs else None, model, selection=selection))
-    cloud = clouds[0] if len(clouds) == 1 else concatenate(clouds)
-    if clouds and not len(cloud.xyz):
+    if clouds and not any(len(cloud.xyz) for cloud in clouds):
         raise CloudError(f"{(captures or of('cloud'))[0]}: the cloud is empty")
+    trajectory = at if isinstance(at, Trajectory) else standing(at)
+    cloud, T_world_vehicle = _deskewed(clouds, trajectory)
     bad = np.flatnonzero(~np.isfinite(cloud.xyz).all(axis=1))
     if len(bad):
         raise CloudError(f"point {bad[0]} of the merged cloud is not finite")
@@ -134,6 +187,9 @@ def load_stage(
         raise ConfigError(f"{truth}: is ground truth of a capture; give that, too")
     if truth and not rigs:
         raise ConfigError(f"{truth}: needs the rig that recorded the capture; give it, too")
+    if loaded and loaded.to_choose:
+        on_warning(_first_choices(loaded))
+    body = load_vehicle(vehicle) if vehicle else rig_vehicle(rigs[0]) if rigs else None
     if loaded and not rigs:
         rigs = [loaded.rig(loaded.midpoint)]
     return Stage(
@@ -143,6 +199,35 @@ def load_stage(
         study=loaded,
         scenes=tuple(load_scene(path) for path in of("scene")),
         T_world_vehicle=T_world_vehicle,
+        drive=trajectory,
+        body=body,
+        source=source,
+    )
+
+
+def _deskewed(clouds: list[PointCloud], trajectory: Trajectory) -> tuple[PointCloud, Array]:
+    """All points in the vehicle frame of the first one's time, and T_world_vehicle (4, 4) then. Raises ConfigError."""
+    if trajectory.path.is_static:
+        return (clouds[0] if len(clouds) == 1 else concatenate(clouds)), trajectory.T_world_start
+    times = [int(end) for cloud in clouds if len(cloud.xyz) for end in (cloud.time_ns.min(), cloud.time_ns.max())]
+    for time_ns in (min(times), max(times)) if times else ():
+        if not near(time_ns, trajectory.zero_ns):
+            seconds = (time_ns - trajectory.zero_ns) / SECOND_NS
+            raise ConfigError(
+                f"a point is {abs(seconds):.6g} s {'after' if seconds > 0 else 'before'} the trajectory's start; "
+                f"allowed: at most {APART_S:g} s after it; say with --start when it starts"
+            )
+    T_world_vehicle = trajectory.pose(min(times, default=first_ns(trajectory)))
+    T = inverse(T_world_vehicle)
+    moved = [replace(one, xyz=transform(T, trajectory.world(one.xyz, one.time_ns))) for one in clouds]
+    return (moved[0] if len(moved) == 1 else concatenate(moved)), T_world_vehicle
+
+
+def _first_choices(study: Study) -> str:
+    """That a study with choices is shown with one of them."""
+    models = ", ".join(f"{slot.name} {slot.model}" for slot in study.slots if slot.choices)
+    return (
+        f"{study.name}: lets one choose models; shown are the first: {models}. optimize writes a study of each choice"
     )
 
 

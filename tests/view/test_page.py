@@ -2,13 +2,11 @@
 
 import base64
 import hashlib
-import http.client
 import json
 import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from io import BytesIO
@@ -25,16 +23,29 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.rig import load_rig
 from lidarcfg.view.camera import Camera
-from lidarcfg.view.page import ASSETS, MODULES, moved, page_of, save_html
+from lidarcfg.view.evaluation import moved
+from lidarcfg.view.page import ASSETS, MODULES, page_of, save_html
 from lidarcfg.view.server import Server
 from lidarcfg.view.stage import Stage, load_stage
-from tests.chromium import LACKING, asked_for, browser, complaints
+from tests.chromium import asked_for, browser, complaints
+from tests.view.driver import (
+    NIGHT,
+    asked,
+    click,
+    different,
+    in_browser,
+    on_screen,
+    opened,
+    picture,
+    put,
+    serving,
+    settled,
+    shown_vsr,
+)
 
 ROOT = Path(__file__).parents[2]
 STUDY, ROOF = ROOT / "data/studies/sedan.yaml", ROOT / "data/rigs/roof.yaml"
 THREE = "5435a9cdb8214b51fd9d402f7f227ba5f712559b8a4347275e4fa18503f0f10c"  # of vendor/three.js, by tools/bundle_three
-NIGHT = np.array([16, 20, 28])
-in_browser = pytest.mark.skipif(bool(LACKING), reason=LACKING)
 
 
 @pytest.fixture(scope="module")
@@ -60,75 +71,8 @@ def stage():
 @pytest.fixture(scope="module")
 def served(stage):
     """The address of the stage's page."""
-    with Server(stage, page_of(stage)) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        yield server.url
-        server.shutdown()
-        thread.join()
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as driver:
-        yield driver
-
-
-def settled(driver):
-    """Wait until the page has drawn everything and has no request open."""
-    quiet = (
-        "const v = window.lidarcfg; return Boolean(v && v.stage.settledAt === v.stage.frames && !v.stage.waiting "
-        "&& !(v.evaluator && v.evaluator.busy))"
-    )
-    end = time.monotonic() + 60
-    while not driver.execute_script(quiet):
-        failed = driver.execute_script("return document.getElementById('loading')?.textContent ?? ''")
-        assert failed in ("", "Loading …"), failed
-        assert time.monotonic() < end, f"the page does not come to rest: {complaints(driver)}"
-        time.sleep(0.05)
-
-
-def opened(driver, url):
-    asked_for(driver), complaints(driver)  # drop what was before this page
-    driver.get(url)
-    settled(driver)
-    return driver
-
-
-def picture(driver):
-    """(h, w, 3) what the canvas shows, without the controls."""
-    settled(driver)
-    image = matplotlib.image.imread(BytesIO(driver.get_screenshot_as_png()))[..., :3] * 255
-    return image[:, : driver.execute_script("return document.querySelector('main').clientWidth")]
-
-
-def different(one, other):
-    """How many pixels differ clearly."""
-    return int((abs(one - other).max(axis=-1) > 24).sum())
-
-
-def click(driver, selector):
-    driver.execute_script("document.querySelector(arguments[0]).click()", selector)
-
-
-def put(driver, selector, value, event="input"):
-    code = "const e = document.querySelector(arguments[0]); e.value = arguments[1]; e.dispatchEvent(new Event(arguments[2]))"
-    driver.execute_script(code, selector, value, event)
-
-
-def on_screen(driver, place):
-    """Where a place in the scene is on the canvas, from its middle, as selenium counts."""
-    code = (
-        "const s = lidarcfg.stage; const v = s.orbit.target.clone().set(...arguments[0]).project(s.camera);"
-        "return [v.x * s.size.x / 2, -v.y * s.size.y / 2]"
-    )
-    x, y = driver.execute_script(code, list(place))
-    return round(x), round(y)
-
-
-def shown_vsr(driver):
-    settled(driver)
-    return float(driver.execute_script("return document.getElementById('vsr').dataset.value"))
+    with serving(stage) as url:
+        yield url
 
 
 @in_browser
@@ -372,7 +316,7 @@ def test_poses_can_be_typed_and_the_rig_saved(chromium, served, stage):
     poses[1] = (x, -0.8, z, 20 * np.pi / 180, pitch, yaw)
     rig = moved(stage.rigs[0], poses)
     assert shown_vsr(chromium) == evaluate(stage.study, rig).max_vsr_m
-    click(chromium, "#save")
+    click(chromium, "#download")
     path, end = chromium.downloads / "rig.yaml", time.monotonic() + 30
     while not path.exists():
         assert time.monotonic() < end
@@ -438,16 +382,6 @@ def test_a_cloud_far_away_is_not_blurred(chromium, tmp_path):
     half = "const { size } = lidarcfg.stage; return lidarcfg.cloud.pick(arguments[0] + size.x / 2, arguments[1] + size.y / 2)"
     found = chromium.execute_script(half, x, y)
     assert np.linalg.norm(np.array(on_screen(chromium, places[found])) - (x, y)) < 8
-
-
-def asked(url, method, path, body=None, **headers):
-    host = url.removeprefix("http://").rstrip("/")
-    connection = http.client.HTTPConnection(host, timeout=20)
-    connection.request(method, path, body, headers)
-    answer = connection.getresponse()
-    text = answer.read()
-    connection.close()
-    return answer.status, text
 
 
 def test_the_server_answers_what_evaluate_does(served, stage):
@@ -638,10 +572,8 @@ def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
         return shown_vsr(chromium), *(float(re.match(r"[0-9.,]+", text)[0].replace(",", "")) for text in texts)
 
     save_html(page_of(cab), tmp_path / "p.html")
-    with Server(cab, page_of(cab)) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        for url in (server.url, (tmp_path / "p.html").as_uri()):
+    with serving(cab) as served:
+        for url in (served, (tmp_path / "p.html").as_uri()):
             opened(chromium, url)
             assert shown() == (
                 with_body.max_vsr_m,
@@ -659,19 +591,10 @@ def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
             click(chromium, "#transparent")
             assert shown() == (without.max_vsr_m, pytest.approx(with_body.max_vsr_m, abs=1e-6), 0.0)
             assert different(picture(chromium), solid) > 500
-        server.shutdown()
-        thread.join()
 
 
 def test_the_server_refuses_other_than_true_or_false(cab):
-    with Server(cab, page_of(cab)) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1])
-        poses = [[*mount.position_m, *mount.rpy_rad] for mount in cab.rigs[0].mounts]
-        connection.request("POST", "/evaluate", json.dumps({"poses": poses, "transparent": "yes"}))
-        answer = connection.getresponse()
-        assert (answer.status, answer.read()) == (400, b"transparent: allowed is true or false\n")
-        connection.close()
-        server.shutdown()
-        thread.join()
+    poses = [[*mount.position_m, *mount.rpy_rad] for mount in cab.rigs[0].mounts]
+    with serving(cab) as url:
+        found = asked(url, "POST", "/evaluate", json.dumps({"poses": poses, "transparent": "yes"}))
+    assert found == (400, b"transparent: allowed is true or false\n")

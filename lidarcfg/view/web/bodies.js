@@ -1,4 +1,4 @@
-// Region, what it excludes, the vehicle's bodies, worst subspaces, what is blind, and scenes.
+// Region, what it excludes, zones, the vehicle's bodies, worst subspaces, what is blind, and scenes.
 
 import {
   BoxGeometry,
@@ -15,6 +15,7 @@ import {
   Vector3,
 } from "three";
 import { unpacked } from "lidarcfg/data";
+import { placed } from "lidarcfg/tracks";
 
 export function body(mesh, color, opacity) {
   const geometry = new BufferGeometry();
@@ -87,14 +88,36 @@ export function bounds(study, colours) {
   return group;
 }
 
-export function scenery(scenes, colours) {
+// The parts of the region that weigh more or less, each with its name.
+export function zones(study, stage, colours) {
   const group = new Group();
-  for (const { mesh, ground } of scenes) {
+  for (const { name, weight, min_m, max_m } of study.zones) {
+    const edges = box(min_m, max_m, colours.zone);
+    const top = new Vector3(0, 0, (max_m[2] - min_m[2]) / 2);
+    const text = weight === 1 ? name : `${name} × ${weight}`;
+    stage.labels.add(text, colours.zone, () => (group.visible ? placed(edges, top) : null));
+    group.add(edges);
+  }
+  return group;
+}
+
+// Scenes; dynamic objects are handed to the tracks along which they move.
+export function scenery(scenes, colours, tracks) {
+  const group = new Group();
+  for (const { mesh, dynamic, ground } of scenes) {
     if (mesh) group.add(body(mesh, colours.excluded, 0.16));
+    for (const { mesh: own, track } of dynamic) {
+      const object = new Group();
+      object.add(body(own, colours.excluded, 0.4));
+      group.add(object);
+      tracks.add(object, track);
+    }
     if (!ground) continue;
     const plane = new Mesh(new PlaneGeometry(2 * ground.half_m, 2 * ground.half_m), translucent(colours.excluded, 0.08));
     plane.position.set(...ground.center_m);
+    plane.isGround = true; // which has no end that could be shown
     group.add(plane);
+    tracks?.under(plane);
   }
   return group;
 }
@@ -113,7 +136,7 @@ export class Worst {
       this.object.add(body(mesh, this.colours.worst, rank ? 0.2 : 0.32));
       const at = new Vector3(...centroid_m);
       const text = `VSR ${vsr_m.toFixed(4)} m`;
-      return this.stage.labels.add(text, this.colours.worst, () => (this.object.visible ? at : null));
+      return this.stage.labels.add(text, this.colours.worst, () => (this.object.visible ? placed(this.object, at) : null));
     });
   }
 }

@@ -5,6 +5,7 @@ import { ramp, shades } from "lidarcfg/colours";
 import { readArray } from "lidarcfg/data";
 
 const PICK_PX = 8;
+const BOUNDED = 20_000; // points that tell where most of them are
 export const FULL_SIZE_M = 25; // a point this far away has the size of the slider; nearer ones are larger
 export const LARGEST = 3; // times the slider's size
 const DENSE = 1e6; // of more points, each is smaller
@@ -142,6 +143,19 @@ export class Cloud {
       }
     }
     return found;
+  }
+
+  // Corners of the box that holds most of the points that are shown: without the outermost hundredth on each side.
+  bounds() {
+    const { time } = this.arrays;
+    const some = this.ranges(BOUNDED).flatMap(([start, stop]) => Array.from({ length: stop - start }, (_, i) => start + i));
+    const places = some.filter((i) => time[i] >= this.first && time[i] <= this.last).map((i) => this.place(i).toArray());
+    if (!places.length) return [];
+    const ends = [0, 1, 2].map((axis) => {
+      const sorted = places.map((at) => at[axis]).sort((a, b) => a - b);
+      return [0.01, 0.99].map((fraction) => sorted[Math.round(fraction * (sorted.length - 1))]);
+    });
+    return [0, 1, 2, 3, 4, 5, 6, 7].map((i) => new Vector3(...ends.map((end, axis) => end[(i >> axis) & 1])));
   }
 
   place(i) {

@@ -2,12 +2,14 @@
 
 import { TransformControls } from "three";
 import { ask } from "lidarcfg/data";
+import { History } from "lidarcfg/history";
 import { AXES } from "lidarcfg/sensors";
 
 export class Handles {
-  constructor(stage, mounts, onMove) {
-    Object.assign(this, { stage, mounts, onMove, selected: null });
+  constructor(stage, mounts, pairs, onMove, onHistory) {
+    Object.assign(this, { stage, mounts, pairs, onMove, selected: null, mirrors: true, drags: 0 });
     this.start = mounts.map((mount) => mount.pose);
+    this.history = new History(() => this.poses, (poses) => this.restore(poses), onHistory);
     this.controls = new TransformControls(stage.camera, stage.canvas);
     this.controls.size = 0.8;
     this.controls.setColors(...AXES.map(([, colour]) => colour), "white");
@@ -15,10 +17,12 @@ export class Handles {
     this.controls.addEventListener("change", () => stage.redraw());
     this.controls.addEventListener("dragging-changed", ({ value }) => {
       stage.orbit.enabled = !value;
+      this.drags += 1;
     });
     this.controls.addEventListener("objectChange", () => {
+      this.history.before(`drag ${this.drags}`);
       this.selected.takeMove(this.controls.mode === "rotate");
-      this.changed();
+      this.changed(this.selected);
     });
   }
 
@@ -34,19 +38,33 @@ export class Handles {
     this.controls.setSpace(mode === "rotate" ? "local" : "world");
   }
 
-  setPose(mount, pose) {
+  // `step` names what is undone as one.
+  setPose(mount, pose, step = null) {
+    this.history.before(step);
     mount.pose = pose;
-    this.changed();
+    this.changed(mount);
   }
 
   reset() {
-    this.mounts.forEach((mount, i) => {
-      mount.pose = this.start[i];
-    });
-    this.changed();
+    this.history.before(null);
+    this.restore(this.start);
   }
 
-  changed() {
+  restore(poses) {
+    this.mounts.forEach((mount, i) => {
+      mount.pose = poses[i];
+    });
+    this.changed(null);
+  }
+
+  // The other sensor of a mirrored pair goes where the moved one's image is.
+  changed(mount) {
+    if (this.mirrors && mount) {
+      const index = this.mounts.indexOf(mount);
+      for (const [one, other, plane] of this.pairs) {
+        if (index === one || index === other) this.mounts[index === one ? other : one].pose = mirrored(mount.pose, plane);
+      }
+    }
     this.stage.moved();
     this.onMove();
   }
@@ -56,10 +74,14 @@ export class Handles {
   }
 }
 
-// Asks for an evaluation of the rig; while it waits for an answer, only the latest request is kept.
+function mirrored([x, y, z, roll, pitch, yaw], plane) {
+  return [x, 2 * plane - y, z, -roll, pitch, -yaw];
+}
+
+// Asks the server about the rig; while it waits for an answer, only the latest request is kept.
 export class Evaluator {
-  constructor(question, onAnswer, onError) {
-    Object.assign(this, { question, onAnswer, onError, busy: false, again: false, answered: 0, tookMs: 0 });
+  constructor(path, question, onAnswer, onError) {
+    Object.assign(this, { path, question, onAnswer, onError, busy: false, again: false, answered: 0, tookMs: 0 });
   }
 
   async ask() {
@@ -70,7 +92,7 @@ export class Evaluator {
       this.again = false;
       const began = performance.now();
       try {
-        const answer = await (await ask("evaluate", this.question())).json();
+        const answer = await (await ask(this.path, this.question())).json();
         this.tookMs = performance.now() - began;
         this.onAnswer(answer);
         this.answered += 1;
@@ -80,13 +102,4 @@ export class Evaluator {
     }
     this.busy = false;
   }
-}
-
-export async function saveRig(poses) {
-  const file = await (await ask("rig.yaml", { poses })).blob();
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(file);
-  link.download = "rig.yaml";
-  link.click();
-  URL.revokeObjectURL(link.href);
 }

@@ -1,16 +1,20 @@
 // Puts the picture and its controls together.
 
 import { readArrays } from "lidarcfg/cloud";
-import { MODES } from "lidarcfg/colours";
 import { readAbout } from "lidarcfg/data";
-import { Blind, Vehicle, Worst, bounds, region, scenery } from "lidarcfg/bodies";
-import { Evaluator, Handles, saveRig } from "lidarcfg/handles";
+import { Blind, Vehicle, Worst, bounds, region, scenery, zones } from "lidarcfg/bodies";
+import { grid, rings } from "lidarcfg/guides";
+import { Evaluator, Handles } from "lidarcfg/handles";
+import { listenToKeys } from "lidarcfg/keys";
 import { Measure } from "lidarcfg/measure";
-import { EvaluationSection, RigSection, TimeSection, check, colourSection, el, help, push, section, sensorSection, slide } from "lidarcfg/panel";
+import { EvaluationSection, check, colourSection, el, push, section, sensorSection, slide } from "lidarcfg/panel";
 import { PointsCloud } from "lidarcfg/points";
 import { RasterCloud } from "lidarcfg/raster";
+import { RigSection } from "lidarcfg/rig";
 import { Mount, axes } from "lidarcfg/sensors";
 import { Stage } from "lidarcfg/stage";
+import { TimeSection } from "lidarcfg/time";
+import { Tracks, readTracks } from "lidarcfg/tracks";
 
 const PLAY_MS = 100; // of a frame
 
@@ -21,7 +25,8 @@ export async function start() {
     const about = await readAbout();
     const stage = new Stage(about);
     const Cloud = stage.hasGpu ? PointsCloud : RasterCloud;
-    const view = build(about, stage, about.points && new Cloud(about, await readArrays(about)));
+    const cloud = about.points && new Cloud(about, await readArrays(about));
+    const view = build(about, stage, cloud, await readTracks(about));
     loading.hidden = true;
     window.lidarcfg = Object.assign(view, { began });
   } catch (error) {
@@ -30,26 +35,27 @@ export async function start() {
   }
 }
 
-function build(about, stage, cloud) {
-  const { scene } = stage;
+function build(about, stage, cloud, poses) {
   const panel = document.getElementById("panel");
   const status = document.getElementById("status");
   const say = (text) => {
     status.textContent = text;
   };
-  const view = { about, stage, cloud, transparent: false };
-  panel.append(el("h1", {}, "lidarcfg ", el("small", { textContent: about.version })));
+  const view = { about, stage, cloud, say, transparent: false };
+  view.tracks = poses && new Tracks(poses, about.timeline, stage.vehicle, stage);
+  const help = push("help-open", "Keys", () => view.help.toggle());
+  panel.append(el("h1", {}, "lidarcfg ", el("small", { textContent: about.version }), help));
 
   if (cloud) {
     stage.points = cloud;
-    scene.add(cloud.object);
+    stage.scene.add(cloud.object);
   }
-  scene.add(axes(1));
+  stage.vehicle.add(axes(1));
   const mounts = about.rigs.flatMap((rig) => rig.mounts).map((mount) => {
     const { colour } = about.sensors.find(({ name }) => name === mount.name);
     return new Mount(mount, colour, stage);
   });
-  for (const mount of mounts) scene.add(mount.object);
+  for (const mount of mounts) stage.vehicle.add(mount.object);
 
   panel.append(
     sensorSection(about, (name, on) => {
@@ -62,19 +68,22 @@ function build(about, stage, cloud) {
   );
   if (cloud) pointControls(view, panel);
   bodyControls(view, panel, mounts);
+  if (view.tracks) timeControls(view, panel);
+  if (about.study) studyControls(view, panel);
   if (about.rigs.length && about.live) rigControls(view, panel, mounts.slice(0, about.rigs[0].mounts.length));
   else if (about.rigs.length) panel.append(el("p", { className: "dim", textContent: "Served by lidarcfg view, this page has handles that move the rig." }));
 
-  const bodies = () => scene.children.filter((object) => object.isGroup && object.visible && !mounts.some((mount) => mount.object === object));
-  view.measure = new Measure(stage, () => ({ mounts: mounts.filter(({ object }) => object.visible), bodies: bodies() }), say, (mount) => view.rig?.select(mount));
-  cameraControls(view, panel, say);
-  panel.append(help());
-  keys(view);
+  const targets = () => ({
+    mounts: mounts.filter(({ object }) => object.visible),
+    bodies: stage.bodies.filter((object) => object.visible),
+  });
+  view.measure = new Measure(stage, targets, say, (mount) => view.rig?.select(mount));
+  cameraControls(view, panel);
+  listenToKeys(view);
   return view;
 }
 
-function pointControls(view, panel) {
-  const { about, stage, cloud } = view;
+function pointControls({ about, stage, cloud }, panel) {
   panel.append(
     colourSection(about, (mode) => {
       cloud.colourBy(mode);
@@ -85,11 +94,17 @@ function pointControls(view, panel) {
       stage.redraw();
     }),
   );
+}
+
+// Points, vehicle and dynamic objects are shown at one time.
+function timeControls(view, panel) {
+  const { about, stage, cloud, tracks } = view;
   let last = 0;
   view.time = new TimeSection(
-    about.points,
-    (from, to) => {
-      cloud.slice(from, to);
+    about,
+    (frame, from, to) => {
+      cloud?.slice(from, to);
+      tracks.go(frame);
       stage.redraw();
     },
     (on) => {
@@ -107,36 +122,42 @@ function pointControls(view, panel) {
   panel.append(view.time.element);
 }
 
+// What can be switched on and off around the points.
 function bodyControls(view, panel, mounts) {
-  const { about, stage } = view;
+  const { about, stage, tracks } = view;
+  const { study, colours } = about;
   const rows = [];
-  const toggled = (id, text, object, on = true) => {
+  const toggled = (id, text, object, parent = stage.vehicle, on = true) => {
     object.visible = on;
-    stage.scene.add(object);
+    parent.add(object);
+    if (object.isGroup && id !== "rings") stage.bodies.push(object);
     rows.push(check(id, text, on, (shown) => {
       object.visible = shown;
       stage.redraw();
     }));
   };
-  if (about.study) {
-    toggled("region", "region, and what it excludes (the vehicle)", region(about.study, about.colours));
-    if (about.study.bounds.length) toggled("bounds", "bounds of the sensors", bounds(about.study, about.colours));
-    view.worst = new Worst(stage, about.colours);
+  if (study) {
+    toggled("region", "region, and what it excludes (the vehicle)", region(study, colours));
+    if (study.bounds.length || study.seats) toggled("bounds", "bounds of the sensors", bounds(study, colours));
+    if (study.zones.length) toggled("zones", "zones", zones(study, stage, colours));
+    view.worst = new Worst(stage, colours);
     toggled("bodies", "worst subspaces", view.worst.object);
     if (about.evaluation.blind) {
-      view.blind = new Blind(about.colours);
-      toggled("blind", "what no sensor sees", view.blind.object, false);
+      view.blind = new Blind(colours);
+      toggled("blind", "what no sensor sees", view.blind.object, stage.vehicle, false);
     }
-    if (about.vehicle) {
-      view.vehicle = new Vehicle(about.vehicle, about.colours);
-      toggled("vehicle", "the vehicle's body", view.vehicle.object);
-    }
-    if (about.transparent) rows.push(check("transparent", "transparent: nothing is hidden", false, (on) => seeThrough(view, on)));
   }
+  if (about.vehicle) {
+    view.vehicle = new Vehicle(about.vehicle, colours);
+    toggled("vehicle", "the vehicle's body", view.vehicle.object);
+  }
+  if (about.transparent) rows.push(check("transparent", "transparent: nothing is hidden", false, (on) => seeThrough(view, on)));
   if (about.scenes.length) {
-    const objects = about.scenes.reduce((sum, { objects }) => sum + objects, 0);
-    toggled("scene", `scene: ${objects} objects`, scenery(about.scenes, about.colours));
+    const objects = about.scenes.reduce((sum, scene) => sum + scene.objects, 0);
+    toggled("scene", `scene: ${objects} objects`, scenery(about.scenes, colours, tracks), stage.scene);
   }
+  toggled("grid", "grid of 5 m", grid(about.ground_m), stage.scene, false);
+  toggled("rings", "range rings", rings(about.ground_m, stage, colours.excluded), stage.vehicle, false);
   if (mounts.length) {
     const long = (length) => mounts.forEach((mount) => {
       mount.cones.visible = length > 0;
@@ -145,8 +166,11 @@ function bodyControls(view, panel, mounts) {
     });
     rows.push(slide("cones", "beams", [0, 60, 0.5], 0, (value) => (value ? `${value} m` : "off"), long));
   }
-  if (rows.length) panel.append(section("Around them", ...rows));
-  if (!about.study) return;
+  panel.append(section("Around them", ...rows));
+}
+
+function studyControls(view, panel) {
+  const { about } = view;
   view.figures = new EvaluationSection(about, (count) => show(view, view.evaluation, count));
   panel.append(view.figures.element);
   show(view, about.evaluation, Math.min(about.worst, about.evaluation.worst.length));
@@ -173,27 +197,34 @@ function show(view, evaluation, count) {
 
 function rigControls(view, panel, mounts) {
   const { stage, about } = view;
-  const stale = () => {
+  const moved = () => {
     view.rig.show();
     view.rig.stale.hidden = !view.cloud;
     view.evaluator?.ask();
   };
-  view.handles = new Handles(stage, mounts, stale);
-  if (about.study) {
-    const fail = (error) => {
-      view.figures.violations.textContent = error.message;
-    };
-    view.evaluator = new Evaluator(() => ({ poses: view.handles.poses, worst: view.count, transparent: view.transparent }), (found) => show(view, found, view.count), fail);
-  }
-  view.rig = new RigSection(view.handles, {
-    onSave: () => saveRig(view.handles.poses),
-    onReset: () => view.handles.reset(),
-  });
+  view.handles = new Handles(stage, mounts, about.mirrored, moved, () => view.rig.count());
+  if (about.study) evaluators(view);
+  view.rig = new RigSection(view.handles, about, view.say);
   panel.append(view.rig.element);
 }
 
-function cameraControls(view, panel, say) {
-  const { stage, measure } = view;
+// Max VSR follows each move; detection rates take longer and are asked for when nothing newer is.
+function evaluators(view) {
+  const fail = (error) => {
+    view.figures.violations.textContent = error.message;
+  };
+  const question = () => ({ poses: view.handles.poses, transparent: view.transparent });
+  view.rates = new Evaluator("rates", question, (found) => view.figures.setRates(found), fail);
+  const detects = view.about.study.detects;
+  view.evaluator = new Evaluator("evaluate", () => ({ ...question(), worst: view.count }), (found) => {
+    show(view, found, view.count);
+    if (detects && !view.evaluator.again) view.rates.ask();
+  }, fail);
+  if (detects && !view.about.evaluation.rates) view.rates.ask();
+}
+
+function cameraControls(view, panel) {
+  const { stage, measure, say } = view;
   const looks = ["perspective", "top", "front", "side"].map((from) => push(`look-${from}`, from, () => stage.look(from)));
   const text = el("code", { id: "camera" });
   stage.onDrawn = () => {
@@ -206,29 +237,10 @@ function cameraControls(view, panel, say) {
     say(on ? "click the first point" : "");
   };
   const button = push("measure", "Measure", () => view.measuring(!measure.on));
-  panel.append(section("Look", el("div", { className: "row" }, ...looks), el("div", { className: "row" }, button), text));
-}
-
-function keys(view) {
-  const { stage, time, rig, measure } = view;
-  window.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|BUTTON|SUMMARY)$/.test(event.target.tagName)) return;
-    const mode = MODES[event.key - 1];
-    const choice = document.getElementById("colour");
-    if (mode && [...(choice?.options ?? [])].some(({ value }) => value === mode)) {
-      choice.value = mode;
-      choice.dispatchEvent(new Event("change"));
-    } else if (event.key === " ") time?.play(!time.playing);
-    else if (event.key === "ArrowRight") time?.go(time.at + 1);
-    else if (event.key === "ArrowLeft") time?.go(time.at - 1);
-    else if (event.key === "m") view.measuring(!measure.on);
-    else if (event.key === "t") rig?.mode("translate");
-    else if (event.key === "r") rig?.mode("rotate");
-    else if (event.key === "Escape") {
-      view.measuring(false);
-      rig?.select(null);
-    } else return;
-    event.preventDefault();
-    stage.redraw();
+  const fit = push("fit", "Zoom to fit", () => stage.fitShown());
+  const follow = check("follow", "follow the vehicle", false, (on) => {
+    view.tracks.following = on;
   });
+  const parts = [el("div", { className: "row" }, ...looks), el("div", { className: "row" }, fit, button)];
+  panel.append(section("Look", ...parts, view.about.timeline?.drives ? follow : null, text));
 }

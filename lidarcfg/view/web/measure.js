@@ -1,6 +1,7 @@
 // A click says what is under the pointer; while measuring, two clicks give a distance.
 
 import { BufferAttribute, BufferGeometry, Line, LineBasicMaterial, Raycaster, Vector2, Vector3 } from "three";
+import { placed } from "lidarcfg/tracks";
 
 const CLICK_PX = 4; // further is a drag
 
@@ -40,7 +41,7 @@ export class Measure {
     const [marker] = ray.intersectObjects(mounts.map((mount) => mount.marker), false);
     if (marker) {
       const mount = mounts.find((one) => one.marker === marker.object);
-      return { at: mount.object.position.clone(), text: `${mount.name}, ${mount.about.model}`, mount };
+      return { at: placed(mount.object), text: `${mount.name}, ${mount.about.model}`, mount };
     }
     const index = points?.object.visible ? points.pick(x, y) : null;
     if (index !== null) return { at: points.place(index), text: points.describe(index) };

@@ -1,19 +1,8 @@
 // The controls beside the picture: plain HTML inputs, all reachable by keyboard.
 
-import { AXES } from "lidarcfg/sensors";
 import { MODES } from "lidarcfg/colours";
 
 const UNITS = { intensity: "%", ring: "", height: "m", time: "s" };
-const COORDINATES = [["x", "m"], ["y", "m"], ["z", "m"], ["roll", "°"], ["pitch", "°"], ["yaw", "°"]];
-const KEYS = [
-  ["Space", "play or stop"],
-  ["← →", "previous, next frame"],
-  ["1 … 6", "colour"],
-  ["M", "measure"],
-  ["T, R", "move or rotate the sensor"],
-  ["Esc", "deselect; end measuring"],
-];
-
 export function el(tag, props = {}, ...children) {
   const { style, ...others } = props;
   const element = Object.assign(document.createElement(tag), others);
@@ -22,7 +11,7 @@ export function el(tag, props = {}, ...children) {
   return element;
 }
 
-const number = (value, digits = 0) =>
+export const number = (value, digits = 0) =>
   value.toLocaleString("en", { minimumFractionDigits: digits, maximumFractionDigits: digits, signDisplay: "negative" });
 
 export function section(title, ...children) {
@@ -106,75 +95,17 @@ function legendOf(mode, points, colours) {
 const entry = (colour, text, count) =>
   el("div", { className: "row" }, el("span", { className: "dot", style: { background: colour } }), text, el("span", { className: "count", textContent: count }));
 
-// One frame at a time, or all of them.
-export class TimeSection {
-  constructor(points, onSlice, onPlay) {
-    Object.assign(this, { points, onSlice, onPlay, at: 0, width: 1, whole: true, playing: false });
-    const { frames, frame, unit_s } = points;
-    this.slider = el("input", { type: "range", id: "time", min: 0, max: frames.length - 1, step: 1, value: 0, ariaLabel: "Frame" });
-    this.slider.addEventListener("input", () => this.go(this.slider.valueAsNumber));
-    this.every = el("input", { type: "checkbox", id: "whole", checked: true });
-    this.every.addEventListener("change", () => this.all(this.every.checked));
-    this.button = push("play", "Play", () => this.play(!this.playing));
-    this.joined = el("input", { type: "number", id: "joined", min: 1, max: frames.length, step: 1, value: 1 });
-    this.joined.addEventListener("change", () => {
-      this.width = Math.min(Math.max(Math.round(this.joined.valueAsNumber) || 1, 1), frames.length);
-      this.joined.value = this.width;
-      this.go(this.at);
-    });
-    this.when = el("div", { className: "dim", id: "when" });
-    this.element = section(
-      "Time",
-      el("label", {}, this.every, "all at once", el("span", { className: "count", textContent: `${number(frames.length)} frames of ${number(frame * unit_s * 1000)} ms` })),
-      el("div", { className: "row" }, this.button, this.slider),
-      el("label", {}, "frames at once", this.joined),
-      this.when,
-    );
-    this.refresh();
-  }
-
-  all(on) {
-    this.whole = this.every.checked = on;
-    if (on) this.play(false);
-    this.refresh();
-  }
-
-  go(at) {
-    this.at = (at + this.points.frames.length) % this.points.frames.length;
-    this.slider.value = this.at;
-    this.whole = this.every.checked = false;
-    this.refresh();
-  }
-
-  play(on) {
-    this.playing = on;
-    this.button.textContent = on ? "Stop" : "Play";
-    this.button.ariaPressed = on;
-    if (on && this.whole) this.go(this.at);
-    this.onPlay(on);
-  }
-
-  refresh() {
-    const { frames, frame, unit_s, end, start } = this.points;
-    const last = Math.min(this.at + this.width, frames.length) - 1;
-    const slice = this.whole ? [0, end] : [frames[this.at] * frame, (frames[last] + 1) * frame - 1];
-    const [from, to] = [slice[0], Math.min(slice[1] + 1, end)].map((time) => (time * unit_s).toFixed(3));
-    const which = this.whole ? "" : `frame ${this.at + 1} of ${frames.length}: `;
-    this.when.textContent = `${which}${from} s to ${to} s after ${start}`;
-    this.onSlice(...slice);
-  }
-}
-
-// Max VSR, what no sensor sees, and the worst subspaces in a table.
+// Max VSR, what no sensor sees, how often objects are detected, and the worst subspaces in a table.
 export class EvaluationSection {
   constructor(about, onCount) {
     this.vsr = el("div", { className: "big", id: "vsr" });
     this.rest = el("div", { className: "dim", id: "subspaces" });
     this.other = el("div", { id: "other-vsr" });
     this.blind = el("div", { id: "blind-volume" });
+    this.zones = el("div", { id: "zone-vsr" });
     this.violations = el("div", { className: "bad", id: "violations" });
     this.rows = el("tbody");
-    const head = el("tr", {}, ...["worst", "VSR (m)", "volume (m³)"].map((text) => el("th", { textContent: text, scope: "col" })));
+    this.rates = el("tbody", { id: "rates" });
     const most = about.evaluation.worst.length;
     this.element = section(
       `Study ${about.study.name}`,
@@ -182,13 +113,16 @@ export class EvaluationSection {
       this.other,
       this.rest,
       this.blind,
+      this.zones,
       this.violations,
+      about.study.detects ? el("table", {}, headed("object", "detected"), this.rates) : null,
       slide("worst", "worst shown", [0, most, 1], Math.min(about.worst, most), String, onCount),
-      el("table", {}, el("thead", {}, head), this.rows),
+      el("table", {}, headed("worst", "VSR (m)", "volume (m³)"), this.rows),
     );
   }
 
-  set({ max_vsr_m, other_max_vsr_m, transparent, subspaces, blind, worst, violations }, count) {
+  // Of the latest pose; the rates come later, and are dim until then.
+  set({ max_vsr_m, other_max_vsr_m, transparent, subspaces, blind, zones, worst, violations, rates }, count) {
     this.vsr.textContent = `max VSR ${max_vsr_m.toFixed(6)} m`;
     this.vsr.dataset.value = max_vsr_m;
     this.rest.textContent = `${number(subspaces)} subspaces`;
@@ -196,79 +130,21 @@ export class EvaluationSection {
     const which = transparent ? "with the bodies that hide" : "if nothing hid anything";
     this.other.textContent = more ? `${other_max_vsr_m.toFixed(6)} m ${which} (${more})` : "";
     this.blind.textContent = blind ? `${number(blind.volume_m3, 2)} m³ seen by no sensor (${number(100 * blind.fraction, 2)} %)` : "";
+    this.zones.replaceChildren(...zones.map(({ name, max_vsr_m: most }) => el("div", { textContent: `${name}: max VSR ${most.toFixed(4)} m` })));
+    if (rates) this.setRates(rates);
+    else if (rates === undefined) this.rates.className = "stale";
     this.violations.replaceChildren(...violations.map((text) => el("div", { textContent: text })));
     this.rows.replaceChildren(
-      ...worst.slice(0, count).map(({ vsr_m, volume_m3 }, i) =>
-        el("tr", {}, ...[i + 1, vsr_m.toFixed(4), volume_m3.toFixed(2)].map((text) => el("td", { textContent: text })))),
+      ...worst.slice(0, count).map(({ vsr_m, volume_m3 }, i) => row(i + 1, vsr_m.toFixed(4), volume_m3.toFixed(2))),
     );
   }
-}
 
-// The rig's sensors: which one has the handles, and its pose in numbers.
-export class RigSection {
-  constructor(handles, { onSave, onReset }) {
-    this.handles = handles;
-    this.choice = el("select", { id: "mount", ariaLabel: "Sensor to move" }, el("option", { value: "", textContent: "no sensor" }));
-    handles.mounts.forEach((mount, i) => this.choice.append(el("option", { value: i, textContent: mount.name })));
-    this.choice.addEventListener("change", () => this.select(handles.mounts[this.choice.value] ?? null));
-    this.modes = ["translate", "rotate"].map((mode) => push(mode, mode === "rotate" ? "Rotate" : "Move", () => this.mode(mode)));
-    this.inputs = COORDINATES.map(([name], i) => {
-      const input = el("input", { type: "number", id: `pose-${name}`, step: i < 3 ? 0.01 : 0.5 });
-      input.addEventListener("input", () => this.typed(i));
-      return input;
-    });
-    const labels = COORDINATES.map(([name, unit], i) => el("label", {}, `${name} (${unit})`, this.inputs[i]));
-    this.pose = el("div", { className: "pose" }, ...labels);
-    this.stale = el("div", { className: "dim", hidden: true, textContent: "The points are those of the rig before it was moved." });
-    this.element = section(
-      "Move a sensor",
-      el("div", { className: "row" }, this.choice, ...this.modes),
-      this.pose,
-      this.stale,
-      el("div", { className: "row" }, push("save", "Save rig.yaml", onSave), push("reset", "Reset", onReset)),
-    );
-    this.mode("translate");
-    this.select(null);
-  }
-
-  select(mount) {
-    this.handles.select(mount);
-    this.choice.value = mount ? this.handles.mounts.indexOf(mount) : "";
-    this.pose.hidden = !mount;
-    this.show();
-  }
-
-  mode(mode) {
-    this.handles.mode(mode);
-    this.modes.forEach((button) => {
-      button.ariaPressed = button.id === mode;
-    });
-  }
-
-  show() {
-    const mount = this.handles.selected;
-    mount?.pose.forEach((value, i) => {
-      if (document.activeElement !== this.inputs[i]) this.inputs[i].value = Number((i < 3 ? value : (value * 180) / Math.PI).toFixed(i < 3 ? 4 : 3));
-    });
-  }
-
-  typed(i) {
-    const value = this.inputs[i].valueAsNumber;
-    const mount = this.handles.selected;
-    if (!mount || !Number.isFinite(value)) return;
-    this.handles.setPose(mount, mount.pose.map((before, j) => (j !== i ? before : i < 3 ? value : (value * Math.PI) / 180)));
+  setRates(rates) {
+    this.rates.className = "";
+    const interval = (half_width) => (half_width ? ` ± ${number(100 * half_width, 2)}` : "");
+    this.rates.replaceChildren(...rates.map(({ name, rate, half_width }) => row(name, `${number(100 * rate, 2)}${interval(half_width)} %`)));
   }
 }
 
-export function help() {
-  const keys = KEYS.flatMap(([key, what]) => [el("div", {}, el("kbd", { textContent: key }), ` ${what}`)]);
-  const axes = AXES.flatMap(([name, code]) => [el("span", { style: { color: code }, textContent: ` ${name}` })]);
-  return el(
-    "details",
-    { style: { marginTop: "12px" } },
-    el("summary", { textContent: "Keys and axes" }),
-    ...keys,
-    el("div", {}, "Drag to orbit, wheel to zoom, right button to pan."),
-    el("div", {}, "Axes:", ...axes, ": forward, left, up (REP-103, metres)"),
-  );
-}
+const row = (...texts) => el("tr", {}, ...texts.map((text) => el("td", { textContent: text })));
+const headed = (...texts) => el("thead", {}, el("tr", {}, ...texts.map((text) => el("th", { textContent: text, scope: "col" }))));

@@ -13,6 +13,7 @@ import {
   Quaternion,
 } from "three";
 import { rgb } from "lidarcfg/colours";
+import { placed } from "lidarcfg/tracks";
 
 export const AXES = [["x", "#FF7F50"], ["y", "#2ED9A3"], ["z", "#56B4E9"]];
 const STEP_DEG = 3.75;
@@ -62,7 +63,7 @@ export class Mount {
     this.object.add(marker, axes(0.5), this.cones);
     this.marker = marker;
     this.pose = [...about.position_m, ...about.rpy_rad];
-    stage.labels.add(this.name, color, () => (this.object.visible ? this.object.position : null));
+    stage.labels.add(this.name, color, () => (this.object.visible ? placed(this.object) : null));
   }
 
   get pose() {

@@ -3,6 +3,7 @@
 import {
   AmbientLight,
   DirectionalLight,
+  Group,
   OrbitControls,
   PerspectiveCamera,
   Scene,
@@ -11,9 +12,11 @@ import {
   WebGLRenderer,
 } from "three";
 import { Labels } from "lidarcfg/labels";
+import { placed } from "lidarcfg/tracks";
 
 const SETTLE_MS = 250; // after so long without a move everything is drawn
 const FIELD_DEG = 60;
+const MARGIN = 1.12; // around what is to be shown whole
 const LEAST = 50_000; // points that are drawn however long they take
 const DIRECTIONS = { perspective: [-0.75, -0.45, 0.5], top: [-1e-4, 0, 1], front: [1, 0, 0], side: [0, -1, 0] };
 
@@ -39,6 +42,20 @@ export function gpuDraws(gl) {
   return !SOFTWARE.test(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
 }
 
+const corners = (low, high) => [0, 1, 2, 3, 4, 5, 6, 7].map((i) => new Vector3(...[0, 1, 2].map((axis) => ((i >> axis) & 1 ? high : low)[axis])));
+
+// From where places reach as far to one side of the picture as to the other: across at depths ahead.
+function centred(across, depths) {
+  let [low, high] = [Math.min(...across), Math.max(...across)];
+  for (let step = 0; step < 50; step += 1) {
+    const middle = (low + high) / 2;
+    const slopes = across.map((value, i) => (value - middle) / depths[i]);
+    if (Math.max(...slopes) + Math.min(...slopes) > 0) low = middle;
+    else high = middle;
+  }
+  return low;
+}
+
 export class Stage {
   constructor(about) {
     this.about = about;
@@ -52,6 +69,9 @@ export class Stage {
     this.camera.up.set(0, 0, 1);
     this.camera.add(new DirectionalLight("white", 2));
     this.scene.add(this.camera);
+    this.vehicle = new Group(); // and all that travels along
+    this.scene.add(this.vehicle);
+    this.bodies = []; // what can be switched on and off
     this.orbit = new OrbitControls(this.camera, this.canvas);
     this.orbit.addEventListener("change", () => this.moved());
     this.labels = new Labels(document.getElementById("labels"));
@@ -88,10 +108,53 @@ export class Stage {
     this.moved();
   }
 
+  // The vehicle and the worst subspaces, or what there is instead of them, from a side.
   look(from) {
-    const target = new Vector3(...this.about.center_m);
-    const away = (1.15 * this.about.radius_m) / Math.tan((this.camera.fov * Math.PI) / 360) / 1.8;
-    this.place(new Vector3(...DIRECTIONS[from]).normalize().multiplyScalar(away).add(target), target);
+    const places = this.about.opening.map((at) => placed(this.vehicle, new Vector3(...at)));
+    const away = new Vector3(...DIRECTIONS[from]).transformDirection(this.vehicle.matrixWorld);
+    this.fit(places, away.negate());
+  }
+
+  // All points and bodies that are shown, from where the camera looks now.
+  fitShown() {
+    const places = this.points?.object.visible ? this.points.bounds() : [];
+    const collect = (object) => {
+      if (!object.visible || object.isGround) return;
+      if (object.geometry) {
+        object.geometry.computeBoundingBox();
+        const { min, max } = object.geometry.boundingBox;
+        places.push(...corners(min.toArray(), max.toArray()).map((at) => placed(object, at)));
+      }
+      object.children.forEach(collect);
+    };
+    [...this.bodies, this.vehicle].forEach(collect);
+    if (places.length) this.fit(places, this.orbit.target.clone().sub(this.camera.position));
+  }
+
+  // Place the camera so near that all places are just in the picture, looking along a direction.
+  fit(places, direction) {
+    const forward = direction.clone().normalize();
+    const right = new Vector3().crossVectors(forward, this.camera.up).normalize();
+    const up = new Vector3().crossVectors(right, forward);
+    const middle = places.reduce((sum, at) => sum.add(at), new Vector3()).divideScalar(places.length);
+    const slopes = [this.camera.aspect, 1].map((aspect) => (aspect * Math.tan((this.camera.fov * Math.PI) / 360)) / MARGIN);
+    const depths = places.map((at) => at.dot(forward));
+    const along = [right, up].map((axis) => places.map((at) => at.dot(axis)));
+    const back = along.map((across, i) => {
+      const low = Math.max(...across.map((value, n) => value - slopes[i] * depths[n]));
+      const high = Math.min(...across.map((value, n) => value + slopes[i] * depths[n]));
+      return (high - low) / (2 * slopes[i]);
+    });
+    const depth = Math.min(...back, Math.min(...depths) - 0.1);
+    const place = forward.clone().multiplyScalar(depth);
+    [right, up].forEach((axis, i) => place.addScaledVector(axis, centred(along[i], depths.map((value) => value - depth))));
+    this.place(place, place.clone().addScaledVector(forward, Math.max(middle.dot(forward) - depth, 0.5)));
+  }
+
+  // Move the camera as the vehicle moved: from one place to another, and turned about the vertical.
+  carry(from, to, angle) {
+    const along = (at) => at.clone().sub(from).applyAxisAngle(this.camera.up, angle).add(to);
+    this.place(along(this.camera.position), along(this.orbit.target));
   }
 
   // As the command line's --camera has it.
@@ -124,7 +187,7 @@ export class Stage {
     this.onFrame?.();
     const away = this.camera.position.distanceTo(this.orbit.target);
     this.camera.near = Math.max(away / 500, 0.01);
-    this.camera.far = away + 20 * this.about.radius_m + 1000;
+    this.camera.far = 20 * away + 2000;
     this.camera.updateProjectionMatrix();
     if (this.points) this.drawPoints(moving);
     this.renderer.render(this.scene, this.camera);

@@ -1,0 +1,60 @@
+"""What the page shows of a rig in a study, again after each move."""
+
+from dataclasses import replace
+from typing import Any
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.evaluation import detection_rates
+from lidarcfg.placement.study import Study
+from lidarcfg.placement.subspace import segment
+from lidarcfg.rig import Rig
+from lidarcfg.view.bodies import hides, other_max_vsr_m, score, violations, visibility_of
+from lidarcfg.view.packed import packed_quads
+
+
+def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) -> dict[str, Any]:
+    """Max VSR and where it is worst, where nothing hides anything if it is `transparent`."""
+    found = score(study, rig, worst, transparent)
+    return {
+        "transparent": transparent,
+        "other_max_vsr_m": other_max_vsr_m(study, rig, transparent) if hides(study) else None,
+        "blind": found.blind
+        and {
+            "volume_m3": found.blind.volume_m3,
+            "fraction": found.blind.fraction,
+            "mesh": packed_quads(found.blind.faces_m),
+        },
+        "max_vsr_m": found.max_vsr_m,
+        "subspaces": found.subspaces,
+        "zones": [{"name": zone.name, "max_vsr_m": zone.max_vsr_m} for zone in found.zones],
+        "violations": violations(study, rig),
+        "worst": [
+            {
+                "vsr_m": body.vsr_m,
+                "volume_m3": body.volume_m3,
+                "centroid_m": body.centroid_m.tolist(),
+                "mesh": packed_quads(body.faces_m),
+            }
+            for body in found.worst
+        ],
+    }
+
+
+def rates(study: Study, rig: Rig, transparent: bool = False) -> list[dict[str, Any]]:
+    """How often each of the study's objects is detected. Raises ConfigError where an object finds no place."""
+    seen = replace(study, visibility=visibility_of(study, transparent))
+    found = detection_rates(seen, rig, segment(seen.region, rig_lidars(rig), seen.visibility))
+    return [
+        {"name": name, "rate": one.rate, "half_width": one.half_width, "places": one.places}
+        for name, one in found.items()
+    ]
+
+
+def moved(rig: Rig, poses: Array) -> Rig:
+    """The rig with other poses (mounts, 6) of x, y, z, roll, pitch, yaw in metres and radians."""
+    mounts = [
+        replace(mount, position_m=(x, y, z), rpy_rad=(roll, pitch, yaw))
+        for mount, (x, y, z, roll, pitch, yaw) in zip(rig.mounts, poses.tolist(), strict=True)
+    ]
+    return replace(rig, mounts=tuple(mounts))

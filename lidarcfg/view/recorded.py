@@ -1,0 +1,67 @@
+"""What an export noted beside the captures that are shown, so that nothing has to be said twice."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lidarcfg.capture.record import Input, load_record, record_path
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import example
+from lidarcfg.view.stage import kind_of
+
+SAME = ("rig", "trajectory", "at", "start")  # of captures that are shown together
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What recorded the captures, where and when; of each part None if it is not known."""
+
+    rig: Path | None = None
+    scene: Path | None = None
+    vehicle: Path | None = None
+    trajectory: Path | None = None
+    at: str | None = None  # X,Y,YAW_DEG
+    start: str | None = None  # ISO 8601
+
+
+def recorded(files: Sequence[Path], given: Recorded, on_warning: Callable[[str], None]) -> tuple[list[Path], Recorded]:
+    """The files with the scene that was recorded, and what is given, filled up by the records beside the captures.
+
+    A file of a record that is needed, and that has changed since, is a warning, and missing. Raises ConfigError.
+    """
+    kinds = [kind_of(example(path)) for path in files]
+    captures = [path for path, kind in zip(files, kinds, strict=True) if kind == "capture"]
+    found = [(record_path(path), load_record(path)) for path in captures if record_path(path).exists()]
+    if not found:
+        return list(files), given
+    path, record = found[0]
+    for other_path, other in found[1:]:
+        for key in SAME:
+            if getattr(given, key) is None and _differ(getattr(record, key), getattr(other, key)):
+                raise ConfigError(f"{other_path}: is of another {key} than {path}; say which with --{key}")
+
+    def noted(key: str) -> Path | None:
+        try:
+            return record.path(key, path)
+        except ConfigError as error:
+            on_warning(f"{error}; it is not shown")
+            return None
+
+    rig = given.rig or (None if "rig" in kinds else noted("rig"))
+    scene = None if "scene" in kinds else noted("scene")
+    filled = Recorded(
+        rig=rig,
+        scene=scene,
+        vehicle=given.vehicle or (None if "study" in kinds else noted("vehicle")),
+        trajectory=given.trajectory or noted("trajectory"),
+        at=given.at or record.at,
+        start=given.start or record.start,
+    )
+    return [*files, *([scene] if scene else [])], filled
+
+
+def _differ(one: Input | str | None, other: Input | str | None) -> bool:
+    """Whether two records name other files, or values."""
+    if isinstance(one, Input) and isinstance(other, Input):
+        return one.sha256 != other.sha256
+    return one != other

@@ -1,0 +1,123 @@
+"""The file that a rig came from: moved poses are written into its text, and all else of it stays as it is."""
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+import lidarcfg
+from lidarcfg.config import loads
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
+from lidarcfg.geometry import Array
+from lidarcfg.rig import RigFile, angles_rad
+
+EXACT = 1e-12  # metres and radians, within which poses that are written read back
+ELSE = "download the rig instead"
+Edit = tuple[int, int, str]  # from, to, the text between them
+
+
+@dataclass(frozen=True)
+class RigSource:
+    """A rig's file as it was when it was read."""
+
+    path: Path
+    text: str
+
+    @classmethod
+    def of(cls, path: Path) -> "RigSource | None":
+        """What is at the path; None unless it is a file that can be read again. Raises OSError."""
+        return cls(path, path.read_bytes().decode("utf-8", "replace")) if path.is_file() else None
+
+    def saved(self, poses: Array) -> "RigSource":
+        """The file with other poses (mounts, 6) in metres and radians, written in its place.
+
+        Raises ConfigError if the file has changed since it was read, or its text cannot take them, and OSError.
+        """
+        if self.path.resolve().is_relative_to(Path(lidarcfg.__file__).parent):
+            raise ConfigError(f"{self.path}: comes with lidarcfg and is not changed; {ELSE}")
+        if not self.path.is_file() or self.path.read_bytes().decode("utf-8", "replace") != self.text:
+            raise ConfigError(f"{self.path}: has changed on disk since it was opened; nothing is written; {ELSE}")
+        changed = replace(self, text=self._with(poses))
+        with replacing(self.path, "wb") as file:
+            file.write(changed.text.encode())
+        return changed
+
+    def _with(self, poses: Array) -> str:
+        """The text with other poses. Raises ConfigError."""
+        before = _poses(self.text, self.path)
+        root = yaml.compose(self.text, yaml.SafeLoader)
+        uses, edits = Counter(_uses(root)), list[Edit]()
+        for i, (old, new) in enumerate(zip(before, poses.tolist(), strict=True)):
+            mapping = _value(root, "sensors").value[i]
+            edits += self._edits(_value(mapping, "position_m"), old[:3], new[:3], uses)
+            if old[3:] != new[3:]:
+                name = next((key for key in ("rpy_deg", "rpy_rad") if _has_list(mapping, key)), None)
+                numbers = [_degrees(angle) for angle in new[3:]] if name != "rpy_rad" else new[3:]
+                if name:
+                    shown = [_degrees(angle) for angle in old[3:]] if name == "rpy_deg" else old[3:]
+                    edits += self._edits(_value(mapping, name), shown, numbers, uses)
+                else:
+                    edits.append(self._inserted(mapping, numbers))
+        text = self.text
+        for first, last, instead in sorted(edits, reverse=True):
+            text = text[:first] + instead + text[last:]
+        try:
+            if np.allclose(_poses(text, self.path), poses, rtol=0, atol=EXACT):
+                return text
+        except ConfigError:
+            pass
+        raise ConfigError(f"{self.path}: its text cannot take other poses; {ELSE}")
+
+    def _edits(self, numbers: Any, old: list[float], new: list[float], uses: Counter[int]) -> list[Edit]:
+        """The numbers of a list that change. Raises ConfigError for one that stands for others, too."""
+        edits = []
+        for node, before, after in zip(numbers.value, old, new, strict=True):
+            if before != after:
+                if uses[id(node)] > 1:
+                    where = f"{self.path}:{node.start_mark.line + 1}"
+                    raise ConfigError(f"{where}: an anchor, which other keys refer to, is not changed; {ELSE}")
+                edits.append((node.start_mark.index, node.end_mark.index, repr(after)))
+        return edits
+
+    def _inserted(self, mapping: Any, angles_deg: list[float]) -> Edit:
+        """The key that a sensor without angles gets, before its position."""
+        key = next(key for key, _ in mapping.value if key.value == "position_m")
+        at, quote = key.start_mark.index, '"' if key.style else ""
+        end = ", " if mapping.flow_style else ("\r\n" if "\r\n" in self.text else "\n") + " " * key.start_mark.column
+        return at, at, f"{quote}rpy_deg{quote}: [{', '.join(map(repr, angles_deg))}]{end}"
+
+
+def _poses(text: str, path: Path) -> list[list[float]]:
+    """x, y, z, roll, pitch, yaw of each sensor, as the text says them. Raises ConfigError."""
+    sensors = loads(text.removeprefix("\ufeff"), RigFile, str(path)).sensors
+    return [[*one.position_m, *angles_rad(one.rpy_rad, one.rpy_deg)] for one in sensors]
+
+
+def _uses(node: Any) -> list[int]:
+    """Every node, as often as it is part of another, or stands for one."""
+    found = [id(node)]
+    if isinstance(node, yaml.MappingNode):
+        return found + [one for pair in node.value for part in pair for one in _uses(part)]
+    return found + [one for part in node.value for one in _uses(part)] if isinstance(node, yaml.SequenceNode) else found
+
+
+def _has_list(mapping: Any, key: str) -> bool:
+    return any(name.value == key and isinstance(value, yaml.SequenceNode) for name, value in mapping.value)
+
+
+def _value(mapping: Any, key: str) -> Any:
+    return next(value for name, value in mapping.value if name.value == key)
+
+
+def _degrees(angle_rad: float) -> float:
+    """The shortest number of degrees that is read as this angle, or the nearest."""
+    exact = math.degrees(angle_rad)
+    near = [round(exact, digits) for digits in range(16)] + [
+        math.nextafter(exact, side) for side in (-math.inf, math.inf)
+    ]
+    return next((one for one in near if math.radians(one) == angle_rad), exact)
