@@ -39,7 +39,7 @@ MODULES = {"three": "vendor/three.js"} | {
 }
 BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
 SURROUNDINGS_M, ALONE_M = 40.0, 4.0  # shown around the vehicle in a scene, and around sensors without anything else
-SIDES = np.array([side for side in np.ndindex(3, 3, 3)]) - 1.0  # to look for outermost places
+SIDES = np.array(list(np.ndindex(3, 3, 3))) - 1.0  # to look for outermost places
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
 
 

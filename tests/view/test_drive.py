@@ -153,6 +153,7 @@ def test_the_page_shows_one_time(chromium, stage):
         click(chromium, "#follow")
         before = on_screen(chromium, at[:3])
         put(chromium, "#time", 0)
+        settled(chromium)
         at = to_page @ on_arc(first + 0.05) @ [*mount, 1]
         assert on_screen(chromium, at[:3]) == pytest.approx(before, abs=1)
         put(chromium, "#time", 2)
