@@ -347,7 +347,9 @@ def test_measuring_between_two_points(chromium, served, stage):
 
     opened(chromium, served)
     click(chromium, "#bodies")
+    click(chromium, "#fit")
     click(chromium, "#measure")
+    settled(chromium)
     canvas = chromium.find_element("id", "canvas")
     for place in ((-6.0, 8.0, 1.0), (4.0, 8.0, 2.0)):
         ActionChains(chromium, duration=50).move_to_element_with_offset(
