@@ -120,10 +120,22 @@ def _object(cloud: PointCloud, index: dict[str, int]) -> NDArray[np.int32]:
     return np.asarray(table[cloud.object])
 
 
-def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
+# The boxes of objects: which one, when, and where: the middle, the size along its own axes, and how these are turned.
+BOX_SIZES = ("length_m", "width_m", "height_m")
+BOX = np.dtype(
+    [("object", "<i4"), ("time_ns", "<i8"), *_XYZ, *((key, "<f8") for key in (*BOX_SIZES, "qx", "qy", "qz", "qw"))]
+)
+_BOX_TIME = {"time_ns": [("time_s", "<f8"), ("time_rest_ns", "<i4")]}
+PLY_BOX = np.dtype([part for key in BOX.names or () for part in _BOX_TIME.get(key, [(key, BOX[key].str)])])
+
+
+def save_clouds(
+    path: str | Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDArray[np.void]] = lambda: np.empty(0, BOX)
+) -> int:
     """Write the clouds as one file, whole or not at all, and return how many points.
 
-    PLY and PCD are streamed: no more than a cloud is held in memory. Raises CloudError.
+    PLY and PCD are streamed: no more than a cloud is held in memory. `boxes` are asked for at the end; PCD has none.
+    Raises CloudError.
     """
     path = Path(path)
     kind = _suffix(path)
@@ -135,6 +147,8 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
                 arrays = {key: getattr(whole, key) for key in FIELDS}
                 if whole.object is not None:
                     arrays |= {"object": whole.object, "object_names": np.array(whole.object_names, np.str_)}
+                if len(found := boxes()):
+                    arrays["boxes"] = found
                 np.savez(file, sensor_names=names, **arrays)
             return len(whole.xyz)
         with replacing(path, "wb") as file, tempfile.TemporaryFile(dir=path.parent) as body:
@@ -147,8 +161,10 @@ def save_clouds(path: str | Path, clouds: Iterable[PointCloud]) -> int:
                 body.write(_rows(cloud, _sensor(cloud, index), _object(cloud, objects), dtype).tobytes())
             count = body.tell() // dtype.itemsize
             body.seek(0)
-            file.write(head(count, dtype, {"sensor": index, "object": objects}).encode())
+            found = _ply_boxes(boxes()) if kind == ".ply" else np.empty(0, PLY_BOX)
+            file.write(head(count, dtype, {"sensor": index, "object": objects}, len(found)).encode())
             copyfileobj(body, file, 1 << 20)
+            file.write(found.tobytes())
         return count
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
@@ -296,7 +312,16 @@ def _comments(mark: str, names: Mapping[str, Iterable[str]]) -> list[str]:
     return [f"{mark} {kind} {json.dumps(name)}" for kind, all_ in names.items() for name in all_]
 
 
-def _ply_header(count: int, dtype: np.dtype[np.void], names: Mapping[str, Iterable[str]]) -> str:
+def _ply_boxes(boxes: NDArray[np.void]) -> NDArray[np.void]:
+    rows = np.empty(len(boxes), PLY_BOX)
+    for key in PLY_BOX.names or ():
+        if key in (BOX.names or ()):
+            rows[key] = boxes[key]
+    rows["time_s"], rows["time_rest_ns"] = np.divmod(boxes["time_ns"], SECOND_NS)
+    return rows
+
+
+def _ply_header(count: int, dtype: np.dtype[np.void], names: Mapping[str, Iterable[str]], boxes: int) -> str:
     return "\n".join(
         [
             "ply",
@@ -305,12 +330,14 @@ def _ply_header(count: int, dtype: np.dtype[np.void], names: Mapping[str, Iterab
             *_comments("comment", names),
             f"element vertex {count}",
             *(f"property {PLY_TYPES[dtype[key]]} {key}" for key in dtype.names or ()),
+            *([f"element box {boxes}"] * bool(boxes)),
+            *(f"property {PLY_TYPES[PLY_BOX[key]]} {key}" for key in PLY_BOX.names or () if boxes),
             "end_header\n",
         ]
     )
 
 
-def _pcd_header(count: int, dtype: np.dtype[np.void], names: Mapping[str, Iterable[str]]) -> str:
+def _pcd_header(count: int, dtype: np.dtype[np.void], names: Mapping[str, Iterable[str]], boxes: int) -> str:
     kinds = [dtype[key] for key in dtype.names or ()]
     return "\n".join(
         [

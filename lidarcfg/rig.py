@@ -28,9 +28,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism
-from lidarcfg.sensor import Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
+from lidarcfg.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 
-Azimuth = Annotated[float, Field(ge=0, le=360)]
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest", "last", "first", "dual"]
@@ -40,19 +39,12 @@ DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # where neither rig nor sens
 RETURN_MODE: ReturnMode = "strongest"
 
 
-def _check_fov(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] == value[1]:
-        raise fault(f"{value[0]:g} to {value[1]:g} is empty")
-    return value
-
-
 def _check_range(value: tuple[float, float]) -> tuple[float, float]:
     if not value[0] < value[1]:
         raise fault(f"{value[0]:g} is not below {value[1]:g}", 0)
     return value
 
 
-AzimuthFov = Annotated[tuple[Azimuth, Azimuth], AfterValidator(_check_fov)]  # from, to, clockwise from the x axis
 Range = Annotated[tuple[Distance, Distance], AfterValidator(_check_range)]  # least, greatest
 
 
@@ -216,6 +208,10 @@ def load_rig(path: str | Path) -> Rig:
         if mount.realism and mount.realism.divergence and not sensor.optics:
             what = f"sensor {sensor.name!r} has no optics facts"
             raise error_at(path, ("sensors", i, "realism", "divergence"), what)
+        try:
+            azimuth_fov_deg = sensor.field_of_view_deg(mount.azimuth_fov_deg)
+        except ValueError as error:
+            raise error_at(path, ("sensors", i, "azimuth_fov_deg"), str(error)) from None
         sections = mount.model_extra or {}
         for key in sections:
             if key != sensor.codec:
@@ -242,7 +238,7 @@ def load_rig(path: str | Path) -> Rig:
                 telemetry_port=telemetry_port,
                 rpm=mount.rpm,
                 return_mode=mount.return_mode,
-                azimuth_fov_deg=mount.azimuth_fov_deg,
+                azimuth_fov_deg=azimuth_fov_deg,
                 range_m=mount.range_m,
                 phase_deg=mount.phase_deg,
                 settings=Section(sections.get(sensor.codec or "", {}), str(path), ("sensors", i, sensor.codec or "")),

@@ -26,6 +26,16 @@ Least = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
+def _check_fov(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] == value[1]:
+        raise fault(f"{value[0]:g} to {value[1]:g} is empty")
+    return value
+
+
+Azimuth = Annotated[float, Field(ge=0, le=360)]
+AzimuthFov = Annotated[tuple[Azimuth, Azimuth], AfterValidator(_check_fov)]  # from, to, clockwise from the x axis
+
+
 def _check_elevations(value: tuple[float, ...]) -> tuple[float, ...]:
     for i, angle in enumerate(value):
         if not -90 <= angle <= 90:
@@ -72,10 +82,10 @@ def check_lengths(tables: Model, count: int) -> None:
 class Rotation(Model):
     """How fast the head turns."""
 
-    source: str
+    source: str = ""
     rpm_min: Positive
     rpm_max: Positive
-    rpm_step: Positive  # informative: what the maker's settings offer; nothing here reads it
+    rpm_step: Positive | None = None  # informative: what the maker's settings offer; nothing here reads it
 
 
 class Reported(Model):
@@ -89,13 +99,13 @@ class Reported(Model):
 class Range(Model):
     """What distances the sensor measures: as its maker promises, which placement counts on, and as it reports them."""
 
-    source: str
-    min_m: Least
+    source: str = ""
+    min_m: Least = 0.0
     max_m: Metres
     reported: Reported | None = None  # exports keep these limits; None: those that are promised
     at_10_percent_m: Metres | None = None  # the greatest to a target that reflects 10 %; informative
-    resolution_m: Annotated[float, Field(ge=1e-6, le=1e3)]  # one unit on the wire
-    accuracy_m: Metres  # typical
+    resolution_m: Annotated[float, Field(ge=1e-6, le=1e3)] | None = None  # one unit on the wire: packets need it
+    accuracy_m: Metres | None = None  # typical; informative
 
     @property
     def reported_m(self) -> tuple[float, float]:
@@ -107,7 +117,7 @@ class Range(Model):
 class Ports(Model):
     """To which UDP ports the sensor sends unless a rig says otherwise."""
 
-    source: str
+    source: str = ""
     data: Port
     telemetry: Port
 
@@ -115,16 +125,34 @@ class Ports(Model):
 class Optics(Model):
     """The laser light."""
 
-    source: str
-    wavelength_nm: Positive
+    source: str = ""
+    wavelength_nm: Positive | None = None  # informative
     divergence_mrad: tuple[Positive, Positive]  # horizontal, vertical
 
 
 class Housing(Model):
     """What stands on the vehicle."""
 
-    source: str
+    source: str = ""
     diameter_m: Metres  # of its base
+
+
+class Firing(Model):
+    """When the lasers of a sensor without a codec fire: all in a sequence, which is repeated while the head turns."""
+
+    source: str = ""
+    step_deg: Annotated[float, Field(gt=0, le=360)] | None = None  # that the head turns from one sequence to the next
+    sequence_ns: Annotated[int, Field(gt=0, le=10**9)] | None = None  # or the time from one to the next
+    offset_ns: tuple[Annotated[int, Field(ge=0, le=10**9)], ...] = ()  # of each laser in it; none: all at once
+
+    @model_validator(mode="after")
+    def _check(self) -> "Firing":
+        if (self.step_deg is None) == (self.sequence_ns is None):
+            raise fault("give step_deg or sequence_ns, one of them")
+        return self
+
+
+FIRING = Firing(source="a guess", step_deg=0.2)  # of a sensor whose file says nothing
 
 
 @dataclass(frozen=True)
@@ -135,15 +163,14 @@ class File:
 
 
 class Sensor(Model):
-    """A sensor model. Without a codec, or with parts missing, it is good for placement only.
+    """A sensor model. Without a codec it has no packets: what it sees is exported as points.
 
     What the codec reads stands in one more key, which is called as it is: `section`.
     """
 
     model_config = ConfigDict(extra="allow")
     renamed: ClassVar[dict[str, str]] = {
-        key: f"{key} under velodyne, and codec: velodyne says so"
-        for key in ("firing", "packet", "position_packet", "headers")
+        key: f"{key} under velodyne, and codec: velodyne says so" for key in ("packet", "position_packet", "headers")
     }
     kind: ClassVar[str] = "sensor"
     name: Annotated[str, Field(min_length=1)]
@@ -155,6 +182,8 @@ class Sensor(Model):
     optics: Optics | None = None
     housing: Housing | None = None
     ports: Ports | None = None
+    azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from the x axis; none: all around
+    firing: Firing | None = None  # where there is no codec; none: FIRING
     codec: Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")] | None = None
     _file: "File" = PrivateAttr(default_factory=lambda: File(""))
 
@@ -176,9 +205,23 @@ class Sensor(Model):
         if self.range and self.range.at_10_percent_m and self.range.at_10_percent_m > self.range.max_m:
             what = f"{self.range.at_10_percent_m:g} is above max_m, {self.range.max_m:g}"
             raise fault(what, "range", "at_10_percent_m")
+        if self.firing and self.codec:
+            raise fault(f"belongs under {self.codec}: with a codec, that says when lasers fire", "firing")
+        if self.firing and len(self.firing.offset_ns) not in (0, self.count):
+            what = f"has {len(self.firing.offset_ns)} values; allowed: {self.count}, one a beam"
+            raise fault(what, "firing", "offset_ns")
         if self.rotation and self.rotation.rpm_min > self.rotation.rpm_max:
             raise fault(f"{self.rotation.rpm_min:g} is above rpm_max, {self.rotation.rpm_max:g}", "rotation", "rpm_min")
         return self
+
+    def field_of_view_deg(self, given: tuple[float, float] | None) -> tuple[float, float] | None:
+        """A mount's horizontal field of view: what is given, or the sensor's. Raises ValueError if not within that."""
+        whole = self.azimuth_fov_deg
+        if given is None or whole is None:
+            return given or whole
+        if (given[0] - whole[0]) % 360 + _width_deg(given) > _width_deg(whole):
+            raise ValueError(f"is not within {self.name}'s own, {whole[0]:g} to {whole[1]:g}")
+        return given
 
     @property
     def section(self) -> Section:
@@ -266,6 +309,11 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
 def _plain(name: str | Path) -> str:
     """A name without what people spell in different ways."""
     return re.sub(r"[^a-z0-9]", "", str(name).lower())
+
+
+def _width_deg(azimuth_fov_deg: tuple[float, float]) -> float:
+    """Of a field of view; from 0 to 360 is all around."""
+    return (azimuth_fov_deg[1] - azimuth_fov_deg[0]) % 360 or 360.0
 
 
 def custom_sensor(elevation_deg: tuple[float, ...]) -> Sensor:

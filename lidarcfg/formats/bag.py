@@ -1,4 +1,4 @@
-"""ROS 2 bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses.
+"""ROS bags, by rosbags: a PointCloud2 per scan of each sensor, and the sensors' poses; of a drive also the truth.
 
 Points are laid out as the maker's driver has them, by the `point_fields` of their family, with nothing between the
 fields. The message's stamp is the time of the scan's first point.
@@ -10,166 +10,183 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError, missing
 from lidarcfg.files import check_replaceable
 from lidarcfg.formats.folder import beside, replacing_folder
-from lidarcfg.formats.frames import BASE_LINK, quaternion_xyzw, ros_name, ros_names
+from lidarcfg.formats.frames import BASE_LINK, MAP, ros_name, ros_names
+from lidarcfg.formats.messages import Messages, ros_store
+from lidarcfg.formats.recording import Recording, stamp_ns
+from lidarcfg.geometry import inverse
 from lidarcfg.packets.codec import family
-from lidarcfg.packets.point_fields import PointField
+from lidarcfg.packets.point_fields import OBJECT, PLAIN, PointField
 from lidarcfg.rig import Rig
 from lidarcfg.units import SECOND_NS
 
-AXES = "xyz"
-FIELD_TYPES = {"<u2": 4, "<u4": 6, "<f4": 7, "<f8": 8}  # of sensor_msgs/PointField
 TIME_END_NS = 2**31 * SECOND_NS  # builtin_interfaces/Time counts its seconds in an int32
 BAG_VERSION: Final = 8  # of metadata.yaml: QoS as text, as rosbag2 had it before Jazzy
-TF_STATIC = "/tf_static"
+TF, TF_STATIC = "/tf", "/tf_static"
+TF_STEP_NS = 10_000_000  # from one pose of the vehicle to the next
 FOREVER = 9223372036, 854775807  # seconds and ns: rmw's infinite time
 BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap")
 URI_SIGNS = "?#%"  # have other meanings in the file: URI that rosbags passes to SQLite
 
 OnWarning = Callable[[str], None]
+Timed = Iterator[tuple[str, Any, int]]  # topic, message, and the time at which a driver would have sent it
+Made = Callable[[Messages], Timed]
 
 
 def save_bag(path: Path, source: Path, storage: str, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
-    """Write the capture `source` as a bag in the folder `path`, whole or not at all; return the number of messages.
+    """Write the capture `source` as a bag, whole or not at all; return the number of messages.
 
-    `storage` is sqlite3 or mcap. Raises ConversionError, and what `scans` raises.
+    `storage` is sqlite3 or mcap, a folder, or ros1, a file. Raises ConversionError, and what `scans` raises.
     """
-    if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(path.resolve()))):
-        raise ConversionError(f"{path.resolve()}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
-    with replacing_folder(path, *BAG_FILES) as folder:
-        return _write(folder, storage, source, rig, model, on_warning)
+    return write_bag(path, storage, _of_capture(source, rig, model, on_warning))
 
 
 def save_mcap(path: Path, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
     """Write the capture `source` as one .mcap, whole or not at all; return the number of messages."""
+    return write_mcap(path, _of_capture(source, rig, model, on_warning))
+
+
+def write_bag(path: Path, storage: str, made: Made) -> int:
+    """Write messages as a bag, whole or not at all, and return their number."""
+    if storage == "ros1":
+        return _file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
+    if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(path.resolve()))):
+        raise ConversionError(f"{path.resolve()}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
+    with replacing_folder(path, *BAG_FILES) as folder:
+        return _write(folder, storage, made)
+
+
+def write_mcap(path: Path, made: Made) -> int:
+    """Write messages as one .mcap, whole or not at all, and return their number."""
+
+    def write(aside: Path) -> tuple[int, Path]:
+        folder = aside / path.stem
+        return _write(folder, "mcap", made), folder / f"{folder.name}.mcap"
+
+    return _file(path, write)
+
+
+def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
+    """Have a file written in a folder aside, and put it in its place."""
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
     check_replaceable(path)
     with beside(path) as aside:
-        folder = aside / path.stem
-        count = _write(folder, "mcap", source, rig, model, on_warning)
-        (folder / f"{folder.name}.mcap").replace(path.resolve())
+        count, written = write(aside)
+        written.replace(path.resolve())
     return count
 
 
-def _write(folder: Path, storage: str, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> int:
-    """The bag of the capture, in a new folder."""
+def _write(path: Path, storage: str, made: Made) -> int:
+    """A new bag."""
     try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
     except ImportError:
         raise missing("rosbags") from None
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    version = 1 if storage == "ros1" else 2
+    store = ros_store(version)
     connections: dict[str, Any] = {}
     count = 0
+    writer: Any
+    if version == 1:
+        writer, serialize = Writer1(path), store.serialize_ros1
+    else:
+        writer = Writer2(path, version=BAG_VERSION, storage_plugin=StoragePlugin[storage.upper()])
+        serialize = store.serialize_cdr
     try:
-        with Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin[storage.upper()]) as writer:
-            for topic, message, time_ns in _messages(store.types, source, rig, model, on_warning):
+        with writer:
+            for topic, message, time_ns in made(Messages(store.types, version)):
                 kind = message.__msgtype__
                 if topic not in connections:
-                    qos = [_latched()] if topic == TF_STATIC else []
-                    connections[topic] = writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=qos)
-                writer.write(connections[topic], time_ns, store.serialize_cdr(message, kind))
+                    lasting = topic == TF_STATIC
+                    how = (
+                        {"latching": int(lasting)} if version == 1 else {"offered_qos_profiles": [_latched()] * lasting}
+                    )
+                    connections[topic] = writer.add_connection(topic, kind, typestore=store, **how)
+                writer.write(connections[topic], time_ns, serialize(message, kind))
                 count += 1
     except sqlite3.Error as error:
-        raise ConversionError(f"{folder.name}: {error}") from None
-    if not count:
-        raise PacketError(f"{source}: holds no returns to convert")
+        raise ConversionError(f"{path.name}: {error}") from None
     return count
 
 
-def _messages(
-    types: Any, source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning
-) -> Iterator[tuple[str, Any, int]]:
-    """Topic, message, and the time at which a driver would have sent it: at the end of the scan."""
-    names = ros_names(rig, on_warning) if rig else {}
-    seen: set[str] = set()
-    families: dict[str, str] = {}
-    for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__, driver=True):
-        first_ns, last_ns = int(scan.time_ns.min()), int(scan.time_ns.max())
-        if last_ns >= TIME_END_NS:
-            raise PacketError(f"{source}: goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2")
-        if rig and not seen:
-            yield TF_STATIC, _transforms(types, rig, names, first_ns), first_ns
-        (name,) = scan.sensor_names
-        if name not in names:
-            names[name] = ros_name(name)
-            on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
-        seen.add(name)
-        fields = family(families[name]).point_fields
-        yield f"/{names[name]}/points", _points(types, scan, fields, names[name], first_ns), last_ns
-    if absent := [name for name in names if name not in seen]:
-        on_warning(f"{source}: holds nothing of {', '.join(absent)}")
+def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: OnWarning) -> Made:
+    """The messages of a capture. Raises PacketError if it holds no return."""
+
+    def made(messages: Messages) -> Timed:
+        names = ros_names(rig, on_warning) if rig else {}
+        seen: set[str] = set()
+        families: dict[str, str] = {}
+        for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__, driver=True):
+            if rig and not seen:
+                yield TF_STATIC, _mounted(messages, rig, names, stamp_ns(scan)), stamp_ns(scan)
+            (name,) = scan.sensor_names
+            if name not in names:
+                names[name] = ros_name(name)
+                on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
+            seen.add(name)
+            yield _points(messages, scan, family(families[name]).point_fields, names[name], str(source))
+        if not seen:
+            raise PacketError(f"{source}: holds no returns to convert")
+        if absent := [name for name in names if name not in seen]:
+            on_warning(f"{source}: holds nothing of {', '.join(absent)}")
+
+    return made
 
 
-def _points(types: Any, scan: PointCloud, fields: tuple[PointField, ...], frame: str, stamp_ns: int) -> Any:
-    rows = np.empty(len(scan.xyz), [(field.name, field.kind) for field in fields])
-    for field in fields:
-        rows[field.name] = _column(scan, field.column, stamp_ns)
-    layout: dict[str, Any] = dict(rows.dtype.fields or {})
-    message = types["sensor_msgs/msg/PointField"]
-    return types["sensor_msgs/msg/PointCloud2"](
-        header=_header(types, frame, stamp_ns),
-        height=1,
-        width=len(rows),
-        fields=[
-            message(name=field.name, offset=layout[field.name][1], datatype=FIELD_TYPES[field.kind], count=1)
-            for field in fields
-        ],
-        is_bigendian=False,
-        point_step=rows.itemsize,
-        row_step=rows.nbytes,
-        data=rows.view(np.uint8),
-        is_dense=True,
-    )
+def of_recording(recording: Recording, where: str, on_warning: OnWarning) -> Made:
+    """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects."""
+    rig = recording.drive.rig
+
+    def made(messages: Messages) -> Timed:
+        names, start_ns = ros_names(rig, on_warning), recording.drive.start_ns
+        yield TF_STATIC, _mounted(messages, rig, names, start_ns), start_ns
+        pose_ns = start_ns
+        for scan in recording.scans:
+            name, last_ns = names[scan.sensor_names[0]], int(scan.time_ns.max())
+            while pose_ns <= last_ns:
+                vehicle = {BASE_LINK: recording.T_world_vehicle(pose_ns)}
+                yield TF, messages.transforms(vehicle, MAP, pose_ns), pose_ns
+                pose_ns += TF_STEP_NS
+            fields = (*_family_fields(recording, scan), OBJECT) if scan.driver else PLAIN
+            yield _points(messages, scan, fields, name, where)
+            boxes = recording.boxes(scan).with_returns()
+            poses = [
+                inverse(recording.T_world_sensor(scan, time_ns)) @ T
+                for time_ns, T in zip(boxes.time_ns.tolist(), boxes.T_world_box, strict=True)
+            ]
+            found = messages.detections(boxes, np.array(poses).reshape(-1, 4, 4), name, stamp_ns(scan))
+            yield f"/{name}/objects", found, last_ns
+
+    return made
 
 
-def _column(scan: PointCloud, name: str, stamp_ns: int) -> NDArray[Any]:
-    """What `PointField.column` calls so."""
-    if name in AXES:
-        return scan.xyz[:, AXES.index(name)]
-    if name == "intensity":
-        return scan.intensity
-    if name == "ring":
-        return scan.ring
-    if name == "time_s":
-        return scan.time_ns / SECOND_NS
-    if name == "since_stamp_ns":
-        return scan.time_ns - stamp_ns
-    if name == "since_stamp_s":
-        return (scan.time_ns - stamp_ns) / SECOND_NS
-    return scan.driver[name]
+def _family_fields(recording: Recording, scan: PointCloud) -> tuple[PointField, ...]:
+    """The fields of points as the sensor's driver has them."""
+    return family(recording.mount(scan).sensor.codec or "").point_fields
 
 
-def _transforms(types: Any, rig: Rig, names: dict[str, str], stamp_ns: int) -> Any:
+def _points(
+    messages: Messages, scan: PointCloud, fields: tuple[PointField, ...], frame: str, where: str
+) -> tuple[str, Any, int]:
+    """A scan's message. Raises PacketError for times that ROS 2 cannot say."""
+    first_ns, last_ns = stamp_ns(scan), int(scan.time_ns.max())
+    if last_ns >= TIME_END_NS:
+        raise PacketError(f"{where}: goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2")
+    return f"/{frame}/points", messages.points(scan, fields, frame, first_ns), last_ns
+
+
+def _mounted(messages: Messages, rig: Rig, names: dict[str, str], at_ns: int) -> Any:
     """The sensors' poses on the vehicle."""
-    transforms = []
-    for mount in rig.mounts:
-        x, y, z, w = quaternion_xyzw(mount.T_vehicle_sensor)
-        transforms.append(
-            types["geometry_msgs/msg/TransformStamped"](
-                header=_header(types, BASE_LINK, stamp_ns),
-                child_frame_id=names[mount.name],
-                transform=types["geometry_msgs/msg/Transform"](
-                    translation=types["geometry_msgs/msg/Vector3"](*mount.position_m),
-                    rotation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
-                ),
-            )
-        )
-    return types["tf2_msgs/msg/TFMessage"](transforms=transforms)
-
-
-def _header(types: Any, frame: str, stamp_ns: int) -> Any:
-    seconds, rest_ns = divmod(stamp_ns, SECOND_NS)
-    return types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest_ns), frame_id=frame
-    )
+    poses = {names[mount.name]: mount.T_vehicle_sensor for mount in rig.mounts}
+    return messages.transforms(poses, BASE_LINK, at_ns)
 
 
 def _latched() -> Any:

@@ -3,14 +3,17 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from lidarcfg.cloud import PointCloud, load_cloud, save_clouds
 from lidarcfg.errors import ConversionError
 from lidarcfg.files import replacing
 from lidarcfg.rig import load_rig
 
-Kind = Literal["rig", "cloud", "capture"]
+if TYPE_CHECKING:
+    from lidarcfg.formats.recording import Recording
+
+Kind = Literal["rig", "cloud", "capture", "drive"]
 OnWarning = Callable[[str], None]
 
 INPUTS: dict[Kind, tuple[str, ...]] = {
@@ -45,12 +48,33 @@ FORMATS = (
     Format("rosbag2", "capture", "", "return type"),
     Format("rosbag2-mcap", "capture", "", "return type"),
     Format("mcap", "capture", ".mcap", "return type"),
+    Format("rosbag1", "capture", ".bag", "return type"),
+    Format("ply", "drive", ".ply"),
+    Format("npz", "drive", ".npz"),
+    Format("pcd", "drive", ".pcd", "boxes of objects"),
+    Format("mcap", "drive", ".mcap"),
+    Format("rosbag2", "drive", ""),
+    Format("rosbag2-mcap", "drive", ""),
+    Format("rosbag1", "drive", ".bag"),
+    Format("kitti-odometry", "drive", "", "ring, time of each point or return type"),
+    Format("kitti-object", "drive", "", "ring, time of each point, objects of points or return type"),
+    Format("nuscenes", "drive", "", "time of each point, objects of points or return type"),
 )
+FOLDERS = {  # what stands in those of a drive
+    "kitti-odometry": ("sequences", "poses"),
+    "kitti-object": ("training",),
+    "nuscenes": ("v1.0-lidarcfg", "maps", "samples"),
+}
+STORAGES = {"rosbag1": "ros1", "rosbag2": "sqlite3", "rosbag2-mcap": "mcap"}
 
 
 def chosen(source: Path, output: Path, name: str | None) -> Format:
     """The format called `name`, or the first with OUTPUT's suffix. Raises ConversionError."""
-    kind = _kind(source)
+    return format_of(_kind(source), output, name)
+
+
+def format_of(kind: Kind, output: Path, name: str | None) -> Format:
+    """The same of what is known to be of a kind."""
     formats = [form for form in FORMATS if form.kind == kind]
     if name:
         for form in formats:
@@ -99,9 +123,37 @@ def convert(
     if form.name == "mcap":
         count = save_mcap(output, source, mounted, model, on_warning)
     else:
-        storage = "mcap" if form.name == "rosbag2-mcap" else "sqlite3"
-        count = save_bag(output, source, storage, mounted, model, on_warning)
+        count = save_bag(output, source, STORAGES[form.name], mounted, model, on_warning)
     return f"{count:,} messages"
+
+
+def save_recording(output: Path, form: Format, recording: "Recording", deskew: bool, on_warning: OnWarning) -> str:
+    """Write a drive in a format, whole or not at all, and return what it holds. Raises LidarcfgError."""
+    if form.lacks:
+        on_warning(f"{output}: {form.name} has no {form.lacks}")
+    if form.name in ("ply", "npz", "pcd"):
+        from lidarcfg.formats.points import save_points
+
+        return f"{save_points(output, recording, deskew):,} points"
+    if form.name in FOLDERS:
+        return f"{_save_folder(output, form.name, recording):,} scans"
+    from lidarcfg.formats.bag import of_recording, write_bag, write_mcap
+
+    made = of_recording(recording, str(output), on_warning)
+    if form.name == "mcap":
+        return f"{write_mcap(output, made):,} messages"
+    return f"{write_bag(output, STORAGES[form.name], made):,} messages"
+
+
+def _save_folder(output: Path, name: str, recording: "Recording") -> int:
+    from lidarcfg.formats.folder import replacing_folder
+    from lidarcfg.formats.kitti_folders import save_objects, save_odometry
+    from lidarcfg.formats.nuscenes_tables import save_tables
+
+    save = {"kitti-odometry": save_odometry, "kitti-object": save_objects, "nuscenes": save_tables}[name]
+    with replacing_folder(output, *FOLDERS[name]) as folder:
+        folder.mkdir()
+        return save(folder, recording)
 
 
 def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:

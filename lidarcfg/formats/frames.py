@@ -7,7 +7,7 @@ from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array
 from lidarcfg.rig import Rig
 
-BASE_LINK = "base_link"  # ROS REP-105's name for the vehicle frame
+BASE_LINK, MAP = "base_link", "map"  # ROS REP-105's names for the vehicle frame and the world frame
 
 
 def ros_name(name: str) -> str:
@@ -18,7 +18,7 @@ def ros_name(name: str) -> str:
 
 def ros_names(rig: Rig, on_warning: Callable[[str], None]) -> dict[str, str]:
     """The ROS names of the rig's sensors. Raises ConversionError if two are the same."""
-    taken = {BASE_LINK: "the vehicle"}
+    taken = {BASE_LINK: "the vehicle", MAP: "the world"}
     names = {}
     for mount in rig.mounts:
         name = ros_name(mount.name)

@@ -162,16 +162,8 @@ class Decoder(Protocol):
         return {}
 
 
-class Codec(Protocol):
-    """The packets of one sensor. Made from the sensor; raises ConfigError if its file says too little."""
-
-    point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
-    facts_model: ClassVar[type[Model]]  # what stands in a sensor's file under the family's name
-    settings_model: ClassVar[type[Model]] = Model  # and in a rig's, for a mount; by default nothing
-
-    def __init__(self, sensor: Sensor) -> None: ...
-
-    # writing
+class Timing(Protocol):
+    """When the lasers of a sensor fire."""
 
     def check(self, mount: "Mount") -> None:
         """Raises ConfigError if the mount cannot be exported: its mode, its settings, its sensor.
@@ -186,6 +178,21 @@ class Codec(Protocol):
 
     def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """The firings of so many packets' time, `chunk` packets at a time; fewer if the field of view is narrow."""
+
+    def pattern(self, mount: "Mount") -> Pattern:
+        """Where the mount's lasers fire in a revolution: what is scheduled, but for where it starts."""
+
+
+class Codec(Timing, Protocol):
+    """The packets of one sensor. Made from the sensor; raises ConfigError if its file says too little."""
+
+    point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
+    facts_model: ClassVar[type[Model]]  # what stands in a sensor's file under the family's name
+    settings_model: ClassVar[type[Model]] = Model  # and in a rig's, for a mount; by default nothing
+
+    def __init__(self, sensor: Sensor) -> None: ...
+
+    # writing
 
     def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
         """The packets of a batch with ranges (N, R; inf: no return) and reflectivities (N, R).
@@ -235,9 +242,6 @@ class Codec(Protocol):
     def firing_ns(self) -> Times:
         """(L,) when each laser fires after the first, in one firing of all."""
 
-    def pattern(self, mount: "Mount") -> Pattern:
-        """Where the mount's lasers fire in a revolution: what is scheduled, but for where it starts."""
-
 
 FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
@@ -259,13 +263,23 @@ def family(name: str) -> type[Codec]:
 def codec(sensor: Sensor) -> Codec:
     """The sensor's codec. Raises ConfigError if it has none, or for what its file says of its packets."""
     if sensor.codec is None:
-        raise ConfigError(f"sensor {sensor.name!r} is for placement only: it has no codec")
+        raise ConfigError(f"sensor {sensor.name!r} has no codec, and so no packets")
     return family(sensor.codec)(sensor)
+
+
+def timing(sensor: Sensor) -> Timing:
+    """When its lasers fire, by its codec or without one. Raises ConfigError."""
+    if sensor.codec:
+        return codec(sensor)
+    from lidarcfg.packets.bare import Bare
+
+    return Bare(sensor)
 
 
 def pattern(mount: "Mount") -> Pattern:
     """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
     sensor = mount.sensor
-    if sensor.codec is None:
-        raise ConfigError(f"sensor {sensor.name!r} has no codec, which would say where its lasers fire")
-    return codec(sensor).pattern(mount)
+    if sensor.codec is None and sensor.firing is None:
+        what = "has no codec, which would say where its lasers fire; give its file firing"
+        raise ConfigError(f"sensor {sensor.name!r} {what}")
+    return timing(sensor).pattern(mount)

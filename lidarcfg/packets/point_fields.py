@@ -7,8 +7,8 @@ from dataclasses import dataclass
 class PointField:
     """One field: what it is called, its type as numpy writes it, and the column that it holds.
 
-    Columns are x, y, z, intensity and ring of the cloud; since_stamp_s and since_stamp_ns, after the message's stamp;
-    time_s, since 1970; and those that the decoder gives besides.
+    Columns are x, y, z, intensity, ring, return_type and object of the cloud; since_stamp_s and since_stamp_ns, after
+    the message's stamp; time_s, since 1970; and those that the decoder gives besides.
     """
 
     name: str
@@ -21,6 +21,8 @@ PLACE = tuple(PointField(name, "<f4", name) for name in "xyz")
 SHARED = (*PLACE, PointField("intensity", "<f4", "intensity"), PointField("ring", "<u2", "ring"))
 TIMED = (*SHARED, PointField("time", "<f4", "since_stamp_s"))  # velodyne_driver's PointXYZIRT
 STAMPED = (*SHARED, PointField("timestamp", "<f8", "time_s"))  # HesaiLidar_ROS_2.0, rslidar_sdk
+OBJECT = PointField("object", "<i4", "object")  # of ground truth
+PLAIN = (*TIMED, PointField("return_type", "u1", "return_type"), OBJECT)  # of points without packets
 OUSTER = (  # ouster-ros: intensity is the signal, the ring the pixel's row from the top, the range in mm
     *PLACE,
     PointField("intensity", "<f4", "signal"),

@@ -17,7 +17,7 @@ F = TypeVar("F", bound=Model)
 class Firing(Model):
     """When each laser fires within a firing sequence."""
 
-    source: str
+    source: str = ""
     offset_ns: tuple[Nanoseconds, ...]  # by laser id; 0 is the packet's stamp, and so on a sequence later
     sequence_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one sequence to the next
 
@@ -45,6 +45,13 @@ class AnyUnit(Generic[F]):
         if self.sensor.range is None:
             raise ConfigError(f"sensor {self.name!r} is for placement only: it has no range facts")
         return self.sensor.range
+
+    @property
+    def resolution_m(self) -> float:
+        """Of one unit on the wire. Raises ConfigError if it is not known."""
+        if self.range.resolution_m is None:
+            raise ConfigError(f"sensor {self.name!r} has no range.resolution_m, the unit of distances in its packets")
+        return self.range.resolution_m
 
 
 def check_firing(section: Section, firing: Firing, sensor: Sensor) -> None:

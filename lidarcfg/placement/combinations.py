@@ -94,7 +94,8 @@ def _combination(
                 slot = slot_name(values.get("name"), count, number, len(slots))
                 of = study.slots[place + number]
                 seat = choice.surface.image if choice.surface and number % group.together else choice.surface
-                slots.append(Slot(slot, choice.sensor, model, of.range_m, of.azimuth_fov_deg, seat))
+                fov_deg = choice.sensor.field_of_view_deg(group.values.get("azimuth_fov_deg"))
+                slots.append(Slot(slot, choice.sensor, model, of.range_m, fov_deg, seat))
                 numbers.append(place + number)
                 members.append(i)
             place += count

@@ -295,13 +295,16 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         one = next((choice for choice in choices[i] if choice), None)
         sensor, model = (one.sensor, one.model) if one else resolve_sensor(path, i, group.model, group.elevation_deg)
         surface = one.surface if one else _surface(group, bodies, sensor, path, i)
+        for choice in filter(None, choices[i]):
+            _fov_deg(choice.sensor, group, path, i)
+        fov_deg = _fov_deg(sensor, group, path, i)
         for number in range(group.count):
             name = slot_name(group.name, group.count, number, len(slots))
             if name in [slot.name for slot in slots]:
                 raise error_at(path, ("sensors", i), f"two are called {name!r}; give each group its own name")
             image = group.mirror_y_m is not None and number % 2 == 1
             seat = surface.image if surface and image else surface
-            slots.append(Slot(name, sensor, model, group.range_m, group.azimuth_fov_deg, seat, choices[i]))
+            slots.append(Slot(name, sensor, model, group.range_m, fov_deg, seat, choices[i]))
             groups.append(i)
             lower.append(group.bounds[0])
             upper.append(group.bounds[1])
@@ -373,6 +376,14 @@ def _surface(group: GroupFile, bodies: Vehicle | None, sensor: Sensor, path: Pat
     if not (group.on and bodies):
         return None
     return on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
+
+
+def _fov_deg(sensor: Sensor, group: GroupFile, path: Path, i: int) -> tuple[float, float] | None:
+    """The horizontal field of view of a sensor of the group; None: all around."""
+    try:
+        return sensor.field_of_view_deg(group.azimuth_fov_deg)
+    except ValueError as error:
+        raise error_at(path, ("sensors", i, "azimuth_fov_deg"), str(error)) from None
 
 
 def slot_name(group: str | None, count: int, number: int, before: int) -> str:

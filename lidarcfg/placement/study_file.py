@@ -15,8 +15,8 @@ from lidarcfg.placement.region import RegionFile
 from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.surfaces import SurfaceFile
 from lidarcfg.placement.zones import ELSEWHERE, ZoneFile
-from lidarcfg.rig import AzimuthFov, MountName, Range, angles_rad, one_of
-from lidarcfg.sensor import Elevations
+from lidarcfg.rig import MountName, Range, angles_rad, one_of
+from lidarcfg.sensor import AzimuthFov, Elevations
 from lidarcfg.world.vehicle import VehicleFile
 
 BUDGETS = {"cycles", "evaluations", "seconds"}

@@ -14,6 +14,7 @@ from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.sensor import Byte
+from lidarcfg.world.categories import Category
 from lidarcfg.world.height_field import height_field_mesh
 from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed, plane_mesh, read_mesh, sphere_mesh
 from lidarcfg.world.models import model_objects
@@ -34,6 +35,7 @@ class Ground(Model):
     """An infinite horizontal plane."""
 
     z_m: Metres = 0.0
+    category: Category = "ground"  # what data sets call it: world/categories.py
     reflectivity: Byte  # as the sensor is calibrated: 0-100 diffuse in per cent, 101-255 retro-reflectors
 
 
@@ -42,6 +44,7 @@ class SceneObject(Model):
 
     name: Annotated[str, Field(min_length=1)]
     reflectivity: Byte
+    category: Category | None = None
     motion: Motion | None = None  # from its place at time 0, in the world's axes; it rotates about its place
 
 
@@ -186,6 +189,7 @@ class Scene:
     triangle_object: NDArray[np.int32]  # (T,) index of the object, ascending
     motions: tuple[Motion | None, ...]  # (objects,) None: static
     places_m: Array  # (objects, 3) the origin of each object's own frame at time 0, about which it rotates
+    items: tuple[Ground | SceneObject, ...] = ()  # (objects,) what each was made from
 
     @property
     def rounds(self) -> list[tuple[int, Sphere | Cylinder]]:
@@ -235,6 +239,7 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
         triangle_object=np.repeat(np.arange(len(objects), dtype=np.int32), [len(mesh[1]) for _, mesh in objects]),
         motions=tuple(getattr(item, "motion", None) for item, _ in objects),
         places_m=np.array([_place_m(item) for item, _ in objects]),
+        items=tuple(item for item, _ in objects),
     )
 
 

@@ -46,6 +46,7 @@ class Body(Model):
     """What the parts of a vehicle have beyond the objects of a scene; they do not move."""
 
     reflectivity: Byte = 20
+    category: None = None
     motion: None = None
     exclude: bool = False  # cuboids whose centres are inside are no part of the region
 

@@ -303,7 +303,7 @@ def test_sources_and_the_rig(second):
     with pytest.raises(PacketError, match="sends product id 0x22, not vlp-16's 0x33; --model"):
         whole(second, rig=replace(rig, mounts=(other, rig.mounts[1])))
     assert len(whole(second, rig=replace(rig, mounts=(other, rig.mounts[1])), model="vlp-16").xyz) > 200_000
-    with pytest.raises(ConfigError, match="placement only"):
+    with pytest.raises(ConfigError, match="'fan-16' has no codec, and so no packets"):
         whole(second, model="fan-16")
 
 
@@ -319,7 +319,9 @@ def test_capture_without_lidar(second, tmp_path):
 
 def test_what_cannot_be_exported(street):
     fan = replace(mount(), sensor=custom_sensor((0.0, 1.0)))
-    with pytest.raises(ConfigError, match="lidar_0: sensor 'custom' is for placement only: it has no codec"):
+    with pytest.raises(
+        ConfigError, match=r"lidar_0: sensor 'custom' has no codec, and so no packets; write points instead: \.ply, "
+    ):
         export(Rig("fan", (fan,)), street, np.eye(4), SECOND_NS)
     with pytest.raises(ConfigError, match=r"0\.001 s holds no packet of lidar_0; allowed: at least 0\.0013271 s"):
         export(Rig("short", (mount(),)), street, np.eye(4), 1_000_000)

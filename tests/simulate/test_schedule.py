@@ -48,5 +48,5 @@ def test_chunks_are_the_whole():
 
 
 def test_placement_only_sensors_are_refused():
-    with pytest.raises(ConfigError, match="'fan-16' is for placement only: it has no codec"):
+    with pytest.raises(ConfigError, match="'fan-16' has no codec, and so no packets"):
         codec(load_sensor("fan-16"))

@@ -75,9 +75,9 @@ class Unit(AnyUnit[Facts]):
     @property
     def unit_mm(self) -> int:
         """What the header says of distances. Raises ConfigError if it cannot."""
-        unit_mm = round(self.range.resolution_m * 1000)
-        if not 1 <= unit_mm <= 255 or abs(unit_mm - self.range.resolution_m * 1000) > 1e-9:
-            what = f"{self.range.resolution_m:g} m is not in whole millimetres, 1 to 255"
+        unit_mm = round(self.resolution_m * 1000)
+        if not 1 <= unit_mm <= 255 or abs(unit_mm - self.resolution_m * 1000) > 1e-9:
+            what = f"{self.resolution_m:g} m is not in whole millimetres, 1 to 255"
             raise ConfigError(f"sensor {self.name!r}: range.resolution_m: {what}")
         return unit_mm
 

@@ -56,7 +56,8 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
 
 def return_types(unit: Unit, range_m: Array, reflectivity: Octets) -> Octets:
     """(N, 2): of two returns that come by their strength, 0 of the stronger and 2 of the other."""
-    there = ((range_m >= unit.range.min_m) & (range_m <= unit.range.max_m)).all(axis=1)
+    least_m, most_m = unit.range.reported_m
+    there = ((range_m >= least_m) & (range_m <= most_m)).all(axis=1)
     far_m, light = range_m[there], LIGHT[reflectivity[there]]
     weaker = np.zeros(len(range_m), np.bool_)
     weaker[there] = light[:, 0] * far_m[:, 1] ** 2 < light[:, 1] * far_m[:, 0] ** 2

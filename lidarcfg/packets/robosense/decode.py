@@ -96,7 +96,7 @@ def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
     data = read_only(np.ascontiguousarray(octets))
     out = Returns.room(kernels.count(data, wanted))
     turning = azimuth, step, late_ns, stamp_ns
-    unit_m = unit.range.resolution_m
+    unit_m = unit.resolution_m
     single = SINGLE[reading.return_mode]
     found = kernels.points(data, wanted, turning, layout, _lasers(reading), group_ns, unit_m, single, out)
     return out.first(found)

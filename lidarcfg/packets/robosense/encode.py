@@ -40,7 +40,7 @@ def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: O
     blocks["id"] = BLOCK_ID
     azimuth = np.rint(spin.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
     blocks["azimuth"] = np.repeat(azimuth, blocks.shape[1] // azimuth.shape[1], axis=1)
-    limits = *unit.range.reported_m, unit.range.resolution_m, float(DISTANCE_MAX)
+    limits = *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
     measured = _rows(range_m, len(packets)), _rows(reflectivity, len(packets))
     encode_kernels.fill(*measured, places(unit, dual), limits, octets_of(packets))
     return packets

@@ -53,6 +53,7 @@ class Velodyne(Spinning):
 
         check_encodable(self.unit, mount.return_mode)
         mount.settings.checked(Settings)
+        assert self.unit.resolution_m
         if self.unit.facts.headers is None:
             raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
 

@@ -78,9 +78,11 @@ def decode(
     """
     facts = unit.packet
     if facts.return_modes:
-        allowed = facts.return_modes.strongest, facts.return_modes.last, facts.return_modes.dual
+        allowed = tuple(facts.return_modes.codes.values())
         modes = packets["return_mode"]
-        known = one_of(modes, allowed if facts.dual else allowed[:2])
+        known = one_of(
+            modes, tuple(code for mode, code in facts.return_modes.codes.items() if mode != "dual" or facts.dual)
+        )
         _check(modes, known, f"{unit.name}: return mode", allowed)
     dual = is_dual(facts, packets)
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
@@ -111,7 +113,7 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
     distance, intensity = (read_only(used["returns"][key]) for key in ("distance", "intensity"))
     modes = facts.return_modes
     out = Returns.room(kernels.count(distance, wanted), polar)
-    last = packets["return_mode"] == modes.last if modes else np.zeros(len(packets), np.bool_)
+    last = packets["return_mode"] == modes.codes.get("last", -1) if modes else np.zeros(len(packets), np.bool_)
     count = kernels.points(
         kernels.Wire(
             distance, intensity, azimuth, step, late_ns, device_time_ns(packets["stamp_us"], host_time_ns), last
@@ -119,7 +121,7 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
         wanted,
         tables,
         lasers,
-        unit.range.resolution_m,
+        unit.resolution_m,
         out,
     )
     return out.first(count)

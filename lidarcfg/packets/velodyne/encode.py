@@ -57,7 +57,7 @@ def encode(
         encode_kernels.unfocus(returns[0], laser, unit.focal, returns[1])
     packets["stamp_us"] = stamp_us(stamped_ns)
     if unit.packet.return_modes:
-        packets["return_mode"] = getattr(unit.packet.return_modes, return_mode)
+        packets["return_mode"] = unit.packet.return_modes.codes[return_mode]
         packets["product_id"] = unit.packet.product_id
     elif unit.packet.status:
         types, values = status_bytes(unit, unit.packet.status, return_mode, pps, stamped_ns, unit.period_ns(dual))
@@ -93,6 +93,9 @@ def check_encodable(unit: Unit, return_mode: str) -> None:
     """Raises ConfigError unless packets can say the sensor's returns in this mode, and its calibration."""
     if return_mode == "first":
         raise ConfigError("return_mode: 'first' is not allowed; a Velodyne sends the strongest, the last, or dual")
+    if unit.packet.return_modes and return_mode not in unit.packet.return_modes.codes:
+        allowed = ", ".join(unit.packet.return_modes.codes)
+        raise ConfigError(f"return_mode: sensor {unit.name!r} has no {return_mode} returns; allowed: {allowed}")
     if return_mode == "dual" and unit.packet.dual is None:
         raise ConfigError(f"sensor {unit.name!r} has no dual returns")
     if unit.packet.status:
@@ -107,7 +110,7 @@ def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]
 
 def _limits(unit: Unit) -> tuple[float, float, float, float]:
     """What is reported, from and to, in metres; the packet's unit; and how many of them it can say."""
-    return *unit.range.reported_m, unit.range.resolution_m, float(DISTANCE_MAX)
+    return *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
 
 
 def _flat(values: NDArray[Any], rows: int) -> NDArray[Any]:

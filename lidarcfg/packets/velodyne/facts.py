@@ -48,17 +48,28 @@ class Calibration(Model):
 
 
 class ReturnModes(Model):
-    """The codes in the packet's return mode byte."""
+    """The codes in the packet's return mode byte, of those modes that the sensor has."""
 
-    strongest: Byte
-    last: Byte
-    dual: Byte
+    strongest: Byte | None = None
+    last: Byte | None = None
+    dual: Byte | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "ReturnModes":
+        if not self.codes:
+            raise fault("is empty; give the code of strongest, last or dual")
+        return self
+
+    @property
+    def codes(self) -> dict[str, int]:
+        """By mode."""
+        return {mode: code for mode, code in self if code is not None}
 
 
 class Dual(Model):
     """Where a packet with dual returns has its blocks: all blocks of a sequence stand in it twice."""
 
-    source: str
+    source: str = ""
     order: Annotated[tuple[Return, Return], Field(min_length=2, max_length=2)]  # the first block, the second
     by: Literal["block", "sequence"]  # what is repeated: each block, or all blocks of the sequence
 
@@ -75,7 +86,7 @@ class GpsValues(Model):
 class Status(Model):
     """The status bytes that stand in place of return mode and product id: clock, state and calibration."""
 
-    source: str
+    source: str = ""
     letters: Annotated[str, Field(pattern="^[A-Z]+$")]  # the types that open a cycle, one a packet
     warnings: Annotated[str, Field(pattern="^[A-Z]?$")]  # the type of the warning byte, if it has its own
     checksum: Literal["crc16", "length"]  # what ends the calibration
@@ -85,7 +96,7 @@ class Status(Model):
 class Packet(Model):
     """The facts of the data packet (1206 bytes: 12 blocks of 32 returns)."""
 
-    source: str
+    source: str = ""
     product_id: Byte | None = None  # neither this nor return_modes: status bytes stand there
     old_product_ids: tuple[Byte, ...] = ()  # what early firmware sends
     block_flags: Annotated[tuple[Word, ...], Field(min_length=1)]  # by group of 32 lasers; 1, 2, 3, 4 or 6 of them
@@ -119,7 +130,7 @@ class Inertial(Model):
 class PositionPacket(Model):
     """The facts of the position packet (512 bytes with an NMEA sentence)."""
 
-    source: str
+    source: str = ""
     inertial: Inertial | None = None  # none: the bytes for it are zero
     rate_hz: Annotated[float, Field(gt=0, le=10_000)]
     sentence_without_gps: Literal["none", "since 2000"] = "none"  # the latter: as if it was switched on at 2000-01-01

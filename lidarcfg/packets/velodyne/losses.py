@@ -29,7 +29,7 @@ class Losses:
         """Count those that are wanted (P,) of successive packets, together with what went before them."""
         facts = self._unit.packet
         if facts.return_modes:
-            codes = {code: name for name, code in facts.return_modes.model_dump().items()}
+            codes = {code: name for name, code in facts.return_modes.codes.items()}
             self._modes |= {codes[code] for code in set(packets["return_mode"][wanted].tolist()) if code in codes}
         else:
             self._modes |= {"dual" if dual else self._single for dual in set(is_dual(facts, packets)[wanted].tolist())}

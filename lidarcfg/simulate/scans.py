@@ -1,0 +1,134 @@
+"""Points without packets: what each sensor of a rig sees, revolution by revolution, with the object of each point."""
+
+import heapq
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lidarcfg.cloud import PointCloud, concatenate
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Firings, Octets, Times, types
+from lidarcfg.rig import Mount
+from lidarcfg.sensor import Sensor
+from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.tasks import Crew, Drive, Run, Task, object_names, prepared, worked
+from lidarcfg.units import MINUTE_NS
+
+SECOND_STRONGEST, LAST = 2, 1  # types of returns
+
+
+def simulated_scans(drive: Drive, run: Run | None = None) -> Iterator[PointCloud]:
+    """The points of each sensor's revolutions in its own frame, in the order in which they end.
+
+    A revolution begins where the head passes azimuth 0, or the start of a narrower field of view. Ranges are exact, but
+    for the noise that the rig asks for: no packet has rounded them. Raises ConfigError.
+    """
+    run = run or Run()
+    tasks, names = prepared(drive, run.chunk_ns), object_names(drive.scene, drive.vehicle)
+    crew = Crew.of(run, len(tasks))
+    streams = [_revolutions(task, crew, names) for task in tasks]
+    return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """Points in the order of firing, and the number of each one's revolution."""
+
+    cloud: PointCloud
+    number: Times
+
+
+def _revolutions(task: Task, crew: Crew, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
+    """One sensor's scans."""
+    mount = task.mount
+    lowest = np.argsort(np.argsort(mount.sensor.elevation_rad, kind="stable")).astype(np.uint8)
+    turns = _Turns.of(task)
+
+    def make(batch: Batch, found: Echoes) -> _Chunk:
+        firing, cloud = _points(mount, batch.firings, found)
+        number = turns.number(batch.firings.time_ns[firing], batch.firings.encoder_rad[firing])
+        return _Chunk(replace(cloud, ring=lowest[batch.firings.laser[firing]], object_names=object_names), number)
+
+    begun: list[PointCloud] = []
+    current = 0
+    for chunk in worked(task, crew, make):
+        order = np.argsort(chunk.number, kind="stable")  # lasers that fire before their packet's time
+        cloud, number = chunk.cloud.rows(order), chunk.number[order]
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1, [len(number)]])
+        for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            if begun and number[first] != current and first < last:
+                yield concatenate(begun)
+                begun = []
+            if first < last:
+                current = int(number[first])
+                begun.append(cloud.rows(slice(first, last)))
+    if begun:
+        yield concatenate(begun)
+
+
+@dataclass(frozen=True)
+class _Turns:
+    """How far the head has turned: a whole number of revolutions where one begins."""
+
+    rate: float  # revolutions in a nanosecond
+    zero_ns: int
+    zero: float  # revolutions at that time
+    begin_rad: float  # where revolutions begin
+
+    @classmethod
+    def of(cls, task: Task) -> "_Turns":
+        """Of a sensor, by its first firing."""
+        mount = task.mount
+        begin_rad = math.radians(mount.azimuth_fov_deg[0]) if mount.azimuth_fov_deg else 0.0
+        everywhere = replace(mount, azimuth_fov_deg=None)
+        first = next(iter(task.timing.schedule(everywhere, task.start_ns, 1, 1))).firings
+        ahead = (first.encoder_rad[0] - begin_rad) % (2 * math.pi) / (2 * math.pi)
+        return cls(mount.rpm / MINUTE_NS, int(first.time_ns[0]), float(ahead), begin_rad)
+
+    def number(self, time_ns: Times, encoder_rad: Array) -> Times:
+        """(N,): the revolutions of firings."""
+        part = (encoder_rad - self.begin_rad) % (2 * math.pi) / (2 * math.pi)
+        return np.rint(self.zero + (time_ns - self.zero_ns) * self.rate - part).astype(np.int64)
+
+
+def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCloud]:
+    """The points of N firings, and which firing each is of."""
+    sensor = mount.sensor
+    assert sensor.range
+    (least_m, most_m), range_m = sensor.range.reported_m, found.range_m + found.noise_m
+    there = (range_m >= least_m) & (range_m <= most_m)
+    kinds = np.broadcast_to(np.array(types(mount.return_mode), np.uint8), range_m.shape).copy()
+    if mount.return_mode == "dual":
+        bright = found.reflectivity
+        alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
+        there[:, 1] &= ~alike
+        kinds[there.all(axis=1) & (bright[:, 0] < bright[:, 1]), 0] = SECOND_STRONGEST
+    firing, which = np.nonzero(there)
+    cloud = PointCloud(
+        xyz=_places(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
+        intensity=found.reflectivity[firing, which],
+        ring=np.empty(0, np.uint8),
+        time_ns=fired.time_ns[firing],
+        sensor=np.zeros(len(firing), np.uint16),
+        sensor_names=(mount.name,),
+        return_type=kinds[firing, which],
+        object=found.object[firing, which],
+    )
+    return firing, cloud
+
+
+def _places(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -> Array:
+    """(N, 3) in the sensor's frame: where beams end."""
+    azimuth_rad, elevation_rad = encoder_rad + sensor.azimuth_offset_rad[laser], sensor.elevation_rad[laser]
+    forward_m, left_m = sensor.forward_offset_m[laser], sensor.lateral_offset_m[laser]
+    flat_m, c, s = range_m * np.cos(elevation_rad), np.cos(azimuth_rad), np.sin(azimuth_rad)
+    return np.stack(
+        [
+            flat_m * c + left_m * s + forward_m * np.cos(encoder_rad),
+            -flat_m * s + left_m * c - forward_m * np.sin(encoder_rad),
+            range_m * np.sin(elevation_rad) + sensor.vertical_offset_m[laser],
+        ],
+        axis=1,
+    )

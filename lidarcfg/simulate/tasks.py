@@ -1,0 +1,227 @@
+"""The work of a simulation: what each sensor of a rig is to trace, chunk by chunk, on threads that they share."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from lidarcfg.capture.pcap import TIME_END_NS
+from lidarcfg.config import COORDINATE_MAX_M
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Timing, timing
+from lidarcfg.rig import Mount, Rig
+from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.simulator import Counts, Simulator
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.motion import Trajectory
+from lidarcfg.world.scene import Scene
+from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.vehicle import Vehicle, check_outside
+
+START_NS = 1_767_225_600 * 10**9  # 2026-01-01 00:00:00 UTC: a fixed default, so that an export is repeatable
+CHUNK_NS, CHUNK_RAYS = 1_000_000_000, 196_608  # at most, traced at a time: each chunk has a fixed cost
+AHEAD = 1  # chunks of a sensor that are traced while others are written
+
+OnRays = Callable[[Counts], None]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Run:
+    """How an export runs, and who follows it. Nothing of it changes a byte."""
+
+    on_progress: Callable[[int], None] = lambda done_ns: None  # the simulated time so far, of the duration
+    on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
+    chunk_ns: int = CHUNK_NS  # traced at a time, at most
+    threads: int | None = None  # none: as many as cores
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A rig on a vehicle that stands or drives in a scene, for a while."""
+
+    rig: Rig
+    scene: Scene
+    trajectory: Trajectory
+    vehicle: Vehicle | None
+    start_ns: int
+    duration_ns: int
+
+
+def object_names(scene: Scene, vehicle: Vehicle | None) -> tuple[str, ...]:
+    """What the ground truth calls the objects: those of the scene, and behind `vehicle/` those of the vehicle."""
+    return scene.names + (tuple(f"vehicle/{name}" for name in vehicle.scene.names) if vehicle else ())
+
+
+@dataclass(frozen=True)
+class Task:
+    """The simulation of one sensor."""
+
+    index: int
+    mount: Mount
+    timing: Timing
+    simulator: Simulator
+    start_ns: int
+    duration_ns: int
+    chunk_ns: int
+
+
+def prepared(drive: Drive, chunk_ns: int) -> list[Task]:
+    """The work of each sensor; sensor i of n starts i/n of a packet after the first. Raises ConfigError."""
+    mounts, trajectory, start_ns = drive.rig.mounts, drive.trajectory, drive.start_ns
+    timings = [checked_timing(mount, drive.duration_ns) for mount in mounts]
+    for mount in mounts:
+        check_place(mount.name, mount.position_m)
+    if drive.vehicle:
+        check_outside(drive.vehicle, mounts)
+    starts_ns = [
+        start_ns + i * one.pace(mount).period_ns // len(mounts)
+        for i, (mount, one) in enumerate(zip(mounts, timings, strict=True))
+    ]
+    end_ns = max(starts_ns) + drive.duration_ns
+    if start_ns < 0 or (end_ns + 500) // 1000 * 1000 >= TIME_END_NS:
+        raise ConfigError("start and duration leave the time that a pcap can say, 1970 to 2106-02-07T06:28:16 UTC")
+    tracer = Tracer(drive.scene, _checked_start(trajectory, start_ns, end_ns), start_ns)
+    tracer.check_span(0, (end_ns - start_ns) / SECOND_NS)
+    bodies = Tracer(drive.vehicle.scene, np.zeros(3)) if drive.vehicle else None
+    return [
+        Task(i, mount, one, Simulator(i, mount, tracer, trajectory, bodies), first_ns, drive.duration_ns, chunk_ns)
+        for i, (mount, one, first_ns) in enumerate(zip(mounts, timings, starts_ns, strict=True))
+    ]
+
+
+def checked_timing(mount: Mount, duration_ns: int) -> Timing:
+    """When the mount's lasers fire. Raises ConfigError unless the sensor can be simulated for this long."""
+    sensor = mount.sensor
+    try:
+        found = timing(sensor)
+        found.check(mount)
+    except ConfigError as error:
+        raise ConfigError(f"{mount.name}: {error}") from None
+    if sensor.range is None:
+        raise ConfigError(f"{mount.name}: sensor {sensor.name!r} has no range; give its file range: {{max_m: ...}}")
+    period_ns = found.pace(mount).period_ns
+    if duration_ns < period_ns:
+        raise ConfigError(
+            f"a duration of {duration_ns / SECOND_NS:g} s holds no packet of {mount.name}; "
+            f"allowed: at least {period_ns / SECOND_NS:g} s"
+        )
+    return found
+
+
+def check_place(name: str, position_m: Sequence[float] | Array) -> None:
+    """Raises ConfigError if the position of what is called `name` is beyond the largest coordinate."""
+    for axis, value in zip("xyz", position_m, strict=True):
+        if not abs(value) <= COORDINATE_MAX_M:
+            allowed = f"{-COORDINATE_MAX_M:g} to {COORDINATE_MAX_M:g}"
+            raise ConfigError(f"{name} stands at {axis} = {value:g} m; allowed: {allowed}")
+
+
+def _checked_start(trajectory: Trajectory, start_ns: int, end_ns: int) -> Array:
+    """(3,): where the vehicle starts. Raises ConfigError if its trajectory is too short or leaves the world."""
+    path = trajectory.path
+    check_place("the vehicle", trajectory.T_world_start[:3, 3])
+    path.check_span((start_ns - trajectory.zero_ns) / SECOND_NS, (end_ns - trajectory.zero_ns) / SECOND_NS)
+    start_m: Array = trajectory.pose(start_ns)[:3, 3]
+    far_m = path.speed_max_m_s * (end_ns - start_ns) / SECOND_NS
+    check_place("the vehicle", start_m)
+    if np.abs(start_m).max() + far_m > COORDINATE_MAX_M:
+        raise ConfigError(f"the vehicle may get {far_m:g} m from its start; allowed: to {COORDINATE_MAX_M:g} m")
+    return start_m
+
+
+class Workers:
+    """Threads that the streams share, started when the first is read and stopped after the last."""
+
+    def __init__(self, threads: int) -> None:
+        self._threads, self._readers = threads, 0
+        self._pool: ThreadPoolExecutor | None = None
+
+    @contextmanager
+    def pool(self) -> Iterator[Executor]:
+        """The threads; they stop once all readers are done, have stopped early or were interrupted."""
+        self._pool = self._pool or ThreadPoolExecutor(self._threads)
+        self._readers += 1
+        try:
+            yield self._pool
+        finally:
+            self._readers -= 1
+            if not self._readers:
+                self._pool.shutdown(cancel_futures=True)
+                self._pool = None
+
+
+class Progress:
+    """The progress of all streams together."""
+
+    def __init__(self, streams: int, on_progress: Callable[[int], None]) -> None:
+        self._done_ns, self._on_progress = [0] * streams, on_progress
+
+    def set(self, stream: int, done_ns: int) -> None:
+        """Record how far a stream has come."""
+        self._done_ns[stream] = done_ns
+        self._on_progress(sum(self._done_ns) // len(self._done_ns))
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Who works on the tasks of all sensors, and follows."""
+
+    workers: Workers
+    progress: Progress
+    on_rays: OnRays
+
+    @classmethod
+    def of(cls, run: Run, sensors: int) -> "Crew":
+        """For a run of so many sensors."""
+        return cls(Workers(run.threads or os.cpu_count() or 1), Progress(sensors, run.on_progress), run.on_rays)
+
+
+def worked(task: Task, crew: Crew, make: Callable[[Batch, Echoes], T]) -> Iterator[T]:
+    """What `make` makes, on threads, of the firings and echoes of each chunk that has some, in the order of time."""
+    timing, mount, simulator = task.timing, task.mount, task.simulator
+    pace = timing.pace(mount)
+    total = task.duration_ns // pace.period_ns
+    packets = max(min(task.chunk_ns // pace.period_ns, CHUNK_RAYS // (pace.firings * simulator.width)), 1)
+
+    def work(batch: Batch, first: int) -> tuple[T, Counts] | None:
+        if not len(batch.sent_ns):
+            return None
+        found, counts = simulator.echoes(batch.firings, first)
+        return make(batch, found), counts
+
+    with crew.workers.pool() as pool:
+        batches = timing.schedule(mount, task.start_ns, total, packets)
+        jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
+        for number, chunk in enumerate(_ahead(jobs), 1):
+            if chunk:
+                made, counts = chunk
+                crew.on_rays(counts)
+                yield made
+            done_ns = number * packets * pace.period_ns
+            crew.progress.set(task.index, done_ns if number * packets < total else task.duration_ns)
+
+
+def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:
+    """Each with the number of its first firing."""
+    first = 0
+    for batch in batches:
+        yield batch, first
+        first += len(batch.firings.time_ns)
+
+
+def _ahead(jobs: Iterator[Future[T]]) -> Iterator[T]:
+    """The results of jobs in order, while a few more run."""
+    waiting: deque[Future[T]] = deque()
+    for job in jobs:
+        waiting.append(job)
+        if len(waiting) > AHEAD:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()

@@ -1,0 +1,95 @@
+"""The boxes of a scene's objects: of those that move, and of those whose category has boxes in data sets."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array, rotation
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.categories import NAMES
+from lidarcfg.world.motion import MotionPath, prepared
+from lidarcfg.world.scene import Box, Cylinder, Ground, Plane, Scene, SceneObject, Sphere
+
+
+@dataclass(frozen=True)
+class Boxed:
+    """An object with a box, which turns and moves with it."""
+
+    index: int  # of the scene's objects
+    name: str
+    category: str | None
+    path: MotionPath | None  # none: it is static
+    place_m: Array  # (3,) about which it rotates
+    center_m: Array  # (3,) of the box at rest
+    size_m: Array  # (3,) along its own axes
+    R: Array  # (3, 3) at rest
+
+    def pose(self, seconds: float) -> Array:
+        """T_world_box (4, 4) at a time since the scene's time 0. Raises ConfigError outside timed poses."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.R, self.center_m
+        if self.path:
+            R, t = (values[0] for values in self.path.at(np.array([seconds])))
+            T[:3, :3], T[:3, 3] = R @ self.R, self.place_m + t + R @ (self.center_m - self.place_m)
+        return T
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """The boxes of N objects, each at the mean time of its returns in a scan: there its points are."""
+
+    objects: tuple[Boxed, ...]
+    time_ns: NDArray[np.int64]  # (N,)
+    T_world_box: Array  # (N, 4, 4)
+    returns: NDArray[np.int64]  # (N,) in the scan
+
+    def with_returns(self) -> "Boxes":
+        """Those of objects that were hit."""
+        hit = np.flatnonzero(self.returns)
+        return Boxes(tuple(self.objects[i] for i in hit), self.time_ns[hit], self.T_world_box[hit], self.returns[hit])
+
+
+def boxed(scene: Scene) -> tuple[Boxed, ...]:
+    """The objects with boxes, in the scene's order."""
+    found = []
+    for index, item in enumerate(scene.items):
+        if isinstance(item, Ground):
+            continue
+        if item.motion is None and (item.category is None or not NAMES[item.category].kitti):
+            continue
+        path = prepared(item.motion) if item.motion else None
+        shape = _shape(item, scene, index)
+        found.append(Boxed(index, item.name, item.category, path, scene.places_m[index], *shape))
+    return tuple(found)
+
+
+def _shape(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, Array]:
+    """Centre, size and rotation of an object's box at rest: along the object's own axes."""
+    if isinstance(item, Box):
+        return np.array(item.center_m), np.array(item.size_m), rotation((0.0, 0.0, np.radians(item.yaw_deg)))
+    if isinstance(item, Sphere):
+        return np.array(item.center_m), np.full(3, 2 * item.radius_m), np.eye(3)
+    if isinstance(item, Cylinder):
+        size_m = np.array([2 * item.radius_m, 2 * item.radius_m, item.height_m])
+        return item.base_m + np.array([0, 0, item.height_m / 2]), size_m, np.eye(3)
+    R = rotation(np.radians(getattr(item, "rpy_deg", (0.0, 0.0, 0.0))))
+    if isinstance(item, Plane):
+        return np.array(item.center_m), np.array([*item.size_m, 0.0]), R
+    corners = scene.vertices_m[np.unique(scene.triangles[scene.triangle_object == index])]
+    own = (corners - scene.places_m[index]) @ R
+    low, high = own.min(axis=0), own.max(axis=0)
+    return scene.places_m[index] + R @ ((low + high) / 2), high - low, R
+
+
+def boxes_at(
+    objects: tuple[Boxed, ...], hit: NDArray[np.int32], time_ns: NDArray[np.int64], zero_ns: int, stamp_ns: int
+) -> Boxes:
+    """The boxes in a scan of points (P,) on these objects; of an object that was not hit, at the scan's stamp."""
+    times_ns, poses, returns = [], [], []
+    for one in objects:
+        mine = time_ns[hit == one.index]
+        times_ns.append(stamp_ns + round(float((mine - stamp_ns).mean())) if len(mine) else stamp_ns)
+        poses.append(one.pose((times_ns[-1] - zero_ns) / SECOND_NS))
+        returns.append(len(mine))
+    return Boxes(objects, np.array(times_ns, np.int64), np.array(poses).reshape(-1, 4, 4), np.array(returns, np.int64))
