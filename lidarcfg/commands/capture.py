@@ -1,6 +1,7 @@
 """lidarcfg export, decode and replay: captures written, read and sent again."""
 
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,12 +28,15 @@ from lidarcfg.commands.progress import progress
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from lidarcfg.capture.pcap import Datagram
     from lidarcfg.capture.stream import SourceStats
     from lidarcfg.rig import ReturnMode, Rig
     from lidarcfg.simulate.simulator import Counts
+    from lidarcfg.simulate.tasks import Drive, Run
+
+    OnPath = Callable[[Path], None]
 
 
 @cloup.command(
@@ -67,9 +71,11 @@ if TYPE_CHECKING:
 )
 @cloup.option_group(
     "Output",
-    cloup.option("-o", "--output", type=FILE, required=True, help="The .pcap to write."),
+    cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; see above."),
+    cloup.option("--to", "name", metavar="FORMAT", help="The format, where the suffix does not name it."),
     cloup.option("--split", is_flag=True, help="Write one file per sensor: NAME-SENSOR.pcap."),
     cloup.option("--truth", type=FILE, help="Write the ground truth of each return, as .npz: object, range, noise."),
+    cloup.option("--deskew", is_flag=True, help="Points in the world frame; of .ply, .pcd and .npz."),
     cloup.option("--stats", is_flag=True, help="Print how many rays were traced and how many hit."),
     quiet_option,
 )
@@ -78,6 +84,7 @@ def export(
     scene: Path,
     duration: float,
     output: Path,
+    name: str | None,
     split: bool,
     at: str,
     start: str | None,
@@ -85,84 +92,150 @@ def export(
     trajectory: Path | None,
     vehicle: Path | None,
     truth: Path | None,
+    deskew: bool,
     stats: bool,
     quiet: bool,
 ) -> None:
-    """Simulate what a rig's sensors send in a scene, as a pcap.
+    """Simulate what a rig's sensors send, or see, in a scene.
 
-    The vehicle stands, or moves along a trajectory. The same input gives the same bytes. What it was is noted in
-    a YAML file beside the pcap, by which `decode --deskew` takes the motion out.
+    A pcap holds their packets; other formats hold points with the ground truth. The vehicle stands, or moves along a
+    trajectory. The same input gives the same bytes. What it was is noted in a YAML file beside the output, by which
+    `decode --deskew` takes the motion out.
+
+    \b
+    OUTPUT      FORMAT
+    .pcap       packets
+    .ply .npz   one cloud, objects of points, boxes
+    .pcd        the same without boxes
+    .mcap       points, objects, boxes, /tf of ROS 2
+    .bag        rosbag1: the same of ROS 1
+    folder      rosbag2, rosbag2-mcap: of ROS 2
+    folder      kitti-odometry, kitti-object,
+                nuscenes: each needs --to
     """
-    import time
-    from contextlib import ExitStack
-
-    from lidarcfg.capture.pcap import write_pcap
     from lidarcfg.capture.record import save_record
-    from lidarcfg.files import together
     from lidarcfg.rig import load_rig
-    from lidarcfg.simulate import export as capture
-    from lidarcfg.simulate.ground_truth import TruthFile
+    from lidarcfg.simulate.tasks import START_NS, Drive
     from lidarcfg.world.scene import load_scene
     from lidarcfg.world.vehicle import load_vehicle, rig_vehicle
 
-    for path, suffix, option in ((output, ".pcap", "-o"), (truth, ".npz", "--truth")):
-        if path and path.suffix != suffix:
-            raise click.BadParameter(f"{str(path)!r} does not end in {suffix}", param_hint=option)
     mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
     if vehicle:
         bodies = None if str(vehicle) == "none" else load_vehicle(vehicle)
     else:
         bodies = rig_vehicle(mounted)
     warn_of(bodies)
-    duration_ns, began = round(duration * SECOND_NS), time.monotonic()
+    start_ns = nanoseconds(start) if start else START_NS
+    moved = load_trajectory(trajectory, at, start_ns)
+    drive = Drive(mounted, world, moved, bodies, start_ns, round(duration * SECOND_NS))
     total = [0, 0]
+    files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
+    values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
+
+    def record(path: Path) -> None:
+        save_record(path, files, values)
+
+    if output.suffix == ".pcap" and name is None:
+        if deskew:
+            raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
+        lines = _export_packets(drive, output, split, truth, record, total, quiet)
+    else:
+        if split or truth:
+            raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
+        lines = _export_points(drive, output, name, deskew, record, total, quiet)
+    for line in [] if quiet else lines:
+        click.echo(line)
+    if stats:
+        rays, hits = total
+        click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
+
+
+@contextmanager
+def _run(duration_ns: int, total: list[int], quiet: bool) -> "Iterator[Run]":
+    """How an export runs: with a progress bar, counting rays."""
+    import time
+
+    from lidarcfg.simulate.tasks import Run
+
+    began = time.monotonic()
 
     def on_rays(counts: "Counts") -> None:
         total[:] = map(sum, zip(total, counts, strict=True))
 
-    with progress(quiet) as on_fraction, ExitStack() as stack:
+    with progress(quiet) as on_fraction:
 
         def on_progress(done_ns: int) -> None:
             rate = done_ns / SECOND_NS / max(time.monotonic() - began, 1e-9)
             on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
 
-        names = [mount.name for mount in mounted.mounts]
+        yield Run(on_progress, on_rays)
+
+
+def _export_packets(
+    drive: "Drive", output: Path, split: bool, truth: Path | None, record: "OnPath", total: list[int], quiet: bool
+) -> list[str]:
+    """Write one pcap, or one of each sensor, and what readers need besides. Returns what to print."""
+    from contextlib import ExitStack
+
+    from lidarcfg.capture.pcap import write_pcap
+    from lidarcfg.files import together
+    from lidarcfg.simulate import export as capture
+    from lidarcfg.simulate.ground_truth import TruthFile
+
+    if truth and truth.suffix != ".npz":
+        raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
+    mounts = drive.rig.mounts
+    names = [mount.name for mount in mounts]
+    with _run(drive.duration_ns, total, quiet) as run, ExitStack() as stack:
         stack.enter_context(together())
-        beside = stack.enter_context(TruthFile(truth, names, capture.object_names(world, bodies))) if truth else None
-        start_ns = nanoseconds(start) if start else capture.START_NS
+        objects = capture.object_names(drive.scene, drive.vehicle)
+        beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
         streams = capture.export(
-            mounted,
-            world,
-            load_trajectory(trajectory, at, start_ns),
-            duration_ns,
-            start_ns,
+            drive.rig,
+            drive.scene,
+            drive.trajectory,
+            drive.duration_ns,
+            drive.start_ns,
             beside.add if beside else None,
-            bodies,
-            capture.Run(on_progress, on_rays),
+            drive.vehicle,
+            run,
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
-            pairs = zip(paths, mounted.mounts, strict=True)
-            beside_each = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
+            pairs = zip(paths, mounts, strict=True)
+            companions = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
             counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
         else:
-            beside_each = capture.save_companions(output, mounted.mounts)
+            companions = capture.save_companions(output, mounts)
             paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
         records = beside.save() if beside else 0
-        files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
-        values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
         for path in paths:
-            save_record(path, files, values)
-    if not quiet:
-        for path, count in zip(paths, counts, strict=True):
-            click.echo(f"{path}: {count:,} packets, {duration:g} s")
-        for path in beside_each:
-            click.echo(f"{path}: what readers of the capture need besides")
-        if truth:
-            click.echo(f"{truth}: {records:,} returns")
-    if stats:
-        rays, hits = total
-        click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
+            record(path)
+    duration = f"{drive.duration_ns / SECOND_NS:g} s"
+    lines = [f"{path}: {count:,} packets, {duration}" for path, count in zip(paths, counts, strict=True)]
+    lines += [f"{path}: what readers of the capture need besides" for path in companions]
+    return lines + [f"{truth}: {records:,} returns"] * bool(truth)
+
+
+def _export_points(
+    drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", total: list[int], quiet: bool
+) -> list[str]:
+    """Write points and what is true of them, in the format that suffix or name say. Returns what to print."""
+    from lidarcfg.formats import formats
+    from lidarcfg.formats.recording import Recording
+    from lidarcfg.simulate.scans import simulated_scans
+
+    form = formats.format_of("drive", output, name)
+    if deskew and form.name not in formats.CLOUDS:
+        raise click.UsageError(f"--deskew is for {', '.join(formats.CLOUDS)}")
+    warnings: list[str] = []
+    with _run(drive.duration_ns, total, quiet) as run:
+        recording = Recording(drive, simulated_scans(drive, run))
+        found = formats.save_recording(output, form, recording, deskew, warnings.append)
+        record(output)
+    for text in [] if quiet else warnings:
+        warn(text)
+    return [f"{output}: {found}, {drive.duration_ns / SECOND_NS:g} s"]
 
 
 def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":

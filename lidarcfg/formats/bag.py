@@ -125,6 +125,7 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
         seen: set[str] = set()
         families: dict[str, str] = {}
         for scan in scans(source, on_warning, rig, model, on_source=families.__setitem__, driver=True):
+            _check_time(int(scan.time_ns.max()), source)
             if rig and not seen:
                 yield TF_STATIC, _mounted(messages, rig, names, stamp_ns(scan)), stamp_ns(scan)
             (name,) = scan.sensor_names
@@ -132,7 +133,7 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
                 names[name] = ros_name(name)
                 on_warning(f"{name} is called {names[name]} in ROS; without a rig there is no {TF_STATIC}")
             seen.add(name)
-            yield _points(messages, scan, family(families[name]).point_fields, names[name], str(source))
+            yield _points(messages, scan, family(families[name]).point_fields, names[name])
         if not seen:
             raise PacketError(f"{source}: holds no returns to convert")
         if absent := [name for name in names if name not in seen]:
@@ -141,12 +142,13 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
     return made
 
 
-def of_recording(recording: Recording, where: str, on_warning: OnWarning) -> Made:
+def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Made:
     """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects."""
     rig = recording.drive.rig
 
     def made(messages: Messages) -> Timed:
         names, start_ns = ros_names(rig, on_warning), recording.drive.start_ns
+        _check_time(start_ns + recording.drive.duration_ns, where)
         yield TF_STATIC, _mounted(messages, rig, names, start_ns), start_ns
         pose_ns = start_ns
         for scan in recording.scans:
@@ -156,7 +158,7 @@ def of_recording(recording: Recording, where: str, on_warning: OnWarning) -> Mad
                 yield TF, messages.transforms(vehicle, MAP, pose_ns), pose_ns
                 pose_ns += TF_STEP_NS
             fields = (*_family_fields(recording, scan), OBJECT) if scan.driver else PLAIN
-            yield _points(messages, scan, fields, name, where)
+            yield _points(messages, scan, fields, name)
             boxes = recording.boxes(scan).with_returns()
             poses = [
                 inverse(recording.T_world_sensor(scan, time_ns)) @ T
@@ -173,14 +175,16 @@ def _family_fields(recording: Recording, scan: PointCloud) -> tuple[PointField, 
     return family(recording.mount(scan).sensor.codec or "").point_fields
 
 
-def _points(
-    messages: Messages, scan: PointCloud, fields: tuple[PointField, ...], frame: str, where: str
-) -> tuple[str, Any, int]:
-    """A scan's message. Raises PacketError for times that ROS 2 cannot say."""
-    first_ns, last_ns = stamp_ns(scan), int(scan.time_ns.max())
+def _check_time(last_ns: int, where: Path) -> None:
+    """Raises PacketError for times that ROS 2 cannot say."""
     if last_ns >= TIME_END_NS:
         raise PacketError(f"{where}: goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2")
-    return f"/{frame}/points", messages.points(scan, fields, frame, first_ns), last_ns
+
+
+def _points(messages: Messages, scan: PointCloud, fields: tuple[PointField, ...], frame: str) -> tuple[str, Any, int]:
+    """A scan's message."""
+    message = messages.points(scan, fields, frame, stamp_ns(scan))
+    return f"/{frame}/points", message, int(scan.time_ns.max())
 
 
 def _mounted(messages: Messages, rig: Rig, names: dict[str, str], at_ns: int) -> Any:

@@ -60,6 +60,7 @@ FORMATS = (
     Format("kitti-object", "drive", "", "ring, time of each point, objects of points or return type"),
     Format("nuscenes", "drive", "", "time of each point, objects of points or return type"),
 )
+CLOUDS = ("ply", "npz", "pcd")
 FOLDERS = {  # what stands in those of a drive
     "kitti-odometry": ("sequences", "poses"),
     "kitti-object": ("training",),
@@ -82,17 +83,21 @@ def format_of(kind: Kind, output: Path, name: str | None) -> Format:
                 if form.suffix and output.suffix.lower() != form.suffix:
                     raise ConversionError(f"{output}: does not end in {form.suffix}, as {name} does")
                 return form
-        raise ConversionError(
-            f"a {kind} does not convert to {name}; allowed: {', '.join(form.name for form in formats)}"
-        )
+        raise ConversionError(f"{_failed(kind)} {name}; allowed: {', '.join(form.name for form in formats)}")
     for form in formats:
         if form.suffix == output.suffix.lower():
             return form
     allowed = ", ".join(form.suffix for form in formats if form.suffix)
     folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
     hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
-    what = f"a {kind} does not convert to {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
+    if kind == "drive":
+        allowed, hint = f".pcap, {allowed}", ""
+    what = f"{_failed(kind)} {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
     raise ConversionError(what)
+
+
+def _failed(kind: Kind) -> str:
+    return "an export is not written as" if kind == "drive" else f"a {kind} does not convert to"
 
 
 def _kind(source: Path) -> Kind:
@@ -131,7 +136,7 @@ def save_recording(output: Path, form: Format, recording: "Recording", deskew: b
     """Write a drive in a format, whole or not at all, and return what it holds. Raises LidarcfgError."""
     if form.lacks:
         on_warning(f"{output}: {form.name} has no {form.lacks}")
-    if form.name in ("ply", "npz", "pcd"):
+    if form.name in CLOUDS:
         from lidarcfg.formats.points import save_points
 
         return f"{save_points(output, recording, deskew):,} points"
@@ -139,7 +144,7 @@ def save_recording(output: Path, form: Format, recording: "Recording", deskew: b
         return f"{_save_folder(output, form.name, recording):,} scans"
     from lidarcfg.formats.bag import of_recording, write_bag, write_mcap
 
-    made = of_recording(recording, str(output), on_warning)
+    made = of_recording(recording, output, on_warning)
     if form.name == "mcap":
         return f"{write_mcap(output, made):,} messages"
     return f"{write_bag(output, STORAGES[form.name], made):,} messages"

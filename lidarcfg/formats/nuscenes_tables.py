@@ -228,9 +228,8 @@ class _Tables:
         return annotations, instances
 
     def _boxes(self, sample: _Sample) -> Boxes:
-        hit, time_ns = (np.concatenate([getattr(scan, key) for scan in sample.scans]) for key in ("hit", "time_ns"))
-        drive = self._recording.drive
-        return boxes_at(self._recording.objects, hit, time_ns, drive.start_ns, sample.stamp_ns)
+        hits = [(scan.hit, scan.time_ns) for scan in sample.scans]
+        return boxes_at(self._recording.objects, hits, self._recording.drive.start_ns, sample.stamp_ns)
 
     def _annotation(self, k: int, sample: _Sample, boxes: Boxes) -> Row:
         one, (length_m, width_m, height_m) = boxes.objects[k], boxes.objects[k].size_m.tolist()

@@ -51,11 +51,9 @@ class Recording:
         world = self.drive.trajectory.world(in_vehicle, scan.time_ns)
         return transform(inverse(self.T_world_sensor(scan, stamp_ns(scan))), world)
 
-    def boxes(self, *scans: PointCloud) -> Boxes:
-        """The boxes in scans; of objects that were not hit, at the stamp of the first one."""
-        hit = np.concatenate([hits(scan) for scan in scans])
-        times_ns = np.concatenate([scan.time_ns for scan in scans])
-        return boxes_at(self.objects, hit, times_ns, self.drive.start_ns, stamp_ns(scans[0]))
+    def boxes(self, scan: PointCloud) -> Boxes:
+        """The boxes in a scan; of objects that were not hit, at its stamp."""
+        return boxes_at(self.objects, [(hits(scan), scan.time_ns)], self.drive.start_ns, stamp_ns(scan))
 
 
 def stamp_ns(scan: PointCloud) -> int:

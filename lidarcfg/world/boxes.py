@@ -1,5 +1,6 @@
 """The boxes of a scene's objects: of those that move, and of those whose category has boxes in data sets."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,7 @@ class Boxed:
 
 @dataclass(frozen=True)
 class Boxes:
-    """The boxes of N objects, each at the mean time of its returns in a scan: there its points are."""
+    """The boxes of N objects, each at the mean time of its returns in a scan: its points are there."""
 
     objects: tuple[Boxed, ...]
     time_ns: NDArray[np.int64]  # (N,)
@@ -82,14 +83,20 @@ def _shape(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, A
     return scene.places_m[index] + R @ ((low + high) / 2), high - low, R
 
 
-def boxes_at(
-    objects: tuple[Boxed, ...], hit: NDArray[np.int32], time_ns: NDArray[np.int64], zero_ns: int, stamp_ns: int
-) -> Boxes:
-    """The boxes in a scan of points (P,) on these objects; of an object that was not hit, at the scan's stamp."""
-    times_ns, poses, returns = [], [], []
-    for one in objects:
-        mine = time_ns[hit == one.index]
-        times_ns.append(stamp_ns + round(float((mine - stamp_ns).mean())) if len(mine) else stamp_ns)
-        poses.append(one.pose((times_ns[-1] - zero_ns) / SECOND_NS))
-        returns.append(len(mine))
-    return Boxes(objects, np.array(times_ns, np.int64), np.array(poses).reshape(-1, 4, 4), np.array(returns, np.int64))
+Hits = tuple[NDArray[np.int32], NDArray[np.int64]]  # of a scan's points (P,): the objects, and the times
+
+
+def boxes_at(objects: tuple[Boxed, ...], scans: Sequence[Hits], zero_ns: int, stamp_ns: int) -> Boxes:
+    """The boxes in scans that belong together: each at the mean time of the returns in the first scan that has some.
+
+    An object that was not hit is where it was at the stamp. Raises ConfigError outside timed poses.
+    """
+    times_ns, returns = np.full(len(objects), stamp_ns, np.int64), np.zeros(len(objects), np.int64)
+    for k, one in enumerate(objects):
+        mine = [time_ns[hit == one.index] for hit, time_ns in scans]
+        returns[k] = sum(map(len, mine))
+        some = next((some for some in mine if len(some)), None)
+        if some is not None:
+            times_ns[k] += round(float((some - stamp_ns).mean()))
+    poses = [one.pose((at - zero_ns) / SECOND_NS) for one, at in zip(objects, times_ns.tolist(), strict=True)]
+    return Boxes(objects, times_ns, np.array(poses).reshape(-1, 4, 4), returns)
