@@ -145,7 +145,7 @@ class Entrant:
         self.combination = combination
         self._logs = list(logs)
         study = combination.study
-        search = start_search(study.solver, study.groups) if study.free.any() else FixedPoint()
+        search = start_search(study.solver, study.coordinates) if study.free.any() else FixedPoint()
         self.runs = [self._run(search)]
         self._transfer: Transfer | None = None  # the last one's search
 

@@ -86,7 +86,11 @@ def optimize(
     dimensions = int(study.free.sum())
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    run, budget, interrupted = Run(study, start_search(study.solver, study.groups), log), Budget.of(study.solver), False
+    run, budget, interrupted = (
+        Run(study, start_search(study.solver, study.coordinates), log),
+        Budget.of(study.solver),
+        False,
+    )
     with run.evaluator(threads, skip) as evaluator:
         try:
             while not (run.history and budget.spent(run.evaluations, run.cycles)):

@@ -26,6 +26,7 @@ from lidarcfg.placement.returns import NOTHING, scanner, scans
 from lidarcfg.placement.returns_kernels import Scans
 from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.sightings import Sought, sought, target
+from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, GroupFile, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import Surface, mirrored, on_surface, violation
 from lidarcfg.placement.visibility import Visibility
@@ -97,6 +98,13 @@ class Study:
         """(free coordinates,) the slot of each."""
         slot: NDArray[np.int64] = np.nonzero(self.free)[0]
         return slot
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """The free coordinates: each slot is a group. Those along one axis within equal bounds mean the same."""
+        free = self.free
+        bounds = np.stack([np.nonzero(free)[1], self.lower[free], self.upper[free]], axis=1)
+        return Coordinates(self.groups, np.unique(bounds, axis=0, return_inverse=True)[1].ravel())
 
     def poses(self, unit: Array) -> Array:
         """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube; 1 is exactly upper."""

@@ -1,5 +1,6 @@
 """Studies: loading, what an optimisation promises, and the evaluation of a rig."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +190,20 @@ def test_a_resumed_search_ends_where_an_unbroken_one_does(tmp_path, method):
 
 
 MIRRORED = SMALL.replace("{elevation_deg", "{mirror_y_m: 4, elevation_deg").replace("[5, 3, 1]", "[5, 4, 1]")
+
+
+def test_coordinates_along_one_axis_within_equal_bounds_mean_the_same(tmp_path):
+    """Four sensors: one shares x, z and pitch with two, another one nothing."""
+    other = "  - {elevation_deg: [-5, 5], min: {position_m: [5, 2, 1], rpy_deg: [0, -20, 0]}, max: {position_m: [7, 3, 2.5], rpy_deg: [0, 20, 0]}}"
+    text = SMALL.replace("sensors:", "sensors:\n" + other)
+    loaded = study(tmp_path, text)
+    found = loaded.coordinates
+    assert np.array_equal(found.group, loaded.groups)
+    axis = np.nonzero(loaded.free)[1]
+    for i, j in itertools.combinations(range(len(found)), 2):
+        a, b = (found.group[i], axis[i]), (found.group[j], axis[j])
+        alike = a[1] == b[1] and (loaded.lower[a], loaded.upper[a]) == (loaded.lower[b], loaded.upper[b])
+        assert (found.kind[i] == found.kind[j]) == alike
 
 
 def test_mirrored_pairs_move_together(tmp_path):

@@ -3,49 +3,43 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lidarcfg.placement.solvers.search import Search
+from lidarcfg.placement.solvers.search import Coordinates, Search
 
 if TYPE_CHECKING:
     from lidarcfg.placement.study_file import Solver
 
 
-Groups = NDArray[np.int64]  # (dimensions,) coordinates of equal numbers belong together
-
-
-def _auto(groups: Groups, solver: "Solver") -> Search:
+def _auto(coordinates: Coordinates, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.auto import Auto
 
-    return Auto(groups, solver.seed)
+    return Auto(coordinates, solver.seed)
 
 
-def _abc(groups: Groups, solver: "Solver") -> Search:
+def _abc(coordinates: Coordinates, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.bee_colony import BeeColony
 
-    return BeeColony(len(groups), solver.bees, solver.limit or solver.bees * len(groups), solver.seed)
+    return BeeColony(len(coordinates), solver.bees, solver.limit or solver.bees * len(coordinates), solver.seed)
 
 
-def _cmaes(groups: Groups, solver: "Solver") -> Search:
+def _cmaes(coordinates: Coordinates, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.cma_es import CmaEs
 
-    return CmaEs(len(groups), solver.seed)
+    return CmaEs(len(coordinates), solver.seed)
 
 
-def _de(groups: Groups, solver: "Solver") -> Search:
+def _de(coordinates: Coordinates, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.lshade import LshadeRestarts
 
-    return LshadeRestarts(len(groups), solver.seed)
+    return LshadeRestarts(len(coordinates), solver.seed)
 
 
-def _annealing(groups: Groups, solver: "Solver") -> Search:
+def _annealing(coordinates: Coordinates, solver: "Solver") -> Search:
     from lidarcfg.placement.solvers.annealing import AnnealingRounds
 
-    return AnnealingRounds(groups, solver.seed)
+    return AnnealingRounds(coordinates, solver.seed)
 
 
-SOLVERS: dict[str, Callable[[Groups, "Solver"], Search]] = {
+SOLVERS: dict[str, Callable[[Coordinates, "Solver"], Search]] = {
     "auto": _auto,
     "abc": _abc,
     "annealing": _annealing,
@@ -54,6 +48,6 @@ SOLVERS: dict[str, Callable[[Groups, "Solver"], Search]] = {
 }
 
 
-def start_search(solver: "Solver", groups: Groups) -> Search:
-    """The search that a study's solver settings describe, over as many dimensions as there are in `groups`."""
-    return SOLVERS[solver.method](groups, solver)
+def start_search(solver: "Solver", coordinates: Coordinates) -> Search:
+    """The search that a study's solver settings describe, over some coordinates."""
+    return SOLVERS[solver.method](coordinates, solver)

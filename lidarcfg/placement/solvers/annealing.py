@@ -5,6 +5,10 @@ whose cost is below cost × exp(T × Exp(1)), which is what the rule that draws 
 the cost. So an evaluator may refute a trial as soon as it is known not to be below that. A step is Gaussian, of any
 size, or a difference between two chains (ter Braak 2006).
 
+Or a group learns from another one, of its own chain or of a second: it takes over some coordinates that mean the same
+there, nearly. For groups of a good point are alike in part: of the best rigs known, most have two or three LiDARs that
+are tilted equally, and with one LiDAR at a time no chain would get there by chance.
+
 Chains live on islands, and no island knows of another. Some basins are found by few chains, while these are hot, and
 chains that learn from each other all end in one. So in every other round there are many small islands, of which the
 worse half is given up early and again, as in successive halving (Jamieson and Talwalkar 2016). Other basins are reached
@@ -15,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.solvers.search import Runs, Trials, checked
+from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
 
 MANY, ONE = (8, 8), (1, 32)  # islands, and chains on each
 TRIES = 4  # trials of a chain at a time; the first that it takes moves it
@@ -23,7 +27,9 @@ HOT, WARM, COLD = 0.04, 0.004, 0.0005  # T at the beginning, where a run goes on
 HALVED = (0.3, 0.38, 0.46)  # how far a run has come when the worse half of the islands is given up
 LEAST, MOST = 0.001, 0.3  # standard deviations of Gaussian steps, in the unit cube
 JITTER = 1e-4  # of a difference, so that chains that stand in one place can part
-STEP_COORDINATE = 0.6  # the probability of a coordinate of the group to take part in a Gaussian step
+STEP_COORDINATE = 0.6  # the probability of a coordinate of the group to take part in a step that moves only some
+LEARNING, OWN = 0.6, 0.6  # the probability of a step that takes over coordinates; and of taking them from its own chain
+NEARLY = 0.3  # the standard deviation of what is taken over, in those of Gaussian steps
 RENEWALS, RENEWED = 20, 0.1  # how often in a run, and what fraction of an island's chains, worst to best
 TRIALS, REFINING = 10_000, 4000  # of a round, and of refining what it found, per dimension
 LONGER = 4  # so many rounds are of one length; the next ones are twice as long
@@ -32,22 +38,23 @@ LONGER = 4  # so many rounds are of one length; the next ones are twice as long
 class Annealing:
     """One run of about `trials` trials; `over` once they are used up.
 
-    groups (dimensions,): coordinates of equal numbers move together. shape: MANY or ONE. `start` (dimensions,): where
-    all chains begin, less hot; without it every chain begins at a random point.
+    Coordinates of a group move together. shape: MANY or ONE. `start` (dimensions,): where all chains begin, less hot;
+    without it every chain begins at a random point.
     """
 
     def __init__(
         self,
-        groups: NDArray[np.int64],
+        coordinates: Coordinates,
         rng: np.random.Generator,
         trials: int,
         shape: tuple[int, int] = MANY,
         start: Array | None = None,
     ) -> None:
         self._rng, self._asks, self._renewals, self._halvings = rng, 0, 0, 0
-        self._members = np.unique(groups)[:, None] == groups
+        self._members = np.unique(coordinates.group)[:, None] == coordinates.group
+        self._counterpart = _counterparts(coordinates.kind, self._members)
         self._islands = np.arange(shape[0] * shape[1]).reshape(shape)  # those that are left, by their chains
-        self._x = rng.random((self._islands.size, len(groups)))
+        self._x = rng.random((self._islands.size, len(coordinates)))
         if start is not None:
             self._x[:] = start
         self._cost = np.full(len(self._x), np.inf)
@@ -104,8 +111,9 @@ class Annealing:
     def _draw(self) -> Trials:
         rng, size, dimensions = self._rng, self._islands.shape[1], self._x.shape[1]
         chain = np.repeat(self._islands.ravel(), TRIES)
-        n = len(chain)
-        moves = self._members[rng.integers(len(self._members), size=n)]
+        n, groups = len(chain), len(self._members)
+        group = rng.integers(groups, size=n)
+        moves = self._members[group]
         some = moves & (rng.random((n, dimensions)) < STEP_COORDINATE)
         some = np.where(some.any(axis=1, keepdims=True), some, moves)
         deviation = LEAST * (MOST / LEAST) ** rng.random((n, 1))
@@ -115,11 +123,22 @@ class Annealing:
         difference = rng.uniform(0.2, 1.0, (n, 1)) * (self._x[one] - self._x[other]) + JITTER * normal
         gaussian = rng.random((n, 1)) < 0.5
         x = self._x[chain] + np.where(gaussian, some * deviation * normal, moves * difference)
+        teacher = (group + rng.integers(1, max(groups, 2), size=n)) % groups  # another group, if there is one
+        source = np.where(rng.random(n) < OWN, chain, one)
+        taken = self._x[source[:, None], self._counterpart[teacher]] + NEARLY * deviation * normal
+        x = np.where((rng.random((n, 1)) < LEARNING) & moves, np.where(some, taken, self._x[chain]), x)
         x = 1.0 - np.abs(1.0 - np.abs(x))  # reflected by the walls
         cost = self._cost[chain]
         with np.errstate(over="ignore", invalid="ignore"):
             to_beat = cost + np.abs(cost) * np.expm1(self.temperature * rng.exponential(size=n))
         return Trials("trial", np.clip(x, 0.0, 1.0), chain, np.where(np.isnan(to_beat), np.inf, to_beat))
+
+
+def _counterparts(kind: NDArray[np.int64], members: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(groups, dimensions): what means the same as a coordinate in each group; else the coordinate itself."""
+    alike = members[:, None, :] & (kind[:, None] == kind)
+    out: NDArray[np.int64] = np.where(alike.any(axis=2), alike.argmax(axis=2), np.arange(len(kind)))
+    return out
 
 
 class AnnealingRounds(Runs):
@@ -128,10 +147,10 @@ class AnnealingRounds(Runs):
     `start` (dimensions,), if given, is refined before the first round.
     """
 
-    def __init__(self, groups: NDArray[np.int64], seed: int, start: Array | None = None) -> None:
-        super().__init__(len(groups))
+    def __init__(self, coordinates: Coordinates, seed: int, start: Array | None = None) -> None:
+        super().__init__(len(coordinates))
         self._rng = np.random.default_rng(seed)
-        self._groups = groups
+        self._coordinates = coordinates
         self.rounds = 0  # completed
         self._end_x, self._end = self.best_x, np.inf  # the best of the current round
         self._record = np.inf  # the best end of a round before
@@ -139,9 +158,9 @@ class AnnealingRounds(Runs):
         self._run = self._new_run(start)
 
     def _new_run(self, start: Array | None) -> Annealing:
-        trials = (TRIALS if start is None else REFINING) * len(self._groups) << self.rounds // LONGER
+        trials = (TRIALS if start is None else REFINING) * len(self._coordinates) << self.rounds // LONGER
         shape = MANY if start is None and self.rounds % 2 == 0 else ONE
-        return Annealing(self._groups, self._rng, trials, shape, start)
+        return Annealing(self._coordinates, self._rng, trials, shape, start)
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""

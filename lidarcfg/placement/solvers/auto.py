@@ -6,12 +6,11 @@ group of coordinates at a time. It refines the best so far, then begins anew man
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.annealing import LONGER, AnnealingRounds
 from lidarcfg.placement.solvers.cma_es import CmaEs
-from lidarcfg.placement.solvers.search import Trials, checked
+from lidarcfg.placement.solvers.search import Coordinates, Trials, checked
 
 POINTS, POPULATION, STEP = 200, 30, 0.15  # random points, then CMA-ES from the best of them
 EVALUATIONS = 1000  # of CMA-ES at first, per dimension
@@ -20,18 +19,18 @@ EVALUATIONS = 1000  # of CMA-ES at first, per dimension
 class Auto:
     """CMA-ES and annealing in turns: so many evaluations, so many rounds; each turn is twice as long as its last."""
 
-    def __init__(self, groups: NDArray[np.int64], seed: int) -> None:
+    def __init__(self, coordinates: Coordinates, seed: int) -> None:
         self._rng = np.random.default_rng(seed)
-        self._groups = groups
+        self._coordinates = coordinates
         self._turn = self._spent = 0  # turns completed, and evaluations in this one
         self.cycles = 0
-        self.best_x, self.best_cost, self.mean_cost = np.full(len(groups), 0.5), np.inf, np.inf
+        self.best_x, self.best_cost, self.mean_cost = np.full(len(coordinates), 0.5), np.inf, np.inf
         self._annealing: AnnealingRounds | None = None
         self._begin()
 
     def _begin(self) -> None:
         """Start a turn with random points."""
-        self._points = self._rng.random((POINTS, len(self._groups)))
+        self._points = self._rng.random((POINTS, len(self._coordinates)))
         self._run: CmaEs | AnnealingRounds | None = None
         self._first = True  # the next run starts from the best point
 
@@ -56,7 +55,7 @@ class Auto:
         self._spent += len(cost)
         if self._run is None:
             self.mean_cost = float(np.mean(cost))
-            self._run = CmaEs(len(self._groups), self._seed(), x[best], STEP, POPULATION)
+            self._run = CmaEs(len(self._coordinates), self._seed(), x[best], STEP, POPULATION)
             return
         self._run.tell(cost)
         self.mean_cost = self._run.mean_cost
@@ -69,11 +68,11 @@ class Auto:
 
     def _follow(self) -> None:
         """What comes after a run of CMA-ES: another one, or annealing."""
-        if self._spent >= EVALUATIONS * len(self._groups) * 2**self._turn:
-            self._annealing = self._annealing or AnnealingRounds(self._groups, self._seed(), self.best_x)
+        if self._spent >= EVALUATIONS * len(self._coordinates) * 2**self._turn:
+            self._annealing = self._annealing or AnnealingRounds(self._coordinates, self._seed(), self.best_x)
             self._run = self._annealing
         elif self._first:
-            self._first, self._run = False, CmaEs(len(self._groups), self._seed())
+            self._first, self._run = False, CmaEs(len(self._coordinates), self._seed())
 
     def _seed(self) -> int:
         return int(self._rng.integers(2**63))

@@ -11,6 +11,17 @@ from lidarcfg.geometry import Array
 
 
 @dataclass(frozen=True)
+class Coordinates:
+    """The dimensions of a search."""
+
+    group: NDArray[np.int64]  # (dimensions,) those of equal numbers belong together
+    kind: NDArray[np.int64]  # (dimensions,) those of equal numbers mean the same, each in its group
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+
+@dataclass(frozen=True)
 class Trials:
     """Points of the unit cube to evaluate."""
 

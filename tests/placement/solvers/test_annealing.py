@@ -4,23 +4,28 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from lidarcfg.placement.solvers.annealing import MANY, ONE, Annealing, AnnealingRounds
+from lidarcfg.placement.solvers import annealing
+from lidarcfg.placement.solvers.annealing import LEARNING, MANY, ONE, OWN, Annealing, AnnealingRounds
+from lidarcfg.placement.solvers.search import Coordinates
 
 GROUPS = np.array([0, 0, 0, 2, 2, 7])
+COORDINATES = Coordinates(GROUPS, np.array([1, 2, 3, 1, 3, 9]))  # the first two groups have two kinds in common
+ALIKE = Coordinates(np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]))
+PAIR = Coordinates(np.array([0, 1]), np.array([0, 0]))
 
 
 def sphere(x):
     return 1 + ((x - 0.3) ** 2).sum(axis=1)
 
 
-def started(groups=GROUPS, trials=10**9, seed=1, shape=MANY, start=None):
-    run = Annealing(groups, np.random.default_rng(seed), trials, shape, start)
+def started(coordinates=COORDINATES, trials=10**9, seed=1, shape=MANY, start=None):
+    run = Annealing(coordinates, np.random.default_rng(seed), trials, shape, start)
     run.tell(sphere(run.ask().x))
     return run
 
 
 def test_chains_begin_at_random_points_and_go_there_whatever_they_cost():
-    run = Annealing(GROUPS, np.random.default_rng(2), 10**9)
+    run = Annealing(COORDINATES, np.random.default_rng(2), 10**9)
     begin = run.ask()
     assert begin.x.shape == (64, 6)
     assert np.isinf(begin.to_beat).all()
@@ -69,9 +74,10 @@ def test_the_first_trial_that_a_chain_takes_moves_it():
     assert run.mean_cost == pytest.approx((sphere(before).sum() - sphere(before[2:3])[0] + cost[9]) / 64)
 
 
-def test_half_of_the_steps_are_differences_of_two_chains_of_the_island():
+def test_half_of_the_other_steps_are_differences_of_two_chains_of_the_island(monkeypatch):
     """Islands on parallel lines: a difference of their chains goes along them, but for its jitter."""
-    run = Annealing(np.zeros(2, int), np.random.default_rng(4), 10**9)
+    monkeypatch.setattr(annealing, "LEARNING", 0.0)
+    run = Annealing(Coordinates(np.zeros(2, int), np.arange(2)), np.random.default_rng(4), 10**9)
     run.tell(np.ones(64))
     run.tell(np.full(256, np.inf))
     run.sources[:] = np.linspace(0.4, 0.6, 64)[:, None] + np.arange(64)[:, None] // 8 * (0.01, -0.01)
@@ -83,8 +89,53 @@ def test_half_of_the_steps_are_differences_of_two_chains_of_the_island():
     assert (np.concatenate(off) < 1e-3).mean() == pytest.approx(0.5, abs=0.1)
 
 
+def learned(coordinates, monkeypatch):
+    """Steps that take over coordinates: (chain, coordinate) of each, and of where it was in the island; and the trials.
+
+    Every coordinate of every chain is another number, and Gaussian steps are tiny, so that this can be seen.
+    """
+    monkeypatch.setattr(annealing, "LEAST", 1e-12)
+    monkeypatch.setattr(annealing, "MOST", 1e-12)
+    run, steps, trials = Annealing(coordinates, np.random.default_rng(5), 10**9, (4, 4)), [], 0
+    count = len(coordinates)
+    run.tell(np.ones(16))
+    run.sources[:] = np.random.default_rng(6).permutation(np.linspace(0.05, 0.95, 16 * count)).reshape(16, count)
+    run.tell(np.full(64, np.inf))
+    for _ in range(40):
+        asked = run.ask()
+        for x, chain in zip(asked.x, asked.source, strict=True):
+            trials += 1
+            first = chain - chain % 4
+            near = [np.argwhere(np.abs(run.sources[first : first + 4] - value) < 1e-9) for value in x]
+            moved = np.flatnonzero(np.abs(x - run.sources[chain]) > 1e-9)
+            if moved.size and all(len(near[c]) for c in moved):
+                steps.append([((chain, int(c)), (first + int(near[c][0, 0]), int(near[c][0, 1]))) for c in moved])
+        run.tell(np.full(64, np.inf))
+    return steps, trials
+
+
+def test_a_group_takes_over_coordinates_from_another_one_of_its_chain_or_of_a_second(monkeypatch):
+    steps, trials = learned(ALIKE, monkeypatch)
+    own = 0
+    for step in steps:
+        assert {to[1] // 2 for to, _ in step} in ({0}, {1})
+        assert all(taken[1] == (to[1] + 2) % 4 for to, taken in step)
+        assert len({taken[0] for _, taken in step}) == 1
+        own += all(to[0] == taken[0] for to, taken in step)
+    assert len(steps) / trials == pytest.approx(LEARNING, abs=0.03)
+    assert own / len(steps) == pytest.approx(OWN, abs=0.04)
+    assert np.mean([len(step) for step in steps]) == pytest.approx((2 * 0.36 + 2 * 0.24 + 0.16 * 2), abs=0.05)
+
+
+def test_what_means_the_same_nowhere_else_is_taken_over_from_a_second_chain(monkeypatch):
+    steps, _ = learned(COORDINATES, monkeypatch)
+    seen = {(to[1], taken[1]) for step in steps for to, taken in step}
+    assert seen == {(0, 3), (2, 4), (3, 0), (4, 2)} | {(c, c) for c in range(6)}
+    assert all(to[0] != taken[0] for step in steps for to, taken in step if to[1] == taken[1])
+
+
 def test_the_worst_chains_of_an_island_go_on_from_where_its_best_is():
-    run = Annealing(GROUPS, np.random.default_rng(3), 10**6)
+    run = Annealing(COORDINATES, np.random.default_rng(3), 10**6)
     begin = run.ask().x
     run.tell(1.0 + np.arange(64))
     while np.array_equal(run.sources, begin):
@@ -96,7 +147,7 @@ def test_the_worst_chains_of_an_island_go_on_from_where_its_best_is():
 
 def test_the_worse_half_of_the_islands_is_given_up_three_times():
     """By their best chains, which cost 1 … 8; after 30, 38 and 46 % of the batches."""
-    run, left, trials = Annealing(GROUPS, np.random.default_rng(3), 200_000), [], 0
+    run, left, trials = Annealing(COORDINATES, np.random.default_rng(3), 200_000), [], 0
     island = np.arange(64) // 8 * 3 % 8  # so that the order of costs is not that of the islands
     run.tell(np.where(np.arange(64) % 8 == 5, 1.0 + island, 90.0 - island))  # by the mean the order is another
     while not run.over:
@@ -127,7 +178,7 @@ def test_it_cools_evenly_to_half_a_thousandth(shape, start, hot):
 
 def test_a_run_from_a_point_has_all_of_its_chains_there():
     start = np.linspace(0.1, 0.9, 6)
-    run = Annealing(GROUPS, np.random.default_rng(3), 50_000, ONE, start)
+    run = Annealing(COORDINATES, np.random.default_rng(3), 50_000, ONE, start)
     assert np.array_equal(run.ask().x, np.tile(start, (32, 1)))
     run.tell(np.ones(32))
     trials = 0
@@ -140,7 +191,7 @@ def test_a_run_from_a_point_has_all_of_its_chains_there():
 
 def test_four_rounds_are_of_one_length_and_the_best_end_so_far_is_refined():
     """10,000 trials a dimension, refining 4000; in the fifth twice as many. Every other round has one island of 32."""
-    solver, runs = AnnealingRounds(np.array([0, 1]), 1), []
+    solver, runs = AnnealingRounds(PAIR, 1), []
     ends = (5.0, 6.0, 4.0, 4.5, 3.0)  # the first, the third and the fifth are the best so far
     while solver.rounds < 5:
         asked = solver.ask()
@@ -158,7 +209,7 @@ def test_four_rounds_are_of_one_length_and_the_best_end_so_far_is_refined():
 
 def test_a_given_point_is_refined_before_the_first_round():
     start = np.array([0.25, 0.75])
-    solver, runs = AnnealingRounds(np.array([0, 1]), 1, start), []
+    solver, runs = AnnealingRounds(PAIR, 1, start), []
     assert np.array_equal(solver.ask().x, np.tile(start, (32, 1)))
     while solver.rounds < 1:
         asked = solver.ask()
@@ -172,7 +223,7 @@ def test_a_given_point_is_refined_before_the_first_round():
 
 def test_it_climbs_out_of_basins():
     """Rastrigin's function: 11^4 valleys, one of them the deepest, at 1."""
-    run, found = Annealing(np.arange(4), np.random.default_rng(3), 40000), np.inf
+    run, found = Annealing(Coordinates(np.arange(4), np.arange(4)), np.random.default_rng(3), 40000), np.inf
     while not run.over:
         y = 10.24 * (run.ask().x - 0.4)
         cost = 1 + (y**2 - 10 * np.cos(2 * np.pi * y) + 10).sum(axis=1)

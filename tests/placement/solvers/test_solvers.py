@@ -10,13 +10,21 @@ from lidarcfg.placement.solvers.auto import Auto
 from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.cma_es import CmaEs
 from lidarcfg.placement.solvers.lshade import Lshade, LshadeRestarts
+from lidarcfg.placement.solvers.search import Coordinates
+
+
+def pairs(dimensions):
+    """Groups of two coordinates, the first of which mean the same, and the second."""
+    number = np.arange(dimensions)
+    return Coordinates(number // 2, number % 2)
+
 
 SOLVERS = {
     "abc": lambda dimensions, seed: BeeColony(dimensions, 20, 20 * dimensions, seed),
     "cmaes": CmaEs,
     "de": LshadeRestarts,
-    "annealing": lambda dimensions, seed: AnnealingRounds(np.arange(dimensions) // 2, seed),
-    "auto": lambda dimensions, seed: Auto(np.arange(dimensions) // 2, seed),
+    "annealing": lambda dimensions, seed: AnnealingRounds(pairs(dimensions), seed),
+    "auto": lambda dimensions, seed: Auto(pairs(dimensions), seed),
 }
 
 
@@ -92,7 +100,7 @@ def test_cma_es_begins_anew_with_twice_the_population():
 
 
 def test_auto_walks_from_the_best_of_its_points():
-    solver = Auto(np.zeros(3, int), 1)
+    solver = Auto(Coordinates(np.zeros(3, int), np.arange(3)), 1)
     points = solver.ask().x
     assert len(points) == 200
     solver.tell(bowl(points))
@@ -102,7 +110,7 @@ def test_auto_walks_from_the_best_of_its_points():
 
 
 def test_auto_is_cma_es_and_four_rounds_of_annealing_in_turns():
-    solver = Auto(np.zeros(2, int), 1)
+    solver = Auto(pairs(2), 1)
     for turn in (1, 2):  # 1000 evaluations a dimension, and 10,000 a round; twice as many in the second turn
         sizes = []
         while (size := len(solver.ask().x)) != (32, 64)[
