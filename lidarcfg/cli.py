@@ -17,7 +17,7 @@ from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
 from lidarcfg.commands.files import init, schema, validate
 from lidarcfg.commands.placement import compare, evaluate, optimize
-from lidarcfg.commands.progress import Interrupts
+from lidarcfg.commands.progress import Interrupts, shown
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.sweep import sweep
 from lidarcfg.commands.view import view
@@ -41,7 +41,9 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     try:
         _check_environment()
-        code = cli.main(standalone_mode=False, obj=interrupts)
+        interrupts.screen.quiet = bool({"--quiet", "--json"} & set(sys.argv))
+        with shown(interrupts.screen):
+            code = cli.main(standalone_mode=False, obj=interrupts)
     except click.ClickException as error:
         message = " ".join(error.format_message().split())
         _fail(f"{message} (see {_command_path(error)} --help)")

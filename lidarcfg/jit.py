@@ -1,11 +1,13 @@
-"""numba for the loops of this project, with a place to keep what it compiles."""
+"""numba for the loops of this project: with a place to keep what it compiles, and without what it need not compile."""
 
 import atexit
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 # Compiled loops are kept beside the package or in the user's cache; where neither can be written, for this run only.
 # numba reads the variable when it is imported, so this comes first.
@@ -15,9 +17,64 @@ if not os.access(Path(__file__).parent, os.W_OK) and not os.access(Path.home(), 
     atexit.register(shutil.rmtree, _cache, ignore_errors=True)
 
 from numba import njit as njit
+from numba.core import event
 from numba.core.options import DefaultOptions
 
-# An array that a loop takes out of a tuple is counted as a reference, and again when it is let go. Inner functions that
-# make no arrays need no counting, and some spend a sixth of their time on it. numba's option for that is not in its
-# manual: where it is missing, they are as right, and slower.
-inner = partial(njit, cache=True, nogil=True, **({"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}))
+from lidarcfg.compiling import compiling
+from lidarcfg.linking import link_late
+
+_njit: Any = njit  # some of its options are not in its signature
+
+# An array that a loop takes out of a tuple is counted as a reference, and again when it is let go. Loops that make no
+# arrays need no counting, and some spend a sixth of their time on it. numba's option for that is not in its manual:
+# where it is missing, they are as right, and slower.
+UNCOUNTED = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+ALONE = {"cache": True, "nogil": True}
+
+outer = partial(_njit, **ALONE, **UNCOUNTED)  # for loops that make no arrays
+
+
+def inner(*, makes_arrays: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """For loops that only other loops call: they are compiled as parts of these, once, and not for themselves."""
+    options |= {"nogil": True} if makes_arrays else {"nogil": True, **UNCOUNTED}
+    return partial(_inner, options=options)
+
+
+def _inner(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    if not link_late():
+        return _njit(cache=True, **options)(function)
+    loop = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise TypeError(f"{function.__module__}.{function.__name__} can be called by compiled loops only")
+
+    def keep(compiled: Any) -> None:
+        loop.overloads[tuple(compiled.signature.args)] = compiled
+
+    loop.add_overload, loop._compile_for_args = keep, refuse  # numba would jump to code that there is not
+    return loop
+
+
+class _Watch(event.Listener):
+    """Tells of what numba compiles."""
+
+    def on_start(self, event: Any) -> None:
+        loop = event.data["dispatcher"]
+        compiling.begin(loop.__name__, len(_parts(loop, set())))
+
+    def on_end(self, event: Any) -> None:
+        compiling.end()
+
+
+event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]
+
+
+def _parts(loop: Any, found: set[Any]) -> set[Any]:
+    """The loops that have to be compiled for one, itself among them; added to those found."""
+    if loop not in found:
+        found.add(loop)
+        for name in loop.py_func.__code__.co_names:
+            other = loop.py_func.__globals__.get(name)
+            if hasattr(other, "py_func") and other.targetoptions.get("inline") != "always":
+                _parts(other, found)
+    return found

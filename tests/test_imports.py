@@ -8,7 +8,20 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "lidarcfg"
-GROUND = {"errors", "inputs", "units", "files", "aside", "geometry", "config", "kinds", "jit", "realism"}
+GROUND = {
+    "errors",
+    "inputs",
+    "units",
+    "files",
+    "aside",
+    "geometry",
+    "config",
+    "kinds",
+    "compiling",
+    "jit",
+    "linking",
+    "realism",
+}
 # What each part may import besides itself and the ground: docs and commands stand on all of it.
 BELOW = {
     "sensor": set(),

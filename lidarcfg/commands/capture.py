@@ -153,11 +153,10 @@ def export(
 @contextmanager
 def _run(duration_ns: int, total: list[int], quiet: bool) -> "Iterator[Run]":
     """How an export runs: with a progress bar, counting rays."""
-    import time
-
+    from lidarcfg.compiling import clock
     from lidarcfg.simulate.tasks import Run
 
-    began = time.monotonic()
+    began = clock()
 
     def on_rays(counts: "Counts") -> None:
         total[:] = map(sum, zip(total, counts, strict=True))
@@ -165,9 +164,10 @@ def _run(duration_ns: int, total: list[int], quiet: bool) -> "Iterator[Run]":
     with progress(quiet) as on_fraction:
 
         def on_progress(done_ns: int) -> None:
-            rate = done_ns / SECOND_NS / max(time.monotonic() - began, 1e-9)
+            rate = done_ns / SECOND_NS / max(clock() - began, 1e-9)
             on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
 
+        on_fraction(0.0, "simulating")
         yield Run(on_progress, on_rays)
 
 

@@ -1,7 +1,9 @@
 """lidarcfg optimize, evaluate and compare: where the sensors should sit, and how well they see from there."""
 
+import math
 import shlex
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,12 +25,15 @@ from lidarcfg.commands.options import (
 from lidarcfg.commands.progress import progress
 
 if TYPE_CHECKING:
+    from lidarcfg.placement.details import Details
     from lidarcfg.placement.optimize import Cycle, Log, Placement
     from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
     from lidarcfg.rig import Rig
 
 SAVE_EVERY_S = 5.0
+QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
+OnProgress = Callable[[float, str], None]
 
 
 @cloup.command(
@@ -82,19 +87,18 @@ def optimize(
     A study that lets one choose sensors gives the rigs that no other is both cheaper and better than: front.html, and a
     folder for each in points/. Budgets count for all combinations together.
     """
-    import time
+    with progress(quiet, keep=False) as on_progress:
+        on_progress(0.0, f"reading {study}")
+        from lidarcfg import report
+        from lidarcfg.packets.codec import pattern
+        from lidarcfg.placement.checks import study_warnings
+        from lidarcfg.placement.study import load_study, with_solver
 
-    from lidarcfg import report
-    from lidarcfg.packets.codec import pattern
-    from lidarcfg.placement.checks import study_warnings
-    from lidarcfg.placement.details import details
-    from lidarcfg.placement.optimize import optimize as search
-    from lidarcfg.placement.study import load_study, with_solver
-
-    budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
-    loaded = with_solver(load_study(study, pattern), seed=seed, method=solver, **budget)
+        budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
+        loaded = with_solver(load_study(study, pattern), seed=seed, method=solver, **budget)
+        messages = list(study_warnings(study, loaded))
     warn_of(loaded.vehicle)
-    for message in study_warnings(study, loaded):
+    for message in messages:
         warn(message)
     folder = output or resume or Path("out") / loaded.name
     if loaded.to_choose:
@@ -102,20 +106,12 @@ def optimize(
         return
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder, report.RESULTS)
-    saved = time.monotonic()
     with progress(quiet) as on_progress:
-
-        def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
-            nonlocal saved
-            on_progress(*_search_line(loaded.solver, cycle))
-            if time.monotonic() - saved > SAVE_EVERY_S:
-                report.save_progress(loaded, rig, log, folder)
-                saved = time.monotonic()
-
-        found = search(loaded, threads, on_cycle, log)
-    again = _repeat_command(study, folder, loaded.solver, found)
-    shown = details(loaded, found.rig, found.evaluation, found.midpoint_max_vsr_m)
-    report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again))
+        found, shown = _search(loaded, threads, log, folder, on_progress)
+        if not found.interrupted:  # then an update would raise what was dealt with
+            on_progress(1.0, f"writing {folder}")
+        again = _repeat_command(study, folder, loaded.solver, found)
+        report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again))
     if not quiet:
         report.print_placement(found, shown.evaluation)
         files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
@@ -123,6 +119,43 @@ def optimize(
     if found.interrupted:
         click.echo("interrupted; the best rig found is kept", err=True)
         sys.exit(130)
+
+
+def _search(
+    study: "Study", threads: int | None, log: "Log | None", folder: Path, on_progress: OnProgress
+) -> "tuple[Placement, Details]":
+    """The best rig, with progress; what is found so far is saved every few seconds."""
+    import time
+
+    from lidarcfg import report
+    from lidarcfg.placement.details import details
+    from lidarcfg.placement.optimize import optimize as search
+
+    saved = told = time.monotonic()
+    fraction = 0.0
+
+    def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
+        nonlocal saved, told, fraction
+        fraction, text = _search_line(study.solver, cycle)
+        on_progress(fraction, text)
+        told = time.monotonic()
+        if told - saved > SAVE_EVERY_S:
+            report.save_progress(study, rig, log, folder)
+            saved = time.monotonic()
+
+    def on_evaluations(count: int) -> None:
+        nonlocal told
+        if time.monotonic() - told > QUIET_S:  # a cycle takes long
+            on_progress(
+                max(fraction, min(count / (study.solver.evaluations or math.inf), 1.0)), f"{count:,} rigs evaluated"
+            )
+            told = time.monotonic()
+
+    on_progress(0.0, "searching")
+    found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations)
+    if not found.interrupted:
+        on_progress(1.0, "evaluating the best rig")
+    return found, details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
 
 
 def _check_rig(study: "Study", path: Path, rig: "Rig") -> None:

@@ -1,16 +1,25 @@
 """What happens while a command works: the progress bar, and Ctrl-C."""
 
 import signal
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from threading import Event, Timer
+from threading import Event, RLock, Timer
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import click
 
+from lidarcfg.compiling import compiling
 from lidarcfg.errors import one_line
 
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
 AGAIN_S = 0.02
+LINE_S = 10.0  # between two lines of a log
+LONG_S = 2.0  # of compiling, before a log is told of it
 
 
 class Interrupts:
@@ -21,7 +30,7 @@ class Interrupts:
     """
 
     def __init__(self) -> None:
-        self._came = Event()
+        self._came, self.screen = Event(), Screen()
 
     def handle(self, number: int, frame: FrameType | None) -> None:
         """The signal handler."""
@@ -46,34 +55,128 @@ def _within(package: str, frame: FrameType | None) -> bool:
     return frame is not None
 
 
+class Screen:
+    """One bar on stderr for all that a command does, with a line for what is being compiled meanwhile."""
+
+    def __init__(self) -> None:
+        self.quiet = False
+        self._bar: Progress | None = None
+        self._compiling: TaskID | None = None
+        self._told, self._lock = False, RLock()  # loops may be compiled by any thread
+
+    def bar(self) -> "Progress":
+        """The bar, on the screen."""
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        with self._lock:
+            if self._bar is None:
+                columns = (BarColumn(30), TextColumn("{task.description}"), TimeElapsedColumn(), TimeRemainingColumn())
+                self._bar = Progress(*columns, console=Console(stderr=True))
+                self._bar.start()
+            return self._bar
+
+    def close(self, clear: bool = False) -> None:
+        """Leave the last state of the bar, and go on below it, or leave nothing."""
+        with self._lock:
+            bar, self._bar = self._bar, None
+            if bar:
+                self._hide(bar)
+                bar.live.transient = clear
+                bar.stop()
+
+    def work(self) -> None:
+        """Show no longer what was compiled."""
+        with self._lock:
+            if self._bar:
+                self._hide(self._bar)
+
+    def _hide(self, bar: "Progress") -> None:
+        if self._compiling is not None:
+            bar.remove_task(self._compiling)
+            self._compiling = None
+
+    def compile(self) -> None:
+        """Show what is being compiled; where nobody watches, one line once that takes long."""
+        if self.quiet or not compiling.loops:
+            return
+        if not sys.stderr.isatty():
+            if not self._told and compiling.seconds > LONG_S:
+                click.echo(f"compiling {compiling.loops[0]} and others, once: later runs start at once", err=True)
+                self._told = True
+            return
+        with self._lock:
+            bar = self.bar()
+            if self._compiling is None:
+                self._compiling = bar.add_task("")
+            text = f"compiling, once: {compiling.loops[0]}"
+            bar.update(self._compiling, completed=compiling.compiled, total=compiling.expected, description=text)
+
+
+@contextmanager
+def shown(screen: Screen) -> Iterator[None]:
+    """Show what is being compiled, for the rest of a command."""
+    before, compiling.on_change = compiling.on_change, screen.compile
+    try:
+        yield
+    finally:
+        screen.close()
+        compiling.on_change = before
+
+
 @contextmanager
 def progress(
-    quiet: bool, interrupts: Interrupts | None = None, mean_over_s: float = 30.0
+    quiet: bool, interrupts: Interrupts | None = None, mean_over_s: float = 30.0, keep: bool = True
 ) -> Iterator[Callable[[float, str], None]]:
     """A bar on stderr, and the function that updates it with the fraction done and a text.
 
-    The bar appears at the first update; its time left is by the updates of the last `mean_over_s` seconds. An update
-    raises KeyboardInterrupt if an interrupt was lost; the interrupts are those of the running command unless given.
+    The bar appears at the first update; its time left is by the updates of the last `mean_over_s` seconds, and its last
+    state stays on the screen if it is to `keep`. In a log it is a line from time to time. An update raises
+    KeyboardInterrupt if an interrupt was lost; the interrupts are those of the running command unless given.
     """
     interrupts = interrupts or click.get_current_context().ensure_object(Interrupts)
     if quiet:
         yield lambda fraction, text: interrupts.check()
-        return
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    elif sys.stderr.isatty():
+        yield from _bar(interrupts, mean_over_s, keep)
+    else:
+        yield from _lines(interrupts, keep)
 
-    columns = (BarColumn(30), TextColumn("{task.description}"), TimeRemainingColumn())
-    bar = Progress(*columns, console=Console(stderr=True), speed_estimate_period=mean_over_s)
-    task = bar.add_task("", total=1.0)
+
+def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
+    from rich.markup import escape
+
+    screen, task = interrupts.screen, None
 
     def on_progress(fraction: float, text: str) -> None:
+        nonlocal task
         interrupts.check()
-        bar.start()
+        bar = screen.bar()
+        screen.work()
+        if task is None:
+            bar.speed_estimate_period = mean_over_s
+            task = bar.add_task("", total=1.0)
         bar.update(task, completed=fraction, description=escape(one_line(text)))
 
     try:
         yield on_progress
-    finally:
-        if bar.live.is_started:
-            bar.stop()
+    except BaseException:
+        screen.close(clear=True)  # what went wrong is all that is left to say
+        raise
+    screen.close(clear=not keep)
+
+
+def _lines(interrupts: Interrupts, keep: bool) -> Iterator[Callable[[float, str], None]]:
+    last, told = "", time.monotonic()
+
+    def on_progress(fraction: float, text: str) -> None:
+        nonlocal last, told
+        interrupts.check()
+        last = f"{fraction:4.0%}  {one_line(text)}"
+        if time.monotonic() - told > LINE_S:
+            click.echo(last, err=True)
+            last, told = "", time.monotonic()
+
+    yield on_progress
+    if last and keep:
+        click.echo(last, err=True)

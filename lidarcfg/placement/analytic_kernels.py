@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, njit
+from lidarcfg.jit import inner, njit, outer
 from lidarcfg.placement.cones import beam_gap
 
 Counts = NDArray[np.int64]
@@ -49,7 +49,7 @@ class Flips(NamedTuple):
     weight: Array  # (F,) |n·e|, n the normal of the surface crossed there
 
 
-@inner()
+@outer()
 def lines_across(nu: int, nv: int) -> int:
     """How many lines run across so many cuboids."""
     return LINES**2 * nu * nv
@@ -73,7 +73,7 @@ def insert(here: float, towards: float, at: Array, weight: Array, count: int) ->
     return count + 1
 
 
-@inner(error_model="numpy")
+@outer(error_model="numpy")
 def crossings(u: float, v: float, cone: Array, low: float, high: float, at: Array, weight: Array, count: int) -> int:
     """Add to `count` crossings where the line at (u, v) crosses a LiDAR's cones between low and high; how many then.
 
@@ -220,7 +220,7 @@ def sweep(sheaf: Sheaf, gap: Counts, rows: Array, flips: Flips, sums: Sums) -> N
             start = end + 1
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def flips_most(flips: Flips) -> int:
     """The most flips of a line."""
     most, (rows, lines) = 0, flips.start.shape

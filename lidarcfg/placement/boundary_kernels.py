@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.placement.analytic_kernels import SLIVER, Counts, insert, line_at, lines_across
 from lidarcfg.world.shapes import normal
 
@@ -59,13 +59,13 @@ def line_place(lattice: Lattice, line: int) -> tuple[float, float]:
     return lattice.low[1] + across_u * lattice.edge[1], lattice.low[2] + across_v * lattice.edge[2]
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def angle_bin(angle: float) -> int:
     """The bin of a direction in −π … π."""
     return int(np.floor((angle + np.pi) * (BINS / FULL))) % BINS
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _behind(edge: Array, du: float, dv: float) -> float:
     """Where the line at (du, dv) from a LiDAR's foot passes behind an edge, along the line; NaN: nowhere."""
     p, q = du * edge[2] - dv * edge[1], du * edge[5] - dv * edge[4]
@@ -103,7 +103,7 @@ def steepness(quadric: Array, x: float, u: float, v: float) -> float:
     return abs(along) / length if length > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _candidates(bounds: Bounds, u: float, v: float, low: float, high: float, at: Array, weight: Array) -> int:
     """Where the line at (u, v) may cross a LiDAR's bounds between low and high: `at`, ascending; how many."""
     count, foot = 0, bounds.foot
@@ -123,7 +123,7 @@ def _candidates(bounds: Bounds, u: float, v: float, low: float, high: float, at:
     return count
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _room(array: Array, count: int) -> Array:
     """The same array, or one of twice its size with what is in it, that has room for `count`."""
     if count <= array.size:
@@ -159,7 +159,7 @@ def candidates(lattice: Lattice, lines: tuple[int, int], bounds: Bounds, surface
     return Crossings(first, at[:total].copy(), weight[:total].copy())
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _lines_between(lattice: Lattice, low: float, high: float) -> tuple[int, int]:
     """Which lines have their first coordinate across in [low, high], and a few more."""
     count = lines_across(lattice.shape[1], lattice.shape[2])

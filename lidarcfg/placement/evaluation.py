@@ -1,11 +1,11 @@
 """How well a rig does in a study."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from lidarcfg.compiling import clock
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
@@ -67,7 +67,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     With a relative tolerance also the analytic max VSR, to that tolerance. Raises ConfigError where it is not
     above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
     """
-    started = time.perf_counter()
+    started = clock()
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts)
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
@@ -96,7 +96,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     seen = _sightings(study, rig)
     rates = _rates(study, subspaces, seen)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    zones, seconds = by_zone(study, subspaces), time.perf_counter() - started
+    zones, seconds = by_zone(study, subspaces), clock() - started
     return Evaluation(subspaces, vsr, tuple(worst), float(radius.max()), rates, seen, blind, zones, converged, seconds)
 
 

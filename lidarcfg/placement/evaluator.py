@@ -9,7 +9,7 @@ run whole searches with and without it.
 
 import os
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -71,6 +71,7 @@ class Evaluator:
         self._witness = np.empty((0, self._witnesses), np.int64)  # (sources, …)
         self._last: deque[tuple[Index, Array, Index]] = deque(maxlen=remembered)
         self._rest = 0  # see RESTS
+        self.on_evaluated: Callable[[int], None] | None = None  # is told that so many more evaluations have ended
         self.full_evaluations = 0
         self.cuboids = 0  # evaluated
         self.segments = 0  # cast from LiDARs to cuboids, at most
@@ -130,6 +131,7 @@ class Evaluator:
         refuter, fresh = np.full(len(poses), -1, np.int64), np.full((len(poses), self._witnesses), -1, np.int64)
         for trial, (cost, worst, cut) in zip(trials.tolist(), self._pool.map(one, trials.tolist()), strict=True):
             out[trial], fresh[trial, : len(worst)] = cost, worst
+            self._evaluated(1)
             self.cuboids += self._region.included.size * cut
             self.segments += self._segments * (cut > 0)
             if cost < np.inf:
@@ -179,15 +181,20 @@ class Evaluator:
             return kernels.try_out(trials, batch, self._grid, in_full, verdicts)
 
         nx, ny, nz = self._region.shape
-        evaluated = 0
-        for full, compared, cast in self._pool.map(run, self._parts(len(poses))):
+        evaluated, parts = 0, self._parts(len(poses))
+        for (full, compared, cast), part in zip(self._pool.map(run, parts), parts, strict=True):
             evaluated += full
+            self._evaluated(len(part) if in_full else 0)
             self.segments += cast
             self.cuboids += full * nx * ny * nz + compared * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, verdicts.refuter)
         self._last.append((source, poses, verdicts.fresh))
         return verdicts.cost, evaluated
+
+    def _evaluated(self, count: int) -> None:
+        if self.on_evaluated:
+            self.on_evaluated(count)
 
     def _rig(self, poses: Array) -> list[Lidar]:
         return [placed(one, row[:3], row[3:]) for row, one in zip(poses, self._lidars, strict=True)]

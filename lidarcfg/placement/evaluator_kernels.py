@@ -72,7 +72,7 @@ class Found(NamedTuple):
     stamp: Counts  # (1,) of the last flood
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _new_found(grid: Grid, batch: Batch) -> Found:
     """Room for trials of a batch."""
     cases, lidars = batch.kept.shape
@@ -103,7 +103,7 @@ def remind(looks: Looks, lidar: int, stays: bool, clear: Words, source: int, num
         looks.known[lidar, row] = ALL if stays else NONE
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _order(witness: Counts, size: int, order: Counts) -> int:
     """Write the cases to order (cases,), first those of witnesses, as these stand; returns how many these are.
 
@@ -136,7 +136,7 @@ def _join(trial: int, case: int, batch: Batch, own: Words, out: Words) -> None:
             _keep_common(out, own[lidar])
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods, found: Found) -> int:
     """Flood the subspaces of a trial's witnesses, those of some cases, until one refutes it.
 
@@ -165,7 +165,7 @@ def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods,
     return rows
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _evaluate(trial: int, cases: Counts, batch: Batch, grid: Grid, work: Work, floods: Floods, found: Found) -> int:
     """Find the worst subspaces of a trial in all cases, or until one is no less than what has to be beaten.
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.placement.flood import Labels
 from lidarcfg.placement.subspace import Subspaces
 
@@ -148,7 +148,7 @@ def clearance_m(subspaces: Subspaces, centre: Node) -> float:
     return float(_clearance(subspaces.label, centre, subspaces.region.cuboid_m / 2))
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _on_face(label: Labels, a: int, b: int, c: int) -> bool:
     """Whether the up to eight cuboids around a node are not all of one subspace."""
     nx, ny, nz = label.shape

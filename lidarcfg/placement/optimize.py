@@ -1,13 +1,13 @@
 """The search for the best rig of a study: asks a solver for trials, evaluates them, tells it their costs."""
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
+from lidarcfg.compiling import clock
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import Evaluation, evaluate
@@ -73,9 +73,11 @@ def optimize(
     on_cycle: Callable[[Cycle, Rig, Log], None] | None = None,
     log: Log | None = None,
     skip: bool = True,
+    on_evaluations: Callable[[int], None] | None = None,
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
+    `on_evaluations` is told from time to time, between two cycles too, how many evaluations have ended.
     `log` is that of an earlier search to resume: the search ends where an unbroken one would (budgets in seconds
     aside). Without `skip` everything is evaluated in full, which changes nothing but the time. An interrupt (Ctrl-C)
     ends the search and keeps the best so far. Raises ConfigError if nothing is free to move, and if no rig was
@@ -91,7 +93,7 @@ def optimize(
         Budget.of(study.solver),
         False,
     )
-    with run.evaluator(threads, skip) as evaluator:
+    with run.evaluator(threads, skip, on_evaluations) as evaluator:
         try:
             while not (run.history and budget.spent(run.evaluations, run.cycles)):
                 if run.step(evaluator, budget) and on_cycle:
@@ -108,25 +110,25 @@ class Budget:
     evaluations: int | None
     cycles: int | None
     seconds: float
-    deadline: float  # time.perf_counter
+    deadline: float  # of `clock`
 
     @classmethod
     def of(cls, solver: Solver) -> "Budget":
         """A study's, from now on."""
         seconds = math.inf if solver.seconds is None else solver.seconds
-        return cls(solver.evaluations, solver.cycles, seconds, time.perf_counter() + seconds)
+        return cls(solver.evaluations, solver.cycles, seconds, clock() + seconds)
 
     def fraction(self, evaluations: int, cycles: int) -> float:
         """Of what is spent, of the budget that ends first."""
-        clock = 1.0 - (self.deadline - time.perf_counter()) / self.seconds if self.seconds < math.inf else 0.0
-        return max(clock, evaluations / (self.evaluations or math.inf), cycles / (self.cycles or math.inf))
+        time = 1.0 - (self.deadline - clock()) / self.seconds if self.seconds < math.inf else 0.0
+        return max(time, evaluations / (self.evaluations or math.inf), cycles / (self.cycles or math.inf))
 
     def spent(self, evaluations: int, cycles: int) -> bool:
         """Whether any of it is used up."""
         return (
             (self.cycles is not None and cycles >= self.cycles)
             or (self.evaluations is not None and evaluations >= self.evaluations)
-            or time.perf_counter() >= self.deadline
+            or clock() >= self.deadline
         )
 
 
@@ -177,7 +179,7 @@ class Run:
     @property
     def seconds(self) -> float:
         """Spent so far, without pauses."""
-        return self._spent + max(time.perf_counter() - self._since, 0.0)
+        return self._spent + max(clock() - self._since, 0.0)
 
     def rig(self) -> Rig:
         """The best rig so far."""
@@ -188,10 +190,12 @@ class Run:
         return Log(np.concatenate(self._told), self.seconds)
 
     @contextmanager
-    def evaluator(self, threads: int | None, skip: bool = True) -> Iterator[StudyEvaluator]:
+    def evaluator(
+        self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
+    ) -> Iterator[StudyEvaluator]:
         """What evaluates the trials of a part of it."""
-        self._since = time.perf_counter()
-        with StudyEvaluator(self.study, threads, skip) as one:
+        self._since = clock()
+        with StudyEvaluator(self.study, threads, skip, on_evaluations) as one:
             try:
                 yield one
             finally:
@@ -262,7 +266,7 @@ def costs(
 ) -> Array:
     """The costs of the first `count` trials, or inf for those that cannot beat what they have to.
 
-    Fewer where the clock passes `deadline` (time.perf_counter) on the way.
+    Fewer where the clock passes `deadline` (of `clock`) on the way.
     """
     source_poses = study.poses(sources)
     slices = []
@@ -275,6 +279,6 @@ def costs(
         allowed = np.flatnonzero(violation == 0.0)
         cost[allowed] = evaluator.costs(poses[allowed], source[allowed], source_poses, to_beat[allowed])
         slices.append(cost)
-        if time.perf_counter() > deadline:
+        if clock() > deadline:
             break
     return checked(np.concatenate(slices))

@@ -82,7 +82,7 @@ class Work(NamedTuple):
     hidden: NDArray[np.bool_]  # (HELD,)
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def new_work():
     """Working memory."""
     return Work(
@@ -171,7 +171,7 @@ def outside(scans, s, f, head):
     return width + FOV_RAD < turned < TURN - FOV_RAD
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def settle(obstacles, packet, work, held, counts):
     """Count those of the hits held that nothing stands before, by phase."""
     hidden, phase, starts, ways = work.hidden, work.hit_phase, work.starts, work.ways
@@ -206,7 +206,7 @@ def hold(scans, s, f, head, done, count, obstacles, frame, packet, work, held):
     return held
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def trace_heads(scans, s, f, first, end, shape, obstacles, frame, packet, work, held, counts):
     """Trace the rays of a firing of sensor s at its heads `first` to `end`; returns how many hits are held then."""
     rays, most_m, begin = packet.rays, scans.range_m[s, 1], scans.first_head[s]
@@ -242,7 +242,7 @@ def put(frame, place, R, t):
     frame.R[0, 0], frame.R[0, 1], frame.R[1, 0], frame.R[1, 1], frame.R[2, 2] = c, -s, s, c, 1.0
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def count_returns(scans, s, shape, obstacles, frame, packet, work, enough, counts):
     """Add to counts (phases,) the returns of sensor s from an object in a frame; ends once all of them are enough."""
     beside_m, held, start = 0.0, 0, scans.start_m

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, njit
+from lidarcfg.jit import njit, outer
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, signed_squares
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility_kernels import (
@@ -180,7 +180,7 @@ def _compare(row: int, cones: Array, lidar: int, squares: Array, guess: Counts, 
     guess[lidar] = max((low + high) // 2, 0)  # below `beams`: low is
 
 
-@inner()
+@outer()
 def look(grid: Grid, cones: Array, moved: Counts, sight: Sight, looks: Looks, seen: Words) -> None:
     """Write to seen (lidars, rows) what some LiDARs see of the whole grid."""
     xs, ys, zs, included, edge = grid.x, grid.y, grid.z, grid.included, grid.edge[0]
@@ -200,7 +200,7 @@ def look(grid: Grid, cones: Array, moved: Counts, sight: Sight, looks: Looks, se
                 seen[lidar, row] &= in_field(xs, first, y, z, cones, limits, lidar)
 
 
-@inner()
+@outer()
 def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, work: Work) -> None:
     """Write the links of the whole grid to work.links.
 

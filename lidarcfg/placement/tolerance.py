@@ -4,6 +4,8 @@ Of mounting errors every draw is a search's evaluation of its own, with witnesse
 refuted as soon as more draws reach what is to be beaten than may be worse than the quantile: then the quantile does.
 """
 
+from collections.abc import Callable
+from functools import partial
 from types import TracebackType
 
 import numpy as np
@@ -18,7 +20,13 @@ from lidarcfg.placement.study import Study
 class StudyEvaluator:
     """Evaluates poses (n, slots, 6) of a study's sensors; a context that owns its threads. See Evaluator."""
 
-    def __init__(self, study: Study, threads: int | None = None, skip: bool = True) -> None:
+    def __init__(
+        self,
+        study: Study,
+        threads: int | None = None,
+        skip: bool = True,
+        on_evaluations: Callable[[int], None] | None = None,
+    ) -> None:
         lidars, robust = [slot.lidar for slot in study.slots], study.robust
         self._skip, self._robust, self._drawn = skip, robust, robust.drawn if robust else 0
         self._at_rest, self._off = None, None
@@ -33,6 +41,9 @@ class StudyEvaluator:
             )  # fmt: skip
         self._refuting: Recent[int] = Recent()  # draws
         self._sources = self._off_sources = np.empty((0, len(lidars), 6))
+        for one in self._parts:
+            one.on_evaluated = partial(self._evaluated, on_evaluations) if on_evaluations else None
+        self._ended = 0
 
     def __enter__(self) -> "StudyEvaluator":
         return self
@@ -40,6 +51,10 @@ class StudyEvaluator:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:
         for one in self._parts:
             one.__exit__(kind, value, at)
+
+    def _evaluated(self, on_evaluations: Callable[[int], None], count: int) -> None:
+        self._ended += count
+        on_evaluations(self._ended)
 
     @property
     def _parts(self) -> list[Evaluator]:

@@ -50,7 +50,7 @@ class Frames(NamedTuple):
     bodies: Tree  # of what travels along, in the vehicle frame
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def grouped(laser, time_ns, lasers, block_ns):
     """The group of each firing, by block of time (0: all is one) and laser; and their order by group.
 
@@ -153,7 +153,7 @@ def _moved(R, t, starts, beams, origins, directions):
         directions[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _mounted(frames):
     """Where the sensor is in the vehicle frame, whatever the time: (9, SIZE) and (3, SIZE)."""
     R, t = np.empty((9, SIZE)), np.empty((3, SIZE))

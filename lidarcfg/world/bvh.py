@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 
 LEAF_MAX = 3  # shapes in a leaf
 BINS = 16
@@ -43,7 +43,7 @@ NO_INDEX = np.empty(0, np.int32)
 NO_TREE = Tree(EMPTY, np.empty(0, np.float32), NO_INDEX, np.empty(0), np.empty(0, np.uint8), NO_INDEX, NO_INDEX)
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def outward(low: float, high: float) -> tuple[np.float32, np.float32]:
     """An interval in float32 that holds the one in float64."""
     below, above = np.float32(low), np.float32(high)
@@ -70,7 +70,7 @@ def bounds(shapes: Array, kind: NDArray[np.uint8], out: NDArray[np.float32]) -> 
             out[s, 2], out[s, 5] = outward(z if kind[s] == CYLINDER else z - a, top)
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _area(low_x, low_y, low_z, high_x, high_y, high_z):
     """Half the surface of a box."""
     x, y, z = high_x - low_x, high_y - low_y, high_z - low_z
@@ -91,7 +91,7 @@ def _fill(box, first, end, bins, counts, low, scale):
                 bins[axis, b, 3 + k] = max(bins[axis, b, 3 + k], box[i, 3 + k])
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _cheapest(bins, counts, scale, cost):
     """The axis, the bin after which to split, and its cost: the areas of both sides, times their counts."""
     best, best_axis, best_bin, box = np.inf, -1, 0, np.empty(6, np.float32)
@@ -115,7 +115,7 @@ def _cheapest(bins, counts, scale, cost):
     return best_axis, best_bin, best
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _swap(box, order, i, j):
     for k in range(6):
         box[i, k], box[j, k] = box[j, k], box[i, k]
@@ -187,7 +187,7 @@ def split(box: NDArray[np.float32], order: Index, boxes: NDArray[np.float32], ch
     return root, nodes
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _gathered(shapes: Array, order: Index) -> Array:
     """Shapes (9 S,) in an order (S,)."""
     out = np.empty(9 * len(order))

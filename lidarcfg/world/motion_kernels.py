@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner
+from lidarcfg.jit import inner, outer
 
 STANDING, VELOCITY, ARC, POSES = range(4)  # kinds of motion
 UPRIGHT = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -89,7 +89,7 @@ def _between(times_s, positions_m, rotations, rotation_vectors_rad, k, seconds):
     return product(start, above + middle + below), (x + part * u, y + part * v, z + part * w)
 
 
-@inner()
+@outer()
 def poses(paths, p, seconds, first, count, R, t):
     """Write rotations and positions of motion p at times `first` to `first` + count to R (9, n) and t (3, n).
 

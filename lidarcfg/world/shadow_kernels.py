@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, njit
+from lidarcfg.jit import inner
 from lidarcfg.world.bvh import TRIANGLE, Tree
 from lidarcfg.world.shapes import FAST
 from lidarcfg.world.tracer_kernels import (
@@ -51,7 +51,7 @@ class Shadows(NamedTuple):
     cast: NDArray[np.int64]  # (1,) how many were cast
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def new_shadows():
     """Working memory."""
     return Shadows(

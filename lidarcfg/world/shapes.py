@@ -7,7 +7,7 @@ an edge function is that of the neighbour reversed, or zero for both, so that no
 # mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
 import math
 
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 
 FAST = {"nnan", "nsz"}
 TINY = 1e-300
@@ -15,7 +15,7 @@ SLIVER = 1e-4  # sine of the angle between two edges; below it their cross produ
 VELTKAMP = 134217729.0  # 2^27 + 1: splits a float64 into halves whose products are exact
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@inner(makes_arrays=True, fastmath=FAST)
 def sheared(x, y, z, ox, oy, oz, sx, sy):
     """A corner as seen along a ray whose largest component is z: beside it in two directions, and ahead."""
     z -= oz
@@ -30,7 +30,7 @@ def inside(ax, ay, bx, by, cx, cy):
     return max(low, -high) if high > low or high != 0 else -1.0
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+@inner(makes_arrays=True, fastmath=FAST, error_model="numpy")
 def on_plane(nx, ny, nz, px, py, pz, dx, dy, dz, az, bz, cz):
     """How far a plane is along a direction, by its normal and a point of it; no nearer or farther than the corners."""
     along = nx * dx + ny * dy + nz * dz
@@ -38,7 +38,7 @@ def on_plane(nx, ny, nz, px, py, pz, dx, dy, dz, az, bz, cz):
     return min(max(far, min(min(az, bz), cz)), max(max(az, bz), cz))
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _two_product(a, b):
     """a b as a sum of two float64, exactly (Dekker 1971)."""
     p = a * b
@@ -50,7 +50,7 @@ def _two_product(a, b):
     return p, ((ah * bh - p) + ah * bl + al * bh) + al * bl
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _difference(a, b, c, d):
     """a b - c d, good to the last digit even where both are nearly the same."""
     p, p_low = _two_product(a, b)
@@ -86,7 +86,7 @@ def triangle(shapes, s, i, j, k, ox, oy, oz, dx, dy, dz, sx, sy, sz):
     return far if far > 0 else math.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(makes_arrays=True, error_model="numpy")
 def chord(b, off, radius, near):
     """Where a line enters and leaves a circle: b before the point nearest to its centre, which is `off` away.
 

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.world.meshes import Mesh
 
 Index = NDArray[np.int64]
@@ -110,7 +110,7 @@ def _odd(vertices: Array, triangles: Index, points: Array) -> Inside:
     return odd
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _crossed(a: Array, b: Array, c: Array, y: float, z: float) -> bool:
     """Whether a line along x at (y, z) passes through a triangle."""
     one, other, last = (
@@ -121,7 +121,7 @@ def _crossed(a: Array, b: Array, c: Array, y: float, z: float) -> bool:
     return bool(one ^ other ^ last)
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _along(a: Array, b: Array, c: Array, y: float, z: float) -> float:
     """Where it does, no farther than the corners."""
     uy, uz, vy, vz = b[1] - a[1], b[2] - a[2], c[1] - a[1], c[2] - a[2]
@@ -131,7 +131,7 @@ def _along(a: Array, b: Array, c: Array, y: float, z: float) -> float:
     return float(min(max(at, low), high))
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _beside(ay: float, az: float, by: float, bz: float, y: float, z: float) -> bool:
     """Whether a line at (y, z) in the direction of falling y crosses an edge; the same for both of its directions."""
     if az > bz or (az == bz and ay > by):

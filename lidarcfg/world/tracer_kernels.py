@@ -69,7 +69,7 @@ def facing(dx, dy, dz):
     return largest + 4 * (dx < 0) + 8 * (dy < 0) + 16 * (dz < 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(makes_arrays=True, error_model="numpy")
 def _steep(d):
     """1 / d, but finite."""
     steep = 1 / max(abs(d), FLATTEST)
@@ -209,7 +209,7 @@ def _round(shapes, kind, s, ox, oy, oz, dx, dy, dz):
     return cylinder(x, y, z, shapes[9 * s + 3], shapes[9 * s + 4], dx, dy, dz)[0]
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def ray_of(rays, n, face):
     """Origin and direction of ray n of a packet, in the order of the axes."""
     k = face & 3
@@ -283,7 +283,7 @@ def trace(tree, packet, face, any_hit):
         code = codes[waiting]
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@inner(makes_arrays=True, fastmath=FAST)
 def _enter_alone(boxes, at, ox, oy, oz, ix, iy, iz, far):
     """From where on a ray may be in a box; inf: nowhere."""
     near, beyond = 0.0, far
@@ -295,7 +295,7 @@ def _enter_alone(boxes, at, ox, oy, oz, ix, iy, iz, far):
     return near if near <= beyond else math.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(makes_arrays=True, error_model="numpy")
 def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
     """Range and slot of what one ray hits first of a subtree, if it is nearer than what is known."""
     codes, enter, boxes, children = packet.alone_codes, packet.alone_enter, tree.boxes, tree.children
@@ -340,7 +340,7 @@ def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
         code = codes[waiting]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(makes_arrays=True, error_model="numpy")
 def normal_at(shapes, kind, s, x, y, z, dx, dy, dz, range_m):
     """The unit normal, towards either side, of the shape in slot s where a ray from a point hits it."""
     a = 9 * s

@@ -70,13 +70,13 @@ class Poses(NamedTuple):
     t: Array  # (3, SIZE)
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def new_poses():
     """Working memory."""
     return Poses(np.empty((9, SIZE)), np.empty((3, SIZE)))
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def swept(dynamic, first_s, last_s):
     """The tree over spheres that hold the dynamic objects for a while."""
     count = len(dynamic.roots)
@@ -90,7 +90,7 @@ def swept(dynamic, first_s, last_s):
     return build(shapes, kind, number, number)
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _brought(R, t, n, px, py, pz, x, y, z, dx, dy, dz):
     """A ray in the frame of an object that is rotated and moved from its place as R and t say."""
     m = column(R, n)
@@ -99,7 +99,7 @@ def _brought(R, t, n, px, py, pz, x, y, z, dx, dy, dz):
     return x, y, z, dx, dy, dz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(makes_arrays=True, error_model="numpy")
 def _test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot):
     """Keep what a packet's rays hit of dynamic object p at times (N,) from `first` on, where it is nearer."""
     rays, R, t = packet.rays, moved.R, moved.t
@@ -133,7 +133,7 @@ def hit(ground_m, static, packet, face, limit_m):
     trace(static, packet, face, False)
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def hit_dynamic(dynamic, moving, packet, moved, seconds, first, count, face, first_slot):
     """The same of dynamic objects, where they are nearer, at times (N,) from `first` on.
 
@@ -154,7 +154,7 @@ def keep(rays, rows, first, count, range_m, slot):
         slot[at], range_m[at] = int(one), rays[RANGE + n] if one != NONE else math.inf
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def keep_normals(world, packet, moved, seconds, first, count, face, rows, found):
     """Write the normals of what a packet's rays hit, and the cosines of the angles to them, where there are rows."""
     static, dynamic, rays, normal, cosine = world.static, world.dynamic, packet.rays, found.normal, found.cosine

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.packets.codec import Returns
 
 RADIANS = math.pi / 18000
@@ -90,7 +90,7 @@ def points(wire: Wire, wanted: Flags, tables: Tables, out: Returns) -> int:
     return total
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _pair(
     distance: Words, reflectivity: Bytes, other: Words, strength: Bytes, odd: int, types: tuple[int, int], kind: Bytes
 ) -> None:

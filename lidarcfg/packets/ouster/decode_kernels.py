@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner
+from lidarcfg.jit import outer
 from lidarcfg.packets.codec import Octets, Times
 
-loop = inner(fastmath={"contract", "nsz"}, error_model="numpy")  # products may be fused with sums
+loop = outer(fastmath={"contract", "nsz"}, error_model="numpy")  # products may be fused with sums
 
 
 class Pixels(NamedTuple):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from lidarcfg.jit import inner, njit
+from lidarcfg.jit import inner, njit, outer
 
 NO_FIELD = -1
-loop = inner(error_model="numpy")
+loop = outer(error_model="numpy")
 
 
 @njit(cache=True, nogil=True)
@@ -38,7 +38,7 @@ def measured(range_m, reflectivity, limits, light, by_strength, out):
                 out[k, n], out[3 + k, n] = out[3 + k, n], out[k, n]
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _weaker(range_m, reflectivity, light):
     """Whether the first of two returns is weaker than the second."""
     return light[reflectivity[0]] * range_m[1] ** 2 < light[reflectivity[1]] * range_m[0] ** 2

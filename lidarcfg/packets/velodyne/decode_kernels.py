@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.packets.codec import Returns
 from lidarcfg.units import SECOND_NS
 
@@ -108,7 +108,7 @@ def steps(azimuth: Counts, stamp_us: Counts, period_ns: int, group_ns: int) -> t
     return step, late
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _jumps(ahead: Array, gap_ns: int, follows: bool, jump: Flags) -> bool:
     """Mark which of a packet's steps (G,) lead over a gap; whether one within the packet does."""
     groups = len(ahead)
@@ -124,7 +124,7 @@ def _jumps(ahead: Array, gap_ns: int, follows: bool, jump: Flags) -> bool:
     return cut
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _delays(ahead: Array, jump: Flags, step: Array, gap_ns: int, period_ns: int, group_ns: int, late: Counts) -> None:
     """Write how much later (G,) the blocks of a packet with jumps are than its stamp says."""
     groups = len(ahead)
@@ -158,7 +158,7 @@ def count(distance: Words, wanted: Flags) -> int:
     return found
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _rotations(step: float, fraction: Array, cos: Array, sin: Array) -> None:
     """Cosine and sine of fractions of a step in hundredths."""
     for k in range(len(fraction)):
@@ -178,7 +178,7 @@ def raised(raw: int, focal: Array) -> float:
     return float(focal[1] * abs(away))
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _focused(intensity: int, raw: int, focal: Array) -> int:
     """An intensity corrected so, within the laser's least and greatest."""
     corrected: int = round(min(max(intensity + raised(raw, focal), focal[2]), focal[3]))

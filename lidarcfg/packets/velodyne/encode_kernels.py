@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.packets.velodyne.decode_kernels import FAR_M, NEAR_X_M, NEAR_Y_M, raised
 
 STEPS, SETTLED_M = 40, 1e-9  # to a correction near by; of a real unit's, each leaves a hundredth of what is wrong
@@ -60,7 +60,7 @@ def fill_near(range_m, reflectivity, azimuth, number, laser, tables, limits, dis
                     intensity[p, b, i] = reflectivity[p, n] if sent else 0
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _near_units(range_m, angle, cos_w, sin_w, left_m, offset_m, near_m, unit_m, last):
     """Whole units up to `last`, where x and y are corrected apart: those whose point is nearest along the beam.
 

@@ -1,0 +1,70 @@
+"""Code that only compiled loops call is optimised with them, and not also by itself.
+
+numba optimises every function and generates machine code for it, and again in every function that calls it: for the
+innermost of ten nested loops ten times. Most of what this makes serves calls from Python alone, which inner loops do
+not get. Here their code waits until a function that can be called from Python takes it in. This extends a class inside
+numba; where that is not as known, numba works as ever: as right, and slower to start.
+"""
+
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+OF_PYTHON = ("_ZN", "cfunc.")  # begin the names that numba makes for functions written in Python
+ENTRY = "_ZN7cpython"  # and for what Python calls
+KNOWN = {
+    "JITCodeLibrary": (
+        "finalize", "get_defined_functions", "get_pointer_to_function", "_get_module_for_linking", "_finalize_specific",
+    ),
+    "JITCPUCodegen": ("set_env", "_library_class"),
+    "JitEngine": ("is_symbol_defined",),
+}  # fmt: skip
+
+
+@cache
+def link_late() -> bool:
+    """Have it so from now on. Returns whether this numba allows for it."""
+    codegen: Any = import_module("numba.core.codegen")
+    if not all(hasattr(getattr(codegen, name, None), method) for name, methods in KNOWN.items() for method in methods):
+        return False
+    waiting: dict[str, Any] = {}  # environments of functions without machine code, by their names in it
+    set_env = codegen.JITCPUCodegen.set_env
+
+    class Library(codegen.JITCodeLibrary):  # type: ignore[misc]
+        """Functions, and those that they call."""
+
+        _waits = False
+
+        def finalize(self) -> None:
+            """Link what is called; optimise it and generate code where something outside calls this."""
+            names = [function.name for function in self.get_defined_functions()]
+            if not all(name.startswith(OF_PYTHON) and not name.startswith(ENTRY) for name in names):
+                super().finalize()
+                return
+            for library in dict.fromkeys(self._linking_libraries):
+                self._reload_init.update(library._reload_init)
+                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            self._finalized = self._waits = True
+
+        def get_pointer_to_function(self, name: str) -> Any:
+            """As numba's: 0 for what this does not define."""
+            if self._waits and name in {function.name for function in self.get_defined_functions()}:
+                self._waits = False
+                self._optimize_final_module()
+                self._finalize_final_module()
+            return super().get_pointer_to_function(name)
+
+        def _finalize_specific(self) -> None:
+            super()._finalize_specific()
+            for variable in self._final_module.global_variables:
+                if variable.name in waiting:
+                    set_env(self._codegen, variable.name, waiting[variable.name])
+
+    def set_env_late(self: Any, name: str, environment: Any) -> None:
+        if self._engine.is_symbol_defined(name):
+            set_env(self, name, environment)
+        else:
+            waiting[name] = environment
+
+    codegen.JITCPUCodegen._library_class, codegen.JITCPUCodegen.set_env = Library, set_env_late
+    return True

@@ -1,0 +1,118 @@
+"""Compiling: what numba says of it, in no budget, and shown."""
+
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+
+import pytest
+
+from lidarcfg import compiling as module
+from lidarcfg.compiling import Compiling, clock
+from lidarcfg.jit import inner, njit
+
+STUDY = """\
+region: {min_m: [-2, -2, 0], max_m: [2, 2, 2], cuboid_m: [1, 1, 1]}
+sensors:
+  - {model: vlp-16, min: {position_m: [-1, -1, 1], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 1, 1], rpy_deg: [0, 0, 0]}}
+solver: {method: abc, bees: 4}
+"""
+
+
+def test_numbas_own_record_of_the_time():
+    """numba keeps the seconds of each compiled function in its metadata: as `clock` has it, within its own."""
+    before = module.compiling.seconds, module.compiling.compiled, clock()
+
+    @njit
+    def squares(x):
+        return sum([i * x for i in range(3)])
+
+    assert squares(2) == 6
+    own = squares.get_metadata()[squares.signatures[0]]["timers"]["compiler_lock"]
+    spent, counted = module.compiling.seconds - before[0], module.compiling.compiled - before[1]
+    assert counted >= 1
+    assert module.compiling.loops == []
+    assert 0.5 * own < spent <= own
+    assert squares(2) == 6
+    assert module.compiling.compiled - before[1] == counted
+
+
+def test_the_clock_stands_while_something_is_compiled(monkeypatch):
+    """By a clock that is moved by hand: 10 s before, 5 s of compiling with 2 s within them, 1 s after."""
+    now, one = [0.0], Compiling()
+    monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(module, "compiling", one)
+    times = []
+    for seconds, change in (
+        (10, lambda: one.begin("a", 3)), (1, lambda: one.begin("b", 1)), (2, one.end), (2, one.end), (1, lambda: None),
+    ):  # fmt: skip
+        now[0] += seconds
+        change()
+        times.append(clock())
+    assert times == [10, 10, 10, 10, 11]
+    assert (one.seconds, one.compiled, one.expected) == (5.0, 2, 3)
+
+
+def test_an_inner_loop_is_part_of_others():
+    @inner()
+    def twice(x):
+        return 2 * x
+
+    @njit
+    def four_times(x):
+        return twice(twice(x))
+
+    assert four_times(3) == 12
+    assert four_times(0.5) == 2.0
+    with pytest.raises(TypeError, match=r"twice can be called by compiled loops only"):
+        twice(3)
+
+
+def test_without_what_numba_has_inside_loops_are_as_right(monkeypatch):
+    monkeypatch.setattr("lidarcfg.jit.link_late", lambda: False)
+
+    @inner()
+    def twice(x):
+        return 2 * x
+
+    assert (twice(3), twice.targetoptions.get("no_cpython_wrapper")) == (6, None)
+
+
+def on_a_terminal(words, environment):
+    """What a command prints to a terminal of 120 columns."""
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(words, stdin=theirs, stdout=theirs, stderr=theirs, env=environment, close_fds=True)
+    os.close(theirs)
+    text = b""
+    while select.select([ours], [], [], 600)[0]:
+        try:
+            text += os.read(ours, 65536)
+        except OSError:  # its end was closed
+            break
+    os.close(ours)
+    assert process.wait() == 0, text.decode()
+    return text.decode()
+
+
+def test_a_first_search_shows_what_it_compiles_and_does_not_count_it(tmp_path):
+    """All of a budget of 2 s is left for the search, which a compiler of many seconds would have spent."""
+    (tmp_path / "s.yaml").write_text(STUDY)
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "COLUMNS": "120", "TERM": "xterm", "NUMBA_OPT": "0"}
+    words = (
+        sys.executable,
+        "-m",
+        "lidarcfg",
+        "optimize",
+        tmp_path / "s.yaml",
+        "-o",
+        tmp_path / "out",
+        "--seconds",
+        "2",
+    )
+    text = on_a_terminal(words, os.environ | cache)
+    assert "reading" in text
+    assert re.search(r"compiling, once: try_out", text)
+    rows = (tmp_path / "out/history.csv").read_text().split()
+    assert len(rows) > 3
