@@ -1,19 +1,53 @@
 """The imperfections of a real sensor to simulate: none unless the rig asks for them, all repeatable from a seed."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from lidarcfg.config import Model, Positive
+from lidarcfg.config import Model, Positive, fault
+
+Sigma = Annotated[float, Field(ge=0, le=10)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+PRESET = "measured"
 
 
 class Realism(Model):
-    """All off by default: captures are exact. simulate/echoes.py has each model and its source."""
+    """All off by default: captures are exact. simulate/noise.py and echoes.py have each model and its source."""
 
     renamed: ClassVar = {"dropout_share": "dropout_fraction"}
 
+    preset: Literal["measured"] | None = None  # the sensor's file says what is not said here
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    range_noise_m: Annotated[float, Field(ge=0, le=10)] = 0.0  # one sigma of a normal distribution
-    dropout_fraction: Annotated[float, Field(ge=0, le=1)] = 0.0  # probability that a firing is lost
+    range_noise_m: Sigma = 0.0  # one sigma of a normal distribution
+    dark_noise_m: Sigma | None = None  # instead of it, where the reflectivity is below 2; none: the same
+    laser_error_m: Sigma = 0.0  # standard deviation over the lasers of each one's constant error
+    intensity_noise: Annotated[float, Field(ge=0, le=255)] = 0.0  # one sigma, in levels of 255
+    dropout_fraction: Fraction = 0.0  # probability that a firing is lost
+    last_alone_fraction: Fraction = 0.0  # probability that of dual returns only the last is sent
+    strongest_alone_fraction: Fraction = 0.0  # and that only the other one is
     range_10_percent_m: Positive | None = None  # range of a 10 % target at normal incidence in clear air
-    divergence: bool = False  # beams are as wide as the sensor's optics facts say
+    divergence: bool | tuple[Positive, Positive] = False  # true: as wide as the sensor's optics facts say; else mrad
+
+
+class MeasuredRealism(Realism):
+    """What has been measured of a model; a rig takes it as `realism: measured`."""
+
+    source: str
+
+
+def _named(value: Any) -> Any:
+    if value == PRESET:
+        return {"preset": PRESET}
+    if isinstance(value, str):
+        raise fault(f"{value!r} is not allowed; allowed: {PRESET}, or keys and values")
+    return value
+
+
+RealismOrName = Annotated[Realism, BeforeValidator(_named, json_schema_input_type=Realism | Literal["measured"])]
+
+
+def resolved(given: Realism, measured: MeasuredRealism) -> Realism:
+    """What is given, and where that says nothing what has been measured."""
+    said = {key: getattr(given, key) for key in given.model_fields_set - {"preset"}}
+    known = {key: getattr(measured, key) for key in measured.model_fields_set - {"source", "seed", "preset"}}
+    return Realism(**known | said)

@@ -27,7 +27,7 @@ from lidarcfg.config import (
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
-from lidarcfg.realism import Realism
+from lidarcfg.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
@@ -67,7 +67,7 @@ class MountFile(Model):
     azimuth_fov_deg: AzimuthFov | None = None
     range_m: Range | None = None  # none: the sensor's
     phase_deg: Azimuth | None = None
-    realism: Realism | None = None
+    realism: RealismOrName | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -205,9 +205,7 @@ def load_rig(path: str | Path) -> Rig:
             allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
             what = f"{mount.rpm:g} is outside {sensor.name}'s {allowed}"
             raise error_at(path, ("sensors", i, "rpm"), what)
-        if mount.realism and mount.realism.divergence and not sensor.optics:
-            what = f"sensor {sensor.name!r} has no optics facts"
-            raise error_at(path, ("sensors", i, "realism", "divergence"), what)
+        realism = _realism(path, i, mount.realism, sensor)
         try:
             azimuth_fov_deg = sensor.field_of_view_deg(mount.azimuth_fov_deg)
         except ValueError as error:
@@ -242,11 +240,27 @@ def load_rig(path: str | Path) -> Rig:
                 range_m=mount.range_m,
                 phase_deg=mount.phase_deg,
                 settings=Section(sections.get(sensor.codec or "", {}), str(path), ("sensors", i, sensor.codec or "")),
-                realism=mount.realism,
+                realism=realism,
             )
         )
     vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))
     return Rig(file.name, tuple(mounts), vehicle)
+
+
+def _realism(path: Path, index: int, given: Realism | None, sensor: Sensor) -> Realism | None:
+    """What a mount's key says, with what the sensor's file has measured where that is asked for."""
+    if given and given.preset:
+        if sensor.realism is None:
+            known = ", ".join(name for name in catalogue() if load_sensor(name).realism)
+            what = (
+                f"nothing has been measured of sensor {sensor.name!r}; allowed: its own values, or a model of {known}"
+            )
+            raise error_at(path, ("sensors", index, "realism"), what)
+        given = resolved(given, sensor.realism)
+    if given and given.divergence is True and not sensor.optics:
+        what = f"sensor {sensor.name!r} has no optics facts"
+        raise error_at(path, ("sensors", index, "realism", "divergence"), what)
+    return given
 
 
 def _whole(vehicle: Mapping[str, Any], base: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Positive, Section, f
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
 from lidarcfg.geometry import Array
+from lidarcfg.realism import MeasuredRealism
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -181,6 +182,7 @@ class Sensor(Model):
     range: Range | None = None
     optics: Optics | None = None
     housing: Housing | None = None
+    realism: MeasuredRealism | None = None
     ports: Ports | None = None
     azimuth_fov_deg: AzimuthFov | None = None  # from, to, clockwise from the x axis; none: all around
     firing: Firing | None = None  # where there is no codec; none: FIRING

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from lidarcfg.capture.frames import Datagrams
 from lidarcfg.capture.pcap import read_batches
 from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window_ns
-from lidarcfg.capture.stream import OnHeads, Place, SourceStats, Stream
+from lidarcfg.capture.stream import ENOUGH, OnHeads, Place, SourceStats, Stream
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.inputs import read_regular
-from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, codec, family
+from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, Times, codec, family
 from lidarcfg.packets.point_fields import asked
 from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
@@ -34,6 +34,16 @@ CLAIMED_BY = 3  # packets of a source at most that tell whose they are
 
 Job = Callable[[], PointCloud]
 OnSource = Callable[[str, str], None]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """The packets of one source as they stand in a capture, all of them."""
+
+    name: str  # host:port, or the mount's
+    sensor: Sensor
+    packets: Octets  # (P, size)
+    host_ns: Times  # (P,)
 
 
 @dataclass(frozen=True)
@@ -118,6 +128,30 @@ class Capture:
     def clouds(self, chunk_packets: int = CHUNK_PACKETS) -> Iterator[PointCloud]:
         """The points of about so many packets at a time."""
         return _ahead(self._jobs(chunk_packets))
+
+    def sources(self) -> list[Recorded]:
+        """The sources, each with all of its packets in memory, in the order of their appearance.
+
+        Raises PacketError, ConfigError.
+        """
+        parts: dict[int, list[Datagrams]] = {}
+        for batch in around(self._path, self._on_warning, self._window_ns):
+            some, keys = self._claimed(batch)
+            for key in dict.fromkeys(keys.tolist()):
+                self._streams[key] = None
+                parts.setdefault(key, []).append(some[keys == key])
+        self._check_found()
+        return [self._recorded(key, some) for key, some in parts.items()]
+
+    def _recorded(self, key: int, some: list[Datagrams]) -> Recorded:
+        packets = np.concatenate([one.payloads(int(one.size[0])) for one in some])
+        host_ns = np.concatenate([one.time_ns for one in some])
+        (sensor, index), found = self._given(key), self._families[key]
+        assert found
+        if sensor is None:
+            known = partial(self._catalogue, next(one for one in FAMILIES if family(one) is found))
+            sensor = found.recognise(self._source(key), packets[:ENOUGH], known)
+        return Recorded(_name(key) if index is None else self._names[index], sensor, packets, host_ns)
 
     def _jobs(self, chunk_packets: int) -> Iterator[Job]:
         """What is to be done of each so many packets. An error is raised in the place of its job, as the last."""

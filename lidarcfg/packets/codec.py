@@ -55,6 +55,16 @@ class Batch:
 
 
 @dataclass(frozen=True)
+class Measurements:
+    """What packets say of their N firings, as `Codec.encode` takes it."""
+
+    return_mode: str
+    batch: Batch
+    range_m: Array  # (N, R) inf: no return
+    reflectivity: Octets  # (N, R) also where there is no return
+
+
+@dataclass(frozen=True)
 class Pace:
     """How a sensor sends."""
 
@@ -236,6 +246,13 @@ class Codec(Timing, Protocol):
 
         Raises PacketError.
         """
+
+    def measurements(self, packets: Octets, host_ns: Times) -> Measurements:
+        """The firings of one source's successive packets (P, size): of them `encode` makes such packets again.
+
+        Raises PacketError; ConfigError if the family has no such way back.
+        """
+        raise ConfigError(f"the packets of {type(self).__name__} cannot be taken apart into firings")
 
     # for reports and placement
 

@@ -1,4 +1,4 @@
-"""What a sensor reports of its hits: echoes of a wide beam, noise, dropouts, rain and fog, repeatable from a seed.
+"""What a sensor reports of its hits: echoes of a wide beam, rain and fog, repeatable from a seed.
 
 The power of an echo follows the LiDAR equation for extended Lambertian targets, P ~ ρ cos θ exp(-2 α r) / r²
 (Jelalian, Laser Radar Systems, 1992, ch. 1; Rasshofer, Spies and Spies, Adv. Radio Sci. 9, 2011, 49-60).
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Sensor
+from lidarcfg.simulate.noise import CELL, lose, roughen, uniforms
 from lidarcfg.world.scene import Weather
 from lidarcfg.world.world_kernels import NOTHING
 
@@ -31,7 +32,6 @@ DECIBEL = 10 / math.log(10)
 # of the intensity (a guess, the makers do not say), which is four sigma.
 NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
 FAINTEST = 1e-30  # power of an echo from a black or edge-on surface: detected unless there is a detection limit
-DROPOUT, NOISE, CELL = range(3)  # streams of random numbers
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,15 @@ def beam(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
     """The K rays of a beam: tangents of their angles to its axis (K,), across and up; weights (K,)."""
     if not realism.divergence:
         return np.zeros(1), np.zeros(1), np.ones(1)
-    assert sensor.optics
-    across, above = (np.array(sensor.optics.divergence_mrad) / 1000)[:, None] * NODES
+    across, above = (np.array(_width_mrad(sensor, realism)) / 1000)[:, None] * NODES
     return np.repeat(across, len(NODES)), np.tile(above, len(NODES)), np.outer(WEIGHTS, WEIGHTS).ravel()
+
+
+def _width_mrad(sensor: Sensor, realism: Realism) -> tuple[float, float]:
+    if isinstance(realism.divergence, tuple):
+        return realism.divergence
+    assert sensor.optics
+    return sensor.optics.divergence_mrad
 
 
 def extinction_per_m(weather: Weather) -> float:
@@ -88,17 +94,6 @@ def extinction_per_m(weather: Weather) -> float:
     fog = KOSCHMIEDER / weather.fog_visibility_m if weather.fog_visibility_m else 0.0
     rain = RAIN_DB_KM * weather.rain_mm_h**RAIN_EXPONENT / DECIBEL / 1000 if weather.rain_mm_h else 0.0
     return fog + rain
-
-
-def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` to `first` + count of a stream, in (0, 1), the same in whatever pieces they are drawn.
-
-    `first` and `count` are multiples of four: Philox generates four at a time.
-    """
-    assert first % 4 == 0
-    assert count % 4 == 0
-    philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
-    return np.random.Generator(philox).random(count) + 2.0**-54
 
 
 def echoes(
@@ -119,7 +114,7 @@ def echoes(
     byte = weights * hits.reflectivity.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         tangent = np.sqrt(np.maximum(1 - hits.cosine**2, 0)) / hits.cosine
-        slant_m = np.nan_to_num(range_m * tangent * _step_rad(sensor), nan=0.0, posinf=0.0)
+        slant_m = np.nan_to_num(range_m * tangent * _step_rad(sensor, realism), nan=0.0, posinf=0.0)
     if alpha:
         slant_m = np.column_stack([slant_m, np.zeros(count)])
         drop_m, drop_albedo = _droplets(sensor, realism, sensor_index, first, count, alpha)
@@ -134,21 +129,15 @@ def echoes(
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
     found = _clusters(range_m, power, byte, objects, slant_m, least)
-    if realism.dropout_fraction:
-        lost = uniforms(realism, sensor_index, DROPOUT, first, count) < realism.dropout_fraction
-        found.range_m[lost] = np.inf
-    if realism.range_noise_m:
-        from scipy.special import ndtri
-
-        normal = ndtri(uniforms(realism, sensor_index, NOISE, 2 * first, 2 * count)).reshape(count, 2)
-        same = found.range_m == found.range_m[:, :1]
-        found.noise_m[:] = realism.range_noise_m * np.where(same, normal[:, :1], normal[:, 1:])
+    lose(found, realism, sensor_index, first)
+    roughen(found, realism, sensor_index, first)
     return found
 
 
-def _step_rad(sensor: Sensor) -> float:
+def _step_rad(sensor: Sensor, realism: Realism) -> float:
     """The largest angle between neighbouring rays of a beam."""
-    return max(sensor.optics.divergence_mrad) / 1000 * float(NODES[-1]) if sensor.optics else 0.0
+    known = sensor.optics or isinstance(realism.divergence, tuple)
+    return max(_width_mrad(sensor, realism)) / 1000 * float(NODES[-1]) if known else 0.0
 
 
 def _clusters(

@@ -12,6 +12,7 @@ from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
+from lidarcfg.simulate.noise import laser_errors_m, separate
 from lidarcfg.simulate.simulator_kernels import Frames, Lasers, trace_firings
 from lidarcfg.world.bvh import NO_TREE, Tree
 from lidarcfg.world.motion import Trajectory, packed
@@ -45,10 +46,11 @@ class Simulator:
         own = bodies.scene.reflectivity if bodies else np.empty(0, np.uint8)
         self._reflectivity = np.concatenate([tracer.scene.reflectivity, own, np.zeros(1, np.uint8)])  # nothing, -1: 0
         self._realism, self._weather = mount.realism or EXACT, tracer.scene.file.weather
-        if self._realism.divergence and not mount.sensor.optics:
+        if self._realism.divergence is True and not mount.sensor.optics:
             raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
         self._exact = self._realism.model_copy(update={"seed": 0}) == EXACT and self._weather == CLEAR
         across, above, self._weights = beam(mount.sensor, self._realism)
+        self._errors_m = laser_errors_m(self._realism, index, mount.sensor.count)
         self._lasers = _lasers(mount.sensor, across, above)
         self._frames = _frames(mount, trajectory, tracer.origin_m, self._bodies)
         cells = CELLS if extinction_per_m(self._weather) else 0
@@ -80,7 +82,11 @@ class Simulator:
             return single(range_m, reflectivity, objects, mount.return_mode), counts
         sub_rays = SubRays(range_m, reflectivity, objects, found.cosine.reshape(count, width))
         candidates = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, sub_rays)
-        return candidates.reported(mount.return_mode), counts
+        candidates.noise_m[:] += self._errors_m[fired.laser][:, None]
+        reported = candidates.reported(mount.return_mode)
+        if mount.return_mode == "dual":
+            separate(reported, self._realism, self._index, first)
+        return reported, counts
 
     def _objects(self, slot: NDArray[np.int32]) -> NDArray[np.int32]:
         """The objects of slots (N,), -1 for none."""

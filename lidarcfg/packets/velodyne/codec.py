@@ -12,9 +12,11 @@ from lidarcfg.packets.codec import (
     Decoder,
     Flags,
     Known,
+    Measurements,
     Octets,
     Payloads,
     Source,
+    Times,
 )
 from lidarcfg.packets.spin import Spin, Spinning
 from lidarcfg.packets.velodyne.facts import Facts, Settings, Status, Unit, unit
@@ -79,6 +81,12 @@ class Velodyne(Spinning):
         from lidarcfg.packets.velodyne.position import position_payloads
 
         return position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
+
+    def measurements(self, packets: Octets, host_ns: Times) -> Measurements:
+        """See `Codec`."""
+        from lidarcfg.packets.velodyne.firings import measurements
+
+        return measurements(self.unit, packets_of(packets), host_ns)
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:

@@ -1,0 +1,45 @@
+"""What packets say of their firings, one by one: the inverse of encoding."""
+
+import numpy as np
+
+from lidarcfg.errors import PacketError
+from lidarcfg.packets.codec import Batch, Firings, Measurements, Times
+from lidarcfg.packets.velodyne import decode_kernels as kernels
+from lidarcfg.packets.velodyne.encode import returned
+from lidarcfg.packets.velodyne.facts import Unit
+from lidarcfg.packets.velodyne.layout import RADIANS, Packets, device_time_ns, is_dual
+
+
+def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
+    """All firings of successive packets (P,) of one return mode: see `Codec.measurements`. Raises PacketError.
+
+    Ranges are what distances and the lasers' offsets far off make; an HDL-64E's other corrections are left to decoding.
+    """
+    dual = bool(is_dual(unit.packet, packets)[:1].any())
+    mode = _return_mode(unit, packets, dual)
+    spin = unit.spin(dual)
+    azimuth = np.ascontiguousarray(
+        packets["blocks"]["azimuth"][:, : unit.span(dual) * (spin.sequences // spin.per_azimuth) : unit.span(dual)],
+        np.int64,
+    )
+    group_ns = spin.per_azimuth * spin.sequence_ns
+    step, late_ns = kernels.steps(azimuth, packets["stamp_us"].astype(np.int64), spin.period_ns, group_ns)
+    group = np.arange(spin.sequences) // spin.per_azimuth
+    fraction = (spin.offsets_ns - unit.head_offset_ns) / group_ns - group[:, None]
+    head = (azimuth[:, group, None] + step[:, group, None] * fraction) * RADIANS
+    stamp_ns = device_time_ns(packets["stamp_us"], host_ns)
+    time_ns = stamp_ns[:, None, None] + spin.offsets_ns + late_ns[:, group, None]
+    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), time_ns.shape).ravel()
+    distance, intensity = returned(unit, mode, packets)
+    range_m = distance * unit.resolution_m + unit.distance_offset_m[laser][:, None]
+    range_m[distance == 0] = np.inf
+    batch = Batch(Firings(time_ns.ravel(), laser, head.ravel()), np.arange(len(packets)), host_ns)
+    return Measurements(mode, batch, range_m, intensity)
+
+
+def _return_mode(unit: Unit, packets: Packets, dual: bool) -> str:
+    if (is_dual(unit.packet, packets) != dual).any():
+        raise PacketError(f"{unit.name}: single and dual returns in one recording")
+    codes = unit.packet.return_modes
+    last = codes is not None and bool((packets["return_mode"] == codes.last).any())
+    return "dual" if dual else "last" if last else "strongest"

@@ -1,0 +1,187 @@
+"""The roughness of real sensors: what is exported is as rough as recordings, measured in the same way; and as is said."""
+
+import importlib
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.errors import ConfigError
+from lidarcfg.realism import Realism
+from lidarcfg.rig import Rig, load_rig, save_rig
+from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.noise import laser_errors_m, roughen, separate
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.scene import load_scene
+from tests.capture_fixtures import mount, recording
+
+ROOT = Path(__file__).parents[2]
+ROOM = ROOT / "data/scenes/room.yaml"
+NEAR = 0.25  # by which two figures may differ, as a fraction
+NO_GREATEST = "laser_error_max_mm"  # one laser's, of a few: it says little
+SCENES_OWN = "two_distances_percent"  # how many edges a scene has
+
+
+@pytest.fixture(scope="module")
+def tool():
+    """The tool, with fewer revolutions."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "tools"))
+        found = importlib.import_module("measure_realism")
+        patch.setattr(found, "REVOLUTIONS", 3)
+        yield found
+
+
+def exported(tmp_path, model, realism, mode="strongest"):
+    """Half a second in a hall."""
+    one = mount(position_m=(0.3, 0.2, 1.6), rpy_deg=(2.0, 3.0, 10.0))
+    one = replace(one, sensor=load_sensor(model), model=model, return_mode=mode, realism=realism)
+    path = tmp_path / f"{model}.pcap"
+    write_pcap(path, in_time_order(export(Rig("r", (one,)), load_scene(ROOM), np.eye(4), SECOND_NS // 2)))
+    return path
+
+
+def of_file(tmp_path, model, said):
+    """The realism that a rig's file means."""
+    rig = {"name": "r", "sensors": [{"name": "a", "model": model, "position_m": [0, 0, 2], "realism": said}]}
+    (tmp_path / "r.yaml").write_text(yaml.safe_dump(rig))
+    return load_rig(tmp_path / "r.yaml")
+
+
+def measured(tool, path, model=None):
+    """The figures of a capture's only source."""
+    (one,) = tool.read(path, model).values()
+    return tool.measure(one)
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "names"),
+    [
+        ("vlp-16", "dual", ["mrpt_vlp16_gps", "jerry_vlp16", "nebula_vlp16"]),
+        ("hdl-32e", "strongest", ["veloview_hdl32e_monterey"]),
+    ],
+)
+def test_exports_are_as_rough_as_recordings(tool, tmp_path, model, mode, names):
+    """By one tool, which knows nothing of simulation: within 25 % of the recordings' medians."""
+    recorded = [measured(tool, recording(f"{name}.pcap"), model) for name in names]
+    realism = of_file(tmp_path, model, "measured").mounts[0].realism
+    ours = measured(tool, exported(tmp_path, model, realism, mode))
+    compared = 0
+    for name in (field.name for field in fields(ours)):
+        known = [getattr(one, name) for one in recorded if np.isfinite(getattr(one, name))]
+        if known and name not in (NO_GREATEST, SCENES_OWN):
+            assert getattr(ours, name) == pytest.approx(np.median(known), rel=NEAR), name
+            compared += 1
+    assert compared == (8 if mode == "dual" else 5)
+
+
+def test_the_tool_measures_what_was_put_in(tool, tmp_path):
+    """And without any, steps of 2 mm alone: their sigma is 2 mm / sqrt 12."""
+    exact = measured(tool, exported(tmp_path, "vlp-16", None))
+    assert exact.noise_mm == pytest.approx(2 / 12**0.5, rel=0.2)
+    assert exact.laser_error_mm < 1
+    assert exact.dropout_percent == exact.intensity_levels == 0
+    put_in = Realism(
+        range_noise_m=0.02, laser_error_m=0.015, dropout_fraction=0.02, intensity_noise=4, dark_noise_m=0.04
+    )
+    found = measured(tool, exported(tmp_path, "vlp-16", put_in))
+    assert found.noise_mm == pytest.approx(20, rel=0.1)
+    assert found.dark_noise_mm == pytest.approx(40, rel=0.2)
+    assert found.laser_error_mm == pytest.approx(15, rel=0.15)
+    assert found.dropout_percent == pytest.approx(2, rel=0.1)
+    assert found.intensity_levels == pytest.approx(4, rel=0.1)
+
+
+def test_each_laser_has_its_own_error_and_keeps_it():
+    """Their standard deviation is exactly what was said; another seed or sensor mixes them."""
+    one = laser_errors_m(Realism(laser_error_m=0.01), 0, 32)
+    assert one.std() == pytest.approx(0.01, rel=1e-12)
+    assert one.mean() == pytest.approx(0, abs=1e-12)
+    assert len(set(one.tolist())) == 32
+    for other in (
+        laser_errors_m(Realism(laser_error_m=0.01, seed=1), 0, 32),
+        laser_errors_m(Realism(laser_error_m=0.01), 1, 32),
+    ):
+        assert sorted(other) == sorted(one)
+        assert other.tolist() != one.tolist()
+    assert not laser_errors_m(Realism(), 0, 32).any()
+
+
+def flat(count, columns, byte):
+    return Echoes(
+        np.full((count, columns), 10.0),
+        np.zeros((count, columns)),
+        np.full((count, columns), byte, np.uint8),
+        np.zeros(()),
+    )
+
+
+def test_the_noise_of_dark_targets_and_of_intensities():
+    realism = Realism(seed=3, range_noise_m=0.01, dark_noise_m=0.03, intensity_noise=3)
+    for byte, sigma_m in ((1, 0.03), (2, 0.01), (90, 0.01)):
+        found = flat(20_000, 4, byte)
+        roughen(found, realism, 0, 0)
+        assert found.noise_m.std() == pytest.approx(sigma_m, rel=0.02)
+        assert (found.noise_m == found.noise_m[:, :1]).all()  # one echo, four times
+        assert (found.reflectivity == found.reflectivity[:, :1]).all()
+        if byte == 90:
+            assert found.reflectivity[:, 0].std() == pytest.approx((9 + 1 / 12) ** 0.5, rel=0.02)
+    whole, parts = flat(64, 4, 50), [flat(16, 4, 50) for _ in range(4)]
+    roughen(whole, realism, 0, 0)
+    for i, part in enumerate(parts):
+        roughen(part, realism, 0, 16 * i)
+    assert (whole.noise_m == np.concatenate([part.noise_m for part in parts])).all()
+    assert (whole.reflectivity == np.concatenate([part.reflectivity for part in parts])).all()
+
+
+def test_one_slot_of_a_pair_is_empty():
+    pairs = flat(100_000, 2, 50)
+    separate(pairs, Realism(last_alone_fraction=0.02, strongest_alone_fraction=0.01), 0, 0)
+    assert (~np.isfinite(pairs.range_m)).mean(axis=0).tolist() == pytest.approx([0.02, 0.01], rel=0.1)
+    assert np.isfinite(pairs.range_m).any(axis=1).all()
+
+
+def test_a_rig_says_measured(tmp_path):
+    """Alone, or with values of its own; what it is saved as has all values, and reads back the same."""
+    known = load_sensor("vlp-16").realism
+    alone = of_file(tmp_path, "vlp-16", "measured")
+    assert alone.mounts[0].realism == of_file(tmp_path, "vlp-16", {"preset": "measured"}).mounts[0].realism
+    assert alone.mounts[0].realism.model_dump(exclude={"preset"}) == known.model_dump(exclude={"preset", "source"})
+    own = of_file(tmp_path, "vlp-16", {"preset": "measured", "seed": 4, "divergence": False, "range_noise_m": 0})
+    changed = {"seed": 4, "divergence": False, "range_noise_m": 0.0, "preset": None}
+    assert own.mounts[0].realism.model_dump() == known.model_dump(exclude={"source"}) | changed
+    save_rig(alone, tmp_path / "b.yaml")
+    assert load_rig(tmp_path / "b.yaml").mounts[0].realism == alone.mounts[0].realism
+
+
+@pytest.mark.parametrize(
+    ("model", "said", "message"),
+    [
+        ("vlp-16", "rough", "sensors[0].realism: 'rough' is not allowed; allowed: measured, or keys and values"),
+        ("vlp-16", {"preset": "rough"}, "sensors[0].realism.preset"),
+        ("vlp-16", {"laser_error_m": -1}, "sensors[0].realism.laser_error_m"),
+        ("vlp-16", {"divergence": [1, 0]}, "sensors[0].realism.divergence"),
+        (
+            "os1-64",
+            "measured",
+            "sensors[0].realism: nothing has been measured of sensor 'os1-64'; allowed: its own values, or",
+        ),
+    ],
+)
+def test_what_is_not_allowed(tmp_path, model, said, message):
+    with pytest.raises(ConfigError) as caught:
+        of_file(tmp_path, model, said)
+    assert str(caught.value).startswith(f"{tmp_path}/r.yaml:")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_preset_says_where_it_is_from():
+    measured = [name for name in catalogue() if load_sensor(name).realism]
+    assert measured == ["hdl-32e", "vlp-16", "vlp-32c", "vls-128", "vls-128-2020"]
+    assert all("measure_realism.py" in load_sensor(name).realism.source for name in measured)

@@ -1,0 +1,278 @@
+"""How rough real sensors are: noise, constant errors, dropouts, intensities, dual returns; of recordings and exports.
+
+    tools/measure_realism.py RECORDING.pcap EXPORT.pcap ...
+
+measures the same figures on each file, side by side: on planes that RANSAC (Open3D's segment_plane) finds in single
+revolutions, and on all firings. What is meant by each is said in docs/capture.md.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from lidarcfg.capture.decode import Capture
+from lidarcfg.geometry import Array, directions
+from lidarcfg.packets.codec import Measurements, codec
+from lidarcfg.sensor import Sensor
+
+REVOLUTIONS = 4  # of a recording that are looked at, evenly spread
+PLANES, THICK_M, FEWEST = 12, 0.06, 300  # in a revolution; half of a plane's slab; points of a plane
+NEAR_M = 1.5  # what is nearer is not looked at
+TRIES, TRIED = 500, 10_000  # of RANSAC, and the most points of which
+FLAT, SLANT, HEAD_ON = 0.1, 0.5, 0.7  # least cosines: of any plane; for noise, unless too few are; for constant errors
+ENOUGH = 200  # differences
+RUN, JUMP_M = 30, 0.2  # firings of one laser on a plane, at least; by which neighbours differ at most
+DARK = 2  # intensities below are of dark targets
+CLIP, ROUNDS = 3.5, 5  # sigma beyond which differences are of edges, not of noise
+EDGE_M = 1.0  # by which neighbours across an edge differ: returns of a pair do, at least
+NAN, WIDE = float("nan"), 36
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What is measured; NaN where a recording does not say it."""
+
+    noise_mm: float  # sigma of one shot
+    dark_noise_mm: float  # the same where the intensity is below 2
+    laser_error_mm: float  # standard deviation over the lasers of each one's median error
+    laser_error_max_mm: float
+    dropout_percent: float  # of the firings whose neighbours before and after have returns at one distance
+    intensity_levels: float  # sigma of one shot's intensity on one surface
+    two_distances_percent: float  # of the pairs with a return
+    two_at_edges_percent: float  # the same of those whose neighbours are an edge
+    last_alone_percent: float  # of the pairs with a return: the slot of the strongest is empty
+    strongest_alone_percent: float
+
+
+NAMES = {
+    "noise_mm": "noise of a shot (mm)",
+    "dark_noise_mm": "on dark targets (mm)",
+    "laser_error_mm": "constant error of a laser, sd (mm)",
+    "laser_error_max_mm": "the greatest (mm)",
+    "dropout_percent": "isolated dropouts (%)",
+    "intensity_levels": "intensity of a shot, sd (levels)",
+    "two_distances_percent": "pairs of two distances (%)",
+    "two_at_edges_percent": "at edges (%)",
+    "last_alone_percent": "the last return alone (%)",
+    "strongest_alone_percent": "the strongest alone (%)",
+}
+
+
+@dataclass(frozen=True)
+class Shots:
+    """All firings of a sensor, sequence by sequence: (T, L), and (T, L, R) of what they returned."""
+
+    azimuth_rad: Array
+    range_m: Array  # inf: none
+    main_m: Array  # (T, L) the strongest return, or the last where that slot is empty
+    level: Array  # (T, L) its intensity
+    origin_m: Array  # (T, L, 3)
+    direction: Array  # (T, L, 3)
+
+    def revolutions(self) -> Iterator[slice]:
+        """Some whole revolutions, evenly spread."""
+        starts = np.flatnonzero(np.diff(self.azimuth_rad[:, 0]) < -np.pi) + 1
+        whole = np.column_stack([starts[:-1], starts[1:]]) if len(starts) > 1 else np.array([[0, len(self.range_m)]])
+        for i in np.unique(np.linspace(0, len(whole) - 1, REVOLUTIONS).round().astype(int)):
+            yield slice(*whole[i])
+
+
+def shots(sensor: Sensor, found: Measurements) -> Shots:
+    """The firings of a sensor whose sequences are whole, as recorded."""
+    shape = -1, sensor.count
+    azimuth = found.batch.firings.encoder_rad.reshape(shape) + sensor.azimuth_offset_rad
+    elevation = np.broadcast_to(sensor.elevation_rad, azimuth.shape)
+    left, up = np.broadcast_to(sensor.lateral_offset_m, azimuth.shape), sensor.vertical_offset_m
+    origin = np.stack([left * np.sin(azimuth), left * np.cos(azimuth), np.broadcast_to(up, azimuth.shape)], axis=-1)
+    returns = found.range_m.shape[1]
+    range_m, intensity = (one.reshape(*shape, returns) for one in (found.range_m, found.reflectivity))
+    slot = np.where(np.isfinite(range_m[..., :1]), 0, returns - 1)
+    return Shots(
+        azimuth_rad=azimuth % (2 * np.pi),
+        range_m=range_m,
+        main_m=np.take_along_axis(range_m, slot, axis=2)[..., 0],
+        level=np.take_along_axis(intensity, slot, axis=2)[..., 0].astype(float),
+        origin_m=origin,
+        direction=directions(azimuth.ravel(), elevation.ravel()).reshape(*azimuth.shape, 3),
+    )
+
+
+def read(path: Path, model: str | None) -> dict[str, Shots]:
+    """The sources of a capture, called as the file or, if there are more, as the file and the source."""
+    sources = Capture(path, lambda warning: None, model=model).sources()
+    return {
+        path.stem if len(sources) == 1 else f"{path.stem} {one.name.removesuffix(':2368')}": shots(
+            one.sensor, codec(one.sensor).measurements(one.packets, one.host_ns)
+        )
+        for one in sources
+    }
+
+
+def planes(points: Array) -> Iterator[tuple[Array, Array]]:
+    """Planes among points (N, 3), the largest first: their normals and offsets (4,), and which points are theirs."""
+    left = np.arange(len(points))
+    o3d.utility.random.seed(1)
+    for _ in range(PLANES):
+        if len(left) < FEWEST:
+            return
+        some = points[left[:: -(-len(left) // TRIED)]]
+        form, _ = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(some)).segment_plane(THICK_M, 3, TRIES)
+        mine = np.flatnonzero(abs(points[left] @ form[:3] + form[3]) < THICK_M)
+        if len(mine) < FEWEST:
+            return
+        chosen = points[left[mine]]
+        middle = chosen.mean(axis=0)
+        normal = np.linalg.svd(chosen - middle, full_matrices=False)[2][2]
+        yield np.append(normal, -normal @ middle), left[mine]
+        left = np.delete(left, mine)
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What one revolution says of planes, (T, L): NaN where a firing hit none of them, or too flat."""
+
+    range_m: Array  # measured range less the plane's
+    plane: NDArray[np.int64]  # its number; -1: none
+    cosine: Array  # at which it was hit
+
+
+def residuals(some: Shots) -> Residuals:
+    """Of the main returns of a revolution."""
+    range_m = some.main_m
+    shape = range_m.shape
+    usable = np.flatnonzero((np.isfinite(range_m) & (range_m > NEAR_M)).ravel())
+    origin, direction = some.origin_m.reshape(-1, 3)[usable], some.direction.reshape(-1, 3)[usable]
+    points = origin + range_m.ravel()[usable, None] * direction
+    off, plane, steep = np.full(range_m.size, np.nan), np.full(range_m.size, -1), np.zeros(range_m.size)
+    for number, (form, mine) in enumerate(planes(points)):
+        cosine = direction[mine] @ form[:3]
+        mine, cosine = mine[abs(cosine) > FLAT], cosine[abs(cosine) > FLAT]
+        at, far = usable[mine], -(origin[mine] @ form[:3] + form[3])
+        off[at], plane[at], steep[at] = range_m.ravel()[at] - far / cosine, number, abs(cosine)
+    return Residuals(off.reshape(shape), plane.reshape(shape), steep.reshape(shape))
+
+
+def sigma(differences: Array) -> float:
+    """Of one value, from differences of two neighbours; those of edges are clipped."""
+    kept = differences[np.isfinite(differences)]
+    for _ in range(ROUNDS):
+        kept = kept[abs(kept) <= CLIP * max(kept.std(), 1e-9)] if len(kept) else kept
+    return float(kept.std() / np.sqrt(2)) if len(kept) > RUN else NAN
+
+
+def measure(all_shots: Shots) -> Figures:
+    """All of them."""
+    steps, dark, light, errors, lost = [], [], [], [], []
+    for which in all_shots.revolutions():
+        some = Shots(*(value[which] for value in vars(all_shots).values()))
+        found, level = residuals(some), some.level
+        same = (found.plane[1:] == found.plane[:-1]) & (found.plane[1:] >= 0)
+        with np.errstate(invalid="ignore"):
+            near = same & (abs(np.diff(some.main_m, axis=0)) < JUMP_M)
+        step, is_dark = np.diff(found.range_m, axis=0), (level[1:] < DARK) & (level[:-1] < DARK)
+        is_light, cosine = (level[1:] >= DARK) & (level[:-1] >= DARK), np.minimum(found.cosine[1:], found.cosine[:-1])
+        steps.append((step[near & is_light], cosine[near & is_light]))
+        dark.append((step[near & is_dark], cosine[near & is_dark]))
+        light.append((np.diff(level, axis=0)[near], cosine[near]))
+        lost.append(_lost(some.main_m, found.plane))
+        for number in range(found.plane.max() + 1):
+            on = (found.plane == number) & (found.cosine > HEAD_ON)
+            of_each = [found.range_m[on[:, laser], laser] for laser in range(on.shape[1])]
+            errors.append(np.array([np.median(one) if len(one) >= RUN else NAN for one in of_each]))
+    of_laser = _middles(np.array(errors))
+    return Figures(
+        noise_mm=1000 * sigma(_steep(steps)),
+        dark_noise_mm=1000 * sigma(_steep(dark)),
+        laser_error_mm=1000 * float(of_laser.std()) if len(of_laser) > 1 else NAN,
+        laser_error_max_mm=1000 * float(abs(of_laser).max(initial=0)) if len(of_laser) > 1 else NAN,
+        dropout_percent=100 * float(np.concatenate(lost).mean()),
+        intensity_levels=sigma(_steep(light)),
+        **_pairs(all_shots.range_m),
+    )
+
+
+def _steep(parts: list[tuple[Array, Array]]) -> Array:
+    """Of differences and their cosines those of planes that are not hit too flat, if that leaves enough."""
+    values, cosine = (np.concatenate(column) for column in zip(*parts, strict=True))
+    steep = cosine > SLANT
+    return np.asarray(values[steep] if steep.sum() >= ENOUGH else values)
+
+
+def _middles(errors: Array) -> Array:
+    """Of each laser that has been on a plane, the median over planes (N, L)."""
+    return np.nanmedian(errors[:, np.isfinite(errors).any(axis=0)], axis=0)
+
+
+def _lost(range_m: Array, plane: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Of all firings between two neighbours on one plane at one distance, whether each has no return."""
+    before, here, after = slice(None, -2), slice(1, -1), slice(2, None)
+    between = (plane[before] >= 0) & (plane[before] == plane[after])
+    between[between] = abs(range_m[before][between] - range_m[after][between]) < JUMP_M
+    return ~np.isfinite(range_m[here][between])
+
+
+def _pairs(range_m: Array) -> dict[str, float]:
+    """What dual returns say; (T, L, 2) strongest and last."""
+    if range_m.shape[2] < 2:
+        keys = "two_distances_percent", "two_at_edges_percent", "last_alone_percent", "strongest_alone_percent"
+        return dict.fromkeys(keys, NAN)
+    first, last = range_m[..., 0], range_m[..., 1]
+    some, both = np.isfinite(first) | np.isfinite(last), np.isfinite(first) & np.isfinite(last)
+    two = both & (first != last)
+    with np.errstate(invalid="ignore"):
+        edge = np.zeros(first.shape, bool)
+        apart_m = abs(last[2:] - last[:-2])
+        edge[1:-1] = np.isfinite(apart_m) & (apart_m > EDGE_M)
+    return {
+        "two_distances_percent": 100 * two.sum() / some.sum(),
+        "two_at_edges_percent": 100 * (two & edge).sum() / max((some & edge).sum(), 1),
+        "last_alone_percent": 100 * (some & ~np.isfinite(first)).sum() / some.sum(),
+        "strongest_alone_percent": 100 * (some & ~np.isfinite(last)).sum() / some.sum(),
+    }
+
+
+def draw(columns: dict[str, Figures], path: Path) -> None:
+    """Draw the figures side by side, a small chart for each."""
+    from lidarcfg.report import save_figure
+    from lidarcfg.report.plots import COLOURS, new_figure
+
+    named = {field.name: [getattr(one, field.name) for one in columns.values()] for field in fields(Figures)}
+    named = {name: values for name, values in named.items() if np.isfinite(values).any()}
+    figure = new_figure(13, 5.5)
+    charts = figure.subplots(2, -(-len(named) // 2)).ravel()
+    for axes, (name, values) in zip(charts, named.items(), strict=False):
+        bars = axes.bar(range(len(values)), values, color=[COLOURS[i % len(COLOURS)] for i in range(len(values))])
+        axes.set_title(NAMES[name], fontsize=9)
+        axes.set_xticks([])
+        axes.grid(alpha=0.3, axis="y")
+    for axes in charts[len(named) :]:
+        axes.set_axis_off()
+    figure.legend(bars, list(columns), loc="outside lower center", ncols=len(columns))
+    save_figure(figure, path)
+
+
+def main() -> None:
+    """Measure the files that are given, and print a column for each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("captures", nargs="+", type=Path, metavar="CAPTURE", help="a recording, or an export")
+    parser.add_argument("--png", type=Path, help="draw them side by side")
+    parser.add_argument("--model", help="whose packets they are, if they say another's")
+    given = parser.parse_args()
+    found = [item for path in given.captures for item in read(path, given.model).items()]
+    columns = {name: measure(one) for name, one in found}
+    print(" " * WIDE + "".join(f"{name[-24:]:>26}" for name in columns))
+    for field in fields(Figures):
+        values = [getattr(column, field.name) for column in columns.values()]
+        shown = "".join(f"{value:26.2f}" if np.isfinite(value) else f"{'':>26}" for value in values)
+        print(f"{NAMES[field.name]:<{WIDE}}{shown}")
+    if given.png:
+        draw(columns, given.png)
+
+
+if __name__ == "__main__":
+    main()
