@@ -87,11 +87,11 @@ def test_the_tool_measures_what_was_put_in(tool, tmp_path):
     assert exact.laser_error_mm < 1
     assert exact.dropout_percent == exact.intensity_levels == 0
     put_in = Realism(
-        range_noise_m=0.02, laser_error_m=0.015, dropout_fraction=0.02, intensity_noise=4, dark_noise_m=0.04
+        range_noise_m=0.02, laser_error_m=0.015, dropout_fraction=0.02, intensity_noise=4, dark_noise_m=0.025
     )
     found = measured(tool, exported(tmp_path, "vlp-16", put_in))
     assert found.noise_mm == pytest.approx(20, rel=0.1)
-    assert found.dark_noise_mm == pytest.approx(40, rel=0.2)
+    assert found.dark_noise_mm == pytest.approx(25, rel=0.15)
     assert found.laser_error_mm == pytest.approx(15, rel=0.15)
     assert found.dropout_percent == pytest.approx(2, rel=0.1)
     assert found.intensity_levels == pytest.approx(4, rel=0.1)
