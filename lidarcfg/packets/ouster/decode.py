@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, transform
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
 from lidarcfg.packets.ouster import decode_kernels as kernels
 from lidarcfg.packets.ouster.layout import LEGACY_VALID, Layout, columns, heads
@@ -26,6 +26,7 @@ class OusterDecoder(Decoder):
         self._layout = layout = metadata.layout
         self.period_ns = 100_000_000 * layout.columns_per_packet // layout.columns_per_frame  # as at 10 Hz
         self._pixels, self._beams = _pixels(layout), _beams(metadata)
+        self._T = None if _upright(metadata.T_sensor_lidar) else metadata.T_sensor_lidar
         self._in_frame = _packets_in_window(metadata)
         self._before: tuple[int, int, int] | None = None  # in the sequence of packets, of columns; device time
         self._lost = self._columns = self._time_ns = 0
@@ -81,14 +82,17 @@ class OusterDecoder(Decoder):
         """See `Decoder`."""
         if not wanted.all():
             packets = packets[wanted]
-        layout, words = self._layout, words_of(packets)
+        layout, packets = self._layout, np.ascontiguousarray(packets)
         slots = len(packets) * layout.columns_per_packet * layout.pixels
         returns = Returns.room(slots * layout.profile.returns)
         xyz, (time_ns, _, ring, intensity, kind) = returns.xyz_m.reshape(-1), returns[3:]
         out = kernels.Returned(xyz, time_ns, ring, intensity, kind)
-        count = kernels.points(words, self._pixels, self._beams, self._beams.axes[:, 0].copy(), out)
-        returns = returns._replace(laser=np.empty(0, np.uint8))
-        return returns.first(count)
+        turned = np.empty((2, layout.pixels))
+        count = kernels.points(words_of(packets), packets, self._pixels, self._beams, turned, out)
+        returns = returns._replace(laser=np.empty(0, np.uint8)).first(count)
+        if self._T is not None:
+            returns.xyz_m[:] = transform(self._T, returns.xyz_m)
+        return returns
 
     def driver_columns(self, packets: Octets, wanted: Flags) -> dict[str, NDArray[Any]]:
         """See `Decoder`. What the profile does not have is 0, as with ouster-ros."""
@@ -107,41 +111,52 @@ class OusterDecoder(Decoder):
 
 
 def _pixels(layout: Layout) -> kernels.Pixels:
-    names, ends = list(layout.profile.fields), ("", "2")[: layout.profile.returns]
-    ranges, bright = (layout.bits[[names.index(f"{name}{end}") for end in ends]] for name in ("range", "reflectivity"))
+    ends = ("", "2")[: layout.profile.returns]
+    ranges, bright = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
+    assert all(field.bit % 32 == 0 for field in ranges)
+    assert all((field.bit % 8, field.bits) == (0, 8) for field in bright)
     first, column, width = place(layout)
     head = layout.head // 4
-    valid = (layout.column // 4 - 1, LEGACY_VALID) if layout.legacy else (2, 1 << 16)
-    return kernels.Pixels(head, first - head, column, layout.columns_per_packet, valid, width, ranges, bright)
+    return kernels.Pixels(
+        head,
+        first - head,
+        column,
+        layout.columns_per_packet,
+        (layout.column // 4 - 1, LEGACY_VALID) if layout.legacy else (2, 1 << 16),
+        width,
+        np.array([field.bit // 32 for field in ranges], np.uint64),
+        np.array([field.bit // 8 for field in bright], np.uint64),
+        (1 << ranges[0].bits) - 1,
+        0.001 * (1 << ranges[0].dropped),
+    )
 
 
 def _beams(metadata: Metadata) -> kernels.Beams:
-    """All pixels of a column, in the sensor's frame."""
+    """All pixels of a column: in the sensor's frame, if the lidar stands upright in it, or else in the lidar's."""
     flat, azimuth, T = np.cos(metadata.elevation_rad), metadata.azimuth_rad, metadata.T_sensor_lidar
-    directions = np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(metadata.elevation_rad)], axis=1)
+    T = T if _upright(T) else np.eye(4)
     ahead_m, up_m = metadata.start_m
-    start = _turning(np.array([ahead_m, 0.0, up_m]), T[:3, :3])
-    start[0] += T[:3, 3]
-    kinds = STRONGEST, LAST if metadata.nearest_first else SECOND
-    axes = np.ascontiguousarray(_turning(directions, T[:3, :3]).transpose(2, 0, 1))
     columns = metadata.layout.columns_per_frame
-    angles = [2 * math.pi * (1 - column / columns) for column in range(columns)]
+    angle = 2 * math.pi * (1 - np.arange(columns) / columns)
+    heading = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ T[:2, :2].T
+    kinds = STRONGEST, LAST if metadata.nearest_first else SECOND
+    x, y, z = T[:3, 3].tolist()
     return kernels.Beams(
-        axes,
-        2 if not axes[2, 1:].any() else 3,  # z does not, of a lidar that stands upright in its sensor
-        np.array([(math.cos(angle), math.sin(angle)) for angle in angles]),
-        start,
-        math.hypot(ahead_m, up_m),
+        flat * np.cos(azimuth),
+        flat * np.sin(azimuth),
+        np.sin(metadata.elevation_rad),
+        heading,
+        (ahead_m, math.hypot(ahead_m, up_m)),
+        (x, y, z + up_m),
         np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8),  # 0 is the lowest
         np.array(kinds[: metadata.layout.profile.returns], np.uint8),
     )
 
 
-def _turning(vectors: Array, R: Array) -> Array:
-    """(3, …) what is summed up, times 1, cosine and sine of an angle, to the vectors (…, 3) turned by it about z."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    none = np.zeros_like(x)
-    return np.stack([np.stack(part, axis=-1) @ R.T for part in ((none, none, z), (x, y, none), (-y, x, none))])
+def _upright(T: Array) -> bool:
+    """Whether it only turns about z, besides shifting."""
+    cos, sin = T[0, 0], T[1, 0]
+    return np.array_equal(T[:3, :3], [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
 
 
 def _packets_in_window(metadata: Metadata) -> Times:
