@@ -3,10 +3,12 @@
 
     .venv/bin/python tools/bench_ouster.py             # prints the tables of docs/ouster.md
 
-Decoding is from packets in memory to x, y, z and all fields: ouster-sdk's FrameBatcher and XYZLut, which are one thread
-and give a place to every pixel; ours give the cloud's columns of what returned, revolution by revolution on one thread,
-and on all cores as `decode` does. Medians of several runs in turns, and the spread of their ratios. The tracer casts
-the same rays in the same order.
+Decoding is from packets in memory to x, y, z and all fields, none of which is kept. ouster-sdk's FrameBatcher and
+XYZLut are one thread, fill the same frame again and again, and give a place to every pixel. Ours give the cloud's
+columns of what returned: of a revolution at a time; of a quarter, whose columns stay in a core's cache; and of
+revolutions on all cores. What memory allows is timed by adding up the packets' words and filling columns of those sizes
+with a constant. Medians of several runs in turns, and the spread of their ratios. The tracer casts the same rays in the
+same order.
 """
 
 import argparse
@@ -44,6 +46,8 @@ from lidarcfg.world.tracer import Tracer
 
 ROOT = Path(__file__).parent.parent
 RUNS, REVOLUTIONS, PACKETS = 9, 8, 64  # packets of a revolution
+AGAIN = 8  # times that all of them are decoded in a run: threads take their time to start
+QUARTER = PACKETS // 4
 PROFILES = {
     "RNG19_RFL8_SIG16_NIR16": "strongest",
     "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",
@@ -80,23 +84,38 @@ class Capture:
         self._info = core.SensorInfo(metadata.decode())
         self._theirs = [_packet(core.PacketFormat.from_info(self._info), one) for one in self.packets]
         self._lut, self._dual = core.XYZLut(self._info), PROFILES[profile] == "dual"
-        self.returns = sum(self._revolution(i) for i in range(REVOLUTIONS))
+        self.returns = AGAIN * sum(map(self._decode, self._parts(PACKETS)))
+        returns = self.returns // AGAIN // REVOLUTIONS
+        self._columns = [np.empty(3 * returns), np.empty(returns, np.int64), *(np.empty((3, returns), np.uint8))]
 
-    def _revolution(self, number: int) -> int:
-        some = self.packets[number * PACKETS : (number + 1) * PACKETS]
+    def _parts(self, packets: int) -> list[Octets]:
+        return np.split(self.packets, REVOLUTIONS * PACKETS // packets)
+
+    def _decode(self, some: Octets) -> int:
         return len(self._decoder.decode(some, np.empty(0, np.int64), np.ones(len(some), np.bool_)).time_ns)
 
-    def ours(self) -> None:
-        """Decode on one thread."""
-        for number in range(REVOLUTIONS):
-            self._revolution(number)
+    def ours(self, packets: int) -> None:
+        """Decode on one thread, so many packets at a time."""
+        for some in self._parts(packets) * AGAIN:
+            self._decode(some)
 
     def threads(self, pool: ThreadPoolExecutor) -> None:
         """Decode on all cores."""
-        list(pool.map(self._revolution, range(REVOLUTIONS)))
+        list(pool.map(self._decode, self._parts(PACKETS) * AGAIN))
+
+    def memory(self) -> None:
+        """Read the packets and write the columns, without more."""
+        for some in self._parts(PACKETS) * AGAIN:
+            some.view(np.uint64).sum()
+            for column in self._columns:
+                column.fill(1)
 
     def sdk(self) -> None:
         """Decode with ouster-sdk."""
+        for _ in range(AGAIN):
+            self._sdk()
+
+    def _sdk(self) -> None:
         batcher, frame, done = core.FrameBatcher(self._info), core.LidarFrame(self._info), 0
         for i, packet in enumerate(self._theirs, 1):
             if batcher.batch(packet, frame) or i % PACKETS == 0:
@@ -128,27 +147,31 @@ def middle(values: Array, digits: int = 1) -> str:
 
 def packets(folder: Path, mount: Mount, scene: Scene) -> None:
     """The tables of decoding and of writing."""
-    print(
-        "\n| decode | ouster-sdk, million returns/s | one thread | times | all cores | times | one thread by CPU time |"
-        "\n|---|---|---|---|---|---|---|"
-    )
-    writing = []
+    ways = "ouster-sdk", "a revolution", "a quarter", "all cores", "memory alone"
+    print(f"\n| million returns/s | {' | '.join(ways)} |\n|{'---|' * 6}")
+    ratios, writing = [], []
     for profile in PROFILES:
         capture = Capture(mount, scene, profile)
-        sdk, one, many, write = timed(capture, folder / "a.pcap")
-        fast = [f"{capture.returns / np.median(some[:, 0]) / 1e6:.0f}" for some in (sdk, one, many)]
-        times = [middle(ratio) for ratio in (sdk[:, 0] / one[:, 0], sdk[:, 0] / many[:, 0], sdk[:, 1] / one[:, 1])]
-        print(f"| {profile} | {fast[0]} | {fast[1]} | {times[0]} | {fast[2]} | {times[1]} | {times[2]} |", flush=True)
+        *decoding, write = timed(capture, folder / "a.pcap")
+        fast = [f"{capture.returns / np.median(some[:, 0]) / 1e6:.0f}" for some in decoding]
+        print(f"| {profile} | {' | '.join(fast)} |", flush=True)
+        sdk, *ours = decoding
+        for by, what in enumerate(("the clock", "the processor's time")):
+            times = [middle(sdk[:, by] / some[:, by]) for some in ours]
+            ratios.append(f"| {profile} by {what} | {' | '.join(times)} |")
         rates = [middle(capture.pixels / write[:, by] / 1e6, 0) for by in (0, 1)]
         writing.append(f"| {profile} | {rates[0]} | {rates[1]} |")
+    print(f"\n| times ouster-sdk | {' | '.join(ways[1:])} |\n|{'---|' * 5}")
+    print("\n".join(ratios))
     print("\n| encode and write | million returns/s | by the processor's time |\n|---|---|---|")
     print("\n".join(writing))
 
 
 def timed(capture: Capture, path: Path) -> Array:
-    """Seconds (4, RUNS, 2) by the clock and of the processor: ouster-sdk, one thread, all cores, writing."""
+    """Seconds (6, RUNS, 2) by the clock and of the processor: ouster-sdk, ours in three ways, memory, writing."""
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        work = (capture.sdk, capture.ours, partial(capture.threads, pool), partial(capture.write, path))
+        decoding = [partial(capture.ours, PACKETS), partial(capture.ours, QUARTER), partial(capture.threads, pool)]
+        work = (capture.sdk, *decoding, capture.memory, partial(capture.write, path))
         rows = [[seconds(one) for one in work] for _ in range(RUNS + 1)]
     return np.array(rows[1:]).transpose(1, 0, 2)  # the first is not counted
 
@@ -186,6 +209,7 @@ def exports(folder: Path, rig: Rig, scene: Scene, simulated_s: float) -> None:
 def main() -> None:
     """Print the machine and the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--decode", action="store_true", help="decoding and writing only")
     parser.add_argument("--seconds", type=float, default=2.0, help="simulated in each export (2)")
     arguments = parser.parse_args()
     versions = (
@@ -198,7 +222,8 @@ def main() -> None:
         (folder / "rig.yaml").write_text(RIG)
         rig = load_rig(folder / "rig.yaml")
         packets(folder, rig.mounts[0], scene)
-        exports(folder, rig, scene, arguments.seconds)
+        if not arguments.decode:
+            exports(folder, rig, scene, arguments.seconds)
 
 
 if __name__ == "__main__":
