@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import __version__
-from lidarcfg.errors import CloudError
+from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.placement.evaluation import WORST
@@ -107,8 +107,12 @@ def _evaluations(study: Study, rig: Rig, served: bool) -> list[dict[str, Any] | 
     """Of the rig as it was given: as things are, and where something hides also as if nothing did."""
     found: list[dict[str, Any] | None] = [None, None]
     for transparent in (False, True) if hides(study) else (False,):
-        given = None if served else rates(study, rig, transparent)
-        found[transparent] = evaluation(study, rig, WORST, transparent) | {"rates": given}
+        shown = evaluation(study, rig, WORST, transparent)
+        try:
+            shown["rates"] = None if served else rates(study, rig, transparent)
+        except ConfigError as error:  # of an object that finds no place, or sensors whose firing is not known
+            shown["violations"].append(str(error))
+        found[transparent] = shown
     return found
 
 

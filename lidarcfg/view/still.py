@@ -10,22 +10,26 @@ from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.rig import Mount
-from lidarcfg.view.bodies import faces, score
+from lidarcfg.view.bodies import bases_m, faces, has_its_sensors, score, seats_m
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import (
     BACKGROUND,
+    BASE,
     EXCLUDED,
     NIGHT,
     RETRO,
+    SEAT,
     UNKNOWN,
     VEHICLE,
     WORST,
+    ZONE,
     By,
     colour,
     rgb,
     scaled,
 )
 from lidarcfg.view.kernels import fill
+from lidarcfg.view.scenery import mesh_at
 from lidarcfg.view.shades import point_colours, span
 from lidarcfg.view.stage import Stage
 
@@ -131,15 +135,18 @@ def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, w
     """Blend the translucent bodies into the image where they are in front of its points; how many pixels."""
     parts: list[tuple[Array, str, float]] = []  # triangles (T, 3, 3), colour, opacity
     for scene in stage.scenes:
-        vertices, corners_of = scene.mesh()
+        vertices, corners_of = mesh_at(scene, stage.first_ns - stage.zero_ns)
         parts.append((transform(stage.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
         if scene.file.ground:
             corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
             corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
             parts.append((_halved(corners[None]), EXCLUDED, 0.05))
-    if stage.study and stage.study.vehicle:
-        vertices, corners_of = stage.study.vehicle.scene.mesh()
+    if stage.vehicle:
+        vertices, corners_of = stage.vehicle.scene.mesh()
         parts.append((vertices[corners_of], VEHICLE, 0.8))
+    if stage.study and has_its_sensors(stage.study, stage.rigs[0]):
+        parts.append((_halved(seats_m(stage.study)), SEAT, 0.7))
+        parts.append((bases_m(stage.study, stage.rigs[0]), BASE, 0.9))
     parts += [(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
     if not parts:
         return 0
@@ -188,14 +195,30 @@ def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height:
 
 
 def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
-    """The region's edges."""
+    """The edges of the region and of its zones, and the zones' names."""
     if not stage.study:
         return 0
-    region = stage.study.region
+    region, seen = stage.study.region, 0
+    boxes = [(region.min_m, region.max_m, EXCLUDED), *((*zone.box_m, ZONE) for zone in stage.study.zones if zone.box_m)]
+    for low, high, code in boxes:
+        seen += _draw_lines(axes, _edges(low, high), camera, width, height, colors=code, linewidths=0.8)
+    for zone in stage.study.zones:
+        if zone.box_m:
+            top = np.array([*np.mean(zone.box_m, axis=0)[:2], zone.box_m[1][2]])
+            x, y, depth = camera.project(top[None], width, height)
+            if depth[0] >= NEAR_M and 0 <= x[0] <= width and 0 <= y[0] <= height:
+                axes.annotate(
+                    zone.name, (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False
+                )
+    return seen
+
+
+def _edges(low: Array, high: Array) -> Array:
+    """(12, 2, 3) the edges of a box."""
     unit = np.array(list(np.ndindex(2, 2, 2)))
     pairs = [(i, j) for i in range(8) for j in range(i) if abs(unit[i] - unit[j]).sum() == 1]
-    corners = region.min_m + unit * (region.max_m - region.min_m)
-    return _draw_lines(axes, corners[np.array(pairs)], camera, width, height, colors=EXCLUDED, linewidths=0.8)
+    edges: Array = (low + unit * (high - low))[np.array(pairs)]
+    return edges
 
 
 def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:

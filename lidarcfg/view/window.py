@@ -10,6 +10,7 @@ from lidarcfg.errors import CloudError
 from lidarcfg.geometry import transform
 from lidarcfg.view.bodies import faces, score
 from lidarcfg.view.colours import BACKGROUND, EXCLUDED, WORST, By, rgb
+from lidarcfg.view.scenery import mesh_at
 from lidarcfg.view.shades import point_colours
 from lidarcfg.view.stage import Stage
 
@@ -52,7 +53,7 @@ def parts(stage: Stage, by: By) -> list[Any]:
         for mount in rig.mounts
     ]
     for scene in stage.scenes:
-        vertices, triangles = scene.mesh()
+        vertices, triangles = mesh_at(scene, stage.first_ns - stage.zero_ns)
         mesh = o3d.geometry.TriangleMesh(
             o3d.utility.Vector3dVector(transform(stage.T_vehicle_world, vertices)),
             o3d.utility.Vector3iVector(triangles),

@@ -14,10 +14,15 @@ function lines(ends, color, opacity) {
   return new LineSegments(geometry, new LineBasicMaterial({ color, opacity, transparent: true, depthWrite: false }));
 }
 
+// In short pieces: renderers on the processor drop lines that begin far behind the camera.
 export function grid(z) {
   const ends = [];
-  for (let at = -GRID_M; at <= GRID_M; at += STEP_M) ends.push(at, -GRID_M, z, at, GRID_M, z, -GRID_M, at, z, GRID_M, at, z);
-  return lines(ends, "white", 0.16);
+  for (let at = -GRID_M; at <= GRID_M; at += STEP_M) {
+    for (let from = -GRID_M; from < GRID_M; from += STEP_M) {
+      ends.push(at, from, z, at, from + STEP_M, z, from, at, z, from + STEP_M, at, z);
+    }
+  }
+  return lines(ends, "white", 0.3);
 }
 
 // Their ranges stand at the front.

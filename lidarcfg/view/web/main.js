@@ -218,9 +218,11 @@ function evaluators(view) {
   const detects = view.about.study.detects;
   view.evaluator = new Evaluator("evaluate", () => ({ ...question(), worst: view.count }), (found) => {
     show(view, found, view.count);
-    if (detects && !view.evaluator.again) view.rates.ask();
+    if (!detects) return;
+    view.figures.staleRates();
+    if (!view.evaluator.again) view.rates.ask();
   }, fail);
-  if (detects && !view.about.evaluation.rates) view.rates.ask();
+  if (detects) view.rates.ask();
 }
 
 function cameraControls(view, panel) {

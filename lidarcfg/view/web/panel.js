@@ -121,7 +121,6 @@ export class EvaluationSection {
     );
   }
 
-  // Of the latest pose; the rates come later, and are dim until then.
   set({ max_vsr_m, other_max_vsr_m, transparent, subspaces, blind, zones, worst, violations, rates }, count) {
     this.vsr.textContent = `max VSR ${max_vsr_m.toFixed(6)} m`;
     this.vsr.dataset.value = max_vsr_m;
@@ -132,11 +131,15 @@ export class EvaluationSection {
     this.blind.textContent = blind ? `${number(blind.volume_m3, 2)} m³ seen by no sensor (${number(100 * blind.fraction, 2)} %)` : "";
     this.zones.replaceChildren(...zones.map(({ name, max_vsr_m: most }) => el("div", { textContent: `${name}: max VSR ${most.toFixed(4)} m` })));
     if (rates) this.setRates(rates);
-    else if (rates === undefined) this.rates.className = "stale";
     this.violations.replaceChildren(...violations.map((text) => el("div", { textContent: text })));
     this.rows.replaceChildren(
       ...worst.slice(0, count).map(({ vsr_m, volume_m3 }, i) => row(i + 1, vsr_m.toFixed(4), volume_m3.toFixed(2))),
     );
+  }
+
+  // Until those of the latest pose come.
+  staleRates() {
+    this.rates.className = "stale";
   }
 
   setRates(rates) {

@@ -114,12 +114,14 @@ function question({ file, points }) {
 function agreed([title, text], yes) {
   return new Promise((resolve) => {
     const dialog = el("dialog", { id: "ask" }, el("h1", { textContent: title }), el("p", { textContent: text }));
-    const buttons = [[yes, "yes"], ["Cancel", "no"]].map(([word, value]) => push(`ask-${value}`, word, () => dialog.close(value)));
-    dialog.append(el("div", { className: "row" }, ...buttons));
-    dialog.addEventListener("close", () => {
+    const answer = (agreed) => {
       dialog.remove();
-      resolve(dialog.returnValue === "yes");
-    });
+      resolve(agreed);
+    };
+    const cancel = push("ask-no", "Cancel", () => answer(false));
+    cancel.autofocus = true;
+    dialog.append(el("div", { className: "row" }, push("ask-yes", yes, () => answer(true)), cancel));
+    dialog.addEventListener("cancel", () => answer(false)); // the Esc key
     document.body.append(dialog);
     dialog.showModal();
   });
