@@ -48,12 +48,13 @@ def recorded(files: Sequence[Path], given: Recorded, on_warning: Callable[[str],
             return None
 
     rig = given.rig or (None if "rig" in kinds else noted("rig"))
+    known = rig is not None or "rig" in kinds  # else points are in their sensors' frames
     scene = None if "scene" in kinds else noted("scene")
     filled = Recorded(
         rig=rig,
         scene=scene,
         vehicle=given.vehicle or (None if "study" in kinds else noted("vehicle")),
-        trajectory=given.trajectory or noted("trajectory"),
+        trajectory=given.trajectory or (noted("trajectory") if known else None),
         at=given.at or record.at,
         start=given.start or record.start,
     )

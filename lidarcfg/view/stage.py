@@ -173,12 +173,14 @@ def load_stage(
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? say so with --rig")
     if selection != ALL and not captures:
         raise ConfigError("--from, --to and --sensor choose from a capture; there is none among the files")
+    trajectory = at if isinstance(at, Trajectory) else standing(at)
+    if captures and not rigs and not trajectory.path.is_static:
+        raise ConfigError(f"{captures[0]}: to be deskewed needs the rig that recorded it; say so with --rig")
     clouds = [load_cloud(path, on_warning) for path in of("cloud")]
     for path in captures:
         clouds.extend(decode_pcap(path, on_warning, rigs[0] if rigs else None, model, selection=selection))
     if clouds and not any(len(cloud.xyz) for cloud in clouds):
         raise CloudError(f"{(captures or of('cloud'))[0]}: the cloud is empty")
-    trajectory = at if isinstance(at, Trajectory) else standing(at)
     cloud, T_world_vehicle = _deskewed(clouds, trajectory)
     bad = np.flatnonzero(~np.isfinite(cloud.xyz).all(axis=1))
     if len(bad):

@@ -1,7 +1,7 @@
 """Stills: a stage drawn without a screen, a GPU or a display server."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ SIZE = (1920, 1080)
 NEAR_M = 0.05
 GROUND_M = 200.0  # of the ground, to each side of the vehicle
 AXIS_M = 0.6
+SEAT_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
 PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
 
@@ -131,37 +132,51 @@ def _draw_perspective(
         raise CloudError(f"nothing is in view of a camera at {eye} that looks at {target}")
 
 
+class Shape(NamedTuple):
+    """A translucent body."""
+
+    triangles: Array  # (T, 3, 3)
+    colour: str
+    opacity: float
+    ahead_m: float = 0.0  # of what is as far away, in the order of drawing
+
+
 def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, worst: int) -> int:
     """Blend the translucent bodies into the image where they are in front of its points; how many pixels."""
-    parts: list[tuple[Array, str, float]] = []  # triangles (T, 3, 3), colour, opacity
-    for scene in stage.scenes:
-        vertices, corners_of = mesh_at(scene, stage.first_ns - stage.zero_ns)
-        parts.append((transform(stage.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
-        if scene.file.ground:
-            corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
-            corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
-            parts.append((_halved(corners[None]), EXCLUDED, 0.05))
-    if stage.vehicle:
-        vertices, corners_of = stage.vehicle.scene.mesh()
-        parts.append((vertices[corners_of], VEHICLE, 0.8))
-    if stage.study and has_its_sensors(stage.study, stage.rigs[0]):
-        parts.append((_halved(seats_m(stage.study)), SEAT, 0.7))
-        parts.append((bases_m(stage.study, stage.rigs[0]), BASE, 0.9))
-    parts += [(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
-    if not parts:
+    shapes = _shapes(stage, worst)
+    if not shapes:
         return 0
-    triangles = camera.view(np.concatenate([part for part, _, _ in parts]))
-    sizes = [len(part) for part, _, _ in parts]
-    colours = np.repeat(rgb([code for _, code, _ in parts]).astype(np.float64), sizes, axis=0)
-    alpha = np.repeat([opacity for _, _, opacity in parts], sizes)
+    triangles = camera.view(np.concatenate([shape.triangles for shape in shapes]))
+    sizes = [len(shape.triangles) for shape in shapes]
+    colours = np.repeat(rgb([shape.colour for shape in shapes]).astype(np.float64), sizes, axis=0)
+    alpha, ahead_m = (np.repeat([shape[i] for shape in shapes], sizes) for i in (2, 3))
     sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     with np.errstate(invalid="ignore"):
         light = 0.6 + 0.4 * abs(np.nan_to_num(sides[:, 2] / np.linalg.norm(sides, axis=1)))
-    order = np.argsort(-triangles[:, :, 2].mean(axis=1), kind="stable")
+    order = np.argsort(ahead_m - triangles[:, :, 2].mean(axis=1), kind="stable")
     focal_px = camera.focal_px(image.shape[1])
     return int(
         fill(image, nearest_m, triangles[order], (colours * light[:, None])[order], alpha[order], focal_px, NEAR_M)
     )
+
+
+def _shapes(stage: Stage, worst: int) -> list[Shape]:
+    """Scenes, the vehicle, where bases may be on it and where they are, what the region excludes, worst subspaces."""
+    shapes: list[Shape] = []
+    for scene in stage.scenes:
+        vertices, corners_of = mesh_at(scene, stage.first_ns - stage.zero_ns)
+        shapes.append(Shape(transform(stage.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
+        if scene.file.ground:
+            corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
+            corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
+            shapes.append(Shape(_halved(corners[None]), EXCLUDED, 0.05))
+    if stage.vehicle:
+        vertices, corners_of = stage.vehicle.scene.mesh()
+        shapes.append(Shape(vertices[corners_of], VEHICLE, 0.8))
+    if stage.study and has_its_sensors(stage.study, stage.rigs[0]):
+        shapes.append(Shape(_halved(seats_m(stage.study)), SEAT, 0.7, SEAT_AHEAD_M))
+        shapes.append(Shape(bases_m(stage.study, stage.rigs[0]), BASE, 0.9, SEAT_AHEAD_M))
+    return shapes + [Shape(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
 
 
 def _bodies(stage: Stage, worst: int) -> list[tuple[Array, str]]:

@@ -192,6 +192,16 @@ def test_what_is_noted_may_be_said_otherwise(here):
         assert not lidarcfg("view", "drive.pcap", "--trajectory", "arc.yaml", "--html", "p.html", cwd=here).stderr
     finally:
         (here / "arc.yaml").write_text(motion)
+    top = (here / "top.yaml").read_text()
+    try:  # without the rig points stay in their sensors' frames, and are not deskewed
+        (here / "top.yaml").write_text(top + "# another\n")
+        told = []
+        _, known = recorded([here / "drive.pcap"], Recorded(), told.append)
+        assert (len(told), known.rig, known.trajectory) == (1, None, None)
+        _, known = recorded([here / "drive.pcap", here / "top.yaml"], Recorded(), pytest.fail)
+        assert known.trajectory.name == "arc.yaml"
+    finally:
+        (here / "top.yaml").write_text(top)
     paths, known = recorded([here / "drive.pcap"], Recorded(at="5,6,7"), pytest.fail)
     assert (known.at, known.rig.name, [path.name for path in paths]) == (
         "5,6,7",
@@ -214,14 +224,17 @@ def test_what_is_noted_may_be_said_otherwise(here):
         (("--start", "noon"), "'noon' is not a time such as 2026-01-01T00:00:00"),
         (("--start", "2026-04-01T00:00:00"), "s after the trajectory's start; allowed: at most 86400 s after it; say with --start"),
         (("--start", "2026-05-01T10:00:05"), "s before the trajectory's start; allowed: at most"),
+        ((), "bare.pcap: to be deskewed needs the rig that recorded it; say so with --rig"),
         (("--at", "1,2"), "'1,2' is not three numbers X,Y,YAW_DEG"),
     ],
 )  # fmt: skip
 def test_mistakes(here, words, message):
+    (here / "bare.pcap").write_bytes((here / "drive.pcap").read_bytes())
     (here / "short.yaml").write_text(
         "poses: [{time_s: 0, position_m: [0, 0, 0]}, {time_s: 0.1, position_m: [1, 0, 0]}]\n"
     )
-    done = lidarcfg("view", "drive.pcap", *words, "--html", "bad.html", code=2, cwd=here)
+    capture = "drive.pcap" if words else "bare.pcap"
+    done = lidarcfg("view", capture, *(words or ("--trajectory", "arc.yaml")), "--html", "bad.html", code=2, cwd=here)
     assert message in done.stderr
     assert done.stderr.strip().count("\n") == 0
     assert not (here / "bad.html").exists()

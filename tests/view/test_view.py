@@ -362,3 +362,31 @@ def test_a_window_has_what_a_still_has():
     staged = Stage(cloud([[1, 2, 3]]), None, (load_rig(ROOF),), load_study(STUDY), (load_scene(STREET),), np.eye(4))
     kinds = [type(part).__name__ for part in parts(staged, "sensor")]
     assert kinds == ["TriangleMesh", "PointCloud", "TriangleMesh", "TriangleMesh", "TriangleMesh", "LineSet", "LineSet"]
+
+
+def test_stills_show_where_bases_may_be_and_zones(tmp_path):
+    """The middle of each cell of a roof that bases fit on is green in a view from above; a zone's edges are yellow."""
+    text = (STUDY.parent / "mounts.yaml").read_text().replace("../vehicles", str(STUDY.parents[1] / "vehicles"))
+    (tmp_path / "m.yaml").write_text(text + "zones: [{name: ahead, min_m: [4, -3, 0], max_m: [9, 3, 2]}]\n")
+    staged = load_stage([tmp_path / "m.yaml"], None, None, np.eye(4), no_warning)
+    camera = Camera(np.array([0.0, 0, 16]), np.zeros(3), 70.0)
+    save_still(staged, tmp_path / "p.png", (640, 480), camera=camera, worst=0)
+    image = drawn(tmp_path / "p.png")
+    roof = next(slot.surface for slot in staged.study.slots if slot.surface.side == "above")
+    column, row, _ = camera.project(roof.patch.cells_m.mean(axis=1), 640, 480)
+    red, green, blue = image[row.astype(int), column.astype(int)].T
+    assert np.mean((green > red + 30) & (green > blue + 10)) > 0.8  # some are under a sensor's marker
+    column, row, _ = camera.project(np.array([[4.0, 0, 2], [4, 0, 0]]), 640, 480)
+    beside = image[(row - 2).astype(int)[:, None] + np.arange(5), column.astype(int)[:, None]]
+    assert ((beside[..., 0] > 130) & (beside[..., 2] < 110)).any(axis=1).all()
+
+
+def test_a_study_with_choices_is_shown_with_the_first(tmp_path):
+    """One warning says which, and how to see others."""
+    done = CliRunner().invoke(view, [str(STUDY.parent / "truck-prices.yaml"), "--html", str(tmp_path / "t.html")])
+    assert done.exit_code == 0
+    assert done.stderr.startswith(
+        "lidarcfg: warning: truck-prices: lets one choose models; shown are the first: roof vlp-16, "
+    )
+    assert done.stderr.endswith("optimize writes a study of each choice\n")
+    assert (tmp_path / "t.html").exists()

@@ -23,6 +23,7 @@ function shortcuts(view) {
   const escape = () => {
     view.measuring(false);
     rig?.select(null);
+    view.help.dialog.close();
   };
   return [
     [" ", "Space", "play or stop", () => time?.play(!time.playing)],
