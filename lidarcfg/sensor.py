@@ -92,7 +92,7 @@ class Rotation(Model):
 class Reported(Model):
     """Between which distances the device has returns, whatever its maker promises."""
 
-    source: str
+    source: str = ""
     min_m: Least
     max_m: Metres
 
@@ -319,5 +319,5 @@ def _width_deg(azimuth_fov_deg: tuple[float, float]) -> float:
 
 
 def custom_sensor(elevation_deg: tuple[float, ...]) -> Sensor:
-    """A sensor for placement only, from its beams' elevations."""
+    """A sensor of its beams' elevations alone."""
     return Sensor(name="custom", beams=Beams(elevation_deg=elevation_deg))

@@ -63,6 +63,7 @@ RESULTS = {
 FRONT = ["front.html", "front.json", "front.png", "history.csv", "search.npz"]
 POINT = [*RESULTS["optimize"], "study.yaml"]
 FOLDERS = [["metadata.yaml"], ["sensor.json", "calibrated_sensor.json"]]  # ROS 2, nuScenes
+FOLDERS += [["sequences", "poses"], ["training"], ["v1.0-lidarcfg", "maps", "samples"]]  # KITTI's two, nuScenes with data
 MAGIC = {
     ".pcap": b"\xd4\xc3\xb2\xa1",  # little-endian, microseconds
     ".parquet": b"PAR1",
@@ -74,6 +75,7 @@ MAGIC = {
     ".las": b"LASF",
     ".laz": b"LASF",
     ".mcap": b"\x89MCAP0\r\n",
+    ".bag": b"#ROSBAG V2.0\n",
 }
 # Words of a command that is not run, and why.
 NOT_RUN = {"--window": "needs a screen", "--scheduler": "needs a cluster"}

@@ -223,12 +223,17 @@ def _export_points(
     """Write points and what is true of them, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.formats import formats
     from lidarcfg.formats.recording import Recording
+    from lidarcfg.sensor import FIRING
     from lidarcfg.simulate.scans import simulated_scans
 
     form = formats.format_of("drive", output, name)
     if deskew and form.name not in formats.CLOUDS:
         raise click.UsageError(f"--deskew is for {', '.join(formats.CLOUDS)}")
-    warnings: list[str] = []
+    warnings = [
+        f"{mount.name}: {mount.sensor.name} has no firing facts; all lasers fire at once, every {FIRING.step_deg:g} deg"
+        for mount in drive.rig.mounts
+        if not (mount.sensor.codec or mount.sensor.firing)
+    ]
     with _run(drive.duration_ns, total, quiet) as run:
         recording = Recording(drive, simulated_scans(drive, run))
         found = formats.save_recording(output, form, recording, deskew, warnings.append)

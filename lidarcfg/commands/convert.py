@@ -40,6 +40,7 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
     capture:              folder   rosbag2       a PointCloud2 per scan (SQLite)
       .pcap .pcapng       folder   rosbag2-mcap  the same as MCAP; needs --to
                           .mcap    mcap          the same as one MCAP file
+                          .bag     rosbag1       the same of ROS 1
 
     LAS, bags and MCAP need: pip install 'lidarcfg[convert]'
     """

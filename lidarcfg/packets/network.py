@@ -31,7 +31,7 @@ class Header(Model):
 class Network(Model):
     """To whom the sensor sends, and its half of the MAC address."""
 
-    source: str
+    source: str = ""
     mac_prefix: Annotated[str, Field(pattern=MAC.format(2))]  # the other half is its address's, but for the first octet
     destination_mac: Annotated[str, Field(pattern=MAC.format(5))]
     destination_ip: Annotated[str, AfterValidator(_check_address)]

@@ -35,7 +35,7 @@ def draw_sensor(sensor: Sensor) -> "Figure":
     else:
         by_time.set_axis_off()
         by_time.text(
-            0.5, 0.5, "for placement only:\nits packets are not known", transform=by_time.transAxes, ha="center"
+            0.5, 0.5, "exported as points:\nits packets are not known", transform=by_time.transAxes, ha="center"
         )
     figure.suptitle(f"{sensor.name}  {sensor.maker}\n{_summary(sensor)}", parse_math=False)
     return figure

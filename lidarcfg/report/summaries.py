@@ -77,7 +77,7 @@ def _rig(path: Path) -> tuple[str, Iterable[str]]:
     rig = load_rig(path)
     vehicle = rig_vehicle(rig)
     silent = [mount.name for mount in rig.mounts if not _sends(mount)]
-    export = f"{', '.join(silent)} for placement only" if silent else "can be exported"
+    export = f"{', '.join(silent)} exported as points: no packets" if silent else "can be exported"
     bodies = _bodies(vehicle) if vehicle else "no vehicle"
     text = f"{_models(mount.model for mount in rig.mounts)}, {bodies}; {export}"
     return text, (*(vehicle.warnings if vehicle else ()), *rig_warnings(path))
@@ -106,7 +106,7 @@ def _sensor(path: Path) -> tuple[str, Iterable[str]]:
 
 def _packets(sensor: Sensor) -> str:
     if sensor.codec is None:
-        return "for placement only"
+        return "no packets: exported as points"
     codec(sensor)
     return f"packets of {sensor.codec}"
 

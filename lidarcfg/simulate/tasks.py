@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Timing, timing
 from lidarcfg.rig import Mount, Rig
+from lidarcfg.sensor import Range
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.simulator import Counts, Simulator
 from lidarcfg.units import SECOND_NS
@@ -74,7 +75,7 @@ class Task:
 
 def prepared(drive: Drive, chunk_ns: int) -> list[Task]:
     """The work of each sensor; sensor i of n starts i/n of a packet after the first. Raises ConfigError."""
-    mounts, trajectory, start_ns = drive.rig.mounts, drive.trajectory, drive.start_ns
+    mounts, trajectory, start_ns = [_ranged(mount) for mount in drive.rig.mounts], drive.trajectory, drive.start_ns
     timings = [checked_timing(mount, drive.duration_ns) for mount in mounts]
     for mount in mounts:
         check_place(mount.name, mount.position_m)
@@ -96,6 +97,14 @@ def prepared(drive: Drive, chunk_ns: int) -> list[Task]:
     ]
 
 
+def _ranged(mount: Mount) -> Mount:
+    """The mount; where its sensor's range is not known, with the range that the rig gives."""
+    if mount.sensor.range or not mount.range_m:
+        return mount
+    known = Range(source="the rig", min_m=mount.range_m[0], max_m=mount.range_m[1])
+    return replace(mount, sensor=mount.sensor.model_copy(update={"range": known}))
+
+
 def checked_timing(mount: Mount, duration_ns: int) -> Timing:
     """When the mount's lasers fire. Raises ConfigError unless the sensor can be simulated for this long."""
     sensor = mount.sensor
@@ -105,7 +114,8 @@ def checked_timing(mount: Mount, duration_ns: int) -> Timing:
     except ConfigError as error:
         raise ConfigError(f"{mount.name}: {error}") from None
     if sensor.range is None:
-        raise ConfigError(f"{mount.name}: sensor {sensor.name!r} has no range; give its file range: {{max_m: ...}}")
+        what = f"sensor {sensor.name!r} has no range; give its file range: {{max_m: ...}}, or the rig range_m"
+        raise ConfigError(f"{mount.name}: {what}")
     period_ns = found.pace(mount).period_ns
     if duration_ns < period_ns:
         raise ConfigError(

@@ -21,7 +21,7 @@ Loop = tuple[Nanoseconds | None, ...]
 class Firing(Model):
     """When each laser fires."""
 
-    source: str
+    source: str = ""
     period_ns: Annotated[int, Field(gt=0, le=10**9)]  # from one firing of all lasers to the next
     stamp_ns: Nanoseconds  # from the packet's stamp to the start of its last firing of all lasers
     loops: Annotated[tuple[Loop, ...], Field(min_length=1, max_length=2)]  # by laser, after that start; none: it rests
@@ -39,7 +39,7 @@ class Firing(Model):
 class Packet(Model):
     """The facts of the data packet."""
 
-    source: str
+    source: str = ""
     protocol: Protocol
     blocks: Annotated[int, Field(ge=2, le=64, multiple_of=2)]
     confidence: Byte  # the fourth byte of each return
@@ -48,7 +48,7 @@ class Packet(Model):
 class Headers(Network):
     """What stands before the sensor's datagrams."""
 
-    source: str
+    source: str = ""
     data: Header
 
 

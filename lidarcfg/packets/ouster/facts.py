@@ -38,21 +38,21 @@ IMU_PACKETS_HZ, IMU_MEASUREMENTS = 80, 8  # as metadata of firmware 3.2 at 10 Hz
 class Imu(Model):
     """The inertial unit."""
 
-    source: str
+    source: str = ""
     position_mm: tuple[Millimetres, Millimetres, Millimetres]  # in the sensor's frame
 
 
 class Signal(Model):
     """How many photons the sensor counts."""
 
-    source: str
+    source: str = ""
     scale: Annotated[float, Field(gt=0, le=1e9)]  # × reflectivity byte / range² in metres: what the packets say
 
 
 class Product(Model):
     """What metadata calls the sensor."""
 
-    source: str
+    source: str = ""
     line: Annotated[str, Field(min_length=1)]
     number: Annotated[str, Field(min_length=1)]
 

@@ -18,7 +18,7 @@ BLOCKS, SLOTS = 12, 32  # blocks in a packet, returns in a block
 class Packet(Model):
     """The facts of the MSOP packet."""
 
-    source: str
+    source: str = ""
     model: Byte  # what it says of the model
     other_models: tuple[Byte, ...] = ()  # with other angles, which their DIFOP packets say
 
@@ -26,7 +26,7 @@ class Packet(Model):
 class Difop(Model):
     """The facts of the DIFOP packet."""
 
-    source: str
+    source: str = ""
     versions: Annotated[str, Field(pattern="^([0-9a-f]{2}){20}$")]  # of the firmware, as hexadecimal digits
 
 

@@ -122,7 +122,7 @@ class Packet(Model):
 class Inertial(Model):
     """The units of the three gyroscopes and the three accelerometers of two axes in the position packet."""
 
-    source: str
+    source: str = ""
     rate_deg_s: Positive
     acceleration_g: Positive
 
