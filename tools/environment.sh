@@ -6,7 +6,9 @@ unset PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
 # ouster-sdk, by which the tests check Ouster's packets, asks for older releases of click and rosbags than these tests
 # need: it comes without its dependencies; those that it loads stand under `test` in pyproject.toml.
+# The same is true of nuscenes-devkit, which asks for numpy below 2, and of pykitti, which loads pandas and OpenCV.
 ouster_sdk="ouster-sdk==1.0.1"
+data_sets=(nuscenes-devkit==1.2.0 pykitti==0.3.1)
 oldest_click=(click==8.1.3 cloup==3.0.5) # that pyproject.toml allows; ouster-sdk asks for click below 8.1.8
 
 say() { printf '%s\n' "$*" >&2; }
@@ -99,6 +101,7 @@ prepare() {
     pip_install --no-deps --target .venv/oldest-click --upgrade "${oldest_click[@]}"
     pip_install --no-deps --only-binary :all: "$ouster_sdk" 2>/dev/null ||
       say "no wheel of $ouster_sdk for this Python and system: its tests are skipped"
+    pip_install --no-deps "${data_sets[@]}"
   fi
   printf '%s\n' "$wanted" >"$stamp"
 }
