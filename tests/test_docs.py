@@ -63,7 +63,11 @@ RESULTS = {
 FRONT = ["front.html", "front.json", "front.png", "history.csv", "search.npz"]
 POINT = [*RESULTS["optimize"], "study.yaml"]
 FOLDERS = [["metadata.yaml"], ["sensor.json", "calibrated_sensor.json"]]  # ROS 2, nuScenes
-FOLDERS += [["sequences", "poses"], ["training"], ["v1.0-lidarcfg", "maps", "samples"]]  # KITTI's two, nuScenes with data
+FOLDERS += [
+    ["sequences", "poses"],
+    ["training"],
+    ["v1.0-lidarcfg", "maps", "samples"],
+]  # KITTI's two, nuScenes with data
 MAGIC = {
     ".pcap": b"\xd4\xc3\xb2\xa1",  # little-endian, microseconds
     ".parquet": b"PAR1",
