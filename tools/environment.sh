@@ -9,6 +9,7 @@ unset PYTHONPATH PYTHONHOME VIRTUAL_ENV
 # The same is true of nuscenes-devkit, which asks for numpy below 2, and of pykitti, which loads pandas and OpenCV.
 ouster_sdk="ouster-sdk==1.0.1"
 data_sets=(nuscenes-devkit==1.2.0 pykitti==0.3.1)
+kiss_icp="kiss-icp>=1.3" # odometry, which tracks the drive of a test
 oldest_click=(click==8.1.3 cloup==3.0.5) # that pyproject.toml allows; ouster-sdk asks for click below 8.1.8
 
 say() { printf '%s\n' "$*" >&2; }
@@ -102,6 +103,8 @@ prepare() {
     pip_install --no-deps --only-binary :all: "$ouster_sdk" 2>/dev/null ||
       say "no wheel of $ouster_sdk for this Python and system: its tests are skipped"
     pip_install --no-deps "${data_sets[@]}"
+    pip_install --only-binary kiss-icp "$kiss_icp" 2>/dev/null ||
+      say "no wheel of $kiss_icp for this Python and system: its tests are skipped"
   fi
   printf '%s\n' "$wanted" >"$stamp"
 }

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from lidarcfg.config import Model, Vec3, fault, load
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import example
 from lidarcfg.geometry import Array, rotation, transform
 from lidarcfg.inputs import read_regular
 from lidarcfg.units import SECOND_NS
@@ -242,7 +243,7 @@ def rotated(R: Array, vectors: Array) -> Array:
 
 def load_motion(path: str | Path) -> Motion:
     """The motion in a YAML file, or the timed poses in a .tum file. Raises ConfigError."""
-    path = Path(path)
+    path = example(path)
     if path.suffix != TUM:
         return load(path, Motion)
     rows = [tuple(row) for row in _read_tum(path).tolist()]
@@ -251,7 +252,7 @@ def load_motion(path: str | Path) -> Motion:
 
 def load_path(path: str | Path) -> MotionPath:
     """The path of the motion in a file; a million poses in a .tum file take seconds. Raises ConfigError."""
-    path = Path(path)
+    path = example(path)
     if path.suffix != TUM:
         return prepared(load(path, Motion))
     rows = _read_tum(path)

@@ -1,0 +1,115 @@
+"""Draw the pictures of scenes on the pages: rays of our own tracer, shaded by how surfaces lie to the light.
+
+Usage: .venv/bin/python tools/draw_scenes.py
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from lidarcfg.geometry import Array
+from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.tracer import Tracer
+
+ROOT = Path(__file__).parent.parent
+LIGHT = np.array([0.45, -0.65, 0.6]) / np.linalg.norm([0.45, -0.65, 0.6])
+SKY, COLOURS = (221, 230, 240), 96  # of a palette: flat shades need no more
+SOFT = 2  # rays a pixel along each side
+COLOUR_OF = {  # by what an object's name has, the first that fits
+    "glass": (120, 140, 165),
+    "tiles": (158, 84, 66),
+    "brick": (176, 120, 98),
+    "plaster": (228, 218, 196),
+    "wood": (130, 96, 66),
+    "metal": (150, 155, 160),
+    "kerb": (150, 150, 150),
+    "pavement": (178, 176, 172),
+    "hedge": (74, 120, 60),
+    "tree": (86, 130, 62),
+    "land": (126, 140, 96),
+    "lamp": (90, 95, 100),
+    "bin": (70, 90, 80),
+    "parked": (80, 110, 160),
+    "driveway": (165, 70, 60),
+}
+OTHER, ROAD, ROAD_M = (190, 190, 190), (112, 114, 118), 3.6
+
+
+class Camera(NamedTuple):
+    """From where, to where, and how wide."""
+
+    eye_m: tuple[float, float, float]
+    target_m: tuple[float, float, float]
+    fov_deg: float
+    pixels: tuple[int, int]
+
+
+def picture(scene: Scene, camera: Camera, road_m: Array) -> Image.Image:
+    """What a camera sees, in the colour of each object, by how its surfaces lie to the light; with shadows.
+
+    `road_m` (N, 2) is the middle of a road, which has no object of its own.
+    """
+    eye = np.array(camera.eye_m)
+    way = _rays(camera)
+    tracer = Tracer(scene, eye)
+    hits = tracer.cast(np.broadcast_to(eye, way.shape), way)
+    seen = np.flatnonzero(np.isfinite(hits.range_m))
+    places = eye + way[seen] * hits.range_m[seen, None]
+    normal = hits.normal[seen] / np.linalg.norm(hits.normal[seen], axis=1, keepdims=True)
+    normal *= np.where((normal * way[seen]).sum(axis=1) > 0, -1, 1)[:, None]
+    lit = np.clip(normal @ LIGHT, 0, 1) * ~tracer.blocked(places + 0.01 * normal, places + 200 * LIGHT)
+    colours = np.array([_colour(name) for name in scene.names], np.float64)[hits.object[seen]]
+    asphalt = np.array([name == "land" for name in scene.names])[hits.object[seen]]
+    asphalt[asphalt] = _distance(places[asphalt, :2], road_m) < ROAD_M
+    colours[asphalt] = ROAD
+    haze = np.clip(hits.range_m[seen, None] / 350, 0, 0.8)
+    image = np.tile(np.array(SKY, np.float64), (len(way), 1))
+    image[seen] = (1 - haze) * colours * (0.45 + 0.6 * lit)[:, None] + haze * image[seen]
+    width, height = camera.pixels
+    fine = image.reshape(height, SOFT, width, SOFT, 3).mean(axis=(1, 3))
+    return Image.fromarray(np.clip(fine, 0, 255).astype(np.uint8))
+
+
+def _rays(camera: Camera) -> Array:
+    """Unit vectors (pixels, 3), row by row, SOFT × SOFT a pixel."""
+    width, height = (SOFT * side for side in camera.pixels)
+    ahead = np.subtract(camera.target_m, camera.eye_m).astype(np.float64)
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, (0, 0, 1))
+    right /= np.linalg.norm(right)
+    wide = np.tan(np.radians(camera.fov_deg) / 2)
+    x = (np.arange(width) + 0.5 - width / 2) * 2 * wide / width
+    y = (height / 2 - np.arange(height) - 0.5) * 2 * wide / width
+    way = ahead + x[:, None] * right + y[:, None, None] * np.cross(right, ahead)
+    return np.asarray((way / np.linalg.norm(way, axis=-1, keepdims=True)).reshape(-1, 3))
+
+
+def _colour(name: str) -> tuple[int, int, int]:
+    return next((colour for part, colour in COLOUR_OF.items() if part in name), OTHER)
+
+
+def _distance(points_m: Array, road_m: Array) -> Array:
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(road_m).query(points_m)[0])
+
+
+def save(image: Image.Image, path: Path) -> None:
+    """Write a PNG of few colours, which is small."""
+    image.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size:,} bytes")
+
+
+def main() -> None:
+    """The suburb from above and from the driver's seat."""
+    from suburb_road import road
+
+    suburb, middle = load_scene(ROOT / "data/scenes/suburb.yaml"), road().points_m
+    above = Camera((38, -40, 24), (82, 14, 0), 62, (900, 480))
+    save(picture(suburb, above, middle), ROOT / "docs/suburb.png")
+
+
+if __name__ == "__main__":
+    main()
