@@ -71,5 +71,11 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
         "roof_high": (middle_m + length / 8, low[1] + side + side / 2, high[2] + 0.4),
         "front_low": (high[0] + 0.05, -side * 0.7, max(low[2], 0) + 0.4),
         "front_high": (high[0] + 0.05, side * 0.7, max(low[2], 0) + 0.8),
+        "rear_low": (low[0] - 0.05, -side * 0.7, max(low[2], 0) + 0.4),
+        "rear_high": (low[0] - 0.05, side * 0.7, max(low[2], 0) + 0.8),
+        "top_low": (middle_m - length / 8, low[1] + side / 2, (low[2] + high[2]) / 2),
+        "top_high": (middle_m + length / 8, high[1] - side / 2, high[2] + 0.1),
+        "ahead_low": (0, -3, floor_m),
+        "ahead_high": (x, 3, floor_m + 2),
     }
     return {key: [round(value, 2) for value in corner] for key, corner in boxes.items()}

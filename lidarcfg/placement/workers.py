@@ -9,7 +9,7 @@ import threading
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from queue import SimpleQueue
 from typing import Any, Protocol
 
@@ -143,13 +143,15 @@ class Cluster:
                 self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
             except (OSError, ValueError) as error:
                 raise self._error(str(error)) from None
-        try:
-            self._client.wait_for_workers(1, timeout=WAIT_S)
-        except TimeoutError:
-            self._client.close()
-            raise self._error(f"has no workers after {WAIT_S:g} s") from None
+        with ExitStack() as unless_refused:
+            unless_refused.callback(self._client.close)
+            try:
+                self._client.wait_for_workers(1, timeout=WAIT_S)
+            except TimeoutError:
+                raise self._error(f"has no workers after {WAIT_S:g} s") from None
+            _ = self.count  # they are like this program
+            unless_refused.pop_all()
         self._executor = self._client.get_executor(pure=False)
-        _ = self.count  # they are like this program
 
     @property
     def count(self) -> int:

@@ -21,6 +21,7 @@ PICTURE_IN = WIDTH_IN / PICTURES_MAX
 PLOT_IN = 3.4
 MARGIN = 0.12  # around a rig, as a fraction of its extent
 GREY = "0.6"
+LEGEND_COLUMNS = 5
 
 
 def front_svg(study: Study, found: Front) -> Markup:
@@ -108,7 +109,7 @@ def _name_models(axes: "Axes", models: list[str]) -> None:
     for i, name in enumerate(models):
         handles += axes.plot([], [], _marker(i), color=colour(i + 1), mec="w", mew=0.4, ms=6)
         names.append(name)
-    axes.legend(handles, names, loc="upper right")
+    axes.legend(handles, names, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=LEGEND_COLUMNS)  # below
 
 
 def _marker(model: int) -> str:

@@ -14,6 +14,7 @@ from lidarcfg.config import Document
 from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.kinds import kind_of
 from lidarcfg.placement.checks import rig_warnings, study_warnings
+from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.region import RegionFile, _sizes
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.summaries import summary
@@ -89,7 +90,7 @@ def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
     assert summary(path).kind == kind
     text = path.read_text()
     assert str(path) in text.splitlines()[0] + text.splitlines()[1]  # the command that takes it
-    optional = re.sub(r"^#(?=\s*(- \{)?[a-z])", "", text, flags=re.M)
+    optional = re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", text, flags=re.M)
     assert optional.count("\n#") <= 4  # what is left says what the file is
     (tmp_path / "folder/scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
     for name in ("tree.ply", "depot.ply"):
@@ -101,6 +102,18 @@ def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
     path.write_text(optional)
     assert summary(path).kind == kind
     assert len(values(path)) + str(values(path)).count(":") > len(Document(text, "").value) + text.count("#")
+
+
+@pytest.mark.parametrize("name", vehicles())
+def test_what_is_optional_in_a_study_with_a_vehicle_is_valid_too(tmp_path, name):
+    study, _ = write_template("study", tmp_path / "study.yaml", name)
+    (tmp_path / "scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
+    study.write_text(re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", study.read_text(), flags=re.M))
+    loaded = load_study(study)
+    assert {"choose", "on"} <= {key for group in loaded.file["sensors"] for key in group}
+    assert {"robust", "zones", "prices", "constraints", "objective", "surroundings"} <= loaded.file.keys()
+    kept = [one.study.violation(one.study.midpoint[None])[0] for one in combinations(loaded)]
+    assert kept == [0.0] * 3  # a model, the other, none
 
 
 @pytest.mark.parametrize("name", vehicles())

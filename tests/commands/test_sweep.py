@@ -18,6 +18,7 @@ import kubernetes_validate
 import pyarrow.parquet
 import pytest
 import yaml
+from distributed import Client
 
 import lidarcfg
 from lidarcfg.placement import plan as plans
@@ -204,6 +205,12 @@ def test_a_cluster_finds_the_same(plan, serial, cluster, tmp_path, monkeypatch):
     line = one_line("sweep", plan, "-o", tmp_path / "none", "--scheduler", cluster)
     assert re.search(r"worker tcp://\S+ has numba \S+, and this program 9.9; both must be the same", line)
     assert not list((tmp_path / "none").glob("runs/*"))
+    with Client(cluster, set_as_default=False) as ours:  # the command's own is closed
+        assert ours.run_on_scheduler(_clients) == {ours.id, "fire-and-forget"}
+
+
+def _clients(dask_scheduler):
+    return set(dask_scheduler.clients)
 
 
 def test_the_manifest_is_what_kubernetes_takes():

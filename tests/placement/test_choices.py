@@ -1,5 +1,6 @@
 """Sensors to choose: the combinations of a study, what is refused, and that each combination is an ordinary study."""
 
+import itertools
 import math
 from collections import Counter
 from itertools import product
@@ -11,6 +12,7 @@ import yaml
 from lidarcfg.config import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.combinations import combinations
+from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import StudyFile
 
@@ -139,3 +141,42 @@ def test_a_thousand_million_combinations_are_counted_and_refused(tmp_path):
     assert math.comb(1002, 2) ** 40 > 10**200
     with pytest.raises(ConfigError, match="allow more than 1,000,000,000,000,000,000 combinations"):
         study(tmp_path, head + "sensors:\n" + 40 * many)
+
+
+def test_a_choice_may_be_none_where_a_sensor_may_fail(tmp_path):
+    """With two lost, only rigs of three or more; the cost of each is that of the worst rig left, one by one."""
+    whole = {one.name: one for one in combinations(study(tmp_path))}
+    found = combinations(study(tmp_path, CHOICES + "robust: {lost: 2}\n"))
+    assert {one.name for one in found} == {name for name, one in whole.items() if len(one.study.slots) > 2}
+    assert len(found) < len(whole)
+    for one in (found[0], min(found, key=lambda one: len(one.study.slots))):
+        poses = one.study.midpoint
+        lidars = one.study.lidars(poses)
+        left = [max_vsr(one.study.region, some) for some in itertools.combinations(lidars, len(lidars) - 2)]
+        assert one.study.cost(poses) == pytest.approx(max(left), rel=1e-12)
+
+
+def test_every_model_sits_on_the_surface_by_its_own_base(tmp_path):
+    """On a box whose top is 1.2 m high and 1 m wide: the middle of a base is half a diameter or more from its rim."""
+    text = (
+        CHOICES.partition("sensors:")[0]
+        + """vehicle: {boxes: [{name: box, center_m: [6, 4, 0.6], size_m: [2, 1, 1.2]}]}
+sensors:
+  - {name: roof, choose: [vlp-16, helios-32, none], count: 2, on: {body: box, from: above, within: {min_m: [5, 3, 1], max_m: [7, 5, 1.3]}, standoff_m: 0.1}, roll_deg: [-10, 10]}
+"""
+    )
+    text = text.replace("fan-4: 500.5, os1-64: 12000", "helios-32: 3000")
+    loaded, found = study(tmp_path, text), combinations(study(tmp_path, text))
+    assert len(found) == 5
+    radius = {"vlp-16": 0.0515, "helios-32": 0.05}
+    rng = np.random.default_rng(1)
+    for one in found:
+        poses = one.study.poses(rng.random((400, int(one.study.free.sum()))))
+        fits = one.study.violation(poses) == 0
+        assert fits.any()
+        assert not fits.all()
+        assert np.abs(poses[fits, :, 2] - 1.3).max() < 1e-6
+        for i, slot in enumerate(one.study.slots):
+            away = np.minimum(1.0 - np.abs(poses[:, i, 0] - 6), 0.5 - np.abs(poses[:, i, 1] - 4))
+            assert away[fits].min() >= radius[slot.sensor.name] - 1e-6
+    assert loaded.to_choose

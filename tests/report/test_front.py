@@ -12,6 +12,7 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.front import front
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report import load_front_logs, save_front_log
+from lidarcfg.report.front_plot import draw_front
 from lidarcfg.rig import load_rig
 from tests.command_line import lidarcfg
 
@@ -123,5 +124,9 @@ def test_a_log_is_resumed_and_what_is_none_is_refused(tmp_path):
 def test_the_cheapest_are_tried_first(tmp_path):
     (tmp_path / "study.yaml").write_text(STUDY)
     search = front(with_solver(load_study(tmp_path / "study.yaml"), evaluations=300), threads=2)
+    figure = draw_front(load_study(tmp_path / "study.yaml"), search)
+    figure.draw_without_rendering()
+    legend = next(axes.get_legend() for axes in figure.axes if axes.get_legend())
+    assert not any(legend.get_window_extent().overlaps(axes.get_window_extent()) for axes in figure.axes)
     assert [one.combination.price for one in search.candidates if one.evaluations] == [100, 200]
     assert len(search.candidates) == 5
