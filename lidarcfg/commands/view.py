@@ -161,6 +161,8 @@ def view(
     paths, known = recorded(files, given, warn)
     drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
     stage = load_stage(paths, known.rig, model, drive, warn, Selection(from_s, to_s, sensors), known.vehicle)
+    if start and stage.trajectory.path.is_static and not stage.scenes:
+        raise click.UsageError("--start says when a --trajectory starts, and the objects of a scene; there is neither")
     count = len(stage.cloud.xyz)
     if png:
         save_still(stage, png, size, seen_from, colour, worst)

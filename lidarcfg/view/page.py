@@ -226,9 +226,9 @@ def _opening(stage: Stage, found: dict[str, Any] | None, worst: int) -> Array:
         away = np.linalg.norm(some - middle, axis=1)
         corners.append(some[away <= np.clip(np.percentile(away, 70), 2.0, 60.0)])
     elif stage.scenes or not len(corners[0]):
-        corners.append(np.array([[-SURROUNDINGS_M, -SURROUNDINGS_M, 0], [SURROUNDINGS_M, SURROUNDINGS_M, 0]]))
+        corners.append(SIDES * (SURROUNDINGS_M, SURROUNDINGS_M, 0))
     else:
-        corners += [corners[0] - ALONE_M, corners[0] + ALONE_M]
+        corners += [at + ALONE_M * SIDES for at in corners[0]]
     return np.concatenate([some[np.argmax(some @ SIDES.T, axis=0)] for some in corners if len(some)])
 
 

@@ -179,6 +179,11 @@ def test_a_drive_without_a_capture(here):
     assert timeline(load_stage([here / "top.yaml"], None, None, np.eye(4), no_warning)) is None
 
 
+def test_a_start_of_nothing(here):
+    told = lidarcfg("view", "top.yaml", "--start", "2026-01-01", "--html", "no.html", code=2, cwd=here).stderr
+    assert "--start says when a --trajectory starts, and the objects of a scene; there is neither" in told
+
+
 def test_what_is_noted_may_be_said_otherwise(here):
     """--at moves the whole drive; a record's file that has changed is a warning, and is missing."""
     done = lidarcfg("view", "drive.pcap", "--html", "p.html", cwd=here)

@@ -115,7 +115,7 @@ export function scenery(scenes, colours, tracks) {
     if (!ground) continue;
     const plane = new Mesh(new PlaneGeometry(2 * ground.half_m, 2 * ground.half_m), translucent(colours.excluded, 0.08));
     plane.position.set(...ground.center_m);
-    plane.isGround = true; // which has no end that could be shown
+    plane.isEndless = true; // it cannot be shown whole
     group.add(plane);
     tracks?.under(plane);
   }

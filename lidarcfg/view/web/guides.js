@@ -28,6 +28,7 @@ export function grid(z) {
 // Their ranges stand at the front.
 export function rings(z, stage, color) {
   const group = new Group();
+  group.isEndless = true; // nobody wants them whole
   const ends = [];
   const at = (radius, step) => [radius * Math.cos((2 * Math.PI * step) / STEPS), radius * Math.sin((2 * Math.PI * step) / STEPS), z];
   for (const radius of RINGS_M) {

@@ -5,6 +5,8 @@ import { ask } from "lidarcfg/data";
 import { History } from "lidarcfg/history";
 import { AXES } from "lidarcfg/sensors";
 
+const PAUSE_MS = 150; // in a move, after which what takes long is asked for
+
 export class Handles {
   constructor(stage, mounts, pairs, onMove, onHistory) {
     Object.assign(this, { stage, mounts, pairs, onMove, selected: null, mirrors: true, drags: 0 });
@@ -81,7 +83,16 @@ function mirrored([x, y, z, roll, pitch, yaw], plane) {
 // Asks the server about the rig; while it waits for an answer, only the latest request is kept.
 export class Evaluator {
   constructor(path, question, onAnswer, onError) {
-    Object.assign(this, { path, question, onAnswer, onError, busy: false, again: false, answered: 0, tookMs: 0 });
+    Object.assign(this, { path, question, onAnswer, onError, busy: false, again: false, timer: null, answered: 0, tookMs: 0 });
+  }
+
+  // Ask as soon as there was no other wish to ask for a while.
+  askSoon() {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => {
+      this.timer = null;
+      this.ask();
+    }, PAUSE_MS);
   }
 
   async ask() {

@@ -208,7 +208,7 @@ function rigControls(view, panel, mounts) {
   panel.append(view.rig.element);
 }
 
-// Max VSR follows each move; detection rates take longer and are asked for when nothing newer is.
+// Max VSR follows each move; detection rates take longer and are asked for in pauses.
 function evaluators(view) {
   const fail = (error) => {
     view.figures.violations.textContent = error.message;
@@ -220,7 +220,7 @@ function evaluators(view) {
     show(view, found, view.count);
     if (!detects) return;
     view.figures.staleRates();
-    if (!view.evaluator.again) view.rates.ask();
+    view.rates.askSoon();
   }, fail);
   if (detects) view.rates.ask();
 }

@@ -119,7 +119,7 @@ export class Stage {
   fitShown() {
     const places = this.points?.object.visible ? this.points.bounds() : [];
     const collect = (object) => {
-      if (!object.visible || object.isGround) return;
+      if (!object.visible || object.isEndless) return;
       if (object.geometry) {
         object.geometry.computeBoundingBox();
         const { min, max } = object.geometry.boundingBox;
