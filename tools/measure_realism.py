@@ -107,7 +107,7 @@ def read(path: Path, model: str | None) -> dict[str, Shots]:
     sources = Capture(path, lambda warning: None, model=model).sources()
     return {
         path.stem if len(sources) == 1 else f"{path.stem} {one.name.removesuffix(':2368')}": shots(
-            one.sensor, codec(one.sensor).measurements(one.packets, one.host_ns)
+            one.sensor, codec(one.sensor).measurements(one.source, one.packets, one.host_ns)
         )
         for one in sources
     }

@@ -41,6 +41,7 @@ class Recorded:
     """The packets of one source as they stand in a capture, all of them."""
 
     name: str  # host:port, or the mount's
+    source: Source
     sensor: Sensor
     packets: Octets  # (P, size)
     host_ns: Times  # (P,)
@@ -146,12 +147,12 @@ class Capture:
     def _recorded(self, key: int, some: list[Datagrams]) -> Recorded:
         packets = np.concatenate([one.payloads(int(one.size[0])) for one in some])
         host_ns = np.concatenate([one.time_ns for one in some])
-        (sensor, index), found = self._given(key), self._families[key]
+        (sensor, index), found, source = self._given(key), self._families[key], self._source(key)
         assert found
         if sensor is None:
             known = partial(self._catalogue, next(one for one in FAMILIES if family(one) is found))
-            sensor = found.recognise(self._source(key), packets[:ENOUGH], known)
-        return Recorded(_name(key) if index is None else self._names[index], sensor, packets, host_ns)
+            sensor = found.recognise(source, packets[:ENOUGH], known)
+        return Recorded(_name(key) if index is None else self._names[index], source, sensor, packets, host_ns)
 
     def _jobs(self, chunk_packets: int) -> Iterator[Job]:
         """What is to be done of each so many packets. An error is raised in the place of its job, as the last."""

@@ -15,6 +15,7 @@ from lidarcfg.commands.options import FILE, model_option, quiet_option, warn
       lidarcfg convert out/two/rig.yaml -o out/two.urdf
       lidarcfg convert out/two.ply -o out/two.laz
       lidarcfg convert out/two.pcap --rig out/two/rig.yaml -o out/two.mcap
+      lidarcfg convert out/two.pcap -o out/two-firings.npz
     """
 )
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a cloud or a capture.")
@@ -41,6 +42,8 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
       .pcap .pcapng       folder   rosbag2-mcap  the same as MCAP; needs --to
                           .mcap    mcap          the same as one MCAP file
                           .bag     rosbag1       the same of ROS 1
+                          .npz     firings       all that each laser measured
+    firings: .npz         .pcap    pcap          the capture of it again
 
     LAS, bags and MCAP need: pip install 'lidarcfg[convert]'
     """

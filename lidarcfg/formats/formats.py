@@ -13,7 +13,7 @@ from lidarcfg.rig import load_rig
 if TYPE_CHECKING:
     from lidarcfg.formats.recording import Recording
 
-Kind = Literal["rig", "cloud", "capture", "drive"]
+Kind = Literal["rig", "cloud", "capture", "firings", "drive"]
 OnWarning = Callable[[str], None]
 
 INPUTS: dict[Kind, tuple[str, ...]] = {
@@ -49,6 +49,8 @@ FORMATS = (
     Format("rosbag2-mcap", "capture", "", "return type"),
     Format("mcap", "capture", ".mcap", "return type"),
     Format("rosbag1", "capture", ".bag", "return type"),
+    Format("firings", "capture", ".npz"),
+    Format("pcap", "firings", ".pcap"),
     Format("ply", "drive", ".ply"),
     Format("npz", "drive", ".npz"),
     Format("pcd", "drive", ".pcd", "boxes of objects"),
@@ -101,6 +103,10 @@ def _failed(kind: Kind) -> str:
 
 
 def _kind(source: Path) -> Kind:
+    if source.suffix.lower() == ".npz":
+        from lidarcfg.formats.firings import is_firings
+
+        return "firings" if is_firings(source) else "cloud"
     for kind, suffixes in INPUTS.items():
         if source.suffix.lower() in suffixes:
             return kind
@@ -122,6 +128,8 @@ def convert(
         return _convert_rig(source, output, form.name, on_warning)
     if form.kind == "cloud":
         return _convert_cloud(source, output, form.name, on_warning)
+    if form.name in ("firings", "pcap"):
+        return _convert_firings(source, output, form, model, on_warning)
     from lidarcfg.formats.bag import save_bag, save_mcap
 
     mounted = load_rig(rig) if rig else None
@@ -180,6 +188,15 @@ def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -
         with replacing(output) as file:
             file.write(text)
     return f"{len(rig.mounts):,} sensors"
+
+
+def _convert_firings(source: Path, output: Path, form: Format, model: str | None, on_warning: OnWarning) -> str:
+    from lidarcfg.formats.firings import save_capture, save_firings
+
+    if form.name == "pcap":
+        return f"{save_capture(output, source):,} packets of firings"
+    made = save_firings(output, source, model, on_warning)
+    return f"{made.firings:,} firings of {made.packets:,} packets, and {made.rest:,} bytes of theirs beside them"
 
 
 def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:

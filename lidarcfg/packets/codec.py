@@ -247,12 +247,16 @@ class Codec(Timing, Protocol):
         Raises PacketError.
         """
 
-    def measurements(self, packets: Octets, host_ns: Times) -> Measurements:
-        """The firings of one source's successive packets (P, size): of them `encode` makes such packets again.
+    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
+        """The firings of a source's successive packets (P, size): of them `encode` makes such packets again.
 
         Raises PacketError; ConfigError if the family has no such way back.
         """
         raise ConfigError(f"the packets of {type(self).__name__} cannot be taken apart into firings")
+
+    def packed(self, mount: "Mount", found: Measurements) -> Octets:
+        """(P, size): the packets of measurements, as `encode` makes them."""
+        return self.encode(mount, found.batch, found.range_m, found.reflectivity).data
 
     # for reports and placement
 

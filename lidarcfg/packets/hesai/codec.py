@@ -7,7 +7,19 @@ import numpy as np
 
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Codec, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
+from lidarcfg.packets.codec import (
+    Batch,
+    Codec,
+    Decoder,
+    Flags,
+    Known,
+    Measurements,
+    Octets,
+    Pace,
+    Payloads,
+    Source,
+    Times,
+)
 from lidarcfg.packets.hesai.facts import Facts, Settings, Unit, unit
 from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.recognise import check_size, claims, identify
@@ -71,6 +83,12 @@ class Hesai(Codec):
         from lidarcfg.packets.hesai import corrections
 
         return corrections.written(self.unit, mount)
+
+    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
+        """See `Codec`."""
+        from lidarcfg.packets.hesai.firings import measurements
+
+        return measurements(self.unit, packets, host_ns)
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:

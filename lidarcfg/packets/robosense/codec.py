@@ -12,9 +12,11 @@ from lidarcfg.packets.codec import (
     Decoder,
     Flags,
     Known,
+    Measurements,
     Octets,
     Payloads,
     Source,
+    Times,
 )
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense.facts import Facts, unit
@@ -73,6 +75,15 @@ class Robosense(Spinning):
         from lidarcfg.packets.robosense.difop import difop_payloads
 
         return difop_payloads(self.unit, mount, start_ns, duration_ns)
+
+    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
+        """See `Codec`; the return mode is the DIFOP's."""
+        from lidarcfg.packets.robosense.decode import reading
+        from lidarcfg.packets.robosense.difop import find
+        from lidarcfg.packets.robosense.firings import measurements
+
+        read = reading(self.unit, source, undamaged(packets_of(packets)), find(source))
+        return measurements(self.unit, packets, host_ns, read.return_mode)
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:

@@ -82,11 +82,17 @@ class Velodyne(Spinning):
 
         return position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
 
-    def measurements(self, packets: Octets, host_ns: Times) -> Measurements:
+    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
         """See `Codec`."""
         from lidarcfg.packets.velodyne.firings import measurements
 
         return measurements(self.unit, packets_of(packets), host_ns)
+
+    def packed(self, mount: "Mount", found: Measurements) -> Octets:
+        """See `Codec`; with the intensities beside no return, and azimuths of 36000."""
+        from lidarcfg.packets.velodyne.firings import packed
+
+        return octets_of(packed(self.unit, found))
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:

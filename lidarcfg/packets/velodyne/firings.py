@@ -1,13 +1,13 @@
-"""What packets say of their firings, one by one: the inverse of encoding."""
+"""What packets say of their firings, one by one, and packets of that again."""
 
 import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Times
 from lidarcfg.packets.velodyne import decode_kernels as kernels
-from lidarcfg.packets.velodyne.encode import returned
-from lidarcfg.packets.velodyne.facts import Unit
-from lidarcfg.packets.velodyne.layout import RADIANS, Packets, device_time_ns, is_dual
+from lidarcfg.packets.velodyne.encode import encode, returned
+from lidarcfg.packets.velodyne.facts import Calibration, Unit
+from lidarcfg.packets.velodyne.layout import RADIANS, REVOLUTION, Packets, device_time_ns, is_dual, slots
 
 
 def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
@@ -35,6 +35,21 @@ def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
     range_m[distance == 0] = np.inf
     batch = Batch(Firings(time_ns.ravel(), laser, head.ravel()), np.arange(len(packets)), host_ns)
     return Measurements(mode, batch, range_m, intensity)
+
+
+def packed(unit: Unit, found: Measurements) -> Packets:
+    """Packets (P,) of measurements, as `measurements` has them of recordings."""
+    facts = unit.facts.model_copy(
+        update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}
+    )
+    plain, dual = Unit(unit.sensor, facts), found.return_mode == "dual"
+    packets = encode(plain, found.return_mode, found.batch.firings, found.range_m, found.reflectivity)
+    number, span = slots(unit.packet, dual), unit.span(dual)
+    blocks = packets["blocks"][:, : len(number)]
+    blocks["returns"]["intensity"] = found.reflectivity.reshape(len(packets), -1)[:, number]
+    azimuth = np.repeat(np.rint(unit.spin(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)
+    blocks["azimuth"][azimuth == REVOLUTION] = REVOLUTION
+    return packets
 
 
 def _return_mode(unit: Unit, packets: Packets, dual: bool) -> str:

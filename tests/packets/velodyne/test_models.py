@@ -19,13 +19,13 @@ from lidarcfg.cloud import FIELDS, concatenate, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import transform
 from lidarcfg.packets.codec import Firings, codec
-from lidarcfg.packets.velodyne import decode_kernels as kernels
 from lidarcfg.packets.velodyne.encode import sent as are_sent
 from lidarcfg.packets.velodyne.facts import unit as unit_of
-from lidarcfg.packets.velodyne.layout import PACKET, device_time_ns, is_dual
+from lidarcfg.packets.velodyne.firings import measurements, packed
+from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig
-from lidarcfg.sensor import Reported, catalogue, load_sensor
+from lidarcfg.sensor import catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.export import START_NS, export
 from lidarcfg.simulate.ground_truth import records
@@ -34,12 +34,10 @@ from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import AT_NS, STREET, hdl_64e, mount, no_warning, recording, scene
 from tests.capture_fixtures import write_datagrams as write_pcap
 from tests.packets.velodyne.shaped import (
-    Fired,
     decode,
     encode,
     facts,
     firings,
-    packet_offsets_ns,
     packet_period_ns,
     packet_stamps_ns,
     rays,
@@ -58,7 +56,6 @@ OTHERS = {
     "hdl-64e-s3": vd.Model.HDL64E_S3,
 }
 MODES = ["strongest", "last", "dual"]
-LIMITLESS = Reported(source="", min_m=0, max_m=300)
 RECORDINGS = {
     "mrpt_vlp16_gps": "vlp-16",
     "jerry_vlp16": "vlp-16",
@@ -356,64 +353,31 @@ def test_veloview_figures():
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recorded_packets_encode_to_the_same_bytes(name):
-    """From azimuths, times, distances and intensities as decoded: all 1206 bytes, but for two things.
-
-    Real sensors send an intensity beside a distance of 0, which is no return and nothing that a decoder hands on; and
-    one block of 53,376 in these recordings says 360° where ours say 0°. Both come out as 0.
-    """
+    """From the firings that they say: all 1206 bytes, but for the product id of old firmware."""
     sensor = load_sensor(RECORDINGS[name])
     datagrams = [d for d in read_datagrams(recording(f"{name}.pcap"), no_warning) if len(d.payload) == 1206]
     packets = np.frombuffer(b"".join(d.payload for d in datagrams), PACKET)
-    host_ns = np.array([d.time_ns for d in datagrams])
-    dual = bool(is_dual(facts(sensor).packet, packets)[0])
-    mode = "dual" if dual else "strongest"
-    fired = as_fired(sensor, packets, host_ns, dual)
-    got = decode(sensor, packets, host_ns)
-
-    times = fired.time_ns.reshape(-1, sensor.count)
-    range_m = np.full((*times.shape, 1 + dual), np.inf)
-    intensity = np.zeros(range_m.shape, np.uint8)
-    row = np.empty(len(got.laser), int)
-    for laser in range(sensor.count):
-        mine = got.laser == laser
-        row[mine] = np.searchsorted(times[:, laser], got.time_ns[mine])
-    assert (times[row, got.laser] == got.time_ns).all()
-    kind = (got.return_type == 1).astype(int) if dual else np.zeros(len(row), int)
-    range_m[row, got.laser, kind], intensity[row, got.laser, kind] = got.range_m, got.intensity
-    if dual:  # what came once was both, unless the sensor left one out
-        distance = packets["blocks"]["returns"]["distance"]
-        last, first = (distance[:, i::2].reshape(-1, sensor.count) for i in (0, 1))
-        strength = packets["blocks"]["returns"]["intensity"]
-        same = (last == first) & (strength[:, ::2] == strength[:, 1::2]).reshape(last.shape)
-        range_m[same, 1], intensity[same, 1] = range_m[same, 0], intensity[same, 0]
-    wide = sensor.model_copy(update={"range": sensor.range.model_copy(update={"reported": LIMITLESS})})
-    shape = (len(packets), -1, sensor.count, 2) if dual else (len(packets), -1, sensor.count)
-    wide = with_facts(wide, packet={"product_id": int(packets["product_id"][0])})  # old firmware has another
-    again = encode(wide, mode, fired, range_m.reshape(shape), intensity.reshape(shape))
-    expected = packets.copy()
-    returns = expected["blocks"]["returns"]
-    returns["intensity"] = np.where(returns["distance"] > 0, returns["intensity"], 0)
+    found = measurements(unit_of(sensor), packets, np.array([d.time_ns for d in datagrams]))
+    again, expected = packed(unit_of(sensor), found), packets.copy()
     full_turns = expected["blocks"]["azimuth"] >= 36000
     assert full_turns.sum() == (name == "veloview_hdl32e_monterey")
-    expected["blocks"]["azimuth"][full_turns] = 0
+    if name == "jerry_vlp16":
+        assert set(packets["product_id"]) == {0x21}
+        expected["product_id"] = 0x22
     assert again.tobytes() == expected.tobytes()
-
-
-def as_fired(sensor, packets, host_ns, dual):
-    """The firings that the packets tell of: where the head pointed, and when."""
-    layout = facts(sensor).packet
-    span = len(layout.block_flags) * (1 + dual)
-    groups, together = 12 // span, layout.sequences_per_block
-    azimuth = packets["blocks"]["azimuth"][:, : groups * span : span].astype(np.int64)
-    group_ns = together * facts(sensor).firing.sequence_ns
-    stamp_us = packets["stamp_us"].astype(np.int64)
-    turn, late_ns = kernels.steps(azimuth, stamp_us, packet_period_ns(sensor, dual), group_ns)
-    offsets = packet_offsets_ns(sensor, dual)
-    group = np.repeat(np.arange(groups), together)
-    share = (offsets - unit_of(sensor).head_offset_ns) / group_ns - group[:, None]
-    head = (azimuth[:, group, None] + turn[:, group, None] * share) * kernels.RADIANS
-    time_ns = device_time_ns(packets["stamp_us"], host_ns)[:, None, None] + offsets + late_ns[:, group, None]
-    return Fired(time_ns, head)
+    got = decode(sensor, packets, np.array([d.time_ns for d in datagrams]))
+    returned = np.isfinite(found.range_m)
+    if found.return_mode == "dual":
+        returned[:, 1] &= (found.range_m[:, 0] != found.range_m[:, 1]) | np.diff(found.reflectivity).any(axis=1)
+    firing, _ = np.nonzero(returned)
+    assert sorted(zip(got.time_ns.tolist(), got.laser.tolist(), got.range_m.tolist(), strict=True)) == sorted(
+        zip(
+            found.batch.firings.time_ns[firing].tolist(),
+            found.batch.firings.laser[firing].tolist(),
+            found.range_m[returned].tolist(),
+            strict=True,
+        )
+    )
 
 
 @pytest.mark.parametrize("name", ["hdl-64e-s2", "hdl-64e-s3"])

@@ -1,0 +1,232 @@
+"""Recordings as firings, and back: what each laser measured, and everything else as it was recorded, in one .npz.
+
+Columns that stand for a source's packets are encoded again; what they do not say is kept byte by byte beside them.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.capture.decode import Capture
+from lidarcfg.cloud import read_arrays
+from lidarcfg.config import COORDINATE_MAX_M, loads
+from lidarcfg.errors import CloudError, ConfigError, ConversionError
+from lidarcfg.files import replacing
+from lidarcfg.formats.records import pieces, read_records
+from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets, codec
+from lidarcfg.rig import DATA_PORT, FIRST_HOST, RPM, TELEMETRY_PORT, Mount
+from lidarcfg.sensor import Reported, Sensor
+
+VERSION = 1
+COLUMNS = {  # of a source, and their types; N firings in P packets, R returns of each
+    "time_ns": "<i8",  # (N,) device time
+    "laser": "|u1",  # (N,)
+    "encoder_rad": "<f8",  # (N,)
+    "range_m": "<f8",  # (N, R) inf: no return
+    "reflectivity": "|u1",  # (N, R)
+    "number": "<i8",  # (P,)
+    "host_ns": "<i8",  # (P,)
+    "rest_at": "<i8",  # (K,) bytes of the source's packets, one after the other, that firings do not say
+    "rest": "|u1",  # (K,) and what they are
+}
+FILE_COLUMNS = {
+    "header": "|u1",
+    "tail": "|u1",
+    "heads": "|u1",
+    "source": "<i2",
+    "before": "<i4",
+    "after": "<i4",
+    "raw": "|u1",
+}
+KEYS = "name", "sensor", "return_mode", "firings", "packets", "size"  # what is said of a source
+ANY_RANGE = Reported(source="as recorded", min_m=0, max_m=COORDINATE_MAX_M)
+
+OnWarning = Callable[[str], None]
+
+
+class Counted(NamedTuple):
+    """What a recording turned into."""
+
+    firings: int
+    packets: int
+    rest: int  # bytes of packets that are kept beside firings
+
+
+@dataclass(frozen=True)
+class Source:
+    """One sensor of a recording."""
+
+    name: str
+    sensor: Sensor
+    found: Measurements
+
+    def packets(self) -> Octets:
+        """(P, size): what its firings make, whatever limits of range exports keep."""
+        measured = self.sensor.range
+        assert measured
+        sensor = self.sensor.model_copy(update={"range": measured.model_copy(update={"reported": ANY_RANGE})})
+        mount = Mount(
+            name=self.name,
+            sensor=sensor,
+            position_m=(0, 0, 0),
+            rpy_rad=(0, 0, 0),
+            model=None,
+            host=str(FIRST_HOST),
+            data_port=DATA_PORT,
+            telemetry_port=TELEMETRY_PORT,
+            rpm=RPM,
+            return_mode=self.found.return_mode,  # type: ignore[arg-type]
+        )
+        return codec(sensor).packed(mount, self.found)
+
+
+def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWarning) -> Counted:
+    """Write a classic pcap as firings, whole or not at all. Raises LidarcfgError.
+
+    Sources whose family has no way back from packets to firings are kept as they are, with a warning.
+    """
+    records, sources = read_records(capture), list[dict[str, Any]]()
+    arrays: dict[str, NDArray[Any]] = {}
+    counted = Counted(0, 0, 0)
+    for recorded in Capture(capture, on_warning, model=model).sources():
+        mine = records.of(recorded.name, recorded.packets.shape[1])
+        if not len(mine.packets):
+            on_warning(f"{capture}: {recorded.name}: packets in IP fragments are kept as they are")
+            continue
+        try:
+            found = codec(recorded.sensor).measurements(recorded.source, mine.packets, mine.host_ns)
+        except ConfigError as error:
+            on_warning(f"{capture}: {recorded.name}: {error}; they are kept as they are")
+            continue
+        one = Source(recorded.name, recorded.sensor, found)
+        columns = _columns(one, mine.packets)
+        arrays |= {f"{len(sources)}/{key}": value for key, value in columns.items()}
+        records.take(mine, len(sources))
+        sources.append(_said(one, mine.packets.shape[1]))
+        rest = counted.rest + len(columns["rest"])
+        counted = Counted(counted.firings + len(columns["laser"]), counted.packets + len(mine.packets), rest)
+    if not sources:
+        raise ConversionError(f"{capture}: no packets that can be taken apart into firings")
+    arrays |= {**records.arrays(), "sources": np.array(json.dumps({"version": VERSION, "sources": sources}))}
+    with replacing(path, "wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+    return counted
+
+
+def save_capture(path: Path, firings: Path) -> int:
+    """Write firings as the pcap that they were, or what has been made of them; return the number of packets.
+
+    Raises LidarcfgError.
+    """
+    said = _read_said(firings)
+    columns = read_arrays(firings, (*FILE_COLUMNS, *(f"{i}/{key}" for i in range(len(said)) for key in COLUMNS)))
+    records = {key: _checked(firings, columns, key, kind) for key, kind in FILE_COLUMNS.items()}
+    parts = []
+    for number, one in enumerate(said):
+        mine = {key: _checked(firings, columns, f"{number}/{key}", kind) for key, kind in COLUMNS.items()}
+        parts.append(_packets(firings, number, one, mine))
+    with replacing(path, "wb") as file:
+        for piece in pieces(firings, records, parts):
+            file.write(piece)
+    return sum(map(len, parts))
+
+
+def is_firings(path: Path) -> bool:
+    """Whether a .npz holds a recording as firings."""
+    return "sources" in read_arrays(path, ("sources",))
+
+
+def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
+    """The columns of a source, and what of its packets (P, size) they do not say."""
+    made = one.packets().ravel()
+    rest_at = np.flatnonzero(made != recorded.ravel())
+    fired, batch = one.found.batch.firings, one.found.batch
+    return {
+        "time_ns": fired.time_ns,
+        "laser": fired.laser,
+        "encoder_rad": fired.encoder_rad,
+        "range_m": one.found.range_m,
+        "reflectivity": one.found.reflectivity,
+        "number": batch.number,
+        "host_ns": batch.sent_ns,
+        "rest_at": rest_at,
+        "rest": recorded.ravel()[rest_at],
+    }
+
+
+def _said(one: Source, size: int) -> dict[str, Any]:
+    """What a source's columns need to become packets again."""
+    return {
+        "name": one.name,
+        "sensor": one.sensor.model_dump(mode="json", exclude_none=True),
+        "return_mode": one.found.return_mode,
+        "firings": len(one.found.range_m),
+        "packets": len(one.found.batch.number),
+        "size": size,
+    }
+
+
+def _read_said(path: Path) -> list[dict[str, Any]]:
+    """What a file says of its sources."""
+    found = read_arrays(path, ("sources",)).get("sources")
+    try:
+        said = json.loads(str(found))
+        sources = [dict(one) for one in said["sources"]]
+        known = said["version"] == VERSION and all({*one} == {*KEYS} for one in sources)
+    except (ValueError, TypeError, KeyError):
+        known = False
+    if not known:
+        raise CloudError(f"{path}: sources: not what a recording as firings says")
+    return sources
+
+
+def _checked(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: str) -> NDArray[Any]:
+    """A column of the file, of the right type."""
+    if key not in columns:
+        raise CloudError(f"{path}: {key}: missing")
+    found, sides = columns[key], 2 if key.split("/")[-1] in ("range_m", "reflectivity") else 1
+    if found.dtype != np.dtype(kind) or found.ndim != sides:
+        what = f"{found.dtype} of {found.ndim} dimensions"
+        raise CloudError(f"{path}: {key}: {what}; allowed: {np.dtype(kind)} of {sides}")
+    return found
+
+
+def _packets(path: Path, number: int, said: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> Octets:
+    """(P, size): the packets of a source."""
+    sensor = loads(json.dumps(said["sensor"]), Sensor, f"{path}: {number}/sensor")
+    lengths = {"number": "packets", "host_ns": "packets", "rest_at": "", "rest": ""}
+    for key, column in columns.items():
+        if (many := lengths.get(key, "firings")) and len(column) != said[many]:
+            raise CloudError(f"{path}: {number}/{key}: has {len(column)} rows; allowed: {said[many]}, as recorded")
+    limits = {
+        "time_ns": (0, 2**62),
+        "laser": (0, sensor.count - 1),
+        "encoder_rad": (-1e6, 1e6),
+        "range_m": (0, np.inf),
+        "rest_at": (0, said["packets"] * said["size"] - 1),
+    }
+    for key, (low, high) in limits.items():
+        wrong = np.flatnonzero(~((columns[key] >= low) & (columns[key] <= high)))
+        if len(wrong):
+            value = columns[key].ravel()[wrong[0]]
+            raise CloudError(f"{path}: {number}/{key}[{wrong[0]}]: {value} is not allowed; allowed: {low} to {high}")
+    if len(columns["rest"]) != len(columns["rest_at"]) or columns["range_m"].shape != columns["reflectivity"].shape:
+        raise CloudError(f"{path}: {number}: columns that belong together are of different lengths")
+    if columns["range_m"].shape[1] != 1 + (said["return_mode"] == "dual"):
+        raise CloudError(
+            f"{path}: {number}/range_m: {columns['range_m'].shape[1]} returns of each firing, but not dual"
+        )
+    fired = Firings(columns["time_ns"], columns["laser"], columns["encoder_rad"])
+    batch = Batch(fired, columns["number"], columns["host_ns"])
+    found = Measurements(said["return_mode"], batch, columns["range_m"], columns["reflectivity"])
+    made = Source(str(said["name"]), sensor, found).packets()
+    if made.shape != (said["packets"], said["size"]):
+        raise ConversionError(f"{path}: {number}: its firings make packets of another number or size than recorded")
+    made = np.ascontiguousarray(made)
+    made.ravel()[columns["rest_at"]] = columns["rest"]
+    return made

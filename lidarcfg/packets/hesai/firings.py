@@ -1,0 +1,45 @@
+"""What packets say of their firings, one by one: the inverse of encoding."""
+
+import numpy as np
+
+from lidarcfg.errors import PacketError
+from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets, Times
+from lidarcfg.packets.hesai.encode import PAIR
+from lidarcfg.packets.hesai.facts import Unit
+from lidarcfg.packets.hesai.layout import WRITTEN, device_time_ns, encoder_rad
+
+
+def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
+    """All firings of successive packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
+
+    The even block of a pair is taken for the last return, as later firmware sends it.
+    """
+    packets = unit.packets_of(octets)
+    code = int(packets["tail"]["return_mode"][0])
+    mode = next((name for name, written in WRITTEN.items() if written == code), None)
+    if mode is None or (packets["tail"]["return_mode"] != code).any():
+        allowed = ", ".join(f"0x{one:02X} {name}" for name, one in WRITTEN.items())
+        raise PacketError(f"{unit.name}: return mode 0x{code:02X}, or several in one recording; allowed: {allowed}")
+    dual = mode == "dual"
+    if (packets["header"]["unit_mm"] != unit.unit_mm).any():
+        raise PacketError(f"{unit.name}: distances are not in units of {unit.unit_mm} mm, as the sensor's file says")
+    loops = np.broadcast_to(np.arange(unit.groups(dual)) % len(unit.fires), (len(packets), unit.groups(dual)))
+    if dual and len(unit.fires) > 1:
+        loops = np.broadcast_to(1 - (packets["mode_flag"][:, None] & 1).astype(np.int64), loops.shape)
+    start_ns = device_time_ns(packets)[:, None, None] + unit.group_ns(dual)[None, :, None]
+    time_ns = start_ns + unit.offset_ns[loops]
+    shape = time_ns.shape
+    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
+    blocks = packets["blocks"]
+    encoder = np.broadcast_to(encoder_rad(blocks["azimuth"][:, :: 1 + dual])[:, :, None], shape)
+    fires = unit.fires[loops]
+    which = PAIR if dual else (0,)
+    distance, reflectivity = (
+        np.stack([blocks["returns"][:, at :: 1 + dual][key][fires] for at in which], axis=-1)
+        for key in ("distance", "reflectivity")
+    )
+    range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
+    batch = Batch(
+        Firings(time_ns[fires], laser[fires], encoder[fires]), packets["tail"]["sequence"].astype(np.int64), host_ns
+    )
+    return Measurements(mode, batch, range_m, reflectivity)

@@ -1,0 +1,244 @@
+"""Recordings as firings and back: whole files byte for byte, what firings say by hand, changed returns, bad files."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.cli import cli
+from lidarcfg.cloud import concatenate
+from lidarcfg.rig import load_rig
+from lidarcfg.sensor import load_sensor
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.world.scene import load_scene
+from tests.capture_fixtures import STREET, datagrams_of, no_warning, recording, write_datagrams
+from tests.command_line import lidarcfg
+
+# Of each recording: which bytes of its packets firings do not say, and from where the sensor's family has them.
+VELODYNE = {
+    "mrpt_vlp16_gps": set(),
+    "jerry_vlp16": {1205},  # the product id of old firmware
+    "nebula_vlp16": set(),
+    "veloview_hdl32e_monterey": set(),
+    "nebula_vlp32": set(),
+    "nebula_vls128": set(),
+}
+HESAI = {  # the state of the sensor: docs/hesai.md
+    "hesai/nebula_xt32": {*range(1052, 1062), 1063},
+    "hesai/nebula_xt16": {*range(540, 550), 551},
+    "hesai/nebula_qt128": {1045, *range(1057, 1064), *range(1067, 1070), *range(1091, 1095)},
+}
+
+
+def converted(*words):
+    """`lidarcfg convert` in this process, without a word."""
+    assert not cli.main(["convert", *map(str, words), "--quiet"], prog_name="lidarcfg", standalone_mode=False)
+
+
+def there_and_back(capture, tmp_path):
+    """The columns of a capture, and the capture that they become again."""
+    converted(capture, "-o", tmp_path / "a.npz")
+    converted(tmp_path / "a.npz", "-o", tmp_path / "back.pcap")
+    with np.load(tmp_path / "a.npz") as arrays:
+        return dict(arrays), tmp_path / "back.pcap"
+
+
+def rest_of(columns, source, size):
+    """Where in packets of this size the bytes are that firings do not say."""
+    return set((columns[f"{source}/rest_at"] % size).tolist())
+
+
+@pytest.mark.parametrize("name", [*VELODYNE, *HESAI])
+def test_recordings_come_back_whole(name, tmp_path):
+    """Byte for byte: headers, position packets, order; what is kept beside firings is listed."""
+    path = recording(f"{name}.pcap")
+    columns, back = there_and_back(path, tmp_path)
+    assert back.read_bytes() == path.read_bytes()
+    size = max(len(one.payload) for one in datagrams_of(path))
+    assert rest_of(columns, 0, size) <= (VELODYNE | HESAI)[name]
+    assert np.isfinite(columns["0/range_m"]).sum() > 15_000
+
+
+def test_a_helios_comes_back_whole(tmp_path):
+    """Beside firings are counters and states of the header, and intensities where there is no distance."""
+    path = recording("robosense/nebula_helios16p.pcap")
+    columns, back = there_and_back(path, tmp_path)
+    assert back.read_bytes() == path.read_bytes()
+    head = {8, 9, 10, 11, 16, 18, 19, 30, 31, 32, 38, 39}
+    intensities = {42 + 100 * block + 4 + 3 * channel + 2 for block in range(12) for channel in range(32)}
+    assert rest_of(columns, 0, 1248) <= head | intensities
+    payloads = [one.payload for one in datagrams_of(path) if one.port == 6699]
+    for at in columns["0/rest_at"].tolist():
+        if at % 1248 in intensities:
+            packet = payloads[at // 1248]
+            assert packet[at % 1248 - 2 : at % 1248] == b"\0\0"
+
+
+def test_firings_by_hand(tmp_path):
+    """A VLP-16's packet with dual returns, by the manual: even blocks the last return, odd ones the strongest."""
+    path = recording("nebula_vlp16.pcap")
+    columns, _ = there_and_back(path, tmp_path)
+    payload = datagrams_of(path)[0].payload
+    seen = 0
+    for block in range(0, 12, 2):
+        azimuth = struct.unpack_from("<H", payload, 100 * block + 2)[0] / 100
+        for slot in range(32):
+            firing = 16 * block + slot
+            for column, of in ((1, block), (0, block + 1)):
+                units, strength = struct.unpack_from("<HB", payload, 100 * of + 4 + 3 * slot)
+                assert columns["0/range_m"][firing, column] == (units * 0.002 if units else np.inf)
+                assert columns["0/reflectivity"][firing, column] == strength
+                seen += units > 0
+            assert columns["0/laser"][firing] == slot % 16
+            head_deg = np.degrees(columns["0/encoder_rad"][firing])
+            turned = (slot // 16 * 55.296 + slot % 16 * 2.304) * 1e-6 * 3600  # at 600 rpm
+            assert head_deg == pytest.approx(azimuth + turned, abs=0.03)
+    assert seen > 150
+
+
+EXPORTS = {
+    "hdl-64e-s3": "rpm: 600",
+    "vls-128": "return_mode: dual, azimuth_fov_deg: [300, 40]",
+    "vlp-32c": "return_mode: last, azimuth_fov_deg: [30, 90]",
+    "hdl-32e": "rpm: 1200",
+    "pandar-xt32": "return_mode: dual",
+    "qt128": "return_mode: last",
+    "helios-16p": "return_mode: dual",
+}
+
+
+def test_exports_come_back_whole(tmp_path):
+    """Several makers in one capture, other return modes, narrow fields of view; only an HDL-64E has status bytes besides."""
+    sensors = [
+        f"{{name: s{i}, model: {model}, position_m: [0, {i}, 2], {keys}}}"
+        for i, (model, keys) in enumerate(EXPORTS.items())
+    ]
+    (tmp_path / "rig.yaml").write_text("name: r\nsensors:\n" + "".join(f"  - {one}\n" for one in sensors))
+    rig = load_rig(tmp_path / "rig.yaml")
+    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, load_scene(STREET), np.eye(4), 30_000_000)))
+    columns, back = there_and_back(tmp_path / "a.pcap", tmp_path)
+    assert back.read_bytes() == (tmp_path / "a.pcap").read_bytes()
+    assert sum(key.endswith("/range_m") for key in columns) == len(EXPORTS)
+    rest = [rest_of(columns, i, one["size"]) for i, one in enumerate(json.loads(str(columns["sources"]))["sources"])]
+    assert all(not one or one <= {1204, 1205} for one in rest)
+    assert sum(map(bool, rest)) == 1
+
+
+def test_returns_may_be_changed(tmp_path):
+    """One firing is given another return, one none: decoding shows just that; and a checksum that was there is right."""
+    path = recording("mrpt_vlp16_gps.pcap")
+    columns, _ = there_and_back(path, tmp_path)
+    hit = np.flatnonzero(np.isfinite(columns["0/range_m"][:, 0]))[[100, 5000]]
+    columns["0/range_m"][hit, 0] = 42.5, np.inf
+    columns["0/reflectivity"][hit[0], 0] = 99
+    np.savez(tmp_path / "b.npz", **columns)
+    converted(tmp_path / "b.npz", "-o", tmp_path / "b.pcap")
+    before, after = (concatenate(list(decode_pcap(one, no_warning))) for one in (path, tmp_path / "b.pcap"))
+    assert len(after.xyz) == len(before.xyz) - 1
+    kept = np.delete(before.xyz, 5000, axis=0)
+    moved = np.flatnonzero((after.xyz != kept).any(axis=1))
+    assert len(moved) == 1
+    assert after.intensity[moved[0]] == 99
+    far = after.xyz[moved[0]] - [
+        0,
+        0,
+        np.array(load_sensor("vlp-16").beams.vertical_offset_mm)[columns["0/laser"][hit[0]]] / 1000,
+    ]
+    assert np.linalg.norm(far) == pytest.approx(42.5, abs=0.001)
+
+
+def test_checksums_are_made_right(tmp_path):
+    """Of a sensor whose datagrams have them; dpkt counts."""
+    import dpkt
+
+    (tmp_path / "rig.yaml").write_text("name: r\nsensors: [{name: s, model: pandar-xt16, position_m: [0, 0, 2]}]")
+    rig, stage = load_rig(tmp_path / "rig.yaml"), load_scene(STREET)
+    write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, np.eye(4), 5_000_000)))
+    data = (tmp_path / "a.pcap").read_bytes()
+    with (tmp_path / "a.pcap").open("rb") as file:
+        frames = [frame for _, frame in dpkt.pcap.Reader(file)]
+    with (tmp_path / "summed.pcap").open("wb") as file:
+        writer = dpkt.pcap.Writer(file)
+        for n, frame in enumerate(frames):
+            ip = dpkt.ethernet.Ethernet(bytes(frame)).data
+            ip.data.sum = 0
+            ip.sum = 0
+            writer.writepkt(bytes(frame[:14]) + bytes(ip), 1_700_000_000 + n / 1000)
+    columns, back = there_and_back(tmp_path / "summed.pcap", tmp_path)
+    assert back.read_bytes() == (tmp_path / "summed.pcap").read_bytes() != data
+    columns["0/range_m"][:] = 7.0
+    np.savez(tmp_path / "b.npz", **columns)
+    converted(tmp_path / "b.npz", "-o", tmp_path / "b.pcap")
+    with (tmp_path / "b.pcap").open("rb") as file:
+        frames = [frame for _, frame in dpkt.pcap.Reader(file)]
+    for frame in frames:
+        udp = dpkt.ethernet.Ethernet(frame).data.data
+        recorded, udp.sum = udp.sum, 0
+        ip = dpkt.ethernet.Ethernet(frame).data
+        ip.data.sum = 0
+        ip.sum = 0
+        again = dpkt.ip.IP(bytes(ip))
+        assert again.data.sum == recorded != 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.pop("0/laser"), "0/laser: missing"),
+        (
+            lambda c: c.update({"0/range_m": c["0/range_m"].astype("f4")}),
+            "0/range_m: float32 of 2 dimensions; allowed: float64 of 2",
+        ),
+        (
+            lambda c: c.update({"0/time_ns": c["0/time_ns"][:-1]}),
+            "0/time_ns: has 9215 rows; allowed: 9216, as recorded",
+        ),
+        (lambda c: c["0/range_m"].__setitem__((3, 0), np.nan), "0/range_m[3]: nan is not allowed; allowed: 0 to inf"),
+        (lambda c: c["0/laser"].__setitem__(7, 16), "0/laser[7]: 16 is not allowed; allowed: 0 to 15"),
+        (lambda c: c["0/rest_at"].__setitem__(0, 10**9), "0/rest_at[0]: 1000000000 is not allowed"),
+        (lambda c: c.update({"sources": np.array("{}")}), "sources: not what a recording as firings says"),
+        (lambda c: c.update({"source": c["source"][:-1]}), "its records do not belong together"),
+        (lambda c: c["before"].__setitem__(0, -5), "its records do not belong together"),
+        (
+            lambda c: c.update(
+                {"sources": np.array(str(c["sources"]).replace('"product_id": 34', '"product_id": 340'))}
+            ),
+            "product_id",
+        ),
+        (
+            lambda c: c.update({"sources": np.array(str(c["sources"]).replace('"strongest", "f', '"dual", "f'))}),
+            "1 returns of each firing",
+        ),
+    ],
+)
+def test_files_that_are_wrong(tmp_path, change, message):
+    """One line, and nothing is written."""
+    datagrams = [one for one in datagrams_of(recording("jerry_vlp16.pcap")) if one.port == 2368][:24]
+    write_datagrams(tmp_path / "a.pcap", datagrams)
+    columns, _ = there_and_back(tmp_path / "a.pcap", tmp_path)
+    change(columns)
+    np.savez(tmp_path / "b.npz", **columns)
+    from lidarcfg.errors import LidarcfgError
+    from lidarcfg.formats.firings import save_capture
+
+    with pytest.raises(LidarcfgError) as caught:
+        save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "b.pcap").exists()
+
+
+def test_captures_that_are_not_taken_apart(tmp_path):
+    path = recording("mrpt_vlp16_gps.pcap")
+    cut = path.read_bytes()[:-100]
+    (tmp_path / "cut.pcap").write_bytes(cut)
+    converted(tmp_path / "cut.pcap", "-o", tmp_path / "cut.npz")
+    converted(tmp_path / "cut.npz", "-o", tmp_path / "again.pcap")
+    assert (tmp_path / "again.pcap").read_bytes() == cut
+    (tmp_path / "no.pcapng").write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(40))
+    done = lidarcfg("convert", "no.pcapng", "-o", "no.npz", cwd=tmp_path, code=2)
+    assert "no.pcapng: firings are made of classic pcap files; editcap -F pcap writes one of a pcapng" in done.stderr
+    assert not (tmp_path / "no.npz").exists()
