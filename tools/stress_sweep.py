@@ -35,6 +35,7 @@ vary:
   "sensors[0].count": [1, 2, 3]
   solver.seed: [%s]
 """
+VICTIMS = ["command", "scheduler", "worker 1", "worker 1", "worker 2", "worker 2"]  # of a cluster
 SILENT = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
 
@@ -107,14 +108,15 @@ def disturbed(words: list[str], kills: int, draw: random.Random, cluster: Cluste
             time.sleep(0.1)
             continue
         time.sleep(draw.uniform(0.2, 8.0))
-        victim = draw.choice(["command", "worker 1", "worker 2", "scheduler"] if cluster else ["command", "worker"])
+        victim = draw.choice(VICTIMS if cluster else ["command", "worker", "worker", "worker"])
         if victim == "command":
             command.kill()
             command.wait()
         elif cluster:
             cluster.kill(victim)
         else:
-            theirs = workers_of(command.pid)
+            while not (theirs := workers_of(command.pid)) and command.poll() is None:
+                time.sleep(0.1)  # it has only begun
             if not theirs:
                 continue
             with suppress(ProcessLookupError):
