@@ -16,7 +16,7 @@ from lidarcfg.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_a
 from lidarcfg.config import Model, load
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
-from lidarcfg.geometry import Array, inverse, transform
+from lidarcfg.geometry import Array, inverse
 from lidarcfg.inputs import check_regular
 from lidarcfg.packets.codec import pattern
 from lidarcfg.placement.study import Study, load_study
@@ -181,10 +181,8 @@ def load_stage(
         clouds.extend(decode_pcap(path, on_warning, rigs[0] if rigs else None, model, selection=selection))
     if clouds and not any(len(cloud.xyz) for cloud in clouds):
         raise CloudError(f"{(captures or of('cloud'))[0]}: the cloud is empty")
-    cloud, T_world_vehicle = _deskewed(clouds, trajectory)
-    bad = np.flatnonzero(~np.isfinite(cloud.xyz).all(axis=1))
-    if len(bad):
-        raise CloudError(f"point {bad[0]} of the merged cloud is not finite")
+    T_start_vehicle = _first_pose(clouds, trajectory)
+    cloud = _merged(clouds, trajectory, T_start_vehicle)
     if truth and not clouds:
         raise ConfigError(f"{truth}: is ground truth of a capture; give that, too")
     if truth and not rigs:
@@ -200,17 +198,18 @@ def load_stage(
         rigs=tuple(rigs),
         study=loaded,
         scenes=tuple(load_scene(path) for path in of("scene")),
-        T_world_vehicle=T_world_vehicle,
+        T_world_vehicle=trajectory.T_world_start @ T_start_vehicle,
         drive=trajectory,
         body=body,
         source=source,
     )
 
 
-def _deskewed(clouds: list[PointCloud], trajectory: Trajectory) -> tuple[PointCloud, Array]:
-    """All points in the vehicle frame of the first one's time, and T_world_vehicle (4, 4) then. Raises ConfigError."""
+def _first_pose(clouds: list[PointCloud], trajectory: Trajectory) -> Array:
+    """(4, 4) where the vehicle is at the time of the first point, from its start. Raises ConfigError."""
+    T = np.eye(4)
     if trajectory.path.is_static:
-        return (clouds[0] if len(clouds) == 1 else concatenate(clouds)), trajectory.T_world_start
+        return T
     times = [int(end) for cloud in clouds if len(cloud.xyz) for end in (cloud.time_ns.min(), cloud.time_ns.max())]
     for time_ns in (min(times), max(times)) if times else ():
         if not near(time_ns, trajectory.zero_ns):
@@ -219,10 +218,27 @@ def _deskewed(clouds: list[PointCloud], trajectory: Trajectory) -> tuple[PointCl
                 f"a point is {abs(seconds):.6g} s {'after' if seconds > 0 else 'before'} the trajectory's start; "
                 f"allowed: at most {APART_S:g} s after it; say with --start when it starts"
             )
-    T_world_vehicle = trajectory.pose(min(times, default=first_ns(trajectory)))
-    T = inverse(T_world_vehicle)
-    moved = [replace(one, xyz=transform(T, trajectory.world(one.xyz, one.time_ns))) for one in clouds]
-    return (moved[0] if len(moved) == 1 else concatenate(moved)), T_world_vehicle
+    R, t = trajectory.motion(np.array([min(times, default=first_ns(trajectory))]))
+    T[:3, :3], T[:3, 3] = R[0], t[0]
+    return T
+
+
+def _merged(clouds: list[PointCloud], trajectory: Trajectory, T_start_vehicle: Array) -> PointCloud:
+    """All points, of a vehicle that drives deskewed into its frame at this pose. Raises ConfigError, CloudError."""
+    if not trajectory.path.is_static:
+        T = inverse(T_start_vehicle)
+        clouds = [replace(one, xyz=_moved(T, *trajectory.motion(one.time_ns), one.xyz)) for one in clouds]
+    cloud = clouds[0] if len(clouds) == 1 else concatenate(clouds)
+    bad = np.flatnonzero(~np.isfinite(cloud.xyz).all(axis=1))
+    if len(bad):
+        raise CloudError(f"point {bad[0]} of the merged cloud is not finite")
+    return cloud
+
+
+def _moved(T: Array, R: Array, t: Array, points: Array) -> Array:
+    """Points (n, 3), each moved by its R (n or 1, 3, 3) and t (n, 3), and then all by T (4, 4)."""
+    each = np.einsum("nij,nj->ni", np.broadcast_to(R, (len(points), 3, 3)), points) + t
+    return np.asarray(np.einsum("ij,nj->ni", T[:3, :3], each) + T[:3, 3])
 
 
 def _first_choices(study: Study) -> str:

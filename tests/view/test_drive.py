@@ -100,6 +100,16 @@ def test_all_points_lie_where_they_were_hit(stage):
     assert (np.bincount(nearest.argmin(axis=0), minlength=4) > 100).all()
 
 
+def test_far_from_the_origin_nothing_is_lost(here, stage):
+    """At UTM coordinates points and sensors are the same, bit for bit: the page's frame is the vehicle's."""
+    paths, known = recorded([here / "drive.pcap"], Recorded(at="450000,5400000,20"), pytest.fail)
+    drive = load_trajectory(known.trajectory, known.at, nanoseconds(known.start))
+    far = load_stage(paths[:1], known.rig, None, drive, no_warning)
+    assert (far.cloud.xyz == stage.cloud.xyz).all()
+    assert far.T_world_vehicle[:2, 3] - stage.T_world_vehicle[:2, 3] == pytest.approx([449999, 5399998], abs=1e-8)
+    assert tracks(far, timeline(far))[0] == pytest.approx(tracks(stage, timeline(stage))[0], abs=1e-8)
+
+
 def test_the_frames_have_the_vehicle_and_the_objects_where_they_are(stage):
     """At the middle of each frame of 100 ms: on the arc, and where constant velocities lead."""
     line = timeline(stage)

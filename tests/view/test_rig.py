@@ -108,6 +108,16 @@ def test_any_layout(tmp_path, text):
     assert all(part in raw.decode() for part in ("# a", "# b", "# ä") if part in text)
 
 
+def test_examples_that_are_installed_are_not_written(tmp_path, monkeypatch):
+    found, rig = source(tmp_path / "rig.yaml", RIG)
+    monkeypatch.setattr("lidarcfg.__file__", str(tmp_path / "__init__.py"))
+    with pytest.raises(
+        ConfigError, match=r"rig.yaml: comes with lidarcfg and is not changed; download the rig instead"
+    ):
+        found.saved(poses_of(rig) + 0.01)
+    assert found.path.read_text() == RIG
+
+
 def test_files_that_are_not_written(tmp_path):
     """Changed meanwhile, gone, read-only, or with numbers that stand for others: one line says so, nothing is written."""
     found, rig = source(tmp_path / "rig.yaml", RIG)
