@@ -43,7 +43,7 @@ FILE_COLUMNS = {
     "after": "<i4",
     "raw": "|u1",
 }
-KEYS = "name", "sensor", "return_mode", "firings", "packets", "size"  # what is said of a source
+KEYS = "name", "sensor", "return_mode", "firings", "packets", "size", "more"  # what is said of a source
 ANY_RANGE = Reported(source="as recorded", min_m=0, max_m=COORDINATE_MAX_M)
 
 OnWarning = Callable[[str], None]
@@ -67,9 +67,9 @@ class Source:
 
     def packets(self) -> Octets:
         """(P, size): what its firings make, whatever limits of range exports keep."""
-        measured = self.sensor.range
-        assert measured
-        sensor = self.sensor.model_copy(update={"range": measured.model_copy(update={"reported": ANY_RANGE})})
+        sensor = self.sensor
+        if sensor.range:
+            sensor = sensor.model_copy(update={"range": sensor.range.model_copy(update={"reported": ANY_RANGE})})
         mount = Mount(
             name=self.name,
             sensor=sensor,
@@ -90,18 +90,18 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
 
     Sources whose family has no way back from packets to firings are kept as they are, with a warning.
     """
-    records, sources = read_records(capture), list[dict[str, Any]]()
+    records, sources, kept = read_records(capture), list[dict[str, Any]](), list[str]()
     arrays: dict[str, NDArray[Any]] = {}
     counted = Counted(0, 0, 0)
     for recorded in Capture(capture, on_warning, model=model).sources():
         mine = records.of(recorded.name, recorded.packets.shape[1])
         if not len(mine.packets):
-            on_warning(f"{capture}: {recorded.name}: packets in IP fragments are kept as they are")
+            kept.append(f"{recorded.name}: its packets came in IP fragments")
             continue
         try:
             found = codec(recorded.sensor).measurements(recorded.source, mine.packets, mine.host_ns)
         except ConfigError as error:
-            on_warning(f"{capture}: {recorded.name}: {error}; they are kept as they are")
+            kept.append(f"{recorded.name}: {error}")
             continue
         one = Source(recorded.name, recorded.sensor, found)
         columns = _columns(one, mine.packets)
@@ -111,7 +111,9 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
         rest = counted.rest + len(columns["rest"])
         counted = Counted(counted.firings + len(columns["laser"]), counted.packets + len(mine.packets), rest)
     if not sources:
-        raise ConversionError(f"{capture}: no packets that can be taken apart into firings")
+        raise ConversionError(f"{capture}: nothing can be taken apart into firings; {'; '.join(kept)}")
+    if kept:
+        on_warning(f"{capture}: what is not taken apart is kept as it is; {'; '.join(kept)}")
     arrays |= {**records.arrays(), "sources": np.array(json.dumps({"version": VERSION, "sources": sources}))}
     with replacing(path, "wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
@@ -124,12 +126,14 @@ def save_capture(path: Path, firings: Path) -> int:
     Raises LidarcfgError.
     """
     said = _read_said(firings)
-    columns = read_arrays(firings, (*FILE_COLUMNS, *(f"{i}/{key}" for i in range(len(said)) for key in COLUMNS)))
+    names = [f"{i}/{key}" for i, one in enumerate(said) for key in (*COLUMNS, *(f"more/{key}" for key in one["more"]))]
+    columns = read_arrays(firings, (*FILE_COLUMNS, *names))
     records = {key: _checked(firings, columns, key, kind) for key, kind in FILE_COLUMNS.items()}
     parts = []
     for number, one in enumerate(said):
         mine = {key: _checked(firings, columns, f"{number}/{key}", kind) for key, kind in COLUMNS.items()}
-        parts.append(_packets(firings, number, one, mine))
+        more = {key: _more(firings, columns, f"{number}/more/{key}", kind) for key, kind in one["more"].items()}
+        parts.append(_packets(firings, number, one, mine, more))
     with replacing(path, "wb") as file:
         for piece in pieces(firings, records, parts):
             file.write(piece)
@@ -146,7 +150,8 @@ def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
     made = one.packets().ravel()
     rest_at = np.flatnonzero(made != recorded.ravel())
     fired, batch = one.found.batch.firings, one.found.batch
-    return {
+    more = {f"more/{key}": value for key, value in one.found.more.items()}
+    return more | {
         "time_ns": fired.time_ns,
         "laser": fired.laser,
         "encoder_rad": fired.encoder_rad,
@@ -168,6 +173,7 @@ def _said(one: Source, size: int) -> dict[str, Any]:
         "firings": len(one.found.range_m),
         "packets": len(one.found.batch.number),
         "size": size,
+        "more": {key: [value.dtype.str, value.shape] for key, value in one.found.more.items()},
     }
 
 
@@ -177,7 +183,9 @@ def _read_said(path: Path) -> list[dict[str, Any]]:
     try:
         said = json.loads(str(found))
         sources = [dict(one) for one in said["sources"]]
-        known = said["version"] == VERSION and all({*one} == {*KEYS} for one in sources)
+        known = said["version"] == VERSION and all(
+            {*one} == {*KEYS} and isinstance(one["more"], dict) for one in sources
+        )
     except (ValueError, TypeError, KeyError):
         known = False
     if not known:
@@ -196,7 +204,21 @@ def _checked(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: st
     return found
 
 
-def _packets(path: Path, number: int, said: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> Octets:
+def _more(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: Any) -> NDArray[Any]:
+    """A column of a family's own, as it was recorded but for its values."""
+    found = columns.get(key)
+    if found is None or [found.dtype.str, list(found.shape)] != kind:
+        raise CloudError(f"{path}: {key}: missing, or of another type or shape than recorded")
+    return found
+
+
+def _packets(
+    path: Path,
+    number: int,
+    said: Mapping[str, Any],
+    columns: Mapping[str, NDArray[Any]],
+    more: Mapping[str, NDArray[Any]],
+) -> Octets:
     """(P, size): the packets of a source."""
     sensor = loads(json.dumps(said["sensor"]), Sensor, f"{path}: {number}/sensor")
     lengths = {"number": "packets", "host_ns": "packets", "rest_at": "", "rest": ""}
@@ -223,7 +245,7 @@ def _packets(path: Path, number: int, said: Mapping[str, Any], columns: Mapping[
         )
     fired = Firings(columns["time_ns"], columns["laser"], columns["encoder_rad"])
     batch = Batch(fired, columns["number"], columns["host_ns"])
-    found = Measurements(said["return_mode"], batch, columns["range_m"], columns["reflectivity"])
+    found = Measurements(said["return_mode"], batch, columns["range_m"], columns["reflectivity"], more)
     made = Source(str(said["name"]), sensor, found).packets()
     if made.shape != (said["packets"], said["size"]):
         raise ConversionError(f"{path}: {number}: its firings make packets of another number or size than recorded")

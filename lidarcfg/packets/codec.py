@@ -5,7 +5,7 @@ A family is a subclass of `Codec`, entered in `FAMILIES`. Outside `packets/` nob
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
@@ -62,6 +62,7 @@ class Measurements:
     batch: Batch
     range_m: Array  # (N, R) inf: no return
     reflectivity: Octets  # (N, R) also where there is no return
+    more: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # what a family's packets say besides
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cli import cli
 from lidarcfg.cloud import concatenate
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.formats.firings import save_capture
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.export import export, in_time_order
@@ -30,6 +32,15 @@ HESAI = {  # the state of the sensor: docs/hesai.md
     "hesai/nebula_xt32": {*range(1052, 1062), 1063},
     "hesai/nebula_xt16": {*range(540, 550), 551},
     "hesai/nebula_qt128": {1045, *range(1057, 1064), *range(1067, 1070), *range(1091, 1095)},
+}
+
+
+OUSTER = {  # whether pixels have bits that are in no field of the profile
+    "OS-0-32-U1_v2.2.0_1024x10": False,
+    "OS-1-128_767798045_1024x10_20230712_120049": False,
+    "OS-2-128-U1_v2.3.0_1024x10": True,
+    "OS-2-32-U0_v2.0.0_1024x10": True,
+    "crc_test": False,
 }
 
 
@@ -75,6 +86,37 @@ def test_a_helios_comes_back_whole(tmp_path):
         if at % 1248 in intensities:
             packet = payloads[at // 1248]
             assert packet[at % 1248 - 2 : at % 1248] == b"\0\0"
+
+
+@pytest.mark.parametrize("name", OUSTER)
+def test_ousters_come_back_whole(name, tmp_path):
+    """CRCs, states, all fields; ranges are those of the points that decoding makes."""
+    path = recording(f"ouster/{name}.pcap")
+    columns, back = there_and_back(path, tmp_path)
+    assert back.read_bytes() == path.read_bytes()
+    assert bool(len(columns["0/rest"])) == OUSTER[name]
+    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    valid = np.repeat(columns["0/more/valid"].ravel(), len(columns["0/laser"]) // columns["0/more/valid"].size)
+    returned = np.isfinite(columns["0/range_m"]) & valid[:, None]
+    assert returned.sum() == len(cloud.xyz)
+    assert sorted(columns["0/reflectivity"][returned]) == sorted(cloud.intensity)
+    columns["0/more/said"] = np.array(str(columns["0/more/said"]).replace("columns_per_packet", "columns"))
+    np.savez(tmp_path / "b.npz", **columns)
+    with pytest.raises(LidarcfgError, match="0/more/said: missing, or of another type"):
+        save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
+    columns["0/more/said"] = np.array(str(columns["0/more/said"]).replace('"columns"', '"columns_per_pocket"'))
+    np.savez(tmp_path / "b.npz", **columns)
+    with pytest.raises(LidarcfgError, match="what is said of an Ouster's packets makes no sense"):
+        save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
+
+
+def test_fragments_are_kept(tmp_path):
+    path = recording("ouster/same_ports_legacy.pcap")
+    with pytest.raises(
+        LidarcfgError, match=r"nothing can be taken apart into firings; .*its packets came in IP fragments"
+    ):
+        converted(path, "-o", tmp_path / "a.npz")
+    assert not (tmp_path / "a.npz").exists()
 
 
 def test_firings_by_hand(tmp_path):
@@ -221,9 +263,6 @@ def test_files_that_are_wrong(tmp_path, change, message):
     columns, _ = there_and_back(tmp_path / "a.pcap", tmp_path)
     change(columns)
     np.savez(tmp_path / "b.npz", **columns)
-    from lidarcfg.errors import LidarcfgError
-    from lidarcfg.formats.firings import save_capture
-
     with pytest.raises(LidarcfgError) as caught:
         save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
     assert message in str(caught.value)

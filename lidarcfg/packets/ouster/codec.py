@@ -9,7 +9,19 @@ import numpy as np
 from lidarcfg.errors import PacketError
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Codec, Decoder, Flags, Known, Octets, Pace, Payloads, Source, Times
+from lidarcfg.packets.codec import (
+    Batch,
+    Codec,
+    Decoder,
+    Flags,
+    Known,
+    Measurements,
+    Octets,
+    Pace,
+    Payloads,
+    Source,
+    Times,
+)
 from lidarcfg.packets.ouster.facts import Facts, Settings, mode, unit
 from lidarcfg.packets.ouster.layout import PROFILES, TICKS, Layout, heads
 from lidarcfg.packets.ouster.metadata import Metadata, read, written
@@ -87,6 +99,18 @@ class Ouster(Codec):
     def companions(self, mount: "Mount") -> Mapping[str, bytes]:
         """The metadata."""
         return {SUFFIX: written(self.unit, mode(self.unit.sensor, mount), mount)}
+
+    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
+        """See `Codec`; the layout is the metadata's."""
+        from lidarcfg.packets.ouster.firings import measurements
+
+        return measurements(_of(source, packets).layout, packets, host_ns)
+
+    def packed(self, mount: "Mount", found: Measurements) -> Octets:
+        """See `Codec`."""
+        from lidarcfg.packets.ouster.firings import packed
+
+        return packed(found)
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
