@@ -32,6 +32,9 @@ COLOUR_OF = {  # by what an object's name has, the first that fits
     "lamp": (90, 95, 100),
     "bin": (70, 90, 80),
     "parked": (80, 110, 160),
+    "body": (122, 150, 196),
+    "ground": (222, 222, 218),
+    "lidar": (40, 42, 48),
     "driveway": (165, 70, 60),
 }
 OTHER, ROAD, ROAD_M = (190, 190, 190), (112, 114, 118), 3.6
@@ -75,15 +78,30 @@ def picture(scene: Scene, camera: Camera, road_m: Array) -> Image.Image:
 def _rays(camera: Camera) -> Array:
     """Unit vectors (pixels, 3), row by row, SOFT × SOFT a pixel."""
     width, height = (SOFT * side for side in camera.pixels)
+    ahead, right, up = _axes(camera)
+    wide = np.tan(np.radians(camera.fov_deg) / 2)
+    x = (np.arange(width) + 0.5 - width / 2) * 2 * wide / width
+    y = (height / 2 - np.arange(height) - 0.5) * 2 * wide / width
+    way = ahead + x[:, None] * right + y[:, None, None] * up
+    return np.asarray((way / np.linalg.norm(way, axis=-1, keepdims=True)).reshape(-1, 3))
+
+
+def seen_at(camera: Camera, points_m: Array) -> Array:
+    """(N, 2): the pixels at which a camera sees points (N, 3)."""
+    ahead, right, up = _axes(camera)
+    x, y, far = ((np.asarray(points_m) - camera.eye_m) @ np.stack([right, up, ahead], axis=1)).T
+    width, height = camera.pixels
+    scale = width / 2 / np.tan(np.radians(camera.fov_deg) / 2) / far
+    return np.stack([width / 2 + x * scale, height / 2 - y * scale], axis=1)
+
+
+def _axes(camera: Camera) -> tuple[Array, Array, Array]:
+    """Unit vectors: ahead, to the right, up."""
     ahead = np.subtract(camera.target_m, camera.eye_m).astype(np.float64)
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, (0, 0, 1))
     right /= np.linalg.norm(right)
-    wide = np.tan(np.radians(camera.fov_deg) / 2)
-    x = (np.arange(width) + 0.5 - width / 2) * 2 * wide / width
-    y = (height / 2 - np.arange(height) - 0.5) * 2 * wide / width
-    way = ahead + x[:, None] * right + y[:, None, None] * np.cross(right, ahead)
-    return np.asarray((way / np.linalg.norm(way, axis=-1, keepdims=True)).reshape(-1, 3))
+    return ahead, right, np.cross(right, ahead)
 
 
 def _colour(name: str) -> tuple[int, int, int]:

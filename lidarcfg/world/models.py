@@ -1,6 +1,7 @@
 """glTF files of several nodes, each of which becomes an object. Read by trimesh."""
 
 import struct
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import groupby
@@ -47,12 +48,13 @@ def model_objects(item: "GltfModel", folder: Path) -> list[tuple["GltfModel", Me
     parts = read_parts(path)
     _check_known(path, "node", item.nodes or (), sorted({part.node for part in parts}))
     _check_known(path, "material", item.materials, sorted({part.material for part in parts} - {""}))
+    wanted = None if item.nodes is None else set(item.nodes)
+    materials = Counter(part.node for part in parts)
     out: list[tuple[GltfModel, Mesh]] = []
     for part in parts:
-        if item.nodes is None or part.node in item.nodes:
-            several = sum(other.node == part.node for other in parts) > 1
+        if wanted is None or part.node in wanted:
             values = {
-                "name": f"{item.name}/{part.node}" + f"/{part.material}" * several,
+                "name": f"{item.name}/{part.node}" + f"/{part.material}" * (materials[part.node] > 1),
                 "reflectivity": item.materials.get(part.material, item.reflectivity),
             }
             out.append((item.model_copy(update=values), placed(part.mesh, item)))

@@ -1,6 +1,5 @@
 """A scene: the surroundings of the vehicle in the world frame, from a YAML file."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -221,10 +220,11 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     objects += [(box, box_mesh(box)) for box in file.boxes]
     objects += [(item, NO_MESH) for item in (*file.spheres, *file.cylinders)]
     objects += [(plane, plane_mesh(plane)) for plane in file.planes]
+    taken = {getattr(item, "name", GROUND) for item, _ in objects}
     for kind in FILES:
         for i, item in enumerate(getattr(file, kind)):
             try:
-                objects += _unlike(_from_file(item, path.parent), objects)
+                objects += _unlike(_from_file(item, path.parent), taken)
             except SceneError as error:
                 raise error_at(path, (*at, kind, i, "file"), error) from None
     if not objects:
@@ -243,11 +243,13 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     )
 
 
-def _unlike(made: list[Placed], objects: Sequence[Placed]) -> list[Placed]:
-    """What is made from a file, if no object has one of its names. Raises SceneError."""
-    names = [getattr(item, "name", GROUND) for item, _ in (*objects, *made)]
-    if twice := next((name for name in names[len(objects) :] if names.count(name) > 1), None):
-        raise SceneError(f"{twice!r} would be two objects; each name may be given once")
+def _unlike(made: list[Placed], taken: set[str]) -> list[Placed]:
+    """What is made from a file, if no object has one of its names; they are taken then. Raises SceneError."""
+    for item, _ in made:
+        name = getattr(item, "name", GROUND)
+        if name in taken:
+            raise SceneError(f"{name!r} would be two objects; each name may be given once")
+        taken.add(name)
     return made
 
 

@@ -1,0 +1,283 @@
+"""Draw docs/pictures/: what a subspace is, axes and angles, a mounted vehicle, a height field, the data's way.
+
+Usage: .venv/bin/python tools/draw_concepts.py [NAME …]
+"""
+
+import sys
+import tempfile
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from draw_scenes import Camera, picture, save, seen_at
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.patches import FancyBboxPatch
+from PIL import ImageDraw
+
+from lidarcfg.geometry import pose, rotation, transform
+from lidarcfg.placement.cones import Lidar, gaps_at, lidar
+from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import segment
+from lidarcfg.report.plots import COLOURS, new_figure, save_figure
+from lidarcfg.rig import load_rig
+from lidarcfg.world.meshes import read_mesh
+from lidarcfg.world.scene import load_scene
+
+ROOT = Path(__file__).parent.parent
+FOLDER = ROOT / "docs/pictures"
+PALE = ("#cfe3f3", "#f9e3b4", "#c3e8da", "#f0d6e4", "#dcdcdc", "#fad4c0", "#f6f0b8", "#d9d2ec")
+BEAMS_DEG = (-25.0, -12.0, 0.0, 12.0)
+REGION = Region.from_boxes((-8, -0.05, 0), (8, 0.05, 4), (0.1, 0.1, 0.1))  # one cuboid thick: a section
+SENSORS = tuple(lidar((x, 0, 1.9), (0, 0, 0), np.sin(np.radians(BEAMS_DEG))) for x in (-2.5, 2.5))
+
+
+def subspace(path: Path) -> None:
+    """A section through a region with two LiDARs of four beams: beams, the gaps of one, the subspaces of both."""
+    figure = new_figure(8.5, 8)
+    axes = figure.subplots(3, 1, sharex=True)
+    x, _, z = REGION.centres()
+    points = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
+    gaps = gaps_at(points, SENSORS[0]).reshape(len(x), len(z))
+    both = segment(REGION, SENSORS)
+    worst = int(vsr_m(both).argmax())
+    labels = both.label[:, 0]
+    _cuboids(axes[0], np.zeros_like(gaps), ["#ffffff"])
+    axes[0].set_title("1. Two LiDARs, four beams each, cut the region.")
+    _cuboids(axes[1], gaps, list(PALE[:5]))
+    for number in range(5):
+        i, k = np.argwhere((gaps == number) & (x[:, None] > -1)).mean(axis=0)
+        axes[1].text(-8 + i / 10, k / 10, str(number), ha="center", va="center")
+    axes[1].set_title("2. Beam gap index for the left LiDAR: how many of its beams pass at or below a cuboid's centre.")
+    _cuboids(axes[2], _coloured(labels), [*PALE, COLOURS[5]], labels == worst)
+    axes[2].set_title(
+        f"3. Connected cuboids of equal indices are a subspace: {len(both)} here. Red: the largest VSR, the worst."
+    )
+    for axis in axes:
+        for one, colour in zip(SENSORS, (COLOURS[0], COLOURS[1]), strict=True):
+            _beams(axis, one, colour if axis is not axes[1] or one is SENSORS[0] else "none")
+        axis.set(xlim=(-8, 8), ylim=(0, 4), aspect="equal", ylabel="z [m]")
+    axes[2].set_xlabel("x [m]")
+    save_figure(figure, path)
+
+
+def _coloured(labels: np.ndarray) -> np.ndarray:
+    """Colours for subspaces, such that no two that touch have the same."""
+    out = np.full(labels.max() + 1, -1)
+    touching = {
+        tuple(sorted(pair))
+        for a, b in ((labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1]))
+        for pair in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True)
+        if pair[0] != pair[1]
+    }
+    for number in range(len(out)):
+        taken = {out[a if b == number else b] for a, b in touching if number in (a, b)}
+        out[number] = next(c for c in range(len(out)) if c not in taken)
+    return out[labels]
+
+
+def _cuboids(axis: Axes, values: np.ndarray, colours: list[str], worst: np.ndarray | None = None) -> None:
+    """Squares of the section in the colours of their values; the worst subspace in the last colour."""
+    shown = values % (len(colours) - (worst is not None))
+    if worst is not None:
+        shown = np.where(worst, len(colours) - 1, shown)
+    image = ListedColormap(colours)(shown.T.astype(int))
+    axis.imshow(image, origin="lower", extent=(-8, 8, 0, 4), interpolation="nearest")
+
+
+def _beams(axis: Axes, one: Lidar, colour: str) -> None:
+    """A LiDAR and its beams in the section, to both sides."""
+    x, z = one.position_m[[0, 2]]
+    for sine in one.sin_elevation:
+        for side in (-1, 1):
+            axis.plot([x, x + side * 20 * np.sqrt(1 - sine**2)], [z, z + 20 * sine], color=colour, linewidth=1)
+    if colour != "none":
+        axis.plot(x, z, "o", color=colour, markersize=7, markeredgecolor="black")
+
+
+def axes_and_angles(path: Path) -> None:
+    """The vehicle frame from above, from the left and from behind, and which way positive angles turn a sensor."""
+    vertices, triangles = read_mesh(ROOT / "data/vehicles/sedan.ply")
+    views = (
+        ("from above: positive yaw\nturns left", 0, 1, "yaw", (0, 0, 30), (0.0, 0.0)),
+        ("from the right: positive pitch\nlooks down", 0, 2, "pitch", (0, 20, 0), (0.0, 1.75)),
+        ("from behind: positive roll\nlifts the left side", 1, 2, "roll", (20, 0, 0), (0.0, 1.75)),
+    )
+    figure = new_figure(11, 4.2)
+    panels = figure.subplots(1, 3, width_ratios=(1.35, 1.35, 1))
+    for axis, (title, across, up, name, rpy_deg, place) in zip(panels, views, strict=True):
+        axis.tripcolor(
+            vertices[:, across], vertices[:, up], triangles, np.zeros(len(triangles)), cmap=ListedColormap(["#e3e7ec"])
+        )
+        R = rotation(np.radians(rpy_deg))
+        for number, (letter, colour) in enumerate(zip("xyz", (COLOURS[5], COLOURS[2], COLOURS[0]), strict=True)):
+            _arrow(axis, (0, 0), np.eye(3)[number][[across, up]] * 1.6, letter, colour, "-")
+            _arrow(axis, place, R[:, number][[across, up]] * 0.9, "", colour, "--")
+        axis.plot(*place, "ko", markersize=6)
+        axis.annotate(
+            f"a sensor with\n{name} {max(rpy_deg)}°", place, (place[0] - 0.35, place[1] + 0.95), ha="right", fontsize=9
+        )
+        axis.set(aspect="equal", title=title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]")
+        axis.title.set_fontsize(10)
+        axis.set_ylim((-2.2, 2.2) if up == 1 else (-0.4, 3.3))
+        if across == 1:
+            axis.set_xlim(2.2, -2.2)  # seen from behind, y points left
+        else:
+            axis.set_xlim(-2.8, 2.8)
+    save_figure(figure, path)
+
+
+def _arrow(axis: Axes, start: tuple[float, float], along: np.ndarray, name: str, colour: str, line: str) -> None:
+    """An arrow with a name at its tip; of an axis that points at the eye, a ring."""
+    if np.hypot(*along) < 0.05:
+        axis.plot(*start, "o", markersize=9, markerfacecolor="none", markeredgecolor=colour)
+        return
+    end = np.add(start, along)
+    axis.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": colour, "linestyle": line, "linewidth": 1.8})
+    axis.text(*np.add(start, 1.1 * along), name, color=colour, ha="center", va="center", fontweight="bold")
+
+
+def mounted(path: Path) -> None:
+    """The saloon with the rig of data/rigs/roof.yaml and a sensor in the front bumper, named."""
+    rig = load_rig(ROOT / "data/rigs/roof.yaml")
+    sensors = {mount.name: mount.T_vehicle_sensor for mount in rig.mounts}
+    sensors["front"] = pose((2.47, 0.0, 0.6), (0.0, 0.0, 0.0))
+    lines = ["name: car", "ground: {z_m: 0, reflectivity: 10}", "meshes:"]
+    lines.append(
+        f"  - {{name: body, file: {ROOT / 'data/vehicles/sedan.ply'}, position_m: [0, 0, 0], reflectivity: 20}}"
+    )
+    lines.append("cylinders:")
+    for name, T in sensors.items():
+        base = [round(float(value), 3) for value in T[:3, 3] - (0, 0, 0.036)]
+        lines.append(f"  - {{name: lidar_{name}, base_m: {base}, radius_m: 0.052, height_m: 0.072, reflectivity: 20}}")
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "scene.yaml").write_text("\n".join(lines))
+        scene = load_scene(Path(folder) / "scene.yaml")
+    camera = Camera((6.0, -4.6, 3.0), (0.3, 0.1, 0.95), 38, (900, 520))
+    image = picture(scene, camera, np.empty((0, 2)))
+    pen = ImageDraw.Draw(image)
+    colours = {"x": (205, 70, 20), "y": (0, 140, 100), "z": (0, 100, 170)}
+    for name, T in [("vehicle frame", np.eye(4)), *sensors.items()]:
+        size = 1.0 if name == "vehicle frame" else 0.45
+        tips = transform(T, size * np.eye(3))
+        start = tuple(seen_at(camera, T[None, :3, 3])[0])
+        for (letter, colour), tip in zip(colours.items(), seen_at(camera, tips), strict=True):
+            pen.line([start, tuple(tip)], fill=colour, width=3 if size == 1.0 else 2)
+            pen.text((tip[0] + 3, tip[1] - 8), letter, fill=colour, font_size=15, stroke_width=2, stroke_fill="white")
+        pen.text(
+            (start[0] + 8, start[1] + 6), name, fill=(20, 20, 20), font_size=16, stroke_width=2, stroke_fill="white"
+        )
+    save(image, path)
+
+
+def height_field(path: Path) -> None:
+    """A grid of heights: where rows and columns lie, and how cells are cut."""
+    heights = np.array(
+        [[0.0, 0.1, 0.2, 0.1, 0.0], [0.1, 0.6, 0.9, 0.5, 0.1], [0.0, 0.5, 0.8, 0.4, 0.0], [0, 0.1, 0.2, 0.1, 0]]
+    )
+    figure = new_figure(7, 4.6)
+    axis = figure.subplots()
+    rows, columns = heights.shape
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows)[::-1])
+    index = np.arange(rows * columns).reshape(rows, columns)
+    south_west, north_east = index[1:, :-1].ravel(), index[:-1, 1:].ravel()
+    halves = [np.stack([south_west, side.ravel(), north_east], axis=1) for side in (index[1:, 1:], index[:-1, :-1])]
+    axis.tripcolor(
+        x.ravel(), y.ravel(), np.concatenate(halves), heights.ravel(), shading="gouraud", cmap="YlGn", alpha=0.6
+    )
+    for row in range(rows):
+        axis.text(columns - 0.55, rows - 1 - row, f"row {row}", va="center")
+    for column in range(columns):
+        axis.text(column, rows - 0.55, f"column {column}", ha="center")
+    for a, b in pairwise(range(columns)):
+        for c, d in pairwise(range(rows)):
+            axis.plot([a, b], [c, d], color="0.45", linewidth=0.8)
+    axis.vlines(np.arange(columns), 0, rows - 1, "0.45", linewidth=0.8)
+    axis.hlines(np.arange(rows), 0, columns - 1, "0.45", linewidth=0.8)
+    for i, j, height in zip(x.ravel(), y.ravel(), heights.ravel(), strict=True):
+        axis.text(
+            i,
+            j,
+            f"{height:g}",
+            ha="center",
+            va="center",
+            bbox={"boxstyle": "round", "facecolor": "white", "linewidth": 0.5},
+        )
+    axis.plot(0, 0, "o", markersize=26, markerfacecolor="none", markeredgecolor=COLOURS[5], markeredgewidth=2)
+    axis.annotate("position_m", (0, 0), (-0.75, -0.62), color=COLOURS[5], fontweight="bold")
+    axis.annotate("", (1, -0.35), (0, -0.35), arrowprops={"arrowstyle": "<->"})
+    axis.text(0.5, -0.62, "cell_m", ha="center")
+    _arrow(axis, (3.9, -0.75), np.array([0.5, 0.0]), "x", COLOURS[5], "-")
+    _arrow(axis, (3.9, -0.75), np.array([0.0, 0.5]), "y", COLOURS[2], "-")
+    axis.set(xlim=(-0.9, columns), ylim=(-0.85, rows - 0.3), aspect="equal")
+    axis.axis("off")
+    save_figure(figure, path)
+
+
+BOXES = {  # what it is: place, size, colour, text
+    "study": (0.2, 5.0, "file", "study.yaml\nregion, sensors with bounds,\nobjects, vehicle"),
+    "optimize": (3.5, 5.0, "command", "optimize\nevaluate, compare, sweep"),
+    "rig": (6.6, 5.0, "file", "rig.yaml\nmodels, poses, network,\nvehicle"),
+    "report": (6.6, 6.7, "file", "report.html, result.json\nmax VSR, detection,\nblind spots"),
+    "sensors": (0.2, 6.7, "file", "sensors/*.yaml\nbeams, firing, range"),
+    "scene": (3.5, 3.3, "file", "scene.yaml\nground, objects, weather;\ntrajectory"),
+    "export": (6.6, 3.3, "command", "export\nrays, echoes, packets"),
+    "pcap": (6.6, 1.6, "file", "capture.pcap\npackets as the sensors\nsend them"),
+    "truth": (9.7, 3.3, "file", "truth.npz\nwhat each return hit"),
+    "decode": (3.5, 1.6, "command", "decode\nmerge, deskew"),
+    "replay": (9.7, 1.6, "command", "replay\nto your driver, by UDP"),
+    "cloud": (0.2, 1.6, "file", "cloud.ply .pcd .npz\none point a return"),
+    "convert": (6.6, -0.1, "command", "convert\nROS 2, MCAP, LAS, KITTI …"),
+    "view": (0.2, -0.1, "command", "view\npage, still, window"),
+    "urdf": (9.7, 5.0, "command", "convert\nURDF, launch, CARLA …"),
+}
+ARROWS = (
+    *(("sensors", "optimize"), ("study", "optimize"), ("optimize", "rig"), ("optimize", "report"), ("rig", "export")),
+    *(("scene", "export"), ("export", "truth"), ("export", "pcap"), ("pcap", "decode"), ("pcap", "replay")),
+    *(("decode", "cloud"), ("cloud", "view"), ("pcap", "convert"), ("rig", "urdf")),
+)
+FILLS = {"file": "#eaf2fa", "command": "#fbeccb"}
+WIDE, HIGH = 2.6, 1.1
+
+
+def data(path: Path) -> None:
+    """The files (blue) and the commands (yellow) between them."""
+    figure = new_figure(10.5, 6.4)
+    axis = figure.subplots()
+    for x, y, kind, text in BOXES.values():
+        style = "round,pad=0.02,rounding_size=0.1" if kind == "file" else "round,pad=0.02,rounding_size=0.5"
+        axis.add_patch(FancyBboxPatch((x, y), WIDE, HIGH, boxstyle=style, facecolor=FILLS[kind], edgecolor="0.4"))
+        first, _, rest = text.partition("\n")
+        axis.text(x + WIDE / 2, y + HIGH - 0.25, first, ha="center", va="center", fontweight="bold", fontsize=10)
+        axis.text(x + WIDE / 2, y + 0.38, rest, ha="center", va="center", fontsize=8.5)
+    for one, other in ARROWS:
+        (ax, ay), (bx, by) = (np.add(BOXES[name][:2], (WIDE / 2, HIGH / 2)) for name in (one, other))
+        level = abs(bx - ax) > 1
+        side, up = np.sign(bx - ax) * WIDE / 2 * level, np.sign(by - ay) * HIGH / 2 * (not level)
+        start, end = (ax + side, ay + up), (bx - side, by - up)
+        axis.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "0.25", "linewidth": 1.4})
+    axis.set(xlim=(0, 12.5), ylim=(-0.3, 8.0), aspect="equal")
+    axis.axis("off")
+    save_figure(figure, path)
+
+
+PICTURES = {
+    "subspace": subspace,
+    "axes": axes_and_angles,
+    "mounted": mounted,
+    "height-field": height_field,
+    "data": data,
+}
+
+
+def main() -> None:
+    """All pictures, or those that are named."""
+    FOLDER.mkdir(exist_ok=True)
+    for name in sys.argv[1:] or PICTURES:
+        PICTURES[name](path := FOLDER / f"{name}.png")
+        print(f"{path.name}: {path.stat().st_size:,} bytes")
+
+
+if __name__ == "__main__":
+    main()
