@@ -32,7 +32,8 @@ from lidarcfg.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catal
 
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
-ReturnMode = Literal["strongest", "last", "first", "dual"]
+ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
+SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
 DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # where neither rig nor sensor says others
@@ -149,6 +150,11 @@ class Mount:
     phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
     settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads
     realism: Realism | None = None  # None: exact
+
+    @property
+    def dual(self) -> bool:
+        """Whether its packets have two returns of a firing."""
+        return self.return_mode not in SINGLE
 
     @property
     def T_vehicle_sensor(self) -> Array:  # noqa: N802

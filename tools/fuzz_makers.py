@@ -29,6 +29,8 @@ OUSTER = {  # profile and return mode
 }
 MADE = [
     *((model, mode, "") for model in (*HESAI, *ROBOSENSE) for mode in ("strongest", "last", "first", "dual")),
+    *((model, mode, "") for model in HESAI for mode in ("first-last", "first-strongest")),
+    ("qt128", "two-strongest", ""),
     *(("os0-32", mode, profile) for profile, mode in OUSTER.items()),
 ]
 RECORDED = 12  # as many recordings at most
@@ -93,7 +95,7 @@ def seed(number: int) -> Seed | None:
     of = mount(*MADE[number])
     maker, rng = codec(of.sensor), np.random.default_rng(number)
     (batch,) = maker.schedule(of, START_NS, PACKETS, PACKETS)
-    shape = len(batch.firings.time_ns), 1 + (of.return_mode == "dual")
+    shape = len(batch.firings.time_ns), 1 + of.dual
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
     returns = maker.encode(of, batch, range_m, rng.integers(0, 256, shape, np.uint8))
     besides = maker.housekeeping(of, standing(np.eye(4)), GeoOrigin(), START_NS, SECOND_NS // 10)

@@ -64,8 +64,10 @@ if TYPE_CHECKING:
     cloup.option("--start", metavar="TIME", help=START_HELP),
     cloup.option(
         "--return-mode",
-        type=click.Choice(["strongest", "last", "first", "dual"]),
-        help="Of every sensor.  [default: the rig's]",
+        type=click.Choice(["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]),
+        metavar="MODE",
+        help="Of every sensor: strongest, last, first or dual; of Hesai's also first-last, first-strongest and "
+        "two-strongest.  [default: the rig's]",
     ),
     cloup.option("--duration", type=PositiveNumber(86_400), metavar="SECONDS", required=True, help="Simulated time."),
 )
@@ -249,10 +251,11 @@ def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":
         return rig
     from dataclasses import replace
 
-    thin = [one.name for one in rig.mounts if not (one.realism and one.realism.divergence)]
-    if return_mode == "dual" and thin:
+    mounts = tuple(replace(one, return_mode=return_mode) for one in rig.mounts)
+    thin = [one.name for one in mounts if one.dual and not (one.realism and one.realism.divergence)]
+    if thin:
         warn(f"{', '.join(thin)}: beams without divergence have one echo, so that both returns are the same")
-    return replace(rig, mounts=tuple(replace(one, return_mode=return_mode) for one in rig.mounts))
+    return replace(rig, mounts=mounts)
 
 
 @cloup.command(

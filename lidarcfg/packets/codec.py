@@ -132,9 +132,20 @@ class Tally:
     rpm: float  # mean; NaN where it is not known
 
 
+TYPES = {
+    "strongest": (0,),
+    "last": (1,),
+    "first": (3,),
+    "dual": (0, 1),
+    "first-last": (3, 1),
+    "first-strongest": (3, 0),
+    "two-strongest": (0, 2),
+}
+
+
 def types(return_mode: str) -> tuple[int, ...]:
     """The types of the returns that a mode reports."""
-    return {"strongest": (0,), "last": (1,), "first": (3,), "dual": (0, 1)}[return_mode]
+    return TYPES[return_mode]
 
 
 class Decoder(Protocol):
@@ -208,8 +219,9 @@ class Codec(Timing, Protocol):
     def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
         """The packets of a batch with ranges (N, R; inf: no return) and reflectivities (N, R).
 
-        R is 2 with dual returns: strongest (or second strongest, if the last is the strongest) and last, equal where
-        there is one return only. Ranges that the sensor or the packet cannot hold are no returns.
+        R is 2 with dual returns: strongest and last, first and last, first and strongest, or strongest and second
+        strongest, equal where there is one return only; if the last, or the first, is the strongest, the second
+        strongest comes with it. Ranges that the sensor or the packet cannot hold are no returns.
         """
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:

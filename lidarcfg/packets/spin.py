@@ -69,12 +69,12 @@ class Spinning(Codec, Protocol):
 
     def pace(self, mount: "Mount") -> Pace:
         """See `Codec`."""
-        spin = self.spin(mount.return_mode == "dual")
+        spin = self.spin(mount.dual)
         return Pace(spin.period_ns, spin.offsets_ns.size)
 
     def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """See `Codec`."""
-        return batches(self.spin(mount.return_mode == "dual"), mount, start_ns, packets, chunk)
+        return batches(self.spin(mount.dual), mount, start_ns, packets, chunk)
 
     def firing_ns(self) -> Times:
         """See `Codec`."""
@@ -83,7 +83,7 @@ class Spinning(Codec, Protocol):
 
     def pattern(self, mount: "Mount") -> Pattern:
         """See `Codec`."""
-        return pattern(self.spin(mount.return_mode == "dual"), mount)
+        return pattern(self.spin(mount.dual), mount)
 
 
 def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: float | None = None) -> Firings:

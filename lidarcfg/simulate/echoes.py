@@ -31,6 +31,15 @@ DECIBEL = 10 / math.log(10)
 # A Gaussian beam by Gauss-Hermite quadrature with three nodes per direction; the divergence is the full angle at 1/e²
 # of the intensity (a guess, the makers do not say), which is four sigma.
 NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
+REPORTED = {  # the candidates that a return mode reports
+    "strongest": [0],
+    "last": [2],
+    "first": [3],
+    "dual": [1, 2],
+    "first-last": [3, 2],
+    "first-strongest": [3, 4],
+    "two-strongest": [0, 5],
+}
 FAINTEST = 1e-30  # power of an echo from a black or edge-on surface: detected unless there is a detection limit
 
 
@@ -46,10 +55,11 @@ class SubRays:
 
 @dataclass(frozen=True)
 class Echoes:
-    """Echoes of N firings, (N, R): the reported ones, or the four candidates.
+    """Echoes of N firings, (N, R): the reported ones, or the six candidates.
 
     The candidates: the strongest; the strongest again, or the second strongest if the strongest is the last; the last;
-    the first.
+    the first; the strongest again, or the second strongest if the strongest is the first; the second strongest, or the
+    strongest again if it is alone.
     """
 
     range_m: Array  # exact; inf: none
@@ -59,13 +69,12 @@ class Echoes:
 
     def reported(self, return_mode: str) -> "Echoes":
         """The echoes that a return mode reports: (N, 1), or for dual returns (N, 2)."""
-        columns = {"strongest": [0], "last": [2], "first": [3], "dual": [1, 2]}[return_mode]
-        return Echoes(*(values[:, columns] for values in vars(self).values()))
+        return Echoes(*(values[:, REPORTED[return_mode]] for values in vars(self).values()))
 
 
 def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
     """Exact echoes of thin beams, (N, 1), or (N, 2) for dual returns: the only echo, twice."""
-    shape = len(range_m), 2 if return_mode == "dual" else 1
+    shape = len(range_m), len(REPORTED[return_mode])
     return Echoes(
         range_m=np.broadcast_to(range_m, shape),
         noise_m=np.broadcast_to(0.0, shape),
@@ -105,7 +114,7 @@ def echoes(
     weights: Array,
     hits: SubRays,
 ) -> Echoes:
-    """All four candidates (N, 4) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
+    """All six candidates (N, 6) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
     count, alpha, objects = len(hits.range_m), extinction_per_m(weather), hits.object
     range_m = np.where(hits.range_m <= sensor.range.reported_m[1], hits.range_m, np.inf)
@@ -179,10 +188,10 @@ def _clusters(
     strongest = ranked[:, 0]
     last = kinds - 1 - np.argmax(seen[:, ::-1], axis=1)
     last = np.where(seen.any(axis=1), last, strongest)
-    second = ranked[:, min(1, kinds - 1)]
-    other = np.where((strongest == last) & (seen.sum(axis=1) > 1), second, strongest)
+    second = np.where(seen.sum(axis=1) > 1, ranked[:, min(1, kinds - 1)], strongest)
     first = np.where(seen.any(axis=1), np.argmax(seen, axis=1), strongest)
-    return _picked(np.stack([strongest, other, last, first], axis=1), mean, shine, owner)
+    with_last, with_first = (np.where(strongest == one, second, strongest) for one in (last, first))
+    return _picked(np.stack([strongest, with_last, last, first, with_first, second], axis=1), mean, shine, owner)
 
 
 def _picked(which: NDArray[np.intp], mean: Array, shine: Array, owner: NDArray[np.int32]) -> Echoes:

@@ -17,6 +17,7 @@ from lidarcfg.simulate.tasks import Crew, Drive, Run, Task, object_names, prepar
 from lidarcfg.units import MINUTE_NS
 
 SECOND_STRONGEST, LAST = 2, 1  # types of returns
+STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
 
 def simulated_scans(drive: Drive, run: Run | None = None) -> Iterator[PointCloud]:
@@ -100,11 +101,13 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     (least_m, most_m), range_m = sensor.range.reported_m, found.range_m + found.noise_m
     there = (range_m >= least_m) & (range_m <= most_m)
     kinds = np.broadcast_to(np.array(types(mount.return_mode), np.uint8), range_m.shape).copy()
-    if mount.return_mode == "dual":
+    if mount.dual:
         bright = found.reflectivity
         alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
         there[:, 1] &= ~alike
-        kinds[there.all(axis=1) & (bright[:, 0] < bright[:, 1]), 0] = SECOND_STRONGEST
+        if mount.return_mode in STRONGEST_AT:
+            at = STRONGEST_AT[mount.return_mode]
+            kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
     firing, which = np.nonzero(there)
     cloud = PointCloud(
         xyz=_places(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),

@@ -34,30 +34,33 @@ def flat(range_m, count):
 def test_an_edge_gives_two_echoes():
     """A sixth of the beam hits 20 m, the rest 10 m; then one sub-ray goes by; then the far one is the brighter."""
     found = made([[10, 10, 20], [10, 10, np.inf]], [30, 30, 90], EDGE, objects=[1, 1, 2])
-    assert found.range_m.tolist() == [[10, 10, 20, 10], [10, 10, 10, 10]]
-    assert found.reflectivity.tolist() == [[25, 25, 15, 25], [25, 25, 25, 25]]
-    assert found.object.tolist() == [[1, 1, 2, 1], [1, 1, 1, 1]]
+    assert found.range_m.tolist() == [[10, 10, 20, 10, 20, 20], [10, 10, 10, 10, 10, 10]]
+    assert found.reflectivity.tolist() == [[25, 25, 15, 25, 15, 15], [25, 25, 25, 25, 25, 25]]
+    assert found.object.tolist() == [[1, 1, 2, 1, 2, 2], [1, 1, 1, 1, 1, 1]]
     found = made([[10, 20, 20]], [[2, 90, 90]], EDGE)
-    assert found.range_m.tolist() == [[20, 10, 20, 10]]  # the strongest is the last: the next comes beside it
+    assert found.range_m.tolist() == [[20, 10, 20, 10, 20, 10]]  # the strongest is the last: the next comes beside it
     assert found.reported("strongest").range_m.tolist() == [[20]]
     assert found.reported("last").range_m.tolist() == [[20]]
     assert found.reported("first").range_m.tolist() == [[10]]
     assert found.reported("dual").range_m.tolist() == [[10, 20]]
+    assert found.reported("first-last").range_m.tolist() == [[10, 20]]
+    assert found.reported("first-strongest").range_m.tolist() == [[10, 20]]
+    assert found.reported("two-strongest").range_m.tolist() == [[20, 10]]
 
 
 def test_a_mixed_pixel():
     """Half a metre apart the echoes run into one, at the mean that power weighs: light over range squared."""
     found = made([[10, 10, 10.5]], [60], EDGE)
     near, far = 5 / 6 / 10**2, 1 / 6 / 10.5**2
-    assert found.range_m[0] == pytest.approx([(10 * near + 10.5 * far) / (near + far)] * 4)
-    assert found.reflectivity.tolist() == [[60, 60, 60, 60]]
+    assert found.range_m[0] == pytest.approx([(10 * near + 10.5 * far) / (near + far)] * 6)
+    assert found.reflectivity.tolist() == [[60, 60, 60, 60, 60, 60]]
 
 
 def test_three_echoes():
     found = made([[30, 10, 20]], [90, 10, 20], (1 / 3, 1 / 3, 1 / 3))
-    assert found.range_m.tolist() == [[10, 10, 30, 10]]  # 10/100 beats 20/400 and 90/900
+    assert found.range_m.tolist() == [[10, 10, 30, 10, 30, 30]]  # 10/100 beats 20/400 and 90/900
     found = made([[30, 10, 20]], [95, 10, 20], (1 / 3, 1 / 3, 1 / 3))
-    np.testing.assert_allclose(found.range_m, [[30, 10, 30, 10]])
+    np.testing.assert_allclose(found.range_m, [[30, 10, 30, 10, 30, 10]])
 
 
 @pytest.mark.parametrize(("reflectivity", "cosine"), [(10, 1.0), (40, 1.0), (40, 0.25), (5, 0.5), (160, 0.1)])
@@ -70,7 +73,7 @@ def test_range_by_reflectivity_and_incidence(reflectivity, cosine):
 
 
 def test_what_is_black_stays_without_a_budget():
-    assert made([[10]], 0, dropout_fraction=0.0).range_m.tolist() == [[10, 10, 10, 10]]
+    assert made([[10]], 0, dropout_fraction=0.0).range_m.tolist() == [[10] * 6]
 
 
 def test_noise_is_normal():

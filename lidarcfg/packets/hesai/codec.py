@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidarcfg.errors import ConfigError
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import (
@@ -19,11 +20,13 @@ from lidarcfg.packets.codec import (
     Payloads,
     Source,
     Times,
+    types,
 )
 from lidarcfg.packets.hesai.facts import Facts, Settings, Unit, unit
 from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.recognise import check_size, claims, identify
 from lidarcfg.packets.point_fields import STAMPED
+from lidarcfg.rig import SINGLE
 from lidarcfg.sensor import Sensor
 from lidarcfg.units import MINUTE_NS
 
@@ -46,11 +49,14 @@ class Hesai(Codec):
         """See `Codec`."""
         mount.settings.checked(Settings)
         assert self.unit.unit_mm
+        pairs = [pair.mode for pair in self.unit.facts.packet.pairs]
+        if mount.dual and mount.return_mode not in pairs:
+            what = f"return_mode: {mount.return_mode!r} is not allowed"
+            raise ConfigError(f"{what}; a {self.unit.name} sends {', '.join((*SINGLE, *pairs))}")
 
     def pace(self, mount: "Mount") -> Pace:
         """See `Codec`."""
-        dual = mount.return_mode == "dual"
-        return Pace(self.unit.period_ns(dual), self.unit.groups(dual) * self.unit.lasers.shape[1])
+        return Pace(self.unit.period_ns(mount.dual), self.unit.groups(mount.dual) * self.unit.lasers.shape[1])
 
     def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """See `Codec`."""
@@ -70,7 +76,16 @@ class Hesai(Codec):
         """See `Codec`."""
         from lidarcfg.packets.hesai.encode import sent
 
-        return sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode == "dual", batch.firings.laser)
+        return sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode, batch.firings.laser)
+
+    def return_types(self, mount: "Mount", range_m: Array, reflectivity: Octets) -> Octets:
+        """See `Codec`; one return alone is the strongest."""
+        from lidarcfg.packets.hesai.encode import alone
+
+        kinds = np.array(super().return_types(mount, range_m, reflectivity))
+        if mount.dual:
+            kinds[alone(self.unit, range_m, reflectivity)] = types("strongest")
+        return kinds
 
     def housekeeping(
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
@@ -122,7 +137,7 @@ class Hesai(Codec):
     def pattern(self, mount: "Mount") -> Pattern:
         """See `Codec`: all lasers of a group fire where the head is at its start."""
         unit, loops = self.unit, len(self.unit.lasers)
-        groups = unit.groups(True) if mount.return_mode == "dual" and loops > 1 else 1  # of a packet are of one loop
+        groups = unit.groups(True) if mount.dual and loops > 1 else 1  # of a packet are of one loop
         loop = np.repeat(np.arange(loops), groups)
         group_rad = unit.facts.firing.period_ns * (2 * np.pi * mount.rpm / MINUTE_NS)
         lag_rad = np.repeat(np.arange(len(loop)) * group_rad, unit.lasers.shape[1])

@@ -28,14 +28,13 @@ if TYPE_CHECKING:
     from lidarcfg.rig import Mount
 
 COLUMNS = ("time_ns", "laser", "encoder_rad")
-PAIR = (1, 0)  # with dual returns the even block holds the last one
 
 
 def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
     from lidarcfg.packets.hesai import encode_kernels  # decoding needs none of them
 
-    dual = mount.return_mode == "dual"
+    dual, pair = mount.dual, unit.columns(mount.return_mode)
     packets = np.zeros(len(batch.number), unit.dtype)
     shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
     time_ns, laser, encoder_rad = (getattr(batch.firings, key).reshape(shape) for key in COLUMNS)
@@ -44,7 +43,7 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
     returns = blocks["returns"]
     returns["confidence"] = unit.facts.packet.confidence
-    column = np.array(PAIR * shape[1] if dual else (0,) * shape[1])
+    column = np.array(pair * shape[1])
     limits = *facts.reported_m, facts.resolution_m, float(DISTANCE_MAX)
     at_m, strength = (read_only(np.ascontiguousarray(one).reshape(*shape, 1 + dual)) for one in (range_m, reflectivity))
     wire = returns["distance"], returns["reflectivity"]
@@ -64,20 +63,33 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     return packets
 
 
-def sent(unit: Unit, packets: Packets, dual: bool, laser: Octets) -> Flags:
+def sent(unit: Unit, packets: Packets, return_mode: str, laser: Octets) -> Flags:
     """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first."""
-    returns, at = packets["blocks"]["returns"], laser.reshape(len(packets), unit.groups(dual), -1).astype(np.int64)
+    returns, pair = packets["blocks"]["returns"], unit.columns(return_mode)
+    at = laser.reshape(len(packets), unit.groups(len(pair) == 2), -1).astype(np.int64)
     distance, reflectivity = (
         np.stack(
-            [np.take_along_axis(returns[:, i :: 1 + dual][key], at, axis=2).ravel() for i in (PAIR if dual else (0,))],
+            [
+                np.take_along_axis(returns[:, i :: len(pair)][key], at, axis=2).ravel()
+                for i in np.argsort(pair).tolist()
+            ],
             axis=-1,
         )
         for key in ("distance", "reflectivity")
     )
     found: Flags = distance > 0
-    if dual:
+    if len(pair) == 2:
         found[:, 1] &= (distance[:, 0] != distance[:, 1]) | (reflectivity[:, 0] != reflectivity[:, 1])
     return found
+
+
+def alone(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
+    """(N,): of pairs of ranges (N, 2), which hold one return, or it twice."""
+    least_m, most_m = unit.range.reported_m
+    inside = (range_m >= least_m) & (range_m <= most_m)
+    units = np.rint(np.where(inside, range_m, 0) / unit.range.resolution_m)
+    same = (units[:, 0] == units[:, 1]) & (reflectivity[:, 0] == reflectivity[:, 1])
+    return np.asarray(same | ~inside.all(axis=1))
 
 
 def _head(unit: Unit, packets: Packets, dual: bool) -> None:

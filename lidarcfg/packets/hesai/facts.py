@@ -1,7 +1,7 @@
 """What a sensor's file says under `hesai`."""
 
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -15,6 +15,14 @@ from lidarcfg.packets.unit import AnyUnit
 from lidarcfg.sensor import Byte, Sensor
 
 Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]
+PairMode = Literal["dual", "first-last", "first-strongest", "two-strongest"]
+Which = Literal["first", "last", "strongest", "second"]
+COLUMNS: dict[str, tuple[Which, Which]] = {  # which returns `Codec.encode` is given
+    "dual": ("strongest", "last"),
+    "first-last": ("first", "last"),
+    "first-strongest": ("first", "strongest"),
+    "two-strongest": ("strongest", "second"),
+}
 Loop = tuple[Nanoseconds | None, ...]
 
 
@@ -36,12 +44,26 @@ class Firing(Model):
         return self
 
 
+class Pair(Model):
+    """Which returns two successive blocks hold in a dual mode."""
+
+    mode: PairMode
+    blocks: tuple[Which, Which]
+
+    @model_validator(mode="after")
+    def _check(self) -> "Pair":
+        if sorted(self.blocks) != sorted(COLUMNS[self.mode]):
+            raise fault(f"are not {' and '.join(COLUMNS[self.mode])}, in either order", "blocks")
+        return self
+
+
 class Packet(Model):
     """The facts of the data packet."""
 
     source: str = ""
     protocol: Protocol
     blocks: Annotated[int, Field(ge=2, le=64, multiple_of=2)]
+    pairs: tuple[Pair, ...] = (Pair(mode="dual", blocks=("last", "strongest")),)  # the modes with two returns
     confidence: Byte  # the fourth byte of each return
 
 
@@ -80,6 +102,11 @@ class Unit(AnyUnit[Facts]):
             what = f"{self.resolution_m:g} m is not in whole millimetres, 1 to 255"
             raise ConfigError(f"sensor {self.name!r}: range.resolution_m: {what}")
         return unit_mm
+
+    def columns(self, return_mode: str) -> tuple[int, ...]:
+        """Which of the returns that are given stands in each block of those that share an azimuth."""
+        pairs = {pair.mode: pair.blocks for pair in self.facts.packet.pairs if pair.mode == return_mode}
+        return tuple(COLUMNS[mode].index(which) for mode, blocks in pairs.items() for which in blocks) or (0,)
 
     def groups(self, dual: bool) -> int:
         """How often all lasers fire in a packet."""

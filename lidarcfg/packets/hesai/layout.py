@@ -43,17 +43,26 @@ FACTORY = 0x42
 FIRST_LAST = 1  # the header's first return with dual returns, as recorded; the manuals call it reserved
 
 FIRST, STRONGEST, LAST, DUAL = 0x33, 0x37, 0x38, 0x39
-WRITTEN = {"first": FIRST, "strongest": STRONGEST, "last": LAST, "dual": DUAL}
+FIRST_AND_LAST, FIRST_AND_STRONGEST, TWO_STRONGEST = 0x3B, 0x3C, 0x3E
+WRITTEN = {
+    "first": FIRST,
+    "strongest": STRONGEST,
+    "last": LAST,
+    "dual": DUAL,
+    "first-last": FIRST_AND_LAST,
+    "first-strongest": FIRST_AND_STRONGEST,
+    "two-strongest": TWO_STRONGEST,
+}
 MODES = {  # the return mode byte, as the manuals have it
     FIRST: "first",
     STRONGEST: "strongest",
     LAST: "last",
     DUAL: "last and strongest",
-    0x3B: "first and last",
-    0x3C: "first and strongest",
-    0x3E: "strongest and second strongest",
+    FIRST_AND_LAST: "first and last",
+    FIRST_AND_STRONGEST: "first and strongest",
+    TWO_STRONGEST: "strongest and second strongest",
 }
-DUAL_MODES = (DUAL, 0x3B, 0x3C, 0x3E)
+DUAL_MODES = (DUAL, FIRST_AND_LAST, FIRST_AND_STRONGEST, TWO_STRONGEST)
 
 REVOLUTION = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000

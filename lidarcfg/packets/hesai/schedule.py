@@ -42,7 +42,7 @@ def _firings(unit: Unit, mount: "Mount", start_ns: int, numbers: range) -> tuple
     """
     from lidarcfg.packets.hesai import encode_kernels as kernels  # decoding needs none of them
 
-    dual = mount.return_mode == "dual"
+    dual = mount.dual
     groups, period_ns = unit.groups(dual), unit.period_ns(dual)
     first_ns = start_ns + np.array(numbers, np.int64) * period_ns
     starts_ns = unit.facts.firing.stamp_ns + np.arange(groups) * unit.facts.firing.period_ns

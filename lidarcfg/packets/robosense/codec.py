@@ -20,7 +20,7 @@ from lidarcfg.packets.codec import (
 )
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense.facts import Facts, unit
-from lidarcfg.packets.robosense.layout import MSOP_ID, SIZE, octets_of, packets_of
+from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, octets_of, packets_of
 from lidarcfg.packets.robosense.recognise import check_model, check_msop, identify, undamaged
 from lidarcfg.packets.spin import Spin, Spinning
 from lidarcfg.sensor import Sensor
@@ -46,6 +46,9 @@ class Robosense(Spinning):
 
     def check(self, mount: "Mount") -> None:
         """See `Codec`."""
+        if mount.return_mode not in MODES:
+            what = f"return_mode: {mount.return_mode!r} is not allowed"
+            raise ConfigError(f"{what}; a Helios sends the strongest, the last, the first, or dual")
         if mount.data_port == mount.telemetry_port:
             raise ConfigError(f"telemetry_port is {mount.telemetry_port}, the data_port; DIFOP needs a port of its own")
         if mount.phase_deg is not None and mount.phase_deg % 1:
@@ -59,14 +62,14 @@ class Robosense(Spinning):
         from lidarcfg.packets.robosense.encode import encode
 
         headers = self.unit.facts.headers
-        packets = encode(self.unit, mount.return_mode == "dual", batch, range_m, reflectivity)
+        packets = encode(self.unit, mount.dual, batch, range_m, reflectivity)
         return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.msop, batch.first)
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
         """See `Codec`."""
         from lidarcfg.packets.robosense.encode import sent
 
-        return sent(self.unit, mount.return_mode == "dual", payloads.data)
+        return sent(self.unit, mount.dual, payloads.data)
 
     def housekeeping(
         self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int

@@ -91,8 +91,9 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
 
 def check_encodable(unit: Unit, return_mode: str) -> None:
     """Raises ConfigError unless packets can say the sensor's returns in this mode, and its calibration."""
-    if return_mode == "first":
-        raise ConfigError("return_mode: 'first' is not allowed; a Velodyne sends the strongest, the last, or dual")
+    if return_mode not in ("strongest", "last", "dual"):
+        what = f"return_mode: {return_mode!r} is not allowed"
+        raise ConfigError(f"{what}; a Velodyne sends the strongest, the last, or dual")
     if unit.packet.return_modes and return_mode not in unit.packet.return_modes.codes:
         allowed = ", ".join(unit.packet.return_modes.codes)
         raise ConfigError(f"return_mode: sensor {unit.name!r} has no {return_mode} returns; allowed: {allowed}")

@@ -27,13 +27,14 @@ CHUNK = 64
 def sensed(of, packets, seed=1):
     """Batches of a mount's packets, with ranges and reflectivities out of a hat; a tenth measures nothing."""
     rng, maker = np.random.default_rng(seed), codec(of.sensor)
-    columns = 2 if of.return_mode == "dual" else 1
+    columns = 1 + of.dual
     for batch in maker.schedule(of, START_NS, packets, CHUNK):
         shape = len(batch.firings.time_ns), columns
         range_m = np.sort(rng.uniform(of.sensor.range.min_m, of.sensor.range.max_m, shape), axis=1)
         range_m[rng.random(len(range_m)) < 0.1] = np.inf
         same = rng.random(len(range_m)) < 0.5
-        range_m[same] = range_m[same][:, :1]
+        range_m[:, 0] = np.minimum(range_m[:, 0], range_m[:, -1] - 0.01 * of.dual)  # two returns never stand together
+        range_m[same] = range_m[same][:, -1:]
         reflectivity = rng.integers(0, 256, shape, np.uint8)
         reflectivity[same] = reflectivity[same][:, :1]
         if shape[0]:
@@ -55,8 +56,28 @@ def capture(of, path, packets, keep=lambda payloads: slice(None)):
     return (*firings, laser, *columns, sent, payload)
 
 
-@pytest.mark.parametrize("mode", ["strongest", "last", "first", "dual"])
-@pytest.mark.parametrize("model", MODELS)
+PAIRS = {  # the even block and the odd one, as the manuals and Nebula's authors have them
+    ("pandar-xt32", "first-last"): (1, 0),
+    ("pandar-xt16", "first-last"): (0, 1),
+    ("xt32m2x", "first-last"): (0, 1),
+    ("qt128", "first-last"): (0, 1),
+    **{(model, "dual"): (1, 0) for model in MODELS},
+    **{(model, "first-strongest"): (0, 1) for model in MODELS},
+    ("qt128", "two-strongest"): (0, 1),
+}
+SINGLE = [(model, mode) for model in MODELS for mode in ("strongest", "last", "first")]
+KINDS = {  # of the first and the second of two returns; the second strongest may stand for the strongest
+    "strongest": ({0},),
+    "last": ({1},),
+    "first": ({3},),
+    "dual": ({0, 2}, {1}),
+    "first-last": ({3}, {1}),
+    "first-strongest": ({3}, {0, 2}),
+    "two-strongest": ({0}, {2}),
+}
+
+
+@pytest.mark.parametrize(("model", "mode"), [*SINGLE, *PAIRS])
 def test_each_return_comes_back(model, mode, tmp_path):
     """Range within half a unit, direction within half a hundredth of a degree, the rest exactly."""
     of, path = mount(model, mode), tmp_path / "drive.pcap"
@@ -65,13 +86,18 @@ def test_each_return_comes_back(model, mode, tmp_path):
     n, column = np.nonzero(sent)
     assert len(cloud.xyz) == len(n) > 0.4 * len(time_ns)
     order = np.lexsort((column, laser[n], time_ns[n]))
-    ring, single = of.sensor.ring[laser[n]], {"strongest": 0, "last": 1, "first": 3}
-    kinds = column if mode == "dual" else np.full(len(n), single[mode])
-    theirs = np.lexsort((cloud.return_type == 1, np.argsort(of.sensor.ring)[cloud.ring], cloud.time_ns))
+    ring, alone = of.sensor.ring[laser[n]], np.bincount(n, minlength=len(laser))[n] == 1
+    second = np.isin(cloud.return_type, list(KINDS[mode][-1])) if of.dual else np.zeros(len(cloud.xyz), np.bool_)
+    theirs = np.lexsort((second, np.argsort(of.sensor.ring)[cloud.ring], cloud.time_ns))
     np.testing.assert_allclose(cloud.time_ns[theirs], time_ns[n][order], atol=500)
     np.testing.assert_array_equal(cloud.ring[theirs], ring[order])
-    found = np.where(cloud.return_type == 2, 0, cloud.return_type)  # the second strongest stands for the strongest
-    np.testing.assert_array_equal(found[theirs], kinds[order])
+    kinds = cloud.return_type[theirs]
+    for at, allowed in enumerate(KINDS[mode]):
+        mine = (column[order] == at) & ~(alone[order] & of.dual)
+        assert set(kinds[mine].tolist()) == allowed
+    assert not of.dual or set(kinds[alone[order]].tolist()) == {0}
+    truth = codec(of.sensor).return_types(of, range_m, reflectivity)[n, column][order]
+    np.testing.assert_array_equal(np.where(truth == 0, 0, kinds), truth)
     np.testing.assert_array_equal(cloud.intensity[theirs], reflectivity[n, column][order])
     truth_m = range_m[n, column][order]
     found_m = np.linalg.norm(cloud.xyz[theirs], axis=1)
@@ -117,6 +143,37 @@ def test_stamps_sequence_speed_and_times(model, mode, tmp_path):
         step_us, rows = {"pandar-xt32": (1.512, 32), "pandar-xt16": (3.024, 16), "xt32m2x": (2.888, 16)}[model]
         wanted = 5.632 - 50 * last[:, None] + 0.368 + step_us * (np.arange(lasers) % rows)
         assert abs(fired_us - wanted).max() < 1e-3
+
+
+@pytest.mark.parametrize(("model", "mode"), PAIRS)
+def test_which_block_holds_which_return(model, mode):
+    """The bytes of two returns of one firing, and of the packet's mode: 0x39, 0x3B, 0x3C, 0x3E."""
+    of, wanted = mount(model, mode), PAIRS[model, mode]
+    for batch, range_m, reflectivity, payloads in sensed(of, 10):
+        payload, lasers, n = payloads.data[3].tobytes(), payloads.data[3][6], 3 * codec(of.sensor).pace(of).firings
+        laser, stride, unit_m = int(batch.firings.laser[n + 7]), 2 + 4 * int(lasers), payloads.data[3][9] / 1000
+        for block in (0, 1):
+            at = 12 + block * stride + 2 + 4 * laser
+            distance = int.from_bytes(payload[at : at + 2], "little") * unit_m
+            there = range_m[n + 7, wanted[block]]
+            assert distance == (pytest.approx(there, abs=unit_m / 2 + 1e-9) if np.isfinite(there) else 0)
+            assert np.isinf(there) or payload[at + 2] == reflectivity[n + 7, wanted[block]]
+        tail = 1073 if model == "qt128" else len(payload) - 18
+        code = {"dual": 0x39, "first-last": 0x3B, "first-strongest": 0x3C, "two-strongest": 0x3E}[mode]
+        assert (payload[8], payload[10], payload[tail]) == (1, 2, code)
+
+
+def test_modes_that_a_model_lacks():
+    of = mount("pandar-xt16", "two-strongest")
+    allowed = "strongest, last, first, dual, first-last, first-strongest"
+    with pytest.raises(ConfigError, match=rf"'two-strongest' is not allowed; a pandar-xt16 sends {allowed}$"):
+        codec(of.sensor).check(of)
+    for model in ("vlp-16", "os1-32", "helios-32"):
+        of = mount(model, "first-last", telemetry_port=2369)
+        with pytest.raises(
+            ConfigError, match=r"return_mode: 'first-last' is not allowed; an? [A-Z][a-z]+ sends the str"
+        ):
+            codec(of.sensor).check(of)
 
 
 def test_the_second_strongest_stands_in_the_odd_block(tmp_path):
