@@ -4,23 +4,25 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets, Times
-from lidarcfg.packets.hesai.encode import PAIR
 from lidarcfg.packets.hesai.facts import Unit
 from lidarcfg.packets.hesai.layout import WRITTEN, device_time_ns, encoder_rad
+from lidarcfg.rig import SINGLE
 
 
 def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
     """All firings of successive packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
 
-    The even block of a pair is taken for the last return, as later firmware sends it.
+    Blocks are taken to hold the returns that the sensor's file says, as later firmware sends them.
     """
     packets = unit.packets_of(octets)
     code = int(packets["tail"]["return_mode"][0])
-    mode = next((name for name, written in WRITTEN.items() if written == code), None)
+    modes = {WRITTEN[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
+    mode = modes.get(code)
     if mode is None or (packets["tail"]["return_mode"] != code).any():
-        allowed = ", ".join(f"0x{one:02X} {name}" for name, one in WRITTEN.items())
+        allowed = ", ".join(f"0x{one:02X} {name}" for one, name in modes.items())
         raise PacketError(f"{unit.name}: return mode 0x{code:02X}, or several in one recording; allowed: {allowed}")
-    dual = mode == "dual"
+    columns = unit.columns(mode)
+    dual = len(columns) == 2
     if (packets["header"]["unit_mm"] != unit.unit_mm).any():
         raise PacketError(f"{unit.name}: distances are not in units of {unit.unit_mm} mm, as the sensor's file says")
     loops = np.broadcast_to(np.arange(unit.groups(dual)) % len(unit.fires), (len(packets), unit.groups(dual)))
@@ -33,9 +35,8 @@ def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
     blocks = packets["blocks"]
     encoder = np.broadcast_to(encoder_rad(blocks["azimuth"][:, :: 1 + dual])[:, :, None], shape)
     fires = unit.fires[loops]
-    which = PAIR if dual else (0,)
     distance, reflectivity = (
-        np.stack([blocks["returns"][:, at :: 1 + dual][key][fires] for at in which], axis=-1)
+        np.stack([blocks["returns"][:, at :: 1 + dual][key][fires] for at in np.argsort(columns)], axis=-1)
         for key in ("distance", "reflectivity")
     )
     range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
