@@ -19,6 +19,7 @@ MODULES = {
         "placement.region",
         "placement.study_file",
         "placement.study",
+        "placement.slots",
         "placement.surfaces",
         "placement.evaluation",
         "placement.visibility",

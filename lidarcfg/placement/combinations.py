@@ -12,7 +12,8 @@ from typing import Any
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.choices import Choice
-from lidarcfg.placement.study import Slot, Study, slot_name
+from lidarcfg.placement.slots import Slot, slot_name
+from lidarcfg.placement.study import Study
 
 NAME_MAX = 80  # characters; it becomes a folder's
 

@@ -18,7 +18,7 @@ from lidarcfg.firing import Patterns
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
-from lidarcfg.placement.cones import Lidar, placed, sensor_lidar
+from lidarcfg.placement.cones import Lidar, placed
 from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import EVERY_CASE, Criterion, Missed, Objective, Trial
 from lidarcfg.placement.region import Region
@@ -26,34 +26,16 @@ from lidarcfg.placement.returns import NOTHING, scanner, scans
 from lidarcfg.placement.returns_kernels import Scans
 from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.sightings import Sought, sought, target
+from lidarcfg.placement.slots import Slot, check_bounds, slots_of
 from lidarcfg.placement.solvers.search import Coordinates
-from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, GroupFile, Solver, StudyFile, VisibilityFile
-from lidarcfg.placement.surfaces import Surface, mirrored, on_surface, violation
+from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
+from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.placement.zones import Zone, weights, zone
-from lidarcfg.rig import FIRST_HOST, HOSTS, RETURN_MODE, RPM, Mount, Rig, ports, resolve_sensor
-from lidarcfg.sensor import Sensor
+from lidarcfg.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, vehicle
-
-
-@dataclass(frozen=True)
-class Slot:
-    """One sensor to place."""
-
-    name: str
-    sensor: Sensor
-    model: str | None  # its name in files; None: its beams are given inline
-    range_m: tuple[float, float] | None = None  # least, greatest; None: the sensor's
-    azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
-    surface: Surface | None = None  # that it sits on; None: it may be anywhere within its bounds
-    choices: Choices = ()  # in a study with choices the models it may be of; its own stands for them
-
-    @cached_property
-    def lidar(self) -> Lidar:
-        """What placement knows of it, in the vehicle's origin."""
-        return sensor_lidar(self.sensor, self.range_m, self.azimuth_fov_deg)
 
 
 @dataclass(frozen=True)
@@ -294,31 +276,7 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
     """The study of a file that is read; `path` names it in errors, and what it names is relative to that."""
     choices = choices_of(file, path)
     bodies = vehicle(file.vehicle, path) if file.vehicle else None
-    slots: list[Slot] = []
-    lower, upper, mirror, groups = [], [], [], []
-    for i, group in enumerate(file.sensors):
-        choices[i] = tuple(
-            choice and replace(choice, surface=_surface(group, bodies, choice.sensor, path, i)) for choice in choices[i]
-        )
-        one = next((choice for choice in choices[i] if choice), None)
-        sensor, model = (one.sensor, one.model) if one else resolve_sensor(path, i, group.model, group.elevation_deg)
-        surface = one.surface if one else _surface(group, bodies, sensor, path, i)
-        for choice in filter(None, choices[i]):
-            _fov_deg(choice.sensor, group, path, i)
-        fov_deg = _fov_deg(sensor, group, path, i)
-        for number in range(group.count):
-            name = slot_name(group.name, group.count, number, len(slots))
-            if name in [slot.name for slot in slots]:
-                raise error_at(path, ("sensors", i), f"two are called {name!r}; give each group its own name")
-            image = group.mirror_y_m is not None and number % 2 == 1
-            seat = surface.image if surface and image else surface
-            slots.append(Slot(name, sensor, model, group.range_m, fov_deg, seat, choices[i]))
-            groups.append(i)
-            lower.append(group.bounds[0])
-            upper.append(group.bounds[1])
-            mirror.append(group.mirror_y_m if image else math.nan)
-    if len(slots) > HOSTS:
-        raise error_at(path, ("sensors",), f"has {len(slots)} sensors; allowed: at most {HOSTS}")
+    slots = slots_of(file, choices, bodies, path)
     region = Region.from_file(file.region)
     if not region.included.any():
         raise error_at(path, ("region", "exclude"), "leaves no cuboid in the region")
@@ -326,35 +284,21 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         region = region.without(bodies)
         if not region.included.any():
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
-        _check_bounds(file, path, bodies)
-    surroundings = _surroundings(file, path)
-    zones: list[Zone] = []
-    for i, given in enumerate(file.zones):
-        try:
-            zones.append(zone(given, region))
-        except ConfigError as error:
-            raise error_at(path, ("zones", i), error) from None
+        check_bounds(file, path, bodies)
+    surroundings, zones = _surroundings(file, path), _zones(file, region, path)
     try:
         if file.robust:
-            file.robust.check(len(slots))
+            file.robust.check(len(slots.slots))
     except ConfigError as error:
         raise error_at(path, ("robust", "lost"), error) from None
-    sought_for: list[Sought] = []
-    for i, item in enumerate(file.detection):
-        try:
-            if item.returns:
-                sought_for.append(sought(region, item, target(item, region, path.parent)))
-            else:
-                check_fits(item, region)
-        except (ConfigError, SceneError) as error:
-            raise error_at(path, ("detection", i, *(("mesh",) if item.mesh else ())), error) from None
+    sought_for = _sought(file, region, path)
     study = Study(
         name=path.stem,
         region=region,
-        slots=tuple(slots),
-        lower=np.array(lower, np.float64),
-        upper=np.array(upper, np.float64),
-        mirror=np.array(mirror, np.float64),
+        slots=slots.slots,
+        lower=slots.lower,
+        upper=slots.upper,
+        mirror=slots.mirror,
         solver=file.solver,
         objective=file.objective,
         constraints=file.constraints,
@@ -363,13 +307,13 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         surroundings=surroundings,
         visibility=_visibility(file, region, bodies, surroundings),
         robust=file.robust,
-        zones=tuple(zones),
-        sought=tuple(sought_for),
+        zones=zones,
+        sought=sought_for,
         patterns=patterns,
-        file=_resolved(file, slots, choices, bodies, path),
+        file=_resolved(file, slots.slots, choices, bodies, path),
     )
     if sought_for and patterns:
-        for mount, slot, number in zip(study.rig(study.lower).mounts, slots, groups, strict=True):
+        for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
             sensors = [choice.sensor for choice in slot.choices if choice] or [slot.sensor]
             try:
                 for sensor in sensors:
@@ -377,40 +321,6 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
             except ConfigError as error:
                 raise error_at(path, ("sensors", number), error) from None
     return study
-
-
-def _surface(group: GroupFile, bodies: Vehicle | None, sensor: Sensor, path: Path, i: int) -> Surface | None:
-    """What a sensor of the group sits on, if on anything."""
-    if not (group.on and bodies):
-        return None
-    return on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
-
-
-def _fov_deg(sensor: Sensor, group: GroupFile, path: Path, i: int) -> tuple[float, float] | None:
-    """The horizontal field of view of a sensor of the group; None: all around."""
-    try:
-        return sensor.field_of_view_deg(group.azimuth_fov_deg)
-    except ValueError as error:
-        raise error_at(path, ("sensors", i, "azimuth_fov_deg"), str(error)) from None
-
-
-def slot_name(group: str | None, count: int, number: int, before: int) -> str:
-    """What a group's sensor is called that has so many sensors before it in its group, and in the study."""
-    if group is None:
-        return f"lidar_{before}"
-    return f"{group}_{number}" if count > 1 else group
-
-
-def _check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
-    """Raises ConfigError where a sensor could only be placed inside a body."""
-    for i, group in enumerate(file.sensors):
-        low, high = (np.array(bound[:3]) for bound in group.bounds)
-        name = None if bodies.allow_inside or group.on else bodies.holds(low, high)
-        if name:
-            what = (
-                f"every place within its bounds is inside the vehicle's {name!r}; move them, or say allow_inside: true"
-            )
-            raise error_at(path, ("sensors", i), what)
 
 
 def _surroundings(file: StudyFile, path: Path) -> Scene | None:
@@ -423,6 +333,30 @@ def _surroundings(file: StudyFile, path: Path) -> Scene | None:
         raise error_at(path, ("surroundings",), error) from None
 
 
+def _zones(file: StudyFile, region: Region, path: Path) -> tuple[Zone, ...]:
+    found = []
+    for i, given in enumerate(file.zones):
+        try:
+            found.append(zone(given, region))
+        except ConfigError as error:
+            raise error_at(path, ("zones", i), error) from None
+    return tuple(found)
+
+
+def _sought(file: StudyFile, region: Region, path: Path) -> tuple[Sought, ...]:
+    """The objects that are detected by returns. Raises ConfigError for any object that the region does not hold."""
+    found = []
+    for i, item in enumerate(file.detection):
+        try:
+            if item.returns:
+                found.append(sought(region, item, target(item, region, path.parent)))
+            else:
+                check_fits(item, region)
+        except (ConfigError, SceneError) as error:
+            raise error_at(path, ("detection", i, *(("mesh",) if item.mesh else ())), error) from None
+    return tuple(found)
+
+
 def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: Scene | None) -> Visibility | None:
     """What limits the sensors' sight, if anything does."""
     if not file.limits_sight:
@@ -433,7 +367,7 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
 
 
 def _resolved(
-    file: StudyFile, slots: list[Slot], choices: list[Choices], bodies: Vehicle | None, path: Path
+    file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], bodies: Vehicle | None, path: Path
 ) -> dict[str, Any]:
     """The file with its defaults filled in and the paths of its models, meshes and scene resolved."""
     values = file.model_dump(mode="json", exclude_none=True)
