@@ -10,7 +10,6 @@ import cloup
 from lidarcfg.commands.options import (
     FILE,
     START,
-    START_HELP,
     Png,
     from_option,
     load_trajectory,
@@ -82,7 +81,7 @@ def camera_numbers(text: str) -> tuple[float, ...]:
     cloup.option(
         "--at", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: as noted, or 0,0,0]"
     ),
-    cloup.option("--start", metavar="TIME", help="When it starts to drive; " + START_HELP),
+    cloup.option("--start", metavar="TIME", help=f"When it starts, ISO 8601.  [default: as noted, or {START}]"),
 )
 @cloup.option_group(
     "Display",

@@ -10,6 +10,7 @@ import yaml
 from lidarcfg.capture.selection import ALL
 from lidarcfg.commands.options import load_trajectory, nanoseconds
 from lidarcfg.geometry import pose, transform
+from lidarcfg.view.page import page_of, save_html
 from lidarcfg.view.recorded import Recorded, recorded
 from lidarcfg.view.scenery import mesh_at, parts
 from lidarcfg.view.stage import load_stage
@@ -142,7 +143,7 @@ def test_parts_of_a_scene_make_the_whole(stage):
 
 
 @in_browser
-def test_the_page_shows_one_time(chromium, stage):
+def test_the_page_shows_one_time(chromium, stage, tmp_path):
     """The vehicle's sensor is on the arc in each frame; the camera follows; scans accumulate; the whole is deskewed."""
     mount = np.array([0.5, 0, 2])
     first = (stage.first_ns - nanoseconds("2026-05-01T10:00:00")) / 1e9
@@ -173,6 +174,11 @@ def test_the_page_shows_one_time(chromium, stage):
         chromium.find_element("tag name", "body").send_keys("w")
         settled(chromium)
         assert chromium.execute_script(shown) == len(stage.cloud.xyz)
+    save_html(page_of(stage), tmp_path / "p.html")  # and so does a file of its own
+    opened(chromium, (tmp_path / "p.html").as_uri())
+    put(chromium, "#time", 3)
+    settled(chromium)
+    assert chromium.execute_script(there) == pytest.approx((to_page @ on_arc(first + 0.35) @ [*mount, 1])[:3], abs=1e-4)
 
 
 def test_a_drive_without_a_capture(here):

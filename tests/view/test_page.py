@@ -298,6 +298,10 @@ def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, stage):
     assert shown_vsr(chromium) == found.max_vsr_m != started
     shown = chromium.find_element("id", "vsr").text
     assert shown == f"max VSR {found.max_vsr_m:.6f} m"
+    click(chromium, "#undo")  # the whole drag
+    assert shown_vsr(chromium) == started
+    click(chromium, "#redo")
+    assert shown_vsr(chromium) == found.max_vsr_m
     assert different(picture(chromium), before) > 300
     click(chromium, "#reset")
     assert shown_vsr(chromium) == started
@@ -472,6 +476,9 @@ def test_the_keyboard(chromium, served):
 
     body.send_keys(Keys.ARROW_RIGHT)
     assert chromium.execute_script("return [lidarcfg.time.at, lidarcfg.time.whole]") == [1, False]
+    for key, width in (("+", 2), ("+", 3), ("+", 3), ("-", 2)):  # of three frames
+        body.send_keys(key)
+        assert chromium.execute_script("return lidarcfg.time.width") == width
     body.send_keys(" ")
     assert chromium.execute_script("return lidarcfg.time.playing")
     body.send_keys(" m")

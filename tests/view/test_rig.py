@@ -3,6 +3,7 @@
 import difflib
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -192,10 +193,10 @@ def test_a_moved_pair_is_undone_and_saved(chromium, sides):
             assert time.monotonic() < end, text
             time.sleep(0.02)
 
-    def agrees():
+    def agrees(study=sides.study):
         settled(chromium)
         now = moved(sides.rigs[0], np.array(chromium.execute_script(poses)))
-        found = evaluate(sides.study, now)
+        found = evaluate(study, now)
         child, post = found.detection["child"], found.detection["post"]
         assert shown_vsr(chromium) == found.max_vsr_m
         shown = [text.split("\t") for text in chromium.execute_script(rates)]
@@ -217,6 +218,9 @@ def test_a_moved_pair_is_undone_and_saved(chromium, sides):
         states.append(agrees())
         one, two = states[1]
         assert two == pytest.approx([one[0], 0.2 - one[1], one[2], -one[3], one[4], -one[5]], abs=1e-15)
+        click(chromium, "#transparent")
+        assert (agrees(replace(sides.study, visibility=sides.study.visibility.transparent())) == states[1]).all()
+        click(chromium, "#transparent")
         assert (one[1], one[2], one[3]) == (1.6, 1.15, pytest.approx(np.radians(-25)))
         assert "mirror" not in chromium.find_element("id", "violations").text
         put(chromium, "#mount", 1, "change")

@@ -127,7 +127,7 @@ export class Stage {
       }
       object.children.forEach(collect);
     };
-    [...this.bodies, this.vehicle].forEach(collect);
+    [this.vehicle, ...this.bodies.filter(({ parent }) => parent !== this.vehicle)].forEach(collect);
     if (places.length) this.fit(places, this.orbit.target.clone().sub(this.camera.position));
   }
 
