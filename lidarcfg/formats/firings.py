@@ -19,7 +19,7 @@ from lidarcfg.errors import CloudError, ConfigError, ConversionError
 from lidarcfg.files import replacing
 from lidarcfg.formats.records import pieces, read_records
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets, codec
-from lidarcfg.rig import DATA_PORT, FIRST_HOST, RPM, TELEMETRY_PORT, Mount
+from lidarcfg.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount
 from lidarcfg.sensor import Reported, Sensor
 
 VERSION = 1
@@ -239,7 +239,7 @@ def _packets(
             raise CloudError(f"{path}: {number}/{key}[{wrong[0]}]: {value} is not allowed; allowed: {low} to {high}")
     if len(columns["rest"]) != len(columns["rest_at"]) or columns["range_m"].shape != columns["reflectivity"].shape:
         raise CloudError(f"{path}: {number}: columns that belong together are of different lengths")
-    if columns["range_m"].shape[1] != 1 + (said["return_mode"] == "dual"):
+    if columns["range_m"].shape[1] != 1 + (said["return_mode"] not in SINGLE):
         raise CloudError(
             f"{path}: {number}/range_m: {columns['range_m'].shape[1]} returns of each firing, but not dual"
         )

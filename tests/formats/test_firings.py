@@ -147,6 +147,8 @@ EXPORTS = {
     "vlp-32c": "return_mode: last, azimuth_fov_deg: [30, 90]",
     "hdl-32e": "rpm: 1200",
     "pandar-xt32": "return_mode: dual",
+    "pandar-xt16": "return_mode: first-last",
+    "xt32m2x": "return_mode: first-strongest",
     "qt128": "return_mode: last",
     "helios-16p": "return_mode: dual",
 }
