@@ -29,8 +29,12 @@ if TYPE_CHECKING:
     from lidarcfg.placement.optimize import Cycle, Log, Placement
     from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
+    from lidarcfg.report import Baseline
     from lidarcfg.rig import Rig
 
+baseline_option = cloup.option(
+    "--baseline", type=FILE, metavar="RIG", help="A rig to show beside the result, with the differences."
+)
 SAVE_EVERY_S = 5.0
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
 OnProgress = Callable[[float, str], None]
@@ -66,6 +70,7 @@ OnProgress = Callable[[float, str], None]
     help="What is given here replaces the study's budget.",
 )
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/STUDY]")
+@baseline_option
 @quiet_option
 def optimize(
     study: Path,
@@ -77,6 +82,7 @@ def optimize(
     evaluations: int | None,
     seconds: float | None,
     resume: Path | None,
+    baseline: Path | None,
     quiet: bool,
 ) -> None:
     """Find the poses that minimise the largest unseen subspace.
@@ -102,18 +108,26 @@ def optimize(
         warn(message)
     folder = output or resume or Path("out") / loaded.name
     if loaded.to_choose:
+        if baseline:
+            raise click.UsageError(
+                "--baseline is for one rig, and this study has a front of them; compare these with it"
+            )
         find_front(loaded, study, folder, resume, threads, quiet)
         return
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder, report.RESULTS)
+    with progress(quiet, keep=False) as on_progress:
+        beside = _baseline(loaded, baseline, on_progress)
     with progress(quiet) as on_progress:
         found, shown = _search(loaded, threads, log, folder, on_progress)
         if not found.interrupted:  # then an update would raise what was dealt with
             on_progress(1.0, f"writing {folder}")
         again = _repeat_command(study, folder, loaded.solver, found)
-        report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again))
+        report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again), beside)
     if not quiet:
         report.print_placement(found, shown.evaluation)
+        if beside:
+            report.print_comparison(loaded, report.with_baseline(found.rig, folder / "rig.yaml", shown, beside))
         files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
         click.echo(f"written to {folder}/: {files}")
     if found.interrupted:
@@ -156,6 +170,21 @@ def _search(
     if not found.interrupted:
         on_progress(1.0, "evaluating the best rig")
     return found, details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+
+
+def _baseline(study: "Study", path: Path | None, on_progress: OnProgress) -> "Baseline | None":
+    """The rig to compare with, evaluated. Raises ConfigError if it cannot be evaluated in the study."""
+    from lidarcfg import report
+    from lidarcfg.placement.details import details
+    from lidarcfg.placement.evaluation import evaluate as evaluation
+    from lidarcfg.rig import load_rig
+
+    if path is None:
+        return None
+    on_progress(0.0, f"evaluating {path}")
+    rig = load_rig(path)
+    _check_rig(study, path, rig)
+    return report.Baseline(rig, str(path), details(study, rig, evaluation(study, rig)))
 
 
 def _check_rig(study: "Study", path: Path, rig: "Rig") -> None:
@@ -201,9 +230,18 @@ def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
 @cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
 @tolerance_option
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for report.html, result.json and rig.png.")
+@baseline_option
 @json_option
 @quiet_option
-def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool) -> None:
+def evaluate(
+    study: Path,
+    rig: Path,
+    as_json: bool,
+    output: Path | None,
+    tolerance: float | None,
+    baseline: Path | None,
+    quiet: bool,
+) -> None:
     """Evaluate a rig: max VSR, worst subspaces, detection rates.
 
     The study's bounds on the poses are not enforced. --tolerance refines the cuboids until the max VSR of the smooth
@@ -222,18 +260,23 @@ def evaluate(study: Path, rig: Path, as_json: bool, output: Path | None, toleran
     _check_rig(loaded, rig, mounted)
     if output:
         report.check_writable(output, report.EVALUATED)
-    found = evaluation(loaded, mounted, tolerance)
-    if output:
-        typed = command_line()
-        shown = details(loaded, mounted, found)
-        report.save_evaluation(loaded, mounted, shown, output, report.Commands(typed, typed))
-        found = shown.evaluation
-    else:
-        found = replace(found, robustness=robustness(loaded, mounted))
+    with progress(quiet or as_json, keep=False) as on_progress:
+        beside = _baseline(loaded, baseline, on_progress)
+        on_progress(0.5, f"evaluating {rig}")
+        found = evaluation(loaded, mounted, tolerance)
+        shown = details(loaded, mounted, found) if output or beside else None
+        found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
+        if output and shown:
+            commands = report.Commands(command_line(), command_line())
+            report.save_evaluation(loaded, mounted, shown, output, commands, beside)
     if as_json:
-        click.echo(report.to_json(report.evaluation_dict(loaded, mounted, found)))
+        values = report.evaluation_dict(loaded, mounted, found)
+        values |= {"baseline": report.baseline_dict(loaded, beside)} if beside else {}
+        click.echo(report.to_json(values))
     elif not quiet:
         report.print_evaluation(mounted, found)
+        if shown and beside:
+            report.print_comparison(loaded, report.with_baseline(mounted, rig, shown, beside))
 
 
 @cloup.command(

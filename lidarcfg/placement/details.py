@@ -12,6 +12,7 @@ from lidarcfg.placement.coverage import Coverage, coverage
 from lidarcfg.placement.detection import Counts, DetectionObject, Rings, counted_places, detection_by_distance
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.hiding import Hiding, hiding
 from lidarcfg.placement.metric import volume_m3
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import robustness
@@ -53,6 +54,7 @@ class Details:
     vehicle_m: Array  # (2,) from where distances are measured
     rings: dict[str, Rings]  # by object
     places: dict[str, Places]  # by object without `samples`
+    hiding: dict[str, Hiding]  # by object that is a box
 
 
 def details(
@@ -89,6 +91,11 @@ def details(
             for item in study.detection
         },
         places={item.name: places(found, item) for item in study.detection if not item.samples},
+        hiding={
+            item.name: hidden
+            for item in study.detection
+            if (hidden := hiding(subspaces, found.vsr_m, item, vehicle)) is not None
+        },
     )
 
 

@@ -87,7 +87,7 @@ class Detection:
 
     rate: float
     places: int  # free of exclusions, counted or drawn
-    half_width: float  # of the 95 % confidence interval; 0 where all places were counted
+    half_width: float  # of the 95 % confidence interval; 0 where all places were counted, and only there
     returns: Returns | None = None  # where it is detected by them
 
 
@@ -225,13 +225,19 @@ def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detecti
             rates.append(detected / free)
     if len(rates) < 2:
         return Detection(0.0, 0, 0.0)
-    rate, half_width = mean_of(rates)
+    rate, half_width = mean_of(rates, places)
     return Detection(rate, places, half_width)
 
 
-def mean_of(rates: Sequence[float]) -> tuple[float, float]:
-    """The mean of replicates' rates, and the half width of its 95 % interval, Student's."""
+def mean_of(rates: Sequence[float], places: int) -> tuple[float, float]:
+    """The mean of replicates' rates, and the half width of its 95 % interval, Student's.
+
+    Replicates that all agree, as where each of their places is detected, say nothing of their spread: then it is what
+    as many independent places would leave open, of which none would be otherwise 1 time in 20.
+    """
     half_width = float(t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / math.sqrt(len(rates)))
+    if min(rates) == max(rates):
+        half_width = 1.0 - 0.05 ** (1.0 / places)
     return float(np.mean(rates)), half_width
 
 

@@ -222,6 +222,7 @@ class Entrant:
             evaluations=self.evaluations,
             first_evaluations=own.asked["first"],
             scout_evaluations=own.asked["scout"],
+            evaluated=sum(work.trials for work in works),
             full_evaluations=sum(work.full_evaluations for work in works),
             cuboids=sum(work.cuboids for work in works),
             segments=sum(work.segments for work in works),

@@ -59,7 +59,8 @@ class Placement:
     evaluations: int  # trials, not counting first sources and scouts
     first_evaluations: int
     scout_evaluations: int
-    full_evaluations: int  # of all these, how many were evaluated in full
+    evaluated: int  # of all these, those that keep the constraints and are not of a search that was resumed
+    full_evaluations: int  # how many rigs were evaluated in full, several a trial where it has to withstand something
     cuboids: int  # evaluated
     segments: int  # cast from sensors to cuboids, at most
     log: Log
@@ -136,6 +137,7 @@ class Budget:
 class Work:
     """What evaluators have done."""
 
+    trials: int = 0
     full_evaluations: int = 0
     cuboids: int = 0
     segments: int = 0
@@ -143,6 +145,7 @@ class Work:
     def plus(self, evaluator: StudyEvaluator) -> "Work":
         """With the work of one more."""
         return Work(
+            self.trials + evaluator.trials,
             self.full_evaluations + evaluator.full_evaluations,
             self.cuboids + evaluator.cuboids,
             self.segments + evaluator.segments,
@@ -252,6 +255,7 @@ class Run:
             evaluations=self.evaluations,
             first_evaluations=self.asked["first"],
             scout_evaluations=self.asked["scout"],
+            evaluated=self.work.trials,
             full_evaluations=self.work.full_evaluations,
             cuboids=self.work.cuboids,
             segments=self.work.segments,

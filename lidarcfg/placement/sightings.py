@@ -78,7 +78,7 @@ class Sightings:
         if not self.sought.item.samples:
             return Detection(1.0 - _sum(missed) / len(missed), len(missed), 0.0, found)
         rates = [1.0 - _sum(part) / len(part) for part in np.split(missed, _ends(self.sought))]
-        rate, half_width = mean_of(rates)
+        rate, half_width = mean_of(rates, len(missed))
         return Detection(rate, len(missed), half_width, found)
 
     def rings(self, middle_m: Array, edges_m: Array) -> Rings:

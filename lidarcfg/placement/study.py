@@ -144,6 +144,13 @@ class Study:
         return len(kept) + drawn, int(kept.sum()) + drawn * lidars
 
     @property
+    def objective_cuts(self) -> bool:
+        """Whether the objective needs the subspaces: all but detection by returns and the blind spot's distance do."""
+        wanted, returns = self.objective, {item.name for item in self.detection if item.returns}
+        own = (wanted.max_vsr, wanted.inscribed_radius, wanted.blind_volume, wanted.seen_by_two)
+        return wanted.is_max_vsr or any(one is not None for one in own) or bool(set(wanted.detection) - returns)
+
+    @property
     def to_choose(self) -> bool:
         """Whether models are to be chosen; then it stands for many studies, see combinations.py."""
         return any(slot.choices for slot in self.slots)

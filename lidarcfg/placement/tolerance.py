@@ -44,6 +44,7 @@ class StudyEvaluator:
         for one in self._parts:
             one.on_evaluated = partial(self._evaluated, on_evaluations) if on_evaluations else None
         self._ended = 0
+        self.trials = 0  # evaluated, in full or until they were refuted
 
     def __enter__(self) -> "StudyEvaluator":
         return self
@@ -78,6 +79,7 @@ class StudyEvaluator:
     def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
         """(n,) the costs, or inf where one is not below `to_beat` (n,). See Evaluator.costs."""
         cost = np.full(len(poses), -np.inf)
+        self.trials += len(poses)
         if self._at_rest:
             cost = self._at_rest.costs(poses, source, source_poses, to_beat)
         if self._off:

@@ -1,7 +1,15 @@
 """Results as JSON, files, tables, pictures and reports. It shows; `lidarcfg.placement` computes."""
 
+from lidarcfg.report.baseline import Baseline
 from lidarcfg.report.beams import draw_sensor
-from lidarcfg.report.comparison import COMPARED, check_count, comparison_dict, contenders, save_comparison
+from lidarcfg.report.comparison import (
+    COMPARED,
+    check_count,
+    comparison_dict,
+    contenders,
+    save_comparison,
+    with_baseline,
+)
 from lidarcfg.report.document import Commands
 from lidarcfg.report.front import front_dict, load_front_logs, save_front, save_front_log
 from lidarcfg.report.plots import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
@@ -9,6 +17,7 @@ from lidarcfg.report.results import (
     EVALUATED,
     FRONT,
     RESULTS,
+    baseline_dict,
     check_writable,
     evaluation_dict,
     load_log,
@@ -35,9 +44,11 @@ __all__ = [
     "EVALUATED",
     "FRONT",
     "RESULTS",
+    "Baseline",
     "Commands",
     "SweepFolder",
     "analytic_line",
+    "baseline_dict",
     "check_count",
     "check_writable",
     "comparison_dict",
@@ -65,4 +76,5 @@ __all__ = [
     "save_placement",
     "save_progress",
     "to_json",
+    "with_baseline",
 ]

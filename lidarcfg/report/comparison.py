@@ -14,6 +14,7 @@ from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
+from lidarcfg.report.baseline import Baseline
 from lidarcfg.report.blind_spots import compare_contours
 from lidarcfg.report.document import Commands
 from lidarcfg.report.html import Best, Figure, Table, render
@@ -80,6 +81,11 @@ def contenders(named: Sequence[tuple[str, Rig, Details]]) -> list[Contender]:
         Contender(letter, rig, file, details)
         for letter, (file, rig, details) in zip(string.ascii_uppercase, named, strict=False)
     ]
+
+
+def with_baseline(rig: Rig, file: Path, details: Details, baseline: Baseline) -> list[Contender]:
+    """A result and its baseline."""
+    return contenders([(str(file), rig, details), (baseline.file, baseline.rig, baseline.details)])
 
 
 def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:

@@ -14,6 +14,7 @@ from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
+from lidarcfg.report.baseline import Baseline, beside, figures_beside
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
@@ -24,6 +25,7 @@ from lidarcfg.report.words import (
     constraints_in_words,
     counted,
     date,
+    hiding_in_words,
     limits_in_words,
     mounts_table,
     object_in_words,
@@ -31,6 +33,7 @@ from lidarcfg.report.words import (
     region_rows,
     returns_in_words,
     rig_in_words,
+    skips_in_words,
     solver_in_words,
     vector,
     versions,
@@ -55,59 +58,86 @@ def report(
     values: dict[str, Any],
     placement: Placement | None = None,
     commands: Commands | None = None,
+    baseline: Baseline | None = None,
 ) -> str:
     """The report of a rig; `values` is its result.json, and `placement` the search that found it, if any.
 
+    With a baseline every table shows that as well.
+
     Raises ConfigError if SOURCE_DATE_EPOCH is not a time.
     """
-    found, robust = details.evaluation, details.evaluation.robustness
+    found = details.evaluation
+    own = _tables(study, rig, details)
+    other = _tables(study, baseline.rig, baseline.details) if baseline else {}
+    tables = {name: beside(table, other.get(name)) for name, table in own.items()}
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
         title=f"Report: {rig.name}",
         about=f"{rig_in_words(rig)}; {what} by lidarcfg {__version__} on {date()}",
-        summary=_summary(details),
+        summary=figures_beside(_summary(details), _summary(baseline.details)) if baseline else _summary(details),
+        baseline=baseline,
+        baseline_yaml=as_yaml(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
         commands=commands,
         task=_task(study, placement),
         bounds=bounds_table(study),
         study_yaml=as_yaml(study.file) if study.file else None,
         rig_yaml=as_yaml(rig_to_dict(rig)),
-        mounts=mounts_table(rig),
         search=_search(placement),
-        worst=_worst(found),
         worst_is_outside=_is_outside(found.worst[0]),
         worst_is_blind=all(pair == [None, None] for pair in found.worst[0].between_deg),
         quantiles=[f"{value:.4f}" for value in np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0))],
-        detection=_detection(study, found),
-        rings=_rings(details.rings),
         vehicle=[f"{value:.2f}" for value in details.vehicle_m],
-        zones=zones_table(found.zones) if found.zones else None,
-        lost=lost_table(robust, not study.objective.is_max_vsr) if robust and robust.without else None,
-        sensitivity=sensitivity_table(rig, robust) if robust else None,
-        volumes=volumes_table(found.blind),
-        contours=contours_table(found.blind) if found.blind.contours else None,
         limits=limits_in_words(study),
         coverage=_coverage(details, rig),
-        analytic=_analytic(found, found.analytic) if found.analytic else None,
+        hides=hiding_in_words(details.hiding),
+        analytic=_analytic(found, found.analytic, baseline) if found.analytic else None,
         exact_rates=any(not item.samples for item in study.detection),
         drawn_rates=any(item.samples for item in study.detection),
-        skipped=_skipped(values, placement),
+        skipped=_skipped(study, values, placement),
+        skips=skips_in_words(study),
         repeat=_repeat(values),
-        drawings=_drawings(study, rig, details, placement),
+        drawings=_drawings(study, rig, details, placement, baseline),
+        **tables,
     )
 
 
-def _drawings(study: Study, rig: Rig, details: Details, placement: Placement | None) -> dict[str, Any]:
+def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]:
+    """The tables of a rig by their names in the template."""
+    found, robust = details.evaluation, details.evaluation.robustness
+    return {
+        "mounts": mounts_table(rig),
+        "worst": _worst(found),
+        "hiding": _hiding(details) if details.hiding else None,
+        "detection": _detection(study, found),
+        "rings": _rings(details.rings),
+        "zones": zones_table(found.zones) if found.zones else None,
+        "lost": lost_table(robust, not study.objective.is_max_vsr) if robust and robust.without else None,
+        "sensitivity": sensitivity_table(rig, robust) if robust else None,
+        "volumes": volumes_table(found.blind),
+        "contours": contours_table(found.blind) if found.blind.contours else None,
+        "shape": _shape(details),
+    }
+
+
+def _drawings(
+    study: Study, rig: Rig, details: Details, placement: Placement | None, baseline: Baseline | None
+) -> dict[str, Any]:
     found, region = details.evaluation, study.region
+    both = [("this rig", details), ("baseline", baseline.details)] if baseline else [("", details)]
+    robust = [(name, one.evaluation.robustness) for name, one in both if one.evaluation.robustness]
+    rings: list[tuple[str, Any]] = [("", details.rings)]
+    if baseline:
+        rings = [(item.name, {name: one.rings[item.name] for name, one in both}) for item in study.detection]
     return {
         "mounts": drawings.draw_mounts(study, rig),
         "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
         "history": drawings.draw_history(study, placement) if placement else None,
         "worst": drawings.draw_worst(study, rig, found),
-        "lost": draw_lost([("", found.robustness)]) if found.robustness else None,
-        "sizes": drawings.draw_sizes([("", details)]),
-        "rings": drawings.draw_rings([("", details.rings)]) if details.rings else None,
+        "lost": draw_lost(robust) if robust else None,
+        "sizes": drawings.draw_sizes(both),
+        "rings": drawings.draw_rings(rings) if details.rings else None,
         "places": drawings.draw_places(region, rig, details.places) if details.places else None,
         "blind": draw_blind_spots(found.subspaces, rig, found.blind) if found.blind.contours else None,
         "coverage": drawings.draw_coverage(region, rig, details.coverage),
@@ -186,6 +216,35 @@ def _worst(found: Evaluation) -> Table:
     return Table(caption, ("", *sizes, "between the beams, by sensor"), rows, texts=(6,))
 
 
+def _hiding(details: Details) -> Table:
+    """Which objects fit into a subspace."""
+    rows = []
+    for name, found in details.hiding.items():
+        row = [name, "yes" if found.in_worst else "no", f"{found.subspaces:,}"]
+        if found.nearest_at_m is None:
+            rows.append([*row, "–", "–", "–"])
+            continue
+        row += [f"{found.largest_vsr_m:.4f}", f"{found.nearest_m:.2f}", vector(found.nearest_at_m, ".1f")]
+        rows.append(row)
+    head = ("object", "fits into the worst", "into so many", "their largest VSR (m)", "nearest (m)", "at x, y (m)")
+    return Table("Which objects fit wholly into a subspace, parallel to the axes", head, rows, texts=(1, 5))
+
+
+def _shape(details: Details) -> Table:
+    """Sizes of the subspaces, and beams across poles."""
+    found, known = details.evaluation, details.coverage
+    parts = zip(("half", "90 %", "99 %", "all"), np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0)).tolist(), strict=True)
+    rows = [
+        ["subspaces", f"{len(found.subspaces):,}"],
+        *([f"VSR that {part} of them do not exceed (m)", f"{value:.4f}"] for part, value in parts),
+        ["diameter of the largest sphere in any (m)", f"{2 * details.sphere_m:.3f}"],
+        ["beams across an upright pole, median", f"{known.median_beams:g}"],
+        ["positions of poles with no beam", f"{known.by_none:.2%}"],
+        ["positions with one sensor's beams", f"{known.by_one_sensor:.2%}"],
+    ]
+    return Table("Subspaces and coverage in numbers", ("", "value"), rows)
+
+
 def _is_outside(worst: Worst) -> bool:
     """Whether a subspace lies above or below all beams of every sensor that sees it."""
     seen = [pair for pair in worst.between_deg if pair != [None, None]]
@@ -239,7 +298,7 @@ def _coverage(details: Details, rig: Rig) -> dict[str, str | None]:
     }
 
 
-def _analytic(found: Evaluation, bar: Analytic) -> dict[str, Any]:
+def _analytic(found: Evaluation, bar: Analytic, baseline: Baseline | None) -> dict[str, Any]:
     less = 1 - found.max_vsr_m / bar.max_vsr_m
     edges = " × ".join(f"{edge:g}" for edge in bar.cuboid_m)
     reached = f"within the tolerance of {bar.tolerance:.3g}" if bar.reached else "not the tolerance asked for"
@@ -251,28 +310,32 @@ def _analytic(found: Evaluation, bar: Analytic) -> dict[str, Any]:
         ("error bar", f"{bar.error_m / bar.max_vsr_m:.2%}, {reached}"),
         ("finest cuboids", f"{bar.cuboids:,} of {edges} m"),
     ]
+    if baseline and (other := baseline.details.evaluation.analytic):
+        rows.append(("analytic max VSR of the baseline", f"{other.max_vsr_m:.6f} ± {other.error_m:.6f} m"))
     return {"rows": rows, "difference": f"{abs(less):.1%} {'lower' if less >= 0 else 'higher'}"}
 
 
-def _skipped(values: dict[str, Any], placement: Placement | None) -> Facts:
+def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> Facts:
     if placement is None:
         return []
-    trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
-    full, cuboids = values["skipped"]["full_evaluations"], values["skipped"]["cuboids"]
-    every = max(full + placement.full_evaluations, 1)
-    all_cuboids = max(cuboids + placement.cuboids, 1)
-    return [
-        ("trials settled without a full evaluation", f"{full:,} of {trials:,} ({full / every:.1%})"),
-        ("cuboids that were not evaluated", f"{cuboids:,} of {all_cuboids:,} ({cuboids / all_cuboids:.1%})"),
-        *_segments(values["skipped"]["segments"], placement.segments),
-    ]
+    skipped, trials = values["skipped"], placement.evaluated
+    all_trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
+    what = "rigs" if study.rigs[0] > 1 else "trials"
+    facts: Facts = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
+    if study.rigs[0] > 1:
+        facts.append(("rigs that these stand for", f"{skipped['rigs']:,}, {study.rigs[0]:,} a trial"))
+    facts.append((f"{what} settled without a full evaluation", _of(skipped["full_evaluations"], skipped["rigs"])))
+    if not study.objective_cuts:
+        return [*facts, ("cuboids that were not evaluated", "all: the objective does not need the subspaces")]
+    cuboids = skipped["rigs"] * study.region.included.size
+    facts.append(("cuboids that were not evaluated", _of(skipped["cuboids"], cuboids)))
+    if segments := trials * study.segments:
+        facts.append(("segments from sensors to cuboids that were not cast", _of(skipped["segments"], segments)))
+    return facts
 
 
-def _segments(skipped: int, cast: int) -> Facts:
-    if not skipped + cast:
-        return []
-    saved = f"{skipped:,} of {skipped + cast:,} ({skipped / (skipped + cast):.1%})"
-    return [("segments from sensors to cuboids that were not cast", saved)]
+def _of(part: int, whole: int) -> str:
+    return f"{part:,} of {whole:,} ({part / max(whole, 1):.1%})"
 
 
 def _repeat(values: dict[str, Any]) -> Facts:

@@ -23,6 +23,7 @@ from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
+from lidarcfg.report.baseline import Baseline
 from lidarcfg.report.document import Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
 from lidarcfg.rig import Rig, rig_to_dict, save_rig
@@ -52,7 +53,7 @@ def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]
         "zones": [asdict(zone) for zone in found.zones],
         "robustness": found.robustness and _robustness(rig, found.robustness),
         "worst": [asdict(worst) for worst in found.worst],
-        "skipped": {"full_evaluations": 0, "cuboids": 0, "segments": 0},
+        "skipped": {"rigs": 1, "full_evaluations": 0, "cuboids": 0, "segments": 0},
         "rig": rig_to_dict(rig),
         "study": study.file,
     }
@@ -89,7 +90,7 @@ def _contour(contour: Contour) -> dict[str, Any]:
 
 def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> dict[str, Any]:
     """What `optimize` writes as result.json."""
-    trials = found.evaluations + found.first_evaluations + found.scout_evaluations
+    rigs, cut = found.evaluated * study.rigs[0], study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
         "objective": found.objective,
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
@@ -101,9 +102,10 @@ def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> di
         "seed": study.solver.seed,
         "solver": study.solver.method,
         "skipped": {
-            "full_evaluations": trials * study.rigs[0] - found.full_evaluations,
-            "cuboids": trials * study.rigs[0] * study.region.included.size - found.cuboids,
-            "segments": trials * study.segments - found.segments,
+            "rigs": rigs,
+            "full_evaluations": rigs - found.full_evaluations,
+            "cuboids": max(cut * rigs * study.region.included.size - found.cuboids, 0),
+            "segments": max(cut * found.evaluated * study.segments - found.segments, 0),
         },
     }
 
@@ -114,19 +116,39 @@ def to_json(values: dict[str, Any]) -> str:
     return UNPRINTED.sub(lambda found: json.dumps(found[0])[1:-1], text)
 
 
-def save_evaluation(study: Study, rig: Rig, details: Details, folder: Path, commands: Commands | None = None) -> None:
+def baseline_dict(study: Study, baseline: Baseline) -> dict[str, Any]:
+    """What result.json says of a baseline."""
+    values = evaluation_dict(study, baseline.rig, baseline.details.evaluation)
+    return {"file": baseline.file} | {key: value for key, value in values.items() if key not in ("study", "version")}
+
+
+def save_evaluation(
+    study: Study,
+    rig: Rig,
+    details: Details,
+    folder: Path,
+    commands: Commands | None = None,
+    baseline: Baseline | None = None,
+) -> None:
     """Write result.json, rig.png and report.html into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     found = details.evaluation
     values = evaluation_dict(study, rig, found)
+    if baseline:
+        values["baseline"] = baseline_dict(study, baseline)
     with together():
         write_text(to_json(values) + "\n", folder / "result.json")
         save_figure(draw_rig(study, rig, found), folder / "rig.png")
-        write_text(report(study, rig, details, values, None, commands), folder / "report.html")
+        write_text(report(study, rig, details, values, None, commands, baseline), folder / "report.html")
 
 
 def save_placement(
-    study: Study, found: Placement, details: Details, folder: Path, commands: Commands | None = None
+    study: Study,
+    found: Placement,
+    details: Details,
+    folder: Path,
+    commands: Commands | None = None,
+    baseline: Baseline | None = None,
 ) -> None:
     """Write the result of a search into `folder`; `details` are those of its rig.
 
@@ -134,13 +156,15 @@ def save_placement(
     """
     folder.mkdir(parents=True, exist_ok=True)
     values = placement_dict(study, found, details.evaluation)
+    if baseline:
+        values["baseline"] = baseline_dict(study, baseline)
     with together():
         _write_progress(study, found.rig, found.log, folder)
         write_text(to_json(values) + "\n", folder / "result.json")
         write_history(found.history, folder)
         save_figure(draw_convergence(study, found), folder / "convergence.png")
         save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
-        write_text(report(study, found.rig, details, values, found, commands), folder / "report.html")
+        write_text(report(study, found.rig, details, values, found, commands, baseline), folder / "report.html")
 
 
 def write_history(history: Sequence[Any], folder: Path) -> None:

@@ -3,7 +3,7 @@
 import math
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from typing import Any
@@ -16,6 +16,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Returns
+from lidarcfg.placement.hiding import Hiding
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sightings import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
@@ -97,6 +98,30 @@ def object_in_words(item: DetectionObject) -> str:
     return f"{size} m, {where}, {how}; detected if in more than {counted(item.threshold, 'subspace')}"
 
 
+def hiding_in_words(hiding: Mapping[str, Hiding]) -> list[str]:
+    """A sentence for each object: whether it can be where no beam enters it, and where."""
+    return [f"{name} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()]
+
+
+def _size(size_m: Sequence[float]) -> str:
+    return " × ".join(f"{edge:g}" for edge in size_m) + " m"
+
+
+def _heights(found: Hiding) -> str:
+    return "on the ground" if found.on_ground else "at any height"
+
+
+def _fits(found: Hiding) -> str:
+    if found.nearest_at_m is None:
+        return "fits into no subspace: wherever it is, a beam or the edge of what a sensor sees crosses it"
+    at = vector(found.nearest_at_m, ".1f")
+    where = f"the nearest place is {found.nearest_m:.1f} m from the vehicle, at x, y = {at} m"
+    if found.in_worst:
+        others = f", and into {counted(found.subspaces - 1, 'other')}" if found.subspaces > 1 else ""
+        return f"fits into the worst subspace, unseen{others}; {where}"
+    return f"does not fit into the worst subspace, but unseen into {counted(found.subspaces, 'other')}; {where}"
+
+
 def returns_in_words(found: Returns) -> str:
     """How many, and what the worst phase leaves."""
     least = f"in the worst phase {found.mean_in_worst_phase:.1f}, rate {found.rate_in_worst_phase:.4f}"
@@ -150,6 +175,21 @@ def _terms_in_words(study: Study) -> str:
         terms.append(f"{spot.weight:g} × {what}")
     terms += [f"{weight:g} × (1 − detection rate of {name})" for name, weight in wanted.detection.items()]
     return "the weighted mean of " + ", ".join(terms)
+
+
+def skips_in_words(study: Study) -> str:
+    """What lets a search settle a trial early."""
+    wanted = study.objective
+    if study.solver.method == "cmaes":
+        return "This solver ranks its trials by their costs, so each is evaluated in full."
+    if wanted.is_max_vsr:
+        ends = "as soon as one of its subspaces is no better than the value it has to beat"
+    else:
+        ends = "as soon as the terms computed so far, with 0 for all others, reach the value it has to beat"
+    if study.robust:
+        ends += ", in as many of the rigs that it stands for as settle it"
+    some = " Random trials and those of CMA-ES, with which this solver begins, are ranked by their costs, so in full."
+    return f"A trial ends {ends}.{some if study.solver.method == 'auto' else ''}"
 
 
 def limits_in_words(study: Study) -> str:

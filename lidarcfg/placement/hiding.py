@@ -1,0 +1,68 @@
+"""Where an object can be without a beam entering it: wholly inside one subspace, parallel to the axes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.detection import DetectionObject
+from lidarcfg.placement.region import cuboids_needed
+from lidarcfg.placement.subspace import Subspaces
+
+
+@dataclass(frozen=True)
+class Hiding:
+    """Where an object fits in without touching a beam."""
+
+    size_m: tuple[float, float, float]
+    on_ground: bool  # or at any height
+    in_worst: bool  # whether it fits into the subspace of the largest VSR
+    subspaces: int  # into how many it fits
+    largest_vsr_m: float | None  # of these; None where there are none
+    nearest_m: float | None  # from the vehicle to the middle of the nearest place, along the ground
+    nearest_at_m: tuple[float, float] | None  # that place
+
+
+def hiding(subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m: Array) -> Hiding | None:
+    """Where a box can hide, at its two headings along the axes; None for a mesh.
+
+    A box that lies in a subspace touches cuboids of that subspace alone. It touches fewest where it stands on the
+    grid, so all others follow from the places there.
+    """
+    if item.size_m is None:
+        return None
+    length, width, height = item.size_m
+    on_ground, found, places = item.on_ground or item.returns is not None, set[int](), []
+    for size_m in dict.fromkeys(((length, width, height), (width, length, height))):
+        size = cuboids_needed(size_m, subspaces.region.cuboid_m)
+        if any(need > have for need, have in zip(size, subspaces.region.shape, strict=True)):
+            continue
+        inside = _inside(subspaces.label[:, :, : size[2] if on_ground else None], size)
+        found |= set(np.unique(inside[inside >= 0]).tolist())
+        corner = np.argwhere((inside >= 0).any(axis=2))
+        places.append(subspaces.region.min_m[:2] + (corner + np.array(size[:2]) / 2) * subspaces.region.cuboid_m[:2])
+    if not found:
+        return Hiding(item.size_m, on_ground, False, 0, None, None, None)
+    at = np.concatenate(places)
+    far = np.hypot(*(at - vehicle_m).T)
+    nearest = int(np.argmin(far))
+    return Hiding(
+        item.size_m,
+        on_ground,
+        int(np.argmax(vsr_m)) in found,
+        len(found),
+        float(vsr_m[sorted(found)].max()),
+        float(far[nearest]),
+        (float(at[nearest, 0]), float(at[nearest, 1])),
+    )
+
+
+def _inside(label: NDArray[np.int32], size: tuple[int, ...]) -> NDArray[np.int32]:
+    """The subspace that holds each block of so many cuboids, by its lowest one; −1 where none does."""
+    low = high = label
+    for axis, count in enumerate(size):
+        low = sliding_window_view(low, count, axis).min(axis=-1)
+        high = sliding_window_view(high, count, axis).max(axis=-1)
+    return np.where(low == high, low, np.int32(-1))

@@ -1,0 +1,60 @@
+"""A rig that stands beside a result in every table of a report, with what differs."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lidarcfg.placement.details import Details
+from lidarcfg.report.html import Figure, Table
+from lidarcfg.rig import Rig
+
+NUMBER = re.compile(r"(?:≥ )?(-?[\d,]+(?:\.(\d+))?)( ?%)?(?! ?…)")  # that a cell begins with
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A rig to compare a result with, and its evaluation in the same study."""
+
+    rig: Rig
+    file: str
+    details: Details
+
+
+def beside(table: Table | None, baseline: Table | None) -> Table | None:
+    """A table whose rows are followed by the baseline's of the same number, and by this rig's less the baseline's."""
+    if table is None or baseline is None:
+        return table
+    rows: list[Sequence[object]] = []
+    for i in range(max(len(table.rows), len(baseline.rows))):
+        own = table.rows[i] if i < len(table.rows) else None
+        other = baseline.rows[i] if i < len(baseline.rows) else None
+        if own:
+            rows.append(own)
+        if other:
+            named = "" if own and own[0] == other[0] else f": {other[0]}"
+            rows.append([f"baseline{named}", *other[1:]])
+        if own and other:
+            cells = enumerate(zip(own[1:], other[1:], strict=True), 1)
+            rows.append(["difference", *(difference(*pair) if table.is_number(n) else "" for n, pair in cells)])
+    return Table(f"{table.caption}; below each row, the baseline's", table.head, rows, table.texts)
+
+
+def difference(own: object, other: object) -> str:
+    """How much more the number is that a cell begins with, to as many digits; empty where either has none."""
+    found = [NUMBER.match(str(cell)) for cell in (own, other)]
+    if found[0] is None or found[1] is None:
+        return ""
+    first, second = (float(match[1].replace(",", "")) for match in found if match)
+    digits = max(len(match[2] or "") for match in found if match)
+    return f"{first - second:+z,.{digits}f}{found[0][3] or ''}"
+
+
+def figures_beside(figures: list[Figure], baseline: list[Figure]) -> list[Figure]:
+    """The figures of a summary, each with the baseline's."""
+    known = {figure.what: figure.value for figure in baseline}
+    return [
+        Figure(figure.what, figure.value, f"{figure.detail}; the baseline: {known[figure.what]}")
+        if figure.what in known
+        else figure
+        for figure in figures
+    ]
