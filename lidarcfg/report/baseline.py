@@ -8,7 +8,7 @@ from lidarcfg.placement.details import Details
 from lidarcfg.report.html import Figure, Table
 from lidarcfg.rig import Rig
 
-NUMBER = re.compile(r"(?:≥ )?(-?[\d,]+(?:\.(\d+))?)( ?%)?(?! ?…)")  # that a cell begins with
+NUMBER = re.compile(r"(?:≥ )?(-?[\d,]+(?:\.(\d+))?)( ?%)?(?![\d.]| ?…)")  # that a cell begins with
 
 
 @dataclass(frozen=True)

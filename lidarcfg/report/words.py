@@ -119,7 +119,7 @@ def _fits(found: Hiding) -> str:
     if found.in_worst:
         others = f", and into {counted(found.subspaces - 1, 'other')}" if found.subspaces > 1 else ""
         return f"fits into the worst subspace, unseen{others}; {where}"
-    return f"does not fit into the worst subspace, but unseen into {counted(found.subspaces, 'other')}; {where}"
+    return f"does not fit into the worst subspace, but fits, unseen, into {counted(found.subspaces, 'other')}; {where}"
 
 
 def returns_in_words(found: Returns) -> str:
