@@ -1,4 +1,4 @@
-"""Draw docs/pictures/: what a subspace is, axes and angles, a mounted vehicle, a height field, the data's way.
+"""Draw docs/pictures/: subspaces, axes and angles, a mounted vehicle, a height field, what sensors see, the data's way.
 
 Usage: .venv/bin/python tools/draw_concepts.py [NAME …]
 """
@@ -9,12 +9,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from draw_flows import data, packets
 from draw_scenes import Camera, picture, save, seen_at
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.patches import FancyBboxPatch
-from PIL import ImageDraw
+from PIL import Image, ImageDraw
 
+from lidarcfg.cli import cli
+from lidarcfg.cloud import PointCloud, load_cloud
 from lidarcfg.geometry import pose, rotation, transform
 from lidarcfg.placement.cones import Lidar, gaps_at, lidar
 from lidarcfg.placement.metric import vsr_m
@@ -215,51 +217,41 @@ def height_field(path: Path) -> None:
     save_figure(figure, path)
 
 
-BOXES = {  # what it is: place, size, colour, text
-    "study": (0.2, 5.0, "file", "study.yaml\nregion, sensors with bounds,\nobjects, vehicle"),
-    "optimize": (3.5, 5.0, "command", "optimize\nevaluate, compare, sweep"),
-    "rig": (6.6, 5.0, "file", "rig.yaml\nmodels, poses, network,\nvehicle"),
-    "report": (6.6, 6.7, "file", "report.html, result.json\nmax VSR, detection,\nblind spots"),
-    "sensors": (0.2, 6.7, "file", "sensors/*.yaml\nbeams, firing, range"),
-    "scene": (3.5, 3.3, "file", "scene.yaml\nground, objects, weather;\ntrajectory"),
-    "export": (6.6, 3.3, "command", "export\nrays, echoes, packets"),
-    "pcap": (6.6, 1.6, "file", "capture.pcap\npackets as the sensors\nsend them"),
-    "truth": (9.7, 3.3, "file", "truth.npz\nwhat each return hit"),
-    "decode": (3.5, 1.6, "command", "decode\nmerge, deskew"),
-    "replay": (9.7, 1.6, "command", "replay\nto your driver, by UDP"),
-    "cloud": (0.2, 1.6, "file", "cloud.ply .pcd .npz\none point a return"),
-    "convert": (6.6, -0.1, "command", "convert\nROS 2, MCAP, LAS, KITTI …"),
-    "view": (0.2, -0.1, "command", "view\npage, still, window"),
-    "urdf": (9.7, 5.0, "command", "convert\nURDF, launch, CARLA …"),
+MAKERS = {
+    "vlp-16": "Velodyne VLP-16",
+    "os1-64": "Ouster OS1-64",
+    "pandar-xt32": "Hesai PandarXT-32",
+    "helios-32": "RoboSense Helios-32",
 }
-ARROWS = (
-    *(("sensors", "optimize"), ("study", "optimize"), ("optimize", "rig"), ("optimize", "report"), ("rig", "export")),
-    *(("scene", "export"), ("export", "truth"), ("export", "pcap"), ("pcap", "decode"), ("pcap", "replay")),
-    *(("decode", "cloud"), ("cloud", "view"), ("pcap", "convert"), ("rig", "urdf")),
-)
-FILLS = {"file": "#eaf2fa", "command": "#fbeccb"}
-WIDE, HIGH = 2.6, 1.1
+PLACE = 40.0, -1.6, 0.0  # in the suburb, between hedges and parked cars
 
 
-def data(path: Path) -> None:
-    """The files (blue) and the commands (yellow) between them."""
-    figure = new_figure(10.5, 6.4)
-    axis = figure.subplots()
-    for x, y, kind, text in BOXES.values():
-        style = "round,pad=0.02,rounding_size=0.1" if kind == "file" else "round,pad=0.02,rounding_size=0.5"
-        axis.add_patch(FancyBboxPatch((x, y), WIDE, HIGH, boxstyle=style, facecolor=FILLS[kind], edgecolor="0.4"))
-        first, _, rest = text.partition("\n")
-        axis.text(x + WIDE / 2, y + HIGH - 0.25, first, ha="center", va="center", fontweight="bold", fontsize=10)
-        axis.text(x + WIDE / 2, y + 0.38, rest, ha="center", va="center", fontsize=8.5)
-    for one, other in ARROWS:
-        (ax, ay), (bx, by) = (np.add(BOXES[name][:2], (WIDE / 2, HIGH / 2)) for name in (one, other))
-        level = abs(bx - ax) > 1
-        side, up = np.sign(bx - ax) * WIDE / 2 * level, np.sign(by - ay) * HIGH / 2 * (not level)
-        start, end = (ax + side, ay + up), (bx - side, by - up)
-        axis.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "0.25", "linewidth": 1.4})
-    axis.set(xlim=(0, 12.5), ylim=(-0.3, 8.0), aspect="equal")
-    axis.axis("off")
+def makers(path: Path) -> None:
+    """One revolution of a sensor of each maker in the same place of the suburb, from above, by height."""
+    figure = new_figure(10, 9.6)
+    with tempfile.TemporaryDirectory() as name:
+        for axis, (model, title) in zip(figure.subplots(2, 2).ravel(), MAKERS.items(), strict=True):
+            cloud = _revolution(model, Path(name))
+            x, y, z = cloud.xyz[np.abs(cloud.xyz[:, :2]).max(axis=1) < 25].T
+            axis.scatter(x, y, s=0.6, c=z, cmap="viridis", vmin=0, vmax=5, linewidths=0)
+            axis.set(aspect="equal", xlim=(-25, 25), ylim=(-25, 25), title=f"{title}: {len(cloud.xyz):,} returns")
     save_figure(figure, path)
+    save(Image.open(path).convert("RGB"), path)
+
+
+def _revolution(model: str, folder: Path) -> PointCloud:
+    """What a sensor on a roof sees in a tenth of a second."""
+    rig, capture = folder / f"{model}.yaml", folder / f"{model}.pcap"
+    rig.write_text(
+        f"name: {model}\nsensors: [{{name: {model}, model: {model}, position_m: [0.3, 0, 1.9], rpm: 600}}]\n"
+    )
+    at = f"--at={','.join(map(str, PLACE))}"
+    for words in (
+        ["export", rig, "--scene", ROOT / "data/scenes/suburb.yaml", at, "--duration", "0.1", "-o", capture],
+        ["decode", capture, "--rig", rig, "-o", folder / f"{model}.npz"],
+    ):
+        cli.main([*map(str, words), "--quiet"], standalone_mode=False)
+    return load_cloud(folder / f"{model}.npz", print)
 
 
 PICTURES = {
@@ -267,7 +259,9 @@ PICTURES = {
     "axes": axes_and_angles,
     "mounted": mounted,
     "height-field": height_field,
+    "makers": makers,
     "data": data,
+    "packets": packets,
 }
 
 
