@@ -15,12 +15,12 @@ export class TimeSection {
     this.joined.addEventListener("change", () => this.accumulate(this.joined.valueAsNumber));
     this.when = el("div", { className: "dim", id: "when" });
     const whole = timeline.drives ? "whole recording, deskewed" : "whole recording";
-    const count = el("span", { className: "count", textContent: `${number(frames.length)} frames of ${number(frame * unit_s * 1000)} ms` });
+    const count = el("span", { className: "count", textContent: `${number(frames.length)} × ${number(frame * unit_s * 1000)} ms` });
     this.element = section(
       "Time",
-      el("label", { hidden: !points }, this.every, whole, count),
+      points ? el("label", {}, this.every, whole, count) : null,
       el("div", { className: "row" }, this.button, this.slider),
-      el("label", { hidden: !points }, "scans accumulated", this.joined),
+      points ? el("label", {}, "scans accumulated", this.joined) : null,
       this.when,
     );
     this.refresh();
