@@ -221,14 +221,15 @@ def _with_fragments(
     frame, start, size = rows
     key = np.ascontiguousarray(np.concatenate([head["source"], head["destination"]], axis=1)).view(">u8")[:, 0]
     first, last = _runs(piece.time_ns[frame], key, head, size, reassembly)
-    alone = np.ones(len(frame), np.bool_)
-    parts: list[Octets] = []
-    for begin, end in zip(first.tolist(), last.tolist(), strict=True):
-        alone[begin : end + 1] = False
-        pieces = zip(start[begin : end + 1].tolist(), size[begin : end + 1].tolist(), strict=True)
-        parts.append(np.concatenate([piece.data[at : at + count] for at, count in pieces]))
+    counts = last - first + 1
+    before = np.cumsum(counts) - counts
+    rows_of_runs = np.repeat(first - before, counts) + np.arange(counts.sum())
+    parts = [_joined(piece.data, start[rows_of_runs], size[rows_of_runs])]
+    lengths = np.add.reduceat(size[rows_of_runs], before).tolist() if len(first) else []
     made_at = frame[last].tolist()
     hosts = (key[first] >> np.uint64(32)).tolist()
+    alone = np.ones(len(frame), np.bool_)
+    alone[rows_of_runs] = False
     for row in np.flatnonzero(alone).tolist():
         flags = int(head["flags"][row])
         fragment = Fragment(
@@ -241,11 +242,12 @@ def _with_fragments(
         datagram = reassembly.add(fragment)
         if datagram is not None and len(datagram) >= UDP.itemsize:
             parts.append(np.frombuffer(datagram, np.uint8))
+            lengths.append(len(datagram))
             made_at.append(int(frame[row]))
             hosts.append(int(key[row]) >> 32)
-    if not parts:
+    if not lengths:
         return whole
-    sizes = np.array([len(one) for one in parts], np.int64)
+    sizes = np.array(lengths, np.int64)
     begins = np.cumsum(sizes) - sizes
     data = np.concatenate(parts)
     ports = gathered(data, begins, UDP)
@@ -260,6 +262,17 @@ def _with_fragments(
         data=np.concatenate([piece.data, data]),
     )
     return together[order]
+
+
+def _joined(data: Octets, start: NDArray[np.int64], size: NDArray[np.int64]) -> Octets:
+    """Pieces (N,) of the data, one after the other; those of the same size, which most are, at once."""
+    ends = np.cumsum(size)
+    out = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
+    for one in np.unique(size).tolist():
+        rows, kind = size == one, np.dtype((np.void, one))
+        everywhere = np.ndarray(len(out) - one + 1, kind, out, strides=(1,))
+        everywhere[ends[rows] - one] = gathered(data, start[rows], kind)
+    return out
 
 
 def _runs(
