@@ -30,7 +30,8 @@ def read_xyz(path: Path, most: int) -> Array:
             rows = reader.read_points(count)
             if len(rows) != count:
                 raise ValueError(f"{count} points are announced, and not there")
-            return np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)
+            with np.errstate(over="ignore", invalid="ignore"):  # of absurd scales; what they make is not finite
+                return np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)
     except OSError as error:
         raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
     except (laspy.LaspyException, lazrs.LazrsError, ValueError) as error:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.cloud import NPZ_ERRORS
 from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array
@@ -104,6 +105,6 @@ def _described(path: Path) -> Iterator[None]:
     """What NumPy and Pillow raise for a damaged file, as SceneError."""
     try:
         yield
-    except (ValueError, OSError, SyntaxError, EOFError, struct.error, MemoryError) as error:
+    except (*NPZ_ERRORS, OSError) as error:
         what = " ".join(str(error).split())[:200] or type(error).__name__
         raise SceneError(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}") from None

@@ -24,9 +24,9 @@ SUFFIXES = ".gltf", ".glb"
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # of y up: -z becomes y
 SHOWN = 8  # names in a message
 SEVERAL = "from_gltf_primitive"  # trimesh's mark of a mesh that is one of a node's several
-# What trimesh raises for damaged files: of JSON and of numpy, of keys and indices that are not there, and its asserts.
+# What trimesh raises for damaged files: of JSON and numpy, of keys, indices and names that are not there, its asserts.
 ERRORS = (
-    *(ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error),
+    *(ValueError, LookupError, NameError, TypeError, AttributeError, struct.error),
     *(AssertionError, RecursionError, MemoryError, OverflowError, NotImplementedError, OSError),
 )
 

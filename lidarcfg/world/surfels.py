@@ -95,7 +95,8 @@ def _read(path: Path) -> Points:
 
 
 def _columns(rows: NDArray[Any], names: Iterable[str]) -> Array:
-    return np.stack([rows[name] for name in names], axis=1, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # of bytes that are no number; they are found out later
+        return np.stack([rows[name] for name in names], axis=1, dtype=np.float64)
 
 
 def _check_finite(path: Path, rows: Array) -> None:

@@ -13,6 +13,8 @@ from lidarcfg import inputs
 from lidarcfg.cloud import save_clouds
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.formats.las import save_las
+from lidarcfg.world.height_field import read_heights
+from lidarcfg.world.models import read_parts
 from lidarcfg.world.surfels import CORNER, read_points
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import scene
@@ -360,6 +362,35 @@ def test_surfels_that_are_refused(tmp_path, name, radius, message):
         scene(tmp_path, SURFELS.format(name, radius))
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("suffix", ["png", "npy", "glb", "ply", "pcd", "npz", "las", "laz"])
+def test_damaged_files_are_used_or_refused_in_one_line(tmp_path, suffix):
+    """Cut off, or with octets changed, most of them in the header; a warning of a library would be an error here."""
+    made, whole = cloud(30), tmp_path / f"whole.{suffix}"
+    rng = np.random.default_rng(list(suffix.encode()))
+    if suffix == "glb":
+        glb(whole, NODES, primitives=((0,), (1,)))
+    elif suffix in ("png", "npy"):
+        heights = rng.integers(0, 99, (12, 9), np.uint16)
+        Image.fromarray(heights).save(whole) if suffix == "png" else np.save(whole, heights)
+    else:
+        (save_las if suffix in ("las", "laz") else lambda path, one: save_clouds(path, [one]))(whole, made)
+    read = {"png": read_heights, "npy": read_heights, "glb": read_parts}.get(suffix, read_points)
+    refused = []
+    for _ in range(50):
+        data = bytearray(whole.read_bytes())
+        if rng.random() < 0.2:
+            data = data[: rng.integers(len(data))]
+        for at in rng.integers(min(len(data), 400), size=rng.integers(1, 6)) if data else ():
+            data[at] = rng.choice([0, 255, *b"0123456789{}-", data[at] ^ 1 << rng.integers(8)])
+        (tmp_path / f"damaged.{suffix}").write_bytes(data)
+        try:
+            read(tmp_path / f"damaged.{suffix}")
+        except LidarcfgError as error:
+            refused.append(str(error))
+    assert len(refused) > 5
+    assert all("\n" not in one and f"damaged.{suffix}" in one for one in refused)
 
 
 FLAT = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nend_header\n0 0\n"
