@@ -1,5 +1,6 @@
-"""The accuracy benchmark: it runs, and what it takes for the truth is right where that can be worked on paper."""
+"""Tools find what they import; the accuracy benchmark: it runs, and what it takes for the truth is right where that can be worked on paper."""
 
+import ast
 import importlib
 from pathlib import Path
 
@@ -140,3 +141,13 @@ def test_a_better_rig_takes_the_place_of_the_best_known(tool, tmp_path, monkeypa
     assert known["searched_s"] == 0.4  # those with seeds from 1000 on
     assert "seed 2, " in known["found_by"]
     assert [run["seed"] for run in bench.finished()] == [1000, 1001, 2]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tools").glob("*.py")), ids=lambda path: path.name)
+def test_tools_ask_for_what_the_package_has(path):
+    """No test runs the benchmarks: at least every name that they import is there."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lidarcfg"):
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                assert hasattr(module, name.name) or importlib.import_module(f"{node.module}.{name.name}"), name.name

@@ -27,7 +27,8 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
 from lidarcfg.packets.codec import Firings, codec
 from lidarcfg.rig import Mount, Rig, load_rig
-from lidarcfg.simulate.export import CHUNK_RAYS, START_NS, export, in_time_order
+from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.simulate.tasks import CHUNK_RAYS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.scene import Scene, load_scene
