@@ -84,7 +84,9 @@ class Shots:
 
 def shots(sensor: Sensor, found: Measurements) -> Shots:
     """The firings of a sensor whose sequences are whole, as recorded."""
-    shape = -1, sensor.count
+    shape, laser = (-1, sensor.count), found.batch.firings.laser
+    if len(laser) % sensor.count or (laser.reshape(shape) != np.arange(sensor.count)).any():
+        raise SystemExit(f"{sensor.name}: its lasers take turns; only sensors of which all fire in turn are measured")
     azimuth = found.batch.firings.encoder_rad.reshape(shape) + sensor.azimuth_offset_rad
     elevation = np.broadcast_to(sensor.elevation_rad, azimuth.shape)
     left, up = np.broadcast_to(sensor.lateral_offset_m, azimuth.shape), sensor.vertical_offset_m

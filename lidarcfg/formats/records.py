@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from lidarcfg.capture.frames import ETHERNET
 from lidarcfg.capture.pcap import HEADER, PCAP_MAGIC, RECORD_MAX
 from lidarcfg.errors import CloudError, PacketError
-from lidarcfg.inputs import read_regular
+from lidarcfg.inputs import check_memory, check_regular, read_regular
 from lidarcfg.packets.codec import Octets, Times
 from lidarcfg.units import SECOND_NS
 
-SIZE_MAX = 4_000_000_000  # bytes of a capture that is held in memory
+SIZE_MAX, COPIES = 4_000_000_000, 60  # bytes of a capture, and how many for each are needed to take it apart
 HEAD, LINK, UDP = 16, 14, 8  # bytes of headers: a record's, Ethernet's, UDP's
 KEPT = -1  # instead of the number of a source
 
@@ -102,6 +102,7 @@ def pieces(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Oct
 def read_records(path: Path) -> Records:
     """All records of a classic pcap of Ethernet frames. Raises PacketError."""
     try:
+        check_memory(str(path), COPIES * check_regular(path))
         data = read_regular(path, SIZE_MAX)
     except OSError as error:
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None

@@ -183,5 +183,11 @@ def test_what_is_not_allowed(tmp_path, model, said, message):
 
 def test_every_preset_says_where_it_is_from():
     measured = [name for name in catalogue() if load_sensor(name).realism]
-    assert measured == ["hdl-32e", "vlp-16", "vlp-32c", "vls-128", "vls-128-2020"]
+    known = ["hdl-32e", "helios-32", "os2-128", "pandar-xt32", "vlp-16", "vlp-32c", "vls-128", "vls-128-2020"]
+    assert measured == known
     assert all("measure_realism.py" in load_sensor(name).realism.source for name in measured)
+
+
+def test_lasers_that_take_turns_are_not_measured(tool):
+    with pytest.raises(SystemExit, match="qt128: its lasers take turns"):
+        tool.read(recording("hesai/nebula_qt128.pcap"), None)
