@@ -7,7 +7,7 @@ numbers. Errors: unknown or repeated keys, wrong types, NaN, infinities, and tag
 import difflib
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,6 +77,15 @@ SENTENCES = {  # by pydantic's error type, with the limits of its context
 def fault(what: str, *at: str | int) -> PydanticCustomError:
     """The error that a model's validator raises: `what`, at the key `at` below the model."""
     return PydanticCustomError("fault", "{what}", {"what": what, "at": at})
+
+
+def check_names(names: Iterable[str], what: str, *at: str | int) -> None:
+    """A model's validator: each name stands once in the list `at`."""
+    seen: set[str] = set()
+    for i, name in enumerate(names):
+        if name in seen:
+            raise fault(f"{name!r} is {what} already; each name may stand once", *at, i, "name")
+        seen.add(name)
 
 
 class _Resolver(BaseResolver):

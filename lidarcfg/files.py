@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -48,7 +49,15 @@ class _Whole:
         os.close(self.held)
 
 
-_TOGETHER: ContextVar[list[_Whole] | None] = ContextVar("together", default=None)
+@dataclass(frozen=True)
+class _Group:
+    """What takes its place together, and what is removed before."""
+
+    waiting: list[_Whole]
+    gone: list[Iterable[Path]]
+
+
+_TOGETHER: ContextVar[_Group | None] = ContextVar("together", default=None)
 
 
 @contextmanager
@@ -71,7 +80,7 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
             if together_with is None:
                 stack.callback(whole.discard)
             else:
-                together_with.append(whole)
+                together_with.waiting.append(whole)
             with file:
                 yield file
             if together_with is None:
@@ -99,17 +108,23 @@ def together(gone: Iterable[Path] = ()) -> Iterator[None]:
     """What `replacing` writes inside takes its place at the end, file by file with nothing between; on an error none.
 
     The order is that of writing: what readers open first comes last. Files that are `gone` are removed before.
-    No two runs do so in a folder at the same time, so that what is there is of one of them. Raises OSError.
+    No two runs do so in a folder at the same time, so that what is there is of one of them. Within another `together`
+    all that is done at the end of that. Raises OSError.
     """
-    waiting: list[_Whole] = []
-    token = _TOGETHER.set(waiting)
+    if larger := _TOGETHER.get():
+        larger.gone.append(gone)
+        yield
+        return
+    group = _Group([], [gone])
+    waiting, token = group.waiting, _TOGETHER.set(group)
     try:
         yield
         for whole in waiting:
             check_replaceable(whole.path)
         with locked(whole.path.parent for whole in waiting):
             try:
-                for path in gone:
+                for path in chain.from_iterable(group.gone):
+                    remove_leftovers(path)
                     path.unlink(missing_ok=True)
                 for whole in waiting:
                     whole.take_place()

@@ -19,6 +19,7 @@ from lidarcfg.config import (
     Positive,
     Section,
     Vec3,
+    check_names,
     error_at,
     fault,
     load,
@@ -31,6 +32,7 @@ from lidarcfg.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
 
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
+SENSORS_MAX = 1000
 MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
 ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
 SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
@@ -99,16 +101,12 @@ class RigFile(Model):
 
     kind: ClassVar[str] = "rig"
     name: Annotated[str, Field(min_length=1)]
-    sensors: Annotated[tuple[MountFile, ...], Field(min_length=1)]
+    sensors: Annotated[tuple[MountFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
     vehicle: dict[str, Any] | None = None  # the keys of world/vehicle.py's VehicleFile
 
     @model_validator(mode="after")
     def _check(self) -> "RigFile":
-        names: set[str] = set()
-        for i, mount in enumerate(self.sensors):
-            if mount.name in names:
-                raise fault(f"{mount.name!r} is a sensor already; each name may stand once", "sensors", i, "name")
-            names.add(mount.name)
+        check_names((mount.name for mount in self.sensors), "a sensor", "sensors")
         return self
 
 

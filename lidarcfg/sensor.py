@@ -25,6 +25,7 @@ Port = Annotated[int, Field(ge=1, le=65535)]
 Metres = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Least = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 Millimetres = Annotated[float, Field(ge=-1e5, le=1e5)]
+BEAMS_MAX = 10_000
 
 
 def _check_fov(value: tuple[float, float]) -> tuple[float, float]:
@@ -38,15 +39,16 @@ AzimuthFov = Annotated[tuple[Azimuth, Azimuth], AfterValidator(_check_fov)]  # f
 
 
 def _check_elevations(value: tuple[float, ...]) -> tuple[float, ...]:
+    beams: dict[float, int] = {}
     for i, angle in enumerate(value):
         if not -90 <= angle <= 90:
             raise fault(f"{angle:g} is outside the allowed -90 to 90", i)
-        if angle in value[:i]:
-            raise fault(f"{angle:g} is beam {value.index(angle)} already; each may stand once", i)
+        if (same := beams.setdefault(angle, i)) != i:
+            raise fault(f"{angle:g} is beam {same} already; each may stand once", i)
     return value
 
 
-Elevations = Annotated[tuple[float, ...], Field(min_length=1), AfterValidator(_check_elevations)]
+Elevations = Annotated[tuple[float, ...], Field(min_length=1, max_length=BEAMS_MAX), AfterValidator(_check_elevations)]
 
 
 class Beams(Model):

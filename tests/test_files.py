@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -181,6 +182,24 @@ def test_files_that_belong_together_take_their_places_together(tmp_path):
                 file.write("new")
         assert (tmp_path / "a").read_text() == (tmp_path / "b").read_text() == "old"
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+
+
+def test_what_belongs_together_within_what_does(tmp_path):
+    """All of it at the end of the outer one, removals too; an error in the outer one undoes the inner."""
+    for name in ("a", "b", "gone"):
+        (tmp_path / name).write_text("old")
+    for error in (True, False):
+        with suppress(ZeroDivisionError), together():
+            with together(gone=[tmp_path / "gone"]), replacing(tmp_path / "a") as file:
+                file.write("new")
+            with replacing(tmp_path / "b") as file:
+                file.write("new")
+            assert {path.name: path.read_text() for path in tmp_path.glob("[!.]*")} == dict.fromkeys(
+                ("a", "b", "gone"), "old"
+            )
+            assert 1 / (not error)
+        left = {path.name: path.read_text() for path in tmp_path.iterdir()}
+        assert left == (dict.fromkeys(("a", "b", "gone"), "old") if error else {"a": "new", "b": "new"})
 
 
 def test_an_interrupt_between_two_files_waits_for_the_second(tmp_path, monkeypatch):

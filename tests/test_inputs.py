@@ -1,6 +1,7 @@
 """Files that are no files, have no end, or unpack to more than memory holds: each refused in one line, before."""
 
 import os
+import re
 import threading
 import time
 import zipfile
@@ -17,9 +18,11 @@ from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.formats.kitti import load_kitti
 from lidarcfg.formats.las import load_las
 from lidarcfg.rig import RigFile
+from lidarcfg.sensor import Beams
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.motion import load_path
 from tests.capture_fixtures import no_warning
+from tests.command_line import lidarcfg
 from tests.test_cloud import cloud
 
 READERS = {
@@ -33,6 +36,13 @@ READERS = {
     ".stl": read_mesh,
     ".obj": read_mesh,
 }
+
+
+SMALL_STUDY = """
+region: {min_m: [-2, -2, 0], max_m: [2, 2, 2], cuboid_m: [1, 1, 1]}
+sensors:
+  - {name: a, model: vlp-16, min: {position_m: [0, 0, 1.8], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 1, 2], rpy_deg: [9, 9, 0]}}
+"""
 
 
 @pytest.mark.parametrize("suffix", READERS)
@@ -93,6 +103,36 @@ def test_what_memory_does_not_hold_is_refused_with_what_it_needs(tmp_path, monke
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 100.0)
     with pytest.raises(LidarcfgError, match=r"a\.npz needs 0\.0 GB of memory; 0\.0 GB are free"):
         load_cloud(tmp_path / "a.npz", no_warning)
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        ("view rig.yaml --png a.png", r"a picture of 1920 x 1080 pixels needs 0\.2 GB of memory; 0\.0 GB are free"),
+        ("evaluate study.yaml rig.yaml", r"comparing 1,536 cuboids with 16 beams on 1 threads needs .* fewer beams"),
+        ("optimize study.yaml -o o", r"comparing 1,536 cuboids with 16 beams on \d+ threads needs .* fewer beams"),
+    ],
+)
+def test_commands_refuse_what_memory_does_not_hold(tmp_path, monkeypatch, words, what):
+    """By hand: rows of 64 cuboids, of which there are 4 and one more on either side, in 2 layers and 2 more."""
+    (tmp_path / "rig.yaml").write_text("name: r\nsensors:\n  - {name: a, model: vlp-16, position_m: [0, 0, 1.8]}\n")
+    (tmp_path / "study.yaml").write_text(SMALL_STUDY)
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 2000.0)
+    assert re.search(what, lidarcfg(*words.split(), code=2, cwd=tmp_path).stderr)
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["rig.yaml", "study.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "what"),
+    [
+        ("name: r\nsensors:\n" + "  - {name: a, model: vlp-16, position_m: [0, 0, 1]}\n" * 1001, RigFile, "1001.*1000"),
+        (f"elevation_deg: {list(range(10_001))}\n", Beams, "10001 values; allowed: at most 10000"),
+    ],
+)
+def test_longer_than_any_sensor_or_rig(tmp_path, text, kind, what):
+    (path := tmp_path / "a.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=what):
+        load(path, kind)
 
 
 def test_memory_is_what_the_machine_has():

@@ -40,7 +40,7 @@ def rows(name: str, folder: Path, times: int, quick: bool) -> Iterator[Row]:
     """The rows of a group of attacks."""
     if name in WRITES:
         attack_writes.prepare(folder)
-        commands = attack_writes.COMMANDS[6:8] if quick else attack_writes.COMMANDS
+        commands = attack_writes.COMMANDS[7:9] if quick else attack_writes.COMMANDS
         many = times if name == "kills" else max(times // 15, 1)
         yield from getattr(attack_writes, name)(folder, commands, many, random.Random(SEED))
     elif name in ("bombs", "liars"):

@@ -21,10 +21,18 @@ detection:
   - {{name: box, size_m: [0.5, 0.5, 0.5], threshold: 2}}
 solver: {{method: abc, bees: 10, cycles: 40, seed: {1}}}
 """
+CHOICES = """
+region: {{min_m: [-4, -4, 0], max_m: [4, 4, 2], cuboid_m: [1, 1, 1]}}
+prices: {{vlp-16: 1, hdl-32e: 2}}
+sensors:
+  - {{name: {0}, choose: [vlp-16, hdl-32e], min: {{position_m: [0, 0, 1.8], rpy_deg: [-20, -20, 0]}},
+     max: {{position_m: [1, 1, 2], rpy_deg: [20, 20, 0]}}}}
+solver: {{evaluations: 40, seed: {1}}}
+"""
 RIG = "name: {0}\nsensors:\n  - {{name: {0}, model: {2}, position_m: [0, 0, {1}]}}\n"
 TIMED = "history.csv"  # holds seconds and no name: neither a mark nor the same bytes again
 MESSAGE = 400  # bytes that a command must be able to say, on a disk however full
-PROGRESS = {"rig.yaml", "search.npz"}  # of a search that was killed
+PROGRESS = {"o": {"rig.yaml", "search.npz"}, "f": {"search.npz"}}  # of a search that was killed
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,7 @@ STREET = ROOT / "data/scenes/street.yaml"
 EXPORTED = "x.pcap.yaml", "t.npz", "x.pcap"
 COMMANDS = (
     Command("optimize {0}.yaml -o o --quiet", ("o",)),
+    Command("optimize {0}-choices.yaml -o f --quiet", ("f",)),
     Command("evaluate {0}.yaml {0}-rig.yaml -o e --quiet", ("e",)),
     Command("compare {0}-rig.yaml {0}-rig.yaml --study {0}.yaml -o c --quiet", ("c",)),
     Command("export {0}-rig.yaml --scene {1} --duration 0.1 -o x.pcap --truth t.npz --quiet", EXPORTED),
@@ -69,6 +78,7 @@ def prepare(folder: Path) -> None:
     folder.chmod(0o755)
     for i, mark in enumerate(MARKS):
         (folder / f"{mark}.yaml").write_text(STUDY.format(mark, i))
+        (folder / f"{mark}-choices.yaml").write_text(CHOICES.format(mark, i))
         (folder / f"{mark}-rig.yaml").write_text(RIG.format(mark, 1.8 + i / 10, "vlp-16"))
         ended = run(f"export {mark}-rig.yaml --scene {STREET} --duration 0.2 -o {mark}.pcap --quiet".split(), folder)
         if ended.code:
@@ -122,8 +132,8 @@ def wrong(folder: Path, command: Command, known: Sequence[Files]) -> str:
     runs = set(of.values()) - {"either"}
     if len(runs) > 1 or "other" in runs:
         return f"{command.name}: {of}"
-    names = {Path(name).name for name in files}
-    complete = set(files) in (set(known[0]), set(known[1])) or (command.outputs == ("o",) and names == PROGRESS)
+    names, progress = {Path(name).name for name in files}, PROGRESS.get(command.outputs[0])
+    complete = set(files) in (set(known[0]), set(known[1])) or names == progress
     return "" if complete else f"{command.name}: only {sorted(files)}"
 
 
@@ -202,7 +212,7 @@ def full_disk(folder: Path, commands: Sequence[Command], times: int, rng: random
         for _ in range(times if largest > MESSAGE else 0):
             ended = run(command.typed(MARKS[1]), folder, small_files(rng.randrange(MESSAGE, largest)))
             files = contents(folder, command.outputs)
-            searched = command.outputs == ("o",) and not wrong(folder, command, known.files)
+            searched = command.outputs[0] in PROGRESS and not wrong(folder, command, known.files)
             kept = files == known.files[0] or searched
             odd = "" if kept else f"{command.name}: the old files are gone"
             row.add((ended.code and ended.not_refused) or odd or leftovers(folder))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # as lidarcfg.view.colours and placement.evaluation have them, which take a second to load
 COLOURS = ("sensor", "intensity", "ring", "height", "time", "object")
-SIDE_MIN, SIDE_MAX = 16, 16_384
+SIDE_MIN, SIDE_MAX = 16, 8192
 WORST_MAX = 10
 
 

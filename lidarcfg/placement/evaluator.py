@@ -62,6 +62,8 @@ class Evaluator:
         self._pool = ThreadPoolExecutor(self._threads)
         self._square = cone_rows(lidars)[:, FIRST:]
         self._grid = rows.Grid.of(region, criterion.weight if criterion else None)
+        lidar_count, beams = self._square.shape
+        rows.check_room(self._grid, lidar_count, beams, self._threads)
         self._kept = criterion.kept if criterion and len(criterion.kept) else np.ones((1, len(lidars)), bool)
         self._witnesses = kernels.WITNESSES
         self._poses = np.empty((0, len(lidars), 6))  # of the food sources, for _witness

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
 from lidarcfg.jit import njit, outer
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, signed_squares
 from lidarcfg.placement.region import Region
@@ -105,6 +106,13 @@ class Work(NamedTuple):
     links: Words  # (3, rows) the result
     looks: Looks
     seen: Words  # (lidars, rows) the cuboids that each LiDAR sees, where something limits that
+
+
+def check_room(grid: Grid, lidars: int, beams: int, threads: int = 1) -> None:
+    """Raises LidarcfgError where memory does not hold that many threads' `room`."""
+    needed = 8.0 * grid.included.size * lidars * beams * threads
+    what = f"comparing {64 * grid.included.size:,} cuboids with {lidars * beams:,} beams on {threads} threads"
+    check_memory(what, needed, "use larger cuboids or fewer beams")
 
 
 @njit(cache=True, nogil=True)
@@ -246,6 +254,7 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, wo
 def linked(region: Region, lidars: Sequence[Lidar], sight: Sight = EVERYTHING) -> tuple[Grid, Work]:
     """A region's grid, and the links and comparisons of some LiDARs on it."""
     grid, cones = Grid.of(region), cone_rows(lidars)
+    check_room(grid, len(cones), cones.shape[1] - FIRST)
     work = room(grid, len(cones), cones.shape[1] - FIRST, new_looks(len(cones), grid.included.size))
     link(grid, grid.links, cones, np.arange(len(cones)), sight, work)
     return grid, work

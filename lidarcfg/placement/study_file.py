@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, Metres, Model, Position, fault
+from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, Metres, Model, Position, check_names, fault
 from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
@@ -15,7 +15,7 @@ from lidarcfg.placement.region import RegionFile
 from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.surfaces import SurfaceFile
 from lidarcfg.placement.zones import ELSEWHERE, ZoneFile
-from lidarcfg.rig import MountName, Range, angles_rad, one_of
+from lidarcfg.rig import SENSORS_MAX, MountName, Range, angles_rad, one_of
 from lidarcfg.sensor import AzimuthFov, Elevations
 from lidarcfg.world.vehicle import VehicleFile
 
@@ -62,7 +62,7 @@ class GroupFile(Model):
     elevation_deg: Elevations | None = None
     choose: Annotated[tuple[str, ...], Field(min_length=1)] | None = None  # models; none: no sensor
     name: MountName | None = None
-    count: Annotated[int, Field(ge=1, le=1000)] = 1
+    count: Annotated[int, Field(ge=1, le=SENSORS_MAX)] = 1
     range_m: Range | None = None  # least, greatest; none: the sensor's
     azimuth_fov_deg: AzimuthFov | None = None  # none: all around
     mirror_y_m: Metres | None = None  # the sensors are pairs, each the other's image in the plane y = mirror_y_m
@@ -160,7 +160,7 @@ class StudyFile(Model):
 
     kind: ClassVar[str] = "study"
     region: RegionFile
-    sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1)]
+    sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
     vehicle: VehicleFile | None = None
     surroundings: str | None = None  # a scene's file, relative to the study's
     visibility: VisibilityFile | None = None
@@ -184,16 +184,14 @@ class StudyFile(Model):
     def _check(self) -> "StudyFile":
         self._check_prices()
         names = [item.name for item in self.detection]
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                raise fault(f"{name!r} is an object already; each may stand once", "detection", i, "name")
+        check_names(names, "an object", "detection")
         for i, group in enumerate(self.sensors):
             if group.on and not self.vehicle:
                 raise fault("needs the study's vehicle, and there is none", "sensors", i, "on")
-        zones = [ELSEWHERE, *(zone.name for zone in self.zones)]
-        for i, name in enumerate(zones[1:]):
-            if name in zones[: i + 1]:
-                raise fault(f"{name!r} is a zone already; each name may stand once", "zones", i, "name")
+        for i, zone in enumerate(self.zones):
+            if zone.name == ELSEWHERE:
+                raise fault(f"{ELSEWHERE!r} is what lies in no zone; give another name", "zones", i, "name")
+        check_names((zone.name for zone in self.zones), "a zone", "zones")
         if not self.limits_sight:
             for key in SIGHT:
                 if getattr(self.objective, key) is not None:

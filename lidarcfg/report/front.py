@@ -1,8 +1,9 @@
 """The front of price against objective: files, one page, a folder for each point, and the log to resume from."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -25,7 +26,8 @@ from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
 from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, solver_in_words, versions
 
-STUDY = "study.yaml"  # of a point
+STUDY = "study.yaml"
+POINT = (STUDY, *RESULTS)  # the files of a point
 # the arrays of search.npz: kind and dimensions
 LOG = {"cost": ("f", 1), "told": ("i", 1), "owner": ("i", 1), "seconds": ("f", 1), "asked": ("U", 0)}
 
@@ -80,20 +82,19 @@ def save_front(
     `on_point` is called before each point's folder is written.
     """
     save_front_log(study, found.logs, folder)
-    names = [point.combination.name for point in found.points]
-    for other in (folder / "points").glob("*"):
-        if other.name not in names:
-            _remove_point(other)
-    for number, point in enumerate(found.points):
-        if on_point:
-            on_point(number, point)
-        _save_point(point, folder / "points" / point.combination.name, commands)
-    values = front_dict(study, found)
-    with together():
+    values, names = front_dict(study, found), {point.combination.name for point in found.points}
+    with together(gone=(path for path in _points(folder) if path.parent.name not in names)):
+        for number, point in enumerate(found.points):
+            if on_point:
+                on_point(number, point)
+            _save_point(point, folder / "points" / point.combination.name, commands)
         write_text(to_json(values) + "\n", folder / "front.json")
         write_history(found.history, folder)
         save_figure(draw_front(study, found), folder / "front.png")
         write_text(front_page(study, found, values, commands), folder / "front.html")
+    for other in (folder / "points").glob("*"):
+        with suppress(OSError):  # one that holds files stays
+            other.rmdir()
 
 
 def _save_point(point: Point, folder: Path, commands: Commands) -> None:
@@ -104,12 +105,9 @@ def _save_point(point: Point, folder: Path, commands: Commands) -> None:
     save_placement(study, found, shown, folder, commands)
 
 
-def _remove_point(folder: Path) -> None:
-    """Remove what an earlier search has written of a point; a folder that holds more stays, with that."""
-    for name in (*RESULTS, STUDY):
-        (folder / name).unlink(missing_ok=True)
-    with suppress(OSError):
-        folder.rmdir()
+def _points(folder: Path) -> Iterator[Path]:
+    """The files that an earlier search may have written of its points."""
+    return (point / name for point in (folder / "points").glob("*") for name in POINT)
 
 
 def save_front_log(study: Study, logs: Sequence[Sequence[Log]], folder: Path) -> None:
@@ -119,7 +117,7 @@ def save_front_log(study: Study, logs: Sequence[Sequence[Log]], folder: Path) ->
     """
     every = [(owner, log) for owner, of_one in enumerate(logs) for log in of_one]
     with (
-        together(gone=(folder / name for name in {*FRONT, *RESULTS} if name != "search.npz")),
+        together(gone=chain((folder / name for name in {*FRONT, *RESULTS} if name != "search.npz"), _points(folder))),
         replacing(folder / "search.npz", "wb") as file,
     ):
         np.savez_compressed(

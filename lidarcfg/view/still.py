@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
+from lidarcfg.inputs import check_memory
 from lidarcfg.rig import Mount
 from lidarcfg.view.bodies import bases_m, faces, has_its_sensors, score, seats_m
 from lidarcfg.view.camera import Camera
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SIZE = (1920, 1080)
+PIXEL_BYTES = 80  # of memory to draw one, measured
 NEAR_M = 0.05
 GROUND_M = 200.0  # of the ground, to each side of the vehicle
 AXIS_M = 0.6
@@ -55,13 +57,15 @@ def save_still(
 ) -> None:
     """Draw the stage as a PNG of `size` pixels, from the camera; or without one in perspective and from above.
 
-    Raises CloudError if there is nothing to draw, or nothing in view.
+    Raises CloudError if there is nothing to draw, or nothing in view; LidarcfgError where memory
+    does not hold the picture.
     """
     from matplotlib.figure import Figure
 
     if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
         raise CloudError("the cloud is empty; there is nothing to draw")
     width, height = size
+    check_memory(f"a picture of {width} x {height} pixels", PIXEL_BYTES * width * height)
     colours = point_colours(stage, by)
     figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=NIGHT)
     if camera:
