@@ -88,11 +88,17 @@ export class Evaluator {
 
   // Ask as soon as there was no other wish to ask for a while.
   askSoon() {
-    clearTimeout(this.timer);
+    this.forget();
     this.timer = setTimeout(() => {
       this.timer = null;
       this.ask();
     }, PAUSE_MS);
+  }
+
+  // Do not ask what was to be asked soon: there is something newer.
+  forget() {
+    clearTimeout(this.timer);
+    this.timer = null;
   }
 
   async ask() {

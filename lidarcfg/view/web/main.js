@@ -200,6 +200,7 @@ function rigControls(view, panel, mounts) {
   const moved = () => {
     view.rig.show();
     view.rig.stale.hidden = !view.cloud;
+    view.rates?.forget();
     view.evaluator?.ask();
   };
   view.handles = new Handles(stage, mounts, about.mirrored, moved, () => view.rig.count());
