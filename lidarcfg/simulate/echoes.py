@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Sensor
+from lidarcfg.simulate.echo_kernels import merged
 from lidarcfg.simulate.noise import CELL, lose, roughen, uniforms
 from lidarcfg.world.scene import Weather
-from lidarcfg.world.world_kernels import NOTHING
 
-DIFFUSE_MAX = 100
-SEPARATION_M = 1.0  # closer echoes merge (VLP-16 and VLS-128 manuals: dual returns are at least 1 m apart)
 PULSE_M = 0.75  # half the length of a 5 ns pulse: a guess, no maker states it
 CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog can send an echo from
 LIDAR_RATIO_SR = (
@@ -40,7 +38,6 @@ REPORTED = {  # the candidates that a return mode reports
     "first-strongest": [3, 4],
     "two-strongest": [0, 5],
 }
-FAINTEST = 1e-30  # power of an echo from a black or edge-on surface: detected unless there is a detection limit
 
 
 @dataclass(frozen=True)
@@ -116,28 +113,28 @@ def echoes(
 ) -> Echoes:
     """All six candidates (N, 6) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
-    count, alpha, objects = len(hits.range_m), extinction_per_m(weather), hits.object
-    range_m = np.where(hits.range_m <= sensor.range.reported_m[1], hits.range_m, np.inf)
-    albedo = hits.reflectivity / 100
-    light = weights * np.where(hits.reflectivity > DIFFUSE_MAX, albedo, albedo * hits.cosine)
-    byte = weights * hits.reflectivity.astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        tangent = np.sqrt(np.maximum(1 - hits.cosine**2, 0)) / hits.cosine
-        slant_m = np.nan_to_num(range_m * tangent * _step_rad(sensor, realism), nan=0.0, posinf=0.0)
-    if alpha:
-        slant_m = np.column_stack([slant_m, np.zeros(count)])
-        drop_m, drop_albedo = _droplets(sensor, realism, sensor_index, first, count, alpha)
-        drop_m = np.where(drop_m < range_m.min(axis=1), drop_m, np.inf)
-        range_m = np.column_stack([range_m, drop_m])
-        light, byte = np.column_stack([light, drop_albedo]), np.column_stack([byte, 100 * drop_albedo])
-        objects = np.column_stack([objects, np.full(count, NOTHING, np.int32)])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        power = light * np.exp(-2 * alpha * range_m) / range_m**2
-    power = np.where(np.isfinite(range_m), np.maximum(power, FAINTEST), 0)
+    count, alpha = len(hits.range_m), extinction_per_m(weather)
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
-    found = _clusters(range_m, power, byte, objects, slant_m, least)
+    drops, fade = np.empty((0, 2)), np.empty((0, 0))
+    if alpha:
+        drops = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
+        fade = np.exp(-2 * alpha * np.column_stack([hits.range_m, drops[:, :1]]))
+    found = Echoes(
+        range_m=np.empty((count, 6)),
+        noise_m=np.zeros((count, 6)),
+        reflectivity=np.empty((count, 6), np.uint8),
+        object=np.empty((count, 6), np.int32),
+    )
+    merged(
+        (hits.range_m, hits.reflectivity, hits.object, hits.cosine),
+        weights,
+        (sensor.range.reported_m[1], _step_rad(sensor, realism), least),
+        drops,
+        fade,
+        (found.range_m, found.reflectivity, found.object),
+    )
     lose(found, realism, sensor_index, first)
     roughen(found, realism, sensor_index, first)
     return found
@@ -147,61 +144,6 @@ def _step_rad(sensor: Sensor, realism: Realism) -> float:
     """The largest angle between neighbouring rays of a beam."""
     known = sensor.optics or isinstance(realism.divergence, tuple)
     return max(_width_mrad(sensor, realism)) / 1000 * float(NODES[-1]) if known else 0.0
-
-
-def _clusters(
-    range_m: Array, power: Array, byte: Array, objects: NDArray[np.int32], slant_m: Array, least: float
-) -> Echoes:
-    """Merge rays whose ranges are closer than the separation into one echo at their mean range, weighted by power.
-
-    Neighbours on one object also merge if its slant explains the distance between them: a surface hit at a grazing
-    angle is one echo, even though its few rays are far apart.
-    """
-    order = np.argsort(range_m, axis=1)
-    range_m, power, byte, slant_m = (
-        np.take_along_axis(column, order, axis=1) for column in (range_m, power, byte, slant_m)
-    )
-    objects = np.take_along_axis(objects, order, axis=1)
-    valid = np.isfinite(range_m)
-    near = np.where(valid, range_m, 0)
-    starts = valid.copy()
-    slack_m = np.where(objects[:, 1:] == objects[:, :-1], np.maximum(slant_m[:, 1:], slant_m[:, :-1]), 0)
-    starts[:, 1:] &= ~(np.diff(near, axis=1) <= SEPARATION_M + slack_m)
-    cluster = np.where(valid, np.cumsum(starts, axis=1) - 1, -1)
-    rows, kinds = len(range_m), range_m.shape[1]
-    total, mean, shine, best = (np.zeros((rows, kinds)) for _ in range(4))
-    owner = np.full((rows, kinds), NOTHING, np.int32)
-    row = np.arange(rows)
-    for k in range(kinds):
-        c = cluster[:, k]
-        at = row[c >= 0], c[c >= 0]
-        p = power[at[0], k]
-        total[at] += p
-        mean[at] += p * near[at[0], k]
-        shine[at] += byte[at[0], k]
-        stronger = p > best[at]
-        best[at] = np.maximum(best[at], p)
-        owner[at[0][stronger], at[1][stronger]] = objects[at[0][stronger], k]
-    seen = (total > 0) & (total >= least)
-    mean = np.divide(mean, total, out=np.full_like(mean, np.inf), where=seen)
-    ranked = np.argsort(np.where(seen, -total, 1), axis=1, kind="stable")
-    strongest = ranked[:, 0]
-    last = kinds - 1 - np.argmax(seen[:, ::-1], axis=1)
-    last = np.where(seen.any(axis=1), last, strongest)
-    second = np.where(seen.sum(axis=1) > 1, ranked[:, min(1, kinds - 1)], strongest)
-    first = np.where(seen.any(axis=1), np.argmax(seen, axis=1), strongest)
-    with_last, with_first = (np.where(strongest == one, second, strongest) for one in (last, first))
-    return _picked(np.stack([strongest, with_last, last, first, with_first, second], axis=1), mean, shine, owner)
-
-
-def _picked(which: NDArray[np.intp], mean: Array, shine: Array, owner: NDArray[np.int32]) -> Echoes:
-    rows = np.arange(len(which))[:, None]
-    return Echoes(
-        range_m=mean[rows, which],
-        noise_m=np.zeros(which.shape),
-        reflectivity=np.clip(np.rint(shine[rows, which]), 0, 255).astype(np.uint8),
-        object=owner[rows, which],
-    )
 
 
 def _droplets(

@@ -11,6 +11,7 @@ from lidarcfg.packets.codec import Firings
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
+from lidarcfg.simulate.beam_kernels import trace_beams
 from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import laser_errors_m, separate
 from lidarcfg.simulate.simulator_kernels import Frames, Lasers, trace_firings
@@ -22,6 +23,7 @@ from lidarcfg.world.tracer_kernels import NONE
 from lidarcfg.world.world_kernels import Found, resolve
 
 EXACT, CLEAR = Realism(), Weather()
+LISTED = 24  # shapes that the beams of a packet of firings may hit, at most, to be tested one by one
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
 
@@ -73,7 +75,11 @@ class Simulator:
         if count:
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
             columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), most_m + BEYOND_M
-            trace_firings(self._tracer.world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m, found)
+            told = self._tracer.world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m
+            if width == 1:
+                trace_firings(*told, found)
+            else:
+                trace_beams(*told, LISTED, found)
         counts = Counts(count * width, int(np.count_nonzero(found.range_m <= most_m)))
         objects = self._objects(found.slot).reshape(count, width)
         reflectivity = self._reflectivity[objects]
