@@ -215,7 +215,7 @@ def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, most_listed, f
     (own_R, own_t), box, right = _mounted(frames), _box(bodies), np.empty((2, SIZE))
     starts, beams = np.empty((3, SIZE)), np.empty((rays, 3, SIZE))
     low, high, least, most = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    listed, movers = np.empty(most_listed, np.int32), np.empty(1, np.int32)
+    listed, near_dynamic = np.empty(most_listed, np.int32), np.empty(1, np.int32)
     turns, v = frames.paths.kind[0] > VELOCITY, frames.paths.values[0]
     slope = times(matrix(frames.R_world_start), v[0], v[1], v[2])
     _place(frames, path_s, SIZE, moved, R, t)
@@ -258,7 +258,7 @@ def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, most_listed, f
                 some = _listed(static, packet.codes, face, low, high, least, most, far, listed)
                 still = not dynamics
                 if dynamics:
-                    still = _listed(moving, packet.codes, face, low, high, least, most, limit_m, movers) == 0
+                    still = _listed(moving, packet.codes, face, low, high, least, most, limit_m, near_dynamic) == 0
             done = 0
             near = some >= 0 and still
             if near and _settled(

@@ -8,12 +8,14 @@ import pytest
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
 from lidarcfg.simulate import simulator
+from lidarcfg.simulate.echo_kernels import merged
 from lidarcfg.simulate.tasks import Drive, prepared
 from lidarcfg.world.motion import Arc, Motion, Trajectory
 from lidarcfg.world.motion import prepared as prepared_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.vehicle import load_vehicle
 from tests.capture_fixtures import AT_NS, STREET, mount, scene
+from tests.naive import echoes as naive
 
 ROUND = """
 ground: {reflectivity: 30}
@@ -78,3 +80,35 @@ def test_rays_are_those_of_thin_beams(tmp_path, monkeypatch):
     np.testing.assert_array_equal(range_m, found.range_m)
     np.testing.assert_array_equal(slot, found.slot)
     np.testing.assert_array_equal(cosine, found.cosine)
+
+
+@pytest.mark.parametrize("weather", [False, True])
+def test_echoes_of_a_beam(weather):
+    """Random hits on two or three surfaces, some out of range, black, edge-on or retro-reflecting; by plain loops."""
+    rng = np.random.default_rng(5)
+    count, most_m, step_rad, least = 1500, 90.0, 0.0013, 2e-6
+    weights = np.outer([1, 4, 1], [1, 4, 1]).ravel() / 36
+    near = rng.choice([3.0, 8.0, 9.5, 40.0, 95.0], (count, 9)) + rng.uniform(0, 0.6, (count, 9))
+    near = np.where(rng.random((count, 9)) < 0.1, np.inf, np.where(rng.random((count, 1)) < 0.5, near, near[:, :1]))
+    bright = rng.choice([0, 3, 30, 90, 100, 101, 255], (count, 9)).astype(np.uint8)
+    objects, cosine = rng.integers(0, 3, (count, 9)).astype(np.int32), rng.choice([1e-9, 0.02, 0.5, 1.0], (count, 9))
+    drops, fade = np.empty((0, 2)), np.empty((0, 0))
+    if weather:
+        drops = np.stack([rng.uniform(0.5, 18, count), rng.uniform(0, 1e-3, count)], axis=1)
+        fade = np.exp(-0.02 * np.column_stack([near, drops[:, 0]]))
+    out = np.empty((count, 6)), np.empty((count, 6), np.uint8), np.empty((count, 6), np.int32)
+    merged((near, bright, objects, cosine), weights, (most_m, step_rad, least), drops, fade, out)
+    several = 0
+    for n in range(count):
+        hits = list(zip(near[n].tolist(), bright[n].tolist(), objects[n].tolist(), cosine[n].tolist(), strict=True))
+        drop, left = (drops[n].tolist(), fade[n].tolist()) if weather else (None, None)
+        wanted = naive.echoes(hits, weights.tolist(), most_m, step_rad, least, drop, left)
+        for k, echo in enumerate(wanted):
+            if echo is None:
+                assert out[0][n, k] == np.inf
+                continue
+            assert out[0][n, k] == pytest.approx(echo[0], rel=1e-12)
+            assert out[1][n, k] == echo[1]
+            assert out[2][n, k] == echo[2]
+        several += wanted[0] is not None and wanted[2] != wanted[3]
+    assert several > 300
