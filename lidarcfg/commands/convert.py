@@ -52,6 +52,8 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
     form = formats.chosen(source, output, name)
     if form.kind != "capture" and (rig or model):
         raise click.UsageError("--rig and --model are for captures")
+    if form.name == "firings" and rig:
+        raise click.UsageError("--rig is not for firings, which are of each sensor alone")
     warnings: list[str] = []
     found = formats.convert(source, output, form, rig, model, warnings.append)
     if not quiet:
