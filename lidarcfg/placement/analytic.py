@@ -83,7 +83,8 @@ def integrate(subspaces: Subspaces, lidars: Sequence[Lidar], visibility: Visibil
             for m, lidar in enumerate(lidars):
                 cones[m, :3], cones[m, 3:6] = lidar.position_m[order], lidar.axis[order]
                 cones[m, 6 : 6 + beams[m]] = lidar.sin_elevation
-            label, within = subspaces.label.transpose(order), uncut.transpose(order)
+            label = np.ascontiguousarray(subspaces.label.transpose(order))  # one type on all axes: `sweep` is
+            within = np.ascontiguousarray(uncut.transpose(order))  # compiled once
             lattice = Lattice(axis, region.min_m[order], region.cuboid_m[order], label.shape)
             flips = boundaries.flips(lattice, pool)
             sheaf = Sheaf(axis, label, within, lattice.low, lattice.edge, cones)

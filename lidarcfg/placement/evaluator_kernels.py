@@ -13,8 +13,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
 from lidarcfg.placement.cones import FIRST
 from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cuboid, keep, worst, worth
-from lidarcfg.placement.rows import Counts, Grid, Words, Work, link, room
-from lidarcfg.placement.visibility_kernels import ALL, NONE, Looks, Obstacles, Sight, new_looks
+from lidarcfg.placement.rows import Counts, Grid, Words, Work, link, put, put_links, room
+from lidarcfg.placement.visibility_kernels import ALL, FEW, NONE, Looks, Obstacles, Sight, new_looks
 
 WITNESSES = 12
 Flags = NDArray[np.bool_]
@@ -148,7 +148,8 @@ def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods,
     rows = 0
     for number in range(cases.size):
         case = int(cases[number])
-        fixed[:], floods.left[:] = grid.links, found.left[case]
+        put_links(fixed, grid.links)
+        put(floods.left, found.left[case])
         _join(trial, case, batch, found.own[:0], fixed)
         walls = Walls(fixed, batch.placed.cones[trial], moved[batch.kept[case][moved]], sight)
         for w in batch.witness[trial]:
@@ -161,7 +162,7 @@ def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods,
                     found.refuter[0] = w
                     return rows
                 keep(value, case * size + inner_cuboid(floods), found.values, found.cuboids)
-        found.left[case] = floods.left
+        put(found.left[case], floods.left)
     return rows
 
 
@@ -179,10 +180,11 @@ def _evaluate(trial: int, cases: Counts, batch: Batch, grid: Grid, work: Work, f
     )
     for n in range(moved.size if cases.size > 1 else 0):
         link(grid, grid.links, cones, moved[n : n + 1], sight, work)
-        found.own[moved[n]] = work.links
+        put_links(found.own[moved[n]], work.links)
     for number in range(cases.size):
         case = int(cases[number])
-        links[:], floods.left[:] = grid.links, found.left[case]
+        put_links(links, grid.links)
+        put(floods.left, found.left[case])
         _join(trial, case, batch, found.own, links)
         if cases.size == 1:
             link(grid, links, cones, moved, sight, work)
@@ -219,7 +221,9 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
         if batch.placed.limits.shape[1] > 0:
             for lidar in np.flatnonzero(batch.moved[t]):
                 remind(floods.looks, int(lidar), batch.stays[t, lidar], batch.clear, batch.source[t], int(lidar))
-        found.values[:], found.cuboids[:], found.left[:] = -1.0, -1, grid.included
+        found.values[:], found.cuboids[:] = -1.0, -1
+        for case in range(len(found.left)):
+            put(found.left[case], grid.included)
         witness = batch.witness[t] if batch.to_beat[t] < np.inf else batch.witness[t, :0]
         known = _order(witness, grid.included.size << 6, cases)
         rows = _refute(t, cases[:known], batch, grid, floods, found)
@@ -230,7 +234,9 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
             continue
         full += _evaluate(t, cases, batch, grid, work, floods, found)
         if found.values[0] < batch.to_beat[t]:
-            verdicts.cost[t], verdicts.fresh[t] = found.values[0], found.cuboids
+            verdicts.cost[t] = found.values[0]
+            for n in range(found.cuboids.size):
+                verdicts.fresh[t, n] = found.cuboids[n]
         else:
             verdicts.refuter[t] = found.cuboids[0]
     return full, compared, floods.looks.shadows.cast[0]
@@ -240,17 +246,17 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
 def renew(rows: Counts, sources: Sources, grid: Grid) -> None:
     """Compute links and clear for some food sources, of the LiDARs that have changed."""
     cones, limits, obstacles = sources.placed.cones, sources.placed.limits, sources.placed.obstacles
-    links, clear, looks = sources.links, sources.clear, new_looks(1, grid.included.size)
-    work, alone = room(grid, 1, cones.shape[2] - FIRST, looks), np.zeros(1, np.int64)
+    links, clear, looks = sources.links, sources.clear, new_looks(FEW[1], grid.included.size)
+    work, alone = room(grid, FEW[1], cones.shape[2] - FIRST, looks), np.zeros(1, np.int64)
     for row in rows:
         for lidar in np.flatnonzero(sources.changed[row]):
             if limits.shape[1]:
-                remind(looks, 0, sources.stays[row, lidar], clear, row, int(lidar))
+                remind(looks, FEW[0], sources.stays[row, lidar], clear, row, int(lidar))
             sight = Sight(limits[row, lidar : lidar + 1], obstacles)
             link(grid, grid.links, cones[row, lidar : lidar + 1], alone, sight, work)
-            links[row, lidar] = work.links
+            put_links(links[row, lidar], work.links)
             if limits.shape[1]:
-                clear[row, lidar] = looks.clear[0]
+                put(clear[row, lidar], looks.clear[0])
 
 
 @njit(cache=True, nogil=True)

@@ -24,12 +24,13 @@ from lidarcfg.placement.rows import (
     Work,
     at_or_above,
     link,
+    put,
     room,
     row_of,
     square_up,
     steps,
 )
-from lidarcfg.placement.visibility_kernels import Looks, Sight, new_looks, seen_of_row
+from lidarcfg.placement.visibility_kernels import FEW, Looks, Sight, new_looks, seen_of_row
 
 Labels = NDArray[np.int32]
 
@@ -374,7 +375,7 @@ def _label(grid: Grid, walls: Walls, label: Labels) -> tuple[Counts, Counts, Cou
     """Write the number of each cuboid's component to label (nx, ny, nz): see `components`."""
     nx, ny, nz = label.shape
     step_y, step_z = steps(grid)
-    floods = flood_room(grid, 0)
+    floods = flood_room(grid, FEW[0])
     most = nx * ny * nz
     first, cuboids, internal = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.int64)
     total = 0
@@ -394,7 +395,8 @@ def _label(grid: Grid, walls: Walls, label: Labels) -> tuple[Counts, Counts, Cou
                         bits &= bits - ONE
                 first[total] = (i * ny + j) * nz + k
                 cuboids[total] = floods.counts[0]
-                internal[total] = floods.counts[1:4]
+                for axis in range(3):
+                    internal[total, axis] = floods.counts[1 + axis]
                 total += 1
     return first[:total].copy(), cuboids[:total].copy(), internal[:total].copy()
 
@@ -418,7 +420,7 @@ def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[L
 @njit(cache=True, nogil=True)
 def _max_vsr(grid: Grid, cones: Array, sight: Sight, walls: Walls, work: Work, floods: Floods) -> float:
     values, cuboids = np.full(1, -1.0), np.empty(1, np.int64)
-    floods.left[:] = grid.included
+    put(floods.left, grid.included)
     work.looks.clear[:], work.looks.known[:] = NONE, NONE
     link(grid, grid.links, cones, np.arange(cones.shape[0]), sight, work)
     worst(grid, walls, np.inf, floods, values, cuboids)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.jit import njit, outer
+from lidarcfg.jit import inner, njit, outer
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, signed_squares
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility_kernels import (
@@ -95,6 +95,21 @@ def cuboid_number(grid: Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
     chunks = grid.x.size // 64
     number: Counts = (((k + 1) * (grid.y.size + 2) + j + 1) * chunks + (i >> 6)) << 6 | i & 63
     return number
+
+
+@inner()
+def put(out: Words, words: Words) -> None:
+    """Copy words; for `out[:] = words` numba compiles what an exception would say of wrong shapes."""
+    for row in range(words.size):
+        out[row] = words[row]
+
+
+@inner()
+def put_links(out: Words, links: Words) -> None:
+    """Copy links (3, rows); see `put`."""
+    for axis in range(3):
+        for row in range(links.shape[1]):
+            out[axis, row] = links[axis, row]
 
 
 class Work(NamedTuple):
