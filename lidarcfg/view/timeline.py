@@ -11,6 +11,7 @@ from lidarcfg.view.scenery import Part, parts
 from lidarcfg.view.stage import Stage
 
 FRAME_NS = 100_000_000  # one revolution at 600 rpm
+FRAMES_MAX = 36_000  # where there are no points: an hour of them; frames of a longer motion are longer
 SHOWN_S = 10.0  # of a motion without an end, where there are no points
 
 
@@ -45,7 +46,8 @@ def timeline(stage: Stage) -> Timeline | None:
     if path.is_static and not any(motion for scene in stage.scenes for motion in scene.motions):
         return None
     first_s, last_s = path.times_s[[0, -1]] if len(path.times_s) else (0.0, SHOWN_S)
-    end, frame = round((last_s - first_s) * 1e6), length_ns // 1000
+    end = round((last_s - first_s) * 1e6)
+    frame = max(length_ns // 1000, -(-end // FRAMES_MAX))
     start_ns = stage.trajectory.zero_ns + round(first_s * SECOND_NS)
     return Timeline(start_ns, 1000, end, frame, np.arange(max(-(-end // frame), 1)))
 

@@ -192,6 +192,10 @@ def test_a_drive_without_a_capture(here):
     staged = load_stage([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
     line = timeline(staged)
     assert tracks(staged, line)[0, :, 0] == pytest.approx([0.5, 1.5, 2.5, 3.5, 4.5], abs=1e-6)
+    (here / "p.tum").write_text("0 0 0 0 0 0 0 1\n1e9 4.5 0 0 0 0 0 1\n")
+    staged = load_stage([here / "top.yaml"], None, None, load_trajectory(here / "p.tum", "0,0,0", 0), no_warning)
+    assert len(timeline(staged).frames) == 36_000
+    assert tracks(staged, timeline(staged))[0, -1, 0] == pytest.approx(4.5 * (1 - 0.5 / 36_000))
     assert timeline(load_stage([here / "top.yaml"], None, None, np.eye(4), no_warning)) is None
 
 
