@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
+from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement.cones import sensor_lidar
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig, load_rig, save_rig
 from lidarcfg.sensor import catalogue, load_sensor
@@ -18,7 +21,7 @@ from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.noise import laser_errors_m, roughen, separate
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import mount, recording
+from tests.capture_fixtures import mount, no_warning, recording, scene
 
 ROOT = Path(__file__).parents[2]
 ROOM = ROOT / "data/scenes/room.yaml"
@@ -191,3 +194,21 @@ def test_every_preset_says_where_it_is_from():
 def test_lasers_that_take_turns_are_not_measured(tool):
     with pytest.raises(SystemExit, match="qt128: its lasers take turns"):
         tool.read(recording("hesai/nebula_qt128.pcap"), None)
+
+
+def test_exports_keep_what_is_reported_and_placement_what_is_promised(tmp_path):
+    """An HDL-32E, promised from 1 to 100 m, returns from walls at 0.3, 0.9 and 103 m, not at 0.1 and 106 m."""
+    sensor = load_sensor("hdl-32e")
+    assert sensor_lidar(sensor, None, None).range_m == (1.0, 100.0)
+    one = replace(mount(position_m=(0.0, 0.0, 0.0)), sensor=sensor, model="hdl-32e")
+    found = set()
+    for at_m in (0.1, 0.3, 0.9, 103.0, 106.0):
+        wall = f"planes: [{{name: wall, center_m: [{at_m}, 0, 0], size_m: [90, 90], rpy_deg: [0, -90, 0], reflectivity: 50}}]"
+        write_pcap(
+            tmp_path / "a.pcap", in_time_order(export(Rig("r", (one,)), scene(tmp_path, wall), np.eye(4), 10**8))
+        )
+        cloud = concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning)))
+        near = abs(cloud.xyz[:, 1]) < 0.05 * at_m
+        assert cloud.xyz[near, 0] == pytest.approx(at_m, abs=0.01)
+        found |= {at_m} if near.any() else set()
+    assert found == {0.3, 0.9, 103.0}
