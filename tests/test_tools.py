@@ -1,4 +1,4 @@
-"""Tools find what they import; the accuracy benchmark: it runs, and what it takes for the truth is right where that can be worked on paper."""
+"""Tools find what they import. The accuracy benchmark: it runs, and its truths are right where paper tells."""
 
 import ast
 import importlib

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from lidarcfg.rig import Rig
 
 CHUNK_PACKETS = 1024
+CHUNK_BYTES = 1 << 21  # of packets: with more, new memory for each chunk takes longer than decoding
 COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
 CLAIMED_BY = 3  # packets of a source at most that tell whose they are
 
@@ -65,7 +66,7 @@ def decode_pcap(
     on_stats: Callable[[SourceStats], None] | None = None,
     selection: Selection = ALL,
 ) -> Iterator[PointCloud]:
-    """The capture's points in clouds of about `chunk_packets` packets; memory does not grow with its length.
+    """The capture's points in clouds of at most about `chunk_packets` packets; memory does not grow with its length.
 
     With a rig they are in the vehicle frame and the sensors are its mounts; without, each source (called
     host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
@@ -127,7 +128,7 @@ class Capture:
         return [stream for stream in self._streams.values() if stream]
 
     def clouds(self, chunk_packets: int = CHUNK_PACKETS) -> Iterator[PointCloud]:
-        """The points of about so many packets at a time."""
+        """The points of at most about so many packets at a time, or of fewer large ones."""
         return _ahead(self._jobs(chunk_packets))
 
     def sources(self) -> list[Recorded]:
@@ -157,17 +158,17 @@ class Capture:
     def _jobs(self, chunk_packets: int) -> Iterator[Job]:
         """What is to be done of each so many packets. An error is raised in the place of its job, as the last."""
         try:
-            waiting = 0
+            waiting = octets = 0
             for batch in around(self._path, self._on_warning, self._window_ns):
                 left, keys = self._claimed(batch)
                 while len(left.size):
                     count = chunk_packets - waiting
                     self._add(left[:count], keys[:count])
-                    waiting += len(keys[:count])
+                    waiting, octets = waiting + len(keys[:count]), octets + int(left.size[:count].sum())
                     left, keys = left[count:], keys[count:]
-                    if waiting == chunk_packets:
+                    if waiting == chunk_packets or octets >= CHUNK_BYTES:
                         yield self._job(last=False)
-                        waiting = 0
+                        waiting = octets = 0
             job = self._job(last=True)
             self._check_found()
             for damaged in filter(None, (stream.damaged for stream in self.streams)):
