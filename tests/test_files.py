@@ -13,6 +13,7 @@ import lidarcfg
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing, shipped, together
 from lidarcfg.formats.folder import replacing_folder
+from lidarcfg.simulate.ground_truth import TruthFile
 
 ROOT = Path(__file__).parents[1]
 
@@ -79,6 +80,9 @@ def test_folders_that_are_missing_are_made(tmp_path):
         file.write("whole")
     assert (tmp_path / "a/b/c.txt").read_text() == "whole"
     assert [path.name for path in (tmp_path / "a/b").iterdir()] == ["c.txt"]
+    with TruthFile(tmp_path / "d/e/truth.npz", ["roof"], ["ground"]) as truth:
+        assert truth.save() == 0
+    assert [path.name for path in (tmp_path / "d/e").iterdir()] == ["truth.npz"]
 
 
 def test_a_read_only_file_stays(tmp_path):

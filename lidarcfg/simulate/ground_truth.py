@@ -11,7 +11,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.files import check_replaceable, replacing
+from lidarcfg.files import check_replaceable, make_parent, replacing
 from lidarcfg.packets.codec import Firings, Flags, Octets
 from lidarcfg.simulate.echoes import Echoes
 
@@ -47,6 +47,7 @@ class TruthFile:
 
     def __init__(self, path: Path, sensor_names: Sequence[str], object_names: Sequence[str]) -> None:
         check_replaceable(path)
+        make_parent(path)
         self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}
         self._bodies: list[IO[bytes]] = [tempfile.TemporaryFile(dir=path.parent) for _ in sensor_names]  # noqa: SIM115
 
