@@ -8,7 +8,6 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from scipy.stats import qmc, t
 
 from lidarcfg.config import COORDINATE_MAX_M, Model, Positive, fault
 from lidarcfg.errors import ConfigError
@@ -235,6 +234,8 @@ def mean_of(rates: Sequence[float], places: int) -> tuple[float, float]:
     Replicates that all agree, as where each of their places is detected, say nothing of their spread: then it is what
     as many independent places would leave open, of which none would be otherwise 1 time in 20.
     """
+    from scipy.stats import t
+
     half_width = float(t.ppf(0.975, len(rates) - 1) * np.std(rates, ddof=1) / math.sqrt(len(rates)))
     if min(rates) == max(rates):
         half_width = 1.0 - 0.05 ** (1.0 / places)
@@ -243,6 +244,8 @@ def mean_of(rates: Sequence[float], places: int) -> tuple[float, float]:
 
 def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: bool, samples: int) -> Iterator[Array]:
     """Places and headings by scrambled Sobol points, a replicate at a time: (n, 4) x, y, bottom z, heading."""
+    from scipy.stats import qmc  # takes half a second to load, and few studies draw places
+
     low, high = region.min_m, region.max_m
     length, width, height = size_m
     for replicate in range(REPLICATES):

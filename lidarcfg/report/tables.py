@@ -1,45 +1,25 @@
 """Results as tables on the terminal."""
 
-import sys
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.box import SIMPLE
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
 from rich.table import Column, Table
 
-from lidarcfg.errors import one_line
-from lidarcfg.packets.codec import codec
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.front import Front
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.comparison import Contender, rows
 from lidarcfg.report.robustness import robust_lines
+from lidarcfg.report.terminal import terminal
 from lidarcfg.report.words import returns_in_words
 from lidarcfg.rig import Rig
-from lidarcfg.sensor import Sensor
 
-TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns", "source"}
-
-
-class _Terminal(Console):
-    """A console that writes the control characters of names as escapes."""
-
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """The pieces of text."""
-        for piece in super().render(renderable, options):
-            lines = map(one_line, piece.text.split("\n"))
-            yield piece if piece.control else Segment("\n".join(lines), piece.style)
-
-
-def _console() -> Console:
-    """Standard output, as wide as the terminal, or as the tables need where there is none."""
-    return _Terminal(width=None if sys.stdout.isatty() else 110, highlight=False, markup=False, emoji=False)
+if TYPE_CHECKING:
+    from lidarcfg.placement.front import Front  # it loads CMA-ES, and that matplotlib
 
 
 def print_placement(found: Placement, evaluation: Evaluation) -> None:
@@ -49,11 +29,11 @@ def print_placement(found: Placement, evaluation: Evaluation) -> None:
     search.add_row("max VSR, optimised", f"{evaluation.max_vsr_m:.4f} m")
     search.add_row("evaluations", f"{found.evaluations:,}")
     search.add_row("seconds", f"{found.seconds:.1f}")
-    _console().print(search)
+    terminal().print(search)
     print_evaluation(found.rig, evaluation)
 
 
-def print_front(study: Study, found: Front) -> None:
+def print_front(study: Study, found: "Front") -> None:
     """Print a line for each rig on the front, and what the search spent."""
     objects = [item.name for item in study.detection]
     numbers = ("price", "objective", "max VSR (m)", *(f"detection of {name}" for name in objects))
@@ -70,7 +50,7 @@ def print_front(study: Study, found: Front) -> None:
             point.combination.sensors,
             f"points/{point.combination.name}",
         )
-    console = _console()
+    console = terminal()
     console.print(table)
     tried = sum(one.evaluations > 0 for one in found.candidates)
     console.print(f"{len(found.points)} rigs on the front, of {tried} combinations tried of {len(found.candidates)}")
@@ -82,7 +62,7 @@ def print_front(study: Study, found: Front) -> None:
 
 def print_evaluation(rig: Rig, found: Evaluation) -> None:
     """Print the rig, its max VSR and detection rates, and the worst subspaces."""
-    console = _console()
+    console = terminal()
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)
@@ -126,7 +106,7 @@ def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
     for rig in rigs:
         names.add_row(rig.letter, rig.rig.name, rig.file)
     lines = rows(study, rigs)
-    console = _console()
+    console = terminal()
     console.print(names)
     cells = [
         [f"{value} *" if best else f"{value}  " for value, best in zip(row.values, row.best, strict=True)]
@@ -174,52 +154,3 @@ def _between(low: float | None, high: float | None) -> str:
     if low is None and high is None:
         return "blind"
     return "…".join("" if angle is None else f"{angle:g}" for angle in (low, high))
-
-
-def print_sensors(sensors: Sequence[Sensor]) -> None:
-    """Print one line per model."""
-    table = Table("name", "beams", "elevation (°)", "range (m)", "simulated", "description", box=SIMPLE)
-    for sensor in sensors:
-        low, high = min(sensor.beams.elevation_deg), max(sensor.beams.elevation_deg)
-        table.add_row(
-            sensor.name,
-            str(sensor.count),
-            f"{low:g} to {high:g}",
-            f"{sensor.range.min_m:g} to {sensor.range.max_m:g}" if sensor.range else "–",
-            sensor.codec or "no",
-            sensor.description,
-        )
-    _console().print(table)
-
-
-def print_sensor(sensor: Sensor) -> None:
-    """Print a model: the beam table, then every fact with its source."""
-    console = _console()
-    console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
-    table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)
-    firing_ns = codec(sensor).firing_ns().tolist() if sensor.codec else ["–"] * sensor.count
-    for laser in range(sensor.count):
-        table.add_row(
-            str(laser),
-            str(sensor.ring[laser]),
-            f"{sensor.beams.elevation_deg[laser]:g}",
-            f"{sensor.beams.azimuth_offset_deg[laser]:g}" if sensor.beams.azimuth_offset_deg else "0",
-            f"{sensor.beams.vertical_offset_mm[laser]:g}" if sensor.beams.vertical_offset_mm else "0",
-            str(firing_ns[laser]),
-        )
-    console.print(table)
-    facts = sensor.model_dump(mode="json", exclude_none=True)
-    parts = {part: values for part, values in facts.items() if isinstance(values, dict) and part != sensor.codec}
-    for part, values in (parts | dict(facts.get(sensor.codec or "", {}))).items():
-        _print_part(console, part, values)
-
-
-def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:
-    """The facts of a part of a sensor's file, their source, and the same of parts that have sources of their own."""
-    inner = {key: value for key, value in values.items() if isinstance(value, dict) and "source" in value}
-    shown = {key: value for key, value in values.items() if key not in TABLE_KEYS and key not in inner}
-    if values:
-        console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
-        console.print(f"  source: {values.get('source', '').strip()}", style="dim")
-    for key, value in inner.items():
-        _print_part(console, f"{part}.{key}", value)
