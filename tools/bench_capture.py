@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
 from lidarcfg.packets.codec import Firings, codec
+from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.simulate.tasks import CHUNK_RAYS
@@ -139,6 +141,12 @@ def writing(folder: Path, simulated_s: float) -> None:
     def driven() -> None:
         write_pcap(folder / "c.pcap", in_time_order(export(rig, scene, drive, duration_ns)))
 
+    wide = replace(rig, mounts=tuple(replace(one, realism=Realism(divergence=True)) for one in rig.mounts))
+    street = load_scene(ROOT / "data/scenes/street.yaml")
+
+    def sent(of: Rig, stage: Scene) -> Callable[[], None]:
+        return lambda: write_pcap(folder / "d.pcap", in_time_order(export(of, stage, np.eye(4), duration_ns // 4)))
+
     def start() -> None:
         next(in_time_order(export(rig, scene, np.eye(4), duration_ns)))
 
@@ -150,6 +158,10 @@ def writing(folder: Path, simulated_s: float) -> None:
             ("driven", driven),
             ("start", start),
             ("write", write),
+            ("thin", sent(rig, scene)),
+            ("wide", sent(wide, scene)),
+            ("thin street", sent(rig, street)),
+            ("wide street", sent(wide, street)),
         ):
             found = seconds(function)
             if run:
@@ -157,6 +169,10 @@ def writing(folder: Path, simulated_s: float) -> None:
     (whole_s, whole_cpu), (cast_s, cast_cpu), (driven_s, _), (start_s, _), (write_s, write_cpu) = (
         np.array(measured[name]).T for name in ("whole", "cast", "driven", "start", "write")
     )
+    wider = {
+        place: np.array(measured[f"wide{place}"])[:, 1] / np.array(measured[f"thin{place}"])[:, 1]
+        for place in ("", " street")
+    }
     print(
         f"\n| four VLP-16, a street and a mesh, {len(scene.triangles):,} triangles | median | spread |\n|---|---|---|"
     )
@@ -167,6 +183,8 @@ def writing(folder: Path, simulated_s: float) -> None:
         ("export's rate against that of bare `cast_rays`, %", 100 * cast_s / whole_s, 0),
         ("the same by the processor's time, %", 100 * cast_cpu / whole_cpu, 0),
         (f"export while they are driven at {SPEED_M_S:g} m/s, × real time", simulated_s / driven_s, 1),
+        ("with wide beams (divergence), times the processor's time", wider[""], 1),
+        ("the same in the street without the mesh", wider[" street"], 1),
         ("its start, until the first packets, s", start_s, 2),
         ("encode + write alone, one thread, million returns/s", returns / write_s / 1e6, 1),
         ("the same by the processor's time, million returns/s", returns / write_cpu / 1e6, 1),
