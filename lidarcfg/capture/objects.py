@@ -75,6 +75,14 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
     return Objects((*names, OTHER), np.where(index < 0, len(names), index).astype(np.uint16))
 
 
+def own_objects(cloud: PointCloud) -> Objects | None:
+    """The objects that a cloud knows itself, if it does."""
+    if cloud.object is None:
+        return None
+    names = cloud.object_names
+    return Objects((*names, OTHER), np.where(cloud.object < 0, len(names), cloud.object).astype(np.uint16))
+
+
 def with_objects(path: Path, cloud: PointCloud, rig: Rig) -> PointCloud:
     """The cloud with the objects of its points. Raises as `load_objects` does."""
     found = load_objects(path, cloud, rig)

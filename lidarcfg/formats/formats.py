@@ -201,6 +201,8 @@ def _convert_firings(source: Path, output: Path, form: Format, model: str | None
 
 def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
     cloud = _load(source, on_warning)
+    if cloud.object is not None and name in ("las", "laz", "kitti"):
+        on_warning(f"{output}: {name} has no objects of points")
     if name in ("las", "laz"):
         from lidarcfg.formats.las import save_las
 

@@ -173,16 +173,18 @@ def _listed(tree, codes, face, low, high, least, most, far, out):
         code = codes[waiting]
 
 
-@inner()
+@inner(error_model="numpy")
 def _settled(ground_m, static, packet, listed, some, face, origins, directions, count, limit_m, far):
     """Test rays (3, count) against the ground and the listed shapes; whether what they hit is nearer than `far`."""
     rays, middle, beyond = packet.rays, OX + row(face, 2), DX + row(face, 2)
     for axis in range(3):
         start, way = OX + row(face, axis), DX + row(face, axis)
         for n in range(SIZE):
-            rays[start + n], rays[way + n] = origins[axis, min(n, count - 1)], directions[axis, min(n, count - 1)]
+            rays[start + n], rays[way + n] = origins[axis, n], directions[axis, n]
+        for n in range(count, SIZE):
+            rays[start + n], rays[way + n] = origins[axis, count - 1], directions[axis, count - 1]
     for n in range(SIZE):
-        down = (ground_m - rays[middle + n]) / rays[beyond + n] if rays[beyond + n] != 0 else np.inf
+        down = (ground_m - rays[middle + n]) / rays[beyond + n]
         ground = (down > 0) & (down <= limit_m) & (down < FARTHEST)
         rays[RANGE + n] = down if ground else limit_m
         rays[SLOT + n] = GROUND if ground else NONE

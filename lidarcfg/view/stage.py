@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.objects import Objects, load_objects
+from lidarcfg.capture.objects import Objects, load_objects, own_objects
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
 from lidarcfg.config import Model, load
@@ -194,7 +194,7 @@ def load_stage(
         rigs = [loaded.rig(loaded.midpoint)]
     return Stage(
         cloud=cloud,
-        objects=load_objects(truth, cloud, rigs[0]) if truth else None,
+        objects=load_objects(truth, cloud, rigs[0]) if truth else own_objects(cloud),
         rigs=tuple(rigs),
         study=loaded,
         scenes=tuple(load_scene(path) for path in of("scene")),

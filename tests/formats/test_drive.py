@@ -15,6 +15,7 @@ from lidarcfg.cloud import load_cloud
 from lidarcfg.formats.messages import ros_store
 from lidarcfg.geometry import transform
 from lidarcfg.rig import load_rig
+from lidarcfg.view.stage import load_stage
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
@@ -109,6 +110,16 @@ def test_each_point_has_the_object_that_it_is_on(scene, world):
     for row in rows:
         on = truth.objects_at(scene, xyz[row].tolist(), (int(time_ns[row]) - START_NS) / 1e9, 2e-5)
         assert names[row] in on
+
+
+def test_what_is_made_of_a_cloud_with_objects(folder, world):
+    """Our own files keep the objects, others say that they do not; a picture has its colours by them."""
+    lidarcfg("convert", "w.npz", "-o", "w.ply", cwd=folder)
+    cloud = load_cloud(folder / "w.ply", no_warning)
+    assert [cloud.object_names[i] for i in cloud.object.tolist()] == world[0]
+    assert "w.las: las has no objects of points" in lidarcfg("convert", "w.npz", "-o", "w.las", cwd=folder).stderr
+    staged = load_stage([folder / "w.npz"], folder / "rig.yaml", None, np.eye(4), no_warning)
+    assert [staged.objects.names[i] for i in staged.objects.index.tolist()] == world[0]
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npz"])
