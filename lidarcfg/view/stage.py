@@ -113,7 +113,7 @@ def kind_of(path: Path) -> Kind:
 
 def _is_truth(path: Path) -> bool:
     try:
-        return bool(read_arrays(path, ("object_names",)))
+        return read_arrays(path, ("object_names", "intensity")).keys() == {"object_names"}  # a cloud may have both
     except CloudError:  # loading it will say what is wrong
         return False
 
