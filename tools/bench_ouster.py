@@ -7,8 +7,8 @@ Decoding is from packets in memory to x, y, z and all fields, none of which is k
 XYZLut are one thread, fill the same frame again and again, and give a place to every pixel. Ours give the cloud's
 columns of what returned: of a revolution at a time; of a quarter, whose columns stay in a core's cache; and of
 revolutions on all cores. What memory allows is timed by adding up the packets' words and filling columns of those sizes
-with a constant. Medians of several runs in turns, and the spread of their ratios. The tracer casts the same rays in the
-same order.
+with a constant. Medians of several runs in turns, and the spread of their ratios. Files are read by
+ouster-sdk's open_source and by decode_pcap. The tracer casts the same rays in the same order.
 """
 
 import argparse
@@ -26,9 +26,10 @@ from typing import Any
 
 import numpy as np
 from bench_capture import seconds
-from ouster.sdk import core
+from ouster.sdk import core, open_source
 
 import lidarcfg
+from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config import Section
@@ -49,6 +50,7 @@ ROOT = Path(__file__).parent.parent
 RUNS, REVOLUTIONS, PACKETS = 9, 8, 64  # packets of a revolution
 AGAIN = 8  # times that all of them are decoded in a run: threads take their time to start
 QUARTER = PACKETS // 4
+IN_FILE = 40  # revolutions of a file that is read
 PROFILES = {
     "RNG19_RFL8_SIG16_NIR16": "strongest",
     "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",
@@ -67,10 +69,10 @@ sensors:
 class Capture:
     """What an OS1-128 in the street sends with a profile, and what it measured."""
 
-    def __init__(self, mount: Mount, scene: Scene, profile: str) -> None:
+    def __init__(self, mount: Mount, scene: Scene, profile: str, revolutions: int = REVOLUTIONS) -> None:
         settings = Section({"profile": profile, "firmware": "3.2", "imu": False})
         self._mount = replace(mount, return_mode=PROFILES[profile], settings=settings)
-        self._maker, packets = codec(mount.sensor), REVOLUTIONS * PACKETS
+        self._maker, packets = codec(mount.sensor), revolutions * PACKETS
         pace, still = self._maker.pace(self._mount), standing(np.eye(4))
         simulator = Simulator(0, self._mount, Tracer(scene, np.zeros(3)), still)
         self._measured, first = [], 0
@@ -82,7 +84,7 @@ class Capture:
         self.packets = np.concatenate([self._maker.encode(self._mount, *one).data for one in self._measured])
         metadata = self._maker.companions(self._mount)[".json"]
         self._decoder = OusterDecoder("memory", read("memory", metadata), "os1-128")  # type: ignore[arg-type]  # a name for its source will do
-        self._info = core.SensorInfo(metadata.decode())
+        self._metadata, self._info = metadata, core.SensorInfo(metadata.decode())
         self._theirs = [_packet(core.PacketFormat.from_info(self._info), one) for one in self.packets]
         self._lut, self._dual = core.XYZLut(self._info), PROFILES[profile] == "dual"
         self.returns = AGAIN * sum(map(self._decode, self._parts(PACKETS)))
@@ -90,7 +92,7 @@ class Capture:
         self._columns = [np.empty(3 * returns), np.empty(returns, np.int64), *(np.empty((3, returns), np.uint8))]
 
     def _parts(self, packets: int) -> list[Octets]:
-        return np.split(self.packets, REVOLUTIONS * PACKETS // packets)
+        return np.split(self.packets, len(self.packets) // packets)
 
     def _decode(self, some: Octets) -> int:
         return len(self._decoder.decode(some, np.empty(0, np.int64), np.ones(len(some), np.bool_)).time_ns)
@@ -129,9 +131,21 @@ class Capture:
         assert done == REVOLUTIONS
 
     def write(self, path: Path) -> None:
-        """Encode and write a pcap."""
+        """Encode and write a pcap, and the metadata beside it."""
+        path.with_suffix(".json").write_bytes(self._metadata)
         encoded = (self._maker.encode(self._mount, *one) for one in self._measured)
         write_pcap(path, (frames(self._mount.host, one) for one in encoded))
+
+    def read(self, path: Path) -> None:
+        """Read what has been written, and decode it."""
+        for _ in decode_pcap(path, print):
+            pass
+
+    def sdk_reads(self, path: Path) -> None:
+        """The same with ouster-sdk."""
+        for found in open_source(str(path), meta=[str(path.with_suffix(".json"))]):
+            for frame in found.valid_frames():
+                self._lut(frame)
 
 
 def _packet(form: Any, octets: Octets) -> Any:
@@ -175,6 +189,36 @@ def timed(capture: Capture, path: Path) -> Array:
         work = (capture.sdk, *decoding, capture.memory, partial(capture.write, path))
         rows = [[seconds(one) for one in work] for _ in range(RUNS + 1)]
     return np.array(rows[1:]).transpose(1, 0, 2)  # the first is not counted
+
+
+def cores() -> None:
+    """How much of the machine is ours: arithmetic on all threads, beside one."""
+    count = os.cpu_count() or 1
+
+    def work(_: int) -> None:
+        values = np.full(4096, 2.0)
+        for _ in range(2000):
+            np.sqrt(values, out=values)
+
+    with ThreadPoolExecutor(count) as pool:
+        alone, together = (
+            np.array([seconds(partial(list, each(work, range(count))))[0] for _ in range(RUNS)])
+            for each in (map, pool.map)
+        )
+    print(f"\narithmetic on {count} threads: {middle(alone / together)} times one")
+
+
+def files(folder: Path, mount: Mount, scene: Scene) -> None:
+    """The table of reading from a file, on all cores."""
+    names = "ouster-sdk | lidarcfg | ouster-sdk, of the processor | lidarcfg"
+    print(f"\n| from a file of {IN_FILE} revolutions, ms | {names} |\n|{'---|' * 5}")
+    for profile in ("RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8"):
+        capture, path = Capture(mount, scene, profile, IN_FILE), folder / "long.pcap"
+        capture.write(path)
+        work = partial(capture.sdk_reads, path), partial(capture.read, path)
+        rows = 1000 * np.array([[seconds(one) for one in work] for _ in range(RUNS + 1)])[1:]
+        said = " | ".join(middle(rows[:, i, by], 0) for by in (0, 1) for i in (0, 1))
+        print(f"| {profile} | {said} |", flush=True)
 
 
 def exports(folder: Path, rig: Rig, scene: Scene, simulated_s: float) -> None:
@@ -222,7 +266,9 @@ def main() -> None:
         folder = Path(name)
         (folder / "rig.yaml").write_text(RIG)
         rig = load_rig(folder / "rig.yaml")
+        cores()
         packets(folder, rig.mounts[0], scene)
+        files(folder, rig.mounts[0], scene)
         if not arguments.decode:
             exports(folder, rig, scene, arguments.seconds)
 
