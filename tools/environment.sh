@@ -102,7 +102,7 @@ prepare() {
     pip_install --no-deps --target .venv/oldest-click --upgrade "${oldest_click[@]}"
     pip_install --no-deps --only-binary :all: "$ouster_sdk" 2>/dev/null ||
       say "no wheel of $ouster_sdk for this Python and system: its tests are skipped"
-    pip_install --no-deps "${data_sets[@]}"
+    pip_install --no-deps "${data_sets[@]}" 2>/dev/null || say "no ${data_sets[*]}: their tests are skipped"
     pip_install --only-binary kiss-icp "$kiss_icp" 2>/dev/null ||
       say "no wheel of $kiss_icp for this Python and system: its tests are skipped"
   fi
