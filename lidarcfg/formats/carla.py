@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.codec import timing
 from lidarcfg.rig import Mount, Rig
 
 EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing get a warning
@@ -51,10 +51,11 @@ def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, fl
     }
     if sensor.range:
         attributes["range"] = sensor.range.reported_m[1]
-    if sensor.codec:
-        pace = codec(sensor).pace(mount)
+    fires = bool(sensor.codec or sensor.firing)
+    if fires:
+        pace = timing(sensor).pace(mount)
         attributes["points_per_second"] = round(pace.firings * 1e9 / pace.period_ns)
-    if not (sensor.range and sensor.codec):
+    if not (sensor.range and fires):
         on_warning(f"{mount.name}: {sensor.name} has beams only; its range and points_per_second are CARLA's defaults")
     away_deg = abs(elevation_deg - np.linspace(elevation_deg[0], elevation_deg[-1], sensor.count)).max()
     if away_deg > EVEN_DEG:

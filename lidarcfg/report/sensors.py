@@ -58,6 +58,6 @@ def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:
     shown = {key: value for key, value in values.items() if key not in TABLE_KEYS and key not in inner}
     if values:
         console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
-        console.print(f"  source: {values.get('source', '').strip()}", style="dim")
+        console.print(f"  source: {values.get('source', '').strip() or 'not said'}", style="dim")
     for key, value in inner.items():
         _print_part(console, f"{part}.{key}", value)

@@ -1,5 +1,6 @@
 """Sensors of one's own: any beam table seen as points, a horizontal field of view, files of few facts."""
 
+import json
 import math
 
 import numpy as np
@@ -211,3 +212,13 @@ def test_each_part_of_the_catalogue_states_its_source(path):
     ]
     assert parts
     assert all(isinstance(part["source"], str) and part["source"] for part in parts)
+
+
+def test_carla_gets_the_rate_of_an_own_sensor(tmp_path):
+    """1000 sequences of 4 lasers in a revolution, 10 a second."""
+    folder = folder_with(tmp_path, {"firing": {"step_deg": 0.36}})
+    result = lidarcfg("convert", "rig.yaml", "-o", "a.json", cwd=folder)
+    (one,) = json.loads((folder / "a.json").read_text())["sensors"]
+    assert one["attributes"]["points_per_second"] == 4 * 1000 * 10
+    assert one["attributes"]["range"] == 50
+    assert "has beams only" not in result.stderr
