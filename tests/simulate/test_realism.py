@@ -162,7 +162,7 @@ def test_counts_of_no_rays(here):
     [
         (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--truth", "t.txt"), "'t.txt' does not end in .npz"),
         (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--trajectory", "no.yaml"), "no.yaml: no such file"),
-        (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--truth", "no/t.npz"), "no such file"),
+        (("export", "rig.yaml", "--scene", "scene.yaml", "--duration", 1, "-o", "a.pcap", "--truth", "scene.yaml/t.npz"), "scene.yaml/t.npz: not a directory"),
         (("decode", "a.pcap", "--trajectory", "trajectory.yaml", "-o", "a.npz"), "--trajectory needs --rig"),
         (("decode", "a.pcap", "--at", "1,2,3", "-o", "a.npz"), "--at and --start say where and when a --trajectory starts"),
         (("replay", "a.pcap", "127.0.0.1:x"), "'x' is not a port"),
