@@ -115,17 +115,19 @@ def export(
     folder      kitti-odometry, kitti-object,
                 nuscenes: each needs --to
     """
-    from lidarcfg.capture.record import save_record
-    from lidarcfg.rig import load_rig
-    from lidarcfg.simulate.tasks import START_NS, Drive
-    from lidarcfg.world.scene import load_scene
-    from lidarcfg.world.vehicle import load_vehicle, rig_vehicle
+    with progress(quiet, keep=False) as on_fraction:
+        on_fraction(0.0, f"reading {rig} and {scene}")
+        from lidarcfg.capture.record import save_record
+        from lidarcfg.rig import load_rig
+        from lidarcfg.simulate.tasks import START_NS, Drive
+        from lidarcfg.world.scene import load_scene
+        from lidarcfg.world.vehicle import load_vehicle, rig_vehicle
 
-    mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
-    if vehicle:
-        bodies = None if str(vehicle) == "none" else load_vehicle(vehicle)
-    else:
-        bodies = rig_vehicle(mounted)
+        mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
+        if vehicle:
+            bodies = None if str(vehicle) == "none" else load_vehicle(vehicle)
+        else:
+            bodies = rig_vehicle(mounted)
     warn_of(bodies)
     start_ns = nanoseconds(start) if start else START_NS
     moved = load_trajectory(trajectory, at, start_ns)

@@ -247,15 +247,17 @@ def evaluate(
     The study's bounds on the poses are not enforced. --tolerance refines the cuboids until the max VSR of the smooth
     subspaces, whose surface the cuboids' faces overestimate, is known that well.
     """
-    from lidarcfg import report
-    from lidarcfg.packets.codec import pattern
-    from lidarcfg.placement.details import details
-    from lidarcfg.placement.evaluation import evaluate as evaluation
-    from lidarcfg.placement.sensitivity import robustness
-    from lidarcfg.placement.study import load_study
-    from lidarcfg.rig import load_rig
+    with progress(quiet or as_json, keep=False) as on_progress:
+        on_progress(0.0, f"reading {study}")
+        from lidarcfg import report
+        from lidarcfg.packets.codec import pattern
+        from lidarcfg.placement.details import details
+        from lidarcfg.placement.evaluation import evaluate as evaluation
+        from lidarcfg.placement.sensitivity import robustness
+        from lidarcfg.placement.study import load_study
+        from lidarcfg.rig import load_rig
 
-    loaded, mounted = load_study(study, pattern), load_rig(rig)
+        loaded, mounted = load_study(study, pattern), load_rig(rig)
     warn_of(loaded.vehicle)
     _check_rig(loaded, rig, mounted)
     if output:
