@@ -165,7 +165,7 @@ def test_version():
         (["export", ROOF, "--scene", STREET, "--duration", "0", "-o", "x.pcap"], "Invalid value for '--duration'"),
         (["export", ROOF, "--scene", STREET, "--duration", "nan", "-o", "x.pcap"], "Invalid value for '--duration'"),
         (["export", ROOF, "--scene", STREET, "--duration", "0.0001", "-o", "x.pcap"], "holds no packet of left"),
-        (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", "x.txt"], "'x.txt' does not end in .pcap"),
+        (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", "x.txt"], "an export is not written as 'x.txt'; allowed: .pcap"),
         (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", f"{ROOF}/x.pcap"], "x.pcap: not a directory"),
         (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", "x.pcap", "--at", "1,2"], "'1,2' is not three numbers"),
         (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", "x.pcap", "--at", "1,2,nan"], "not three numbers"),
