@@ -115,6 +115,8 @@ def export(
     folder      kitti-odometry, kitti-object,
                 nuscenes: each needs --to
     """
+    if not output.name:
+        raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
         from lidarcfg.capture.record import save_record

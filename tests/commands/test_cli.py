@@ -176,7 +176,7 @@ def test_version():
         (["decode", "none.pcap", "-o", "x.ply"], "none.pcap: no such file or directory"),
         (["view", "none.ply", "--png", "x.png"], "none.ply: no such file or directory"),
         (["optimize", STUDY, "--seed", "9" * 25], "Invalid value for '--seed'"),
-        (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", "."], "'.' does not end in .pcap"),
+        (["export", ROOF, "--scene", STREET, "--duration", "1", "-o", "."], "'.' names neither a file nor a folder to write"),
         (["evaluate", STUDY, "a\nb.yaml"], "a\\nb.yaml: no such file or directory"),
         (["sensors", "show", "vlp16"], "no sensor is called 'vlp16'; did you mean vlp-16? allowed: "),
     ],
