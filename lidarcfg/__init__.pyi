@@ -1,5 +1,7 @@
+from .capture.decode import decode as decode
 from .cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError
+from .formats.exports import export as export
 from .packets.codec import pattern as pattern
 from .placement.evaluation import evaluate as evaluate
 from .placement.optimize import optimize as optimize

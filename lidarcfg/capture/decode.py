@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cache, partial
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,8 @@ from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.inputs import read_regular
 from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, Times, codec, family
 from lidarcfg.packets.point_fields import asked
+from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import Sensor, catalogue, load_sensor
-
-if TYPE_CHECKING:
-    from lidarcfg.rig import Rig
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets: with more, new memory for each chunk takes longer than decoding
@@ -60,7 +57,7 @@ class Details:
 def decode_pcap(
     path: str | Path,
     on_warning: Callable[[str], None],
-    rig: "Rig | None" = None,
+    rig: Rig | None = None,
     model: str | None = None,
     chunk_packets: int = CHUNK_PACKETS,
     on_stats: Callable[[SourceStats], None] | None = None,
@@ -79,6 +76,18 @@ def decode_pcap(
         for stream in capture.streams:
             if stream.packets:
                 on_stats(stream.stats())
+
+
+def decode(
+    path: str | Path, rig: Rig | str | Path | None = None, on_warning: Callable[[str], None] = print
+) -> PointCloud:
+    """All points of a capture as one cloud: in the vehicle frame of a rig, or without one each in its sensor's.
+
+    Raises PacketError, also for a capture without points, and ConfigError.
+    """
+    if isinstance(rig, str | Path):
+        rig = load_rig(rig)
+    return concatenate(list(decode_pcap(path, on_warning, rig)))
 
 
 def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
@@ -102,7 +111,7 @@ class Capture:
         self,
         path: str | Path,
         on_warning: Callable[[str], None],
-        rig: "Rig | None" = None,
+        rig: Rig | None = None,
         model: str | None = None,
         selection: Selection = ALL,
         details: Details | None = None,

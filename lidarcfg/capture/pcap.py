@@ -34,6 +34,7 @@ FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 20  # bytes of a pcap, read at once
 SCANNED = 1 << 26  # bytes of a pcap whose headers are looked at together
 RECORDS = 1000  # of a pcapng, read at once
+EMPTY = 1000  # records in a row without a byte: the rest of the file is taken for damaged
 RECORDS_ALIKE = 64  # of a pcap, looked at together
 
 
@@ -133,10 +134,12 @@ def _pcap_pieces(
         data = data[: len(left) + read]
         start, at, size = _records(data, record)
         heads = gathered(data, start, record)
+        if _is_hole(heads):
+            break
         yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data)
         _check_size(size, name)
         count, left = count + len(start), data[at:]
-    if len(left):
+    if len(left) or read:
         on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
 
 
@@ -151,7 +154,10 @@ def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tupl
         start, end, _ = _records(data[at : at + SCANNED], record)
         if not len(start):
             break
-        late = np.flatnonzero(_time_ns(gathered(data[at : at + SCANNED], start, record), unit_ns) >= from_ns)
+        heads = gathered(data[at : at + SCANNED], start, record)
+        if _is_hole(heads):
+            break
+        late = np.flatnonzero(_time_ns(heads, unit_ns) >= from_ns)
         if len(late):
             return at + int(start[late[0]]), count + int(late[0])
         at, count, last = at + end, count + len(start), (at + int(start[-1]), count + len(start) - 1)
@@ -176,6 +182,11 @@ def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np
         rows.append(row)
         at = int(row[-1]) + length
     return np.concatenate(rows), at, size
+
+
+def _is_hole(heads: NDArray[Any]) -> bool:
+    """Whether records are zeros that a crash or a copy has left instead of data."""
+    return len(heads) > EMPTY and not heads["captured"].any()
 
 
 def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:

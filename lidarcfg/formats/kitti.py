@@ -18,7 +18,7 @@ FILE_COPIES = 8  # of a file, in memory at once
 LACKS = ("ring", "time_ns", "sensor", "return_type")
 
 
-def save_kitti(path: Path, cloud: PointCloud, on_warning: Callable[[str], None], chunk: int = CHUNK) -> None:
+def save_kitti(path: str | Path, cloud: PointCloud, on_warning: Callable[[str], None], chunk: int = CHUNK) -> None:
     """Write the cloud's positions and intensities, whole or not at all, `chunk` points at a time.
 
     Raises CloudError unless all are finite.
@@ -37,11 +37,12 @@ def save_kitti(path: Path, cloud: PointCloud, on_warning: Callable[[str], None],
         on_warning(f"{path}: float32 moves a point by up to {moved_m:.2g} m")
 
 
-def load_kitti(path: Path, on_warning: Callable[[str], None]) -> PointCloud:
+def load_kitti(path: str | Path, on_warning: Callable[[str], None]) -> PointCloud:
     """The cloud in a .bin, of one sensor named after the file; `on_warning` gets a line on what it lacks.
 
     Raises CloudError.
     """
+    path = Path(path)
     if path.name.lower().endswith(".pcd.bin"):
         raise CloudError(f"{path}: is a nuScenes file, with five numbers a point; allowed: KITTI's four")
     try:

@@ -34,12 +34,13 @@ POINT_BYTES = 200  # of memory a point, with what is read and what it becomes
 CHUNK_BYTES = 1 << 26  # read at a time, whatever the size of a point
 
 
-def save_las(path: Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
+def save_las(path: str | Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
     """Write the cloud as .las or .laz, whole or not at all, `chunk` points at a time.
 
     Coordinates are kept to 0.05 mm, times to 30 ns. Raises CloudError for a cloud that is not finite or too
     wide, ConversionError without laspy.
     """
+    path = Path(path)
     laspy, _ = libraries()
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, STEP_M), _offsets(path, cloud.xyz)
@@ -86,12 +87,13 @@ def _offsets(path: Path, xyz: Array) -> Array:
     return np.asarray(midpoint)
 
 
-def load_las(path: Path, on_warning: Callable[[str], None], chunk: int = CHUNK) -> PointCloud:
+def load_las(path: str | Path, on_warning: Callable[[str], None], chunk: int = CHUNK) -> PointCloud:
     """The cloud in a .las or .laz, ours or another's, read `chunk` points at a time.
 
     `on_warning` gets the fields that the file lacks, which are then 0. Raises CloudError, and ConversionError without
     laspy.
     """
+    path = Path(path)
     laspy, lazrs = libraries()
     try:
         check_regular(path)

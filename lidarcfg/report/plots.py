@@ -22,7 +22,7 @@ COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F
 CUT_OFF = 4  # times the best found
 
 
-def save_figure(figure: "Figure", path: Path) -> None:
+def save_figure(figure: "Figure", path: str | Path) -> None:
     """Write a PNG, whole or not at all."""
     with replacing(path, "wb") as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "(?s)Glyph .* missing")  # of a name: a box stands for it

@@ -45,7 +45,8 @@ def records(sensor_index: int, types: Octets, fired: Firings, found: Echoes, sen
 class TruthFile:
     """Collects the records of all sensors; `save` writes them sensor by sensor to a .npz. Memory stays constant."""
 
-    def __init__(self, path: Path, sensor_names: Sequence[str], object_names: Sequence[str]) -> None:
+    def __init__(self, path: str | Path, sensor_names: Sequence[str], object_names: Sequence[str]) -> None:
+        path = Path(path)
         check_replaceable(path)
         make_parent(path)
         self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}

@@ -139,7 +139,7 @@ def html(page: Page | None) -> str:
     return text
 
 
-def save_html(page: Page, path: Path) -> None:
+def save_html(page: Page, path: str | Path) -> None:
     """Write the page as one file, whole or not at all."""
     with replacing(path) as file:
         file.write(html(page))

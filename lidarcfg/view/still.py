@@ -49,7 +49,7 @@ PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the 
 
 def save_still(
     stage: Stage,
-    path: Path,
+    path: str | Path,
     size: tuple[int, int] = SIZE,
     camera: Camera | None = None,
     by: By = "sensor",

@@ -1,5 +1,7 @@
 """Capture files: dpkt's own reader, real headers byte for byte, and files that are not whole."""
 
+import os
+import re
 import struct
 from contextlib import suppress
 
@@ -10,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lidarcfg.capture import pcap
-from lidarcfg.capture.pcap import Datagram, read_datagrams
+from lidarcfg.capture.pcap import Datagram, one_by_one, read_batches, read_datagrams
 from lidarcfg.errors import PacketError
 from tests.capture_fixtures import no_warning, recording
 from tests.capture_fixtures import write_datagrams as write_pcap
@@ -182,6 +184,18 @@ def test_any_bytes_end_well(tmp_path_factory, raw, magic):
     path.write_bytes(magic + raw)
     with suppress(PacketError):
         assert all(len(datagram.payload) <= len(raw) for datagram in read_datagrams(path, lambda warning: None))
+
+
+def test_zeros_that_a_crash_has_left_behind_end_the_file(tmp_path):
+    path = tmp_path / "a.pcap"
+    write_pcap(path, [data(fill=i) for i in range(3)])
+    os.truncate(path, 1 << 33)
+    for from_ns in (None, AT_NS):
+        warnings: list[str] = []
+        found = [one.payload[0] for batch in read_batches(path, warnings.append, from_ns) for one in one_by_one(batch)]
+        assert found == [0, 1, 2]
+        assert len(warnings) == 1
+        assert re.search("cut off or damaged after [0-9]+ records; what is whole was read$", warnings[0])
 
 
 def test_no_such_file(tmp_path):

@@ -1,0 +1,48 @@
+"""A tour: from a study to a rig, its packets, its points and a picture, in a few lines each.
+
+.venv/bin/python docs/examples/tour.py
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import lidarcfg
+from lidarcfg.geometry import pose
+from lidarcfg.placement.study import with_solver
+from lidarcfg.view.stage import Stage
+from lidarcfg.view.still import save_still
+
+out = Path("out/examples")
+out.mkdir(parents=True, exist_ok=True)
+
+# %% Where should the sensors sit?
+# A study has the region, the sensors with their bounds, and the objects to detect. A real search takes 30 s or more.
+study = with_solver(lidarcfg.load_study("data/studies/sedan.yaml"), evaluations=200)
+found = lidarcfg.optimize(study)
+for mount in found.rig.mounts:
+    print(f"{mount.name:12} at {np.round(mount.position_m, 2)} m, tilted by {np.degrees(mount.rpy_rad[:2]).round(1)}°")
+print(f"max VSR {found.objective:.3f} m; at the midpoint of the bounds it was {found.midpoint_max_vsr_m:.3f} m")
+lidarcfg.save_rig(found.rig, out / "tour.yaml")
+
+# %% Is it better than a rig made by hand?
+by_hand = lidarcfg.evaluate(study, lidarcfg.load_rig("data/rigs/roof.yaml"))
+for name, rate in found.evaluation.detection.items():
+    print(f"{name:12} {rate.rate:.1%} of all places, by hand {by_hand.detection[name].rate:.1%}")
+
+# %% What will it see?
+# A capture has the packets that the sensors would send; a .ply, a bag or nuScenes has points with ground truth.
+T_world_vehicle = pose((2.0, 0.0, 0.0), (0.0, 0.0, np.radians(10)))
+lidarcfg.export(found.rig, "data/scenes/street.yaml", out / "tour.pcap", duration_s=0.1, at=T_world_vehicle)
+lidarcfg.export(found.rig, "data/scenes/street.yaml", out / "tour.npz", duration_s=0.1, at=T_world_vehicle)
+
+# %% The points of the packets
+# Files or what is loaded from them: either will do.
+cloud = lidarcfg.decode(out / "tour.pcap", rig=out / "tour.yaml")
+print(f"{len(cloud.xyz):,} points of {', '.join(cloud.sensor_names)}")
+assert set(cloud.sensor_names) == {mount.name for mount in found.rig.mounts}
+
+# %% A look at it
+scene = lidarcfg.load_scene("data/scenes/street.yaml")
+stage = Stage(cloud, objects=None, rigs=(found.rig,), study=None, scenes=(scene,), T_world_vehicle=T_world_vehicle)
+save_still(stage, out / "tour.png", (960, 540), by="height")
