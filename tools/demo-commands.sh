@@ -9,8 +9,8 @@ rm -rf "$out"
 mkdir -p "$out"
 # What the next steps compile, once, is compiled on another processor meanwhile.
 {
-  "$bin/lidarcfg" export data/rigs/roof.yaml --scene "$scene" --duration 0.1 -o "$out/first.pcap" --quiet &&
-    "$bin/lidarcfg" decode "$out/first.pcap" --rig data/rigs/roof.yaml -o "$out/first.ply" --quiet
+  "$bin/lidarcfg" export data/rigs/roof.yaml --scene "$scene" --duration 0.1 -o "$out/first.pcap" --quiet
+  "$bin/lidarcfg" decode "$out/first.pcap" --rig data/rigs/roof.yaml -o "$out/first.ply" --quiet
 } &
 meanwhile=$!
 say "1/4 placing four VLP-16 on a saloon whose body blocks their beams, for a short budget"

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 TUM = ".tum"  # text lines of time_s x y z qx qy qz qw, as the TUM RGB-D benchmark defined and evo reads them
 TUM_ROW = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
-TUM_MAX = 500_000_000  # bytes: some four million poses
+TUM_MAX = 500_000_000  # bytes
+TUM_LINES_MAX = 2_000_000
 STEP_NS = 1_000_000  # over which a velocity is taken
 EDGE_S = 1e-3  # before the first and after the last of timed poses
 LIMIT = 1e8
@@ -263,7 +264,10 @@ def load_path(path: str | Path) -> MotionPath:
 def _read_tum(path: Path) -> Array:
     """(K, 8): the checked rows of the file. Raises ConfigError with the line that is none."""
     try:
-        lines = read_regular(path, TUM_MAX).decode().splitlines()
+        text = read_regular(path, TUM_MAX)
+        if (count := text.count(b"\n")) > TUM_LINES_MAX:
+            raise ConfigError(f"{path}: has {count:,} lines; allowed: at most {TUM_LINES_MAX:,}")
+        lines = text.decode().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text in UTF-8"
         raise ConfigError(f"{path}: {(reason or str(error)).lower()}") from None

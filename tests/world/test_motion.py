@@ -81,6 +81,7 @@ def test_files(tmp_path):
         ("a.tum", "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0", "a.tum:2:1: '1 0 0 0 0 0 0' is not a pose; allowed: time_s x y z qx"),
         ("a.tum", "0 0 0 nan 0 0 0 1\n1 0 0 0 0 0 0 1", "a.tum:1:1: .* is not a pose"),
         ("a.tum", "1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1", "a.tum:2:1: 0 is not after 1"),
+        ("a.tum", "\n" * 2_000_001, "a.tum: has 2,000,001 lines; allowed: at most 2,000,000"),
         ("no.tum", None, "no.tum: no such file"),
     ],
 )  # fmt: skip
