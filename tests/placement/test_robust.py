@@ -217,7 +217,10 @@ def test_a_lidar_turns_about_its_own_axes(rpy_deg):
             ZONES.replace("}]\n", "}, {name: front, min_m: [0, 0, 0], max_m: [1, 1, 1]}]\n"),
             "zones[1].name: 'front' is a zone",
         ),
-        ("zones: [{name: elsewhere, min_m: [0, 0, 0], max_m: [1, 1, 1]}]\n", "zones[0].name: 'elsewhere' is a zone"),
+        (
+            "zones: [{name: elsewhere, min_m: [0, 0, 0], max_m: [1, 1, 1]}]\n",
+            "zones[0].name: 'elsewhere' is what lies in no zone",
+        ),
         ("zones: [{name: x, min_m: [0, 0, 0], max_m: [1, 1, 1], weight: 0}]\n", "zones[0].weight: 0 is too small"),
     ],
 )
