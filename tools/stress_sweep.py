@@ -49,10 +49,12 @@ def result(folder: Path) -> list[tuple[dict[str, str], bytes]]:
 
 
 def children(pid: int) -> list[int]:
-    """The processes that a process has started."""
-    with suppress(OSError):
-        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    return []
+    """The processes that a process has started, from any of its threads: those replace workers."""
+    found: list[int] = []
+    for path in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            found += map(int, path.read_text().split())
+    return found
 
 
 def workers_of(pid: int) -> list[int]:
@@ -107,7 +109,7 @@ def disturbed(words: list[str], kills: int, draw: random.Random, cluster: Cluste
         if killed.total() >= kills:
             time.sleep(0.1)
             continue
-        time.sleep(draw.uniform(0.2, 8.0))
+        time.sleep(draw.uniform(0.2, 4.0))
         victim = draw.choice(VICTIMS if cluster else ["command", "worker", "worker", "worker"])
         if victim == "command":
             command.kill()
@@ -151,7 +153,9 @@ def main() -> None:
         started, draw = time.perf_counter(), random.Random(1)
         try:
             os.environ["SWEEP_OF"] = name
-            killed = disturbed([*words, str(folder / "out"), *where], arguments.kills, draw, cluster)
+            disturb = [*words, str(folder / "out"), *where]
+            killed = disturbed(disturb, arguments.kills, draw, cluster)
+            subprocess.run(disturb, check=True, **SILENT)  # once more for runs that lost every worker they had
         finally:
             if cluster:
                 cluster.close()
