@@ -122,8 +122,11 @@ def together(gone: Iterable[Path] = ()) -> Iterator[None]:
         for whole in waiting:
             check_replaceable(whole.path)
         with locked(whole.path.parent for whole in waiting):
+            old = list(chain.from_iterable(group.gone))
+            for path in old:
+                check_replaceable(path)
             try:
-                for path in chain.from_iterable(group.gone):
+                for path in old:
                     remove_leftovers(path)
                     path.unlink(missing_ok=True)
                 for whole in waiting:

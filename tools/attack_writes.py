@@ -210,10 +210,11 @@ def full_disk(folder: Path, commands: Sequence[Command], times: int, rng: random
         known = learn(folder, command)
         largest = max(map(len, known.files[1].values()))
         for _ in range(times if largest > MESSAGE else 0):
+            before = contents(folder, command.outputs)
             ended = run(command.typed(MARKS[1]), folder, small_files(rng.randrange(MESSAGE, largest)))
             files = contents(folder, command.outputs)
             searched = command.outputs[0] in PROGRESS and not wrong(folder, command, known.files)
-            kept = files == known.files[0] or searched
+            kept = files == before or searched
             odd = "" if kept else f"{command.name}: the old files are gone"
             row.add((ended.code and ended.not_refused) or odd or leftovers(folder))
     yield row
@@ -226,8 +227,9 @@ def read_only(folder: Path, commands: Sequence[Command], times: int, rng: random
         known = learn(folder, command)
         one = folder / rng.choice(sorted(known.files[0]))
         one.chmod(0o444)
+        before = contents(folder, command.outputs)
         ended = run(command.typed(MARKS[1]), folder)
-        same = contents(folder, command.outputs) == known.files[0]
+        same = contents(folder, command.outputs) == before
         files.add(ended.not_refused or ("" if same else f"{command.name}: replaced some of it") or leftovers(folder))
         one.chmod(0o644)
         if os.getuid():
