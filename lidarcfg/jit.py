@@ -66,7 +66,7 @@ class _Watch(event.Listener):
         compiling.end()
 
 
-event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]
+event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types here
 
 
 def _parts(loop: Any, found: set[Any]) -> set[Any]:

@@ -30,7 +30,7 @@ def link_late() -> bool:
     waiting: dict[str, Any] = {}  # environments of functions without machine code, by their names in it
     set_env = codegen.JITCPUCodegen.set_env
 
-    class Library(codegen.JITCodeLibrary):  # type: ignore[misc]
+    class Library(codegen.JITCodeLibrary):  # type: ignore[misc]  # numba has no types
         """Functions, and those that they call."""
 
         _waits = False

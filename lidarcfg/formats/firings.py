@@ -80,7 +80,7 @@ class Source:
             data_port=DATA_PORT,
             telemetry_port=TELEMETRY_PORT,
             rpm=RPM,
-            return_mode=self.found.return_mode,  # type: ignore[arg-type]
+            return_mode=self.found.return_mode,  # type: ignore[arg-type]  # a text that was checked when it was read
         )
         return codec(sensor).packed(mount, self.found)
 

@@ -55,7 +55,7 @@ def mesh_at(scene: Scene, since_ns: int) -> Mesh:
     return joined(found)
 
 
-def _static(items: tuple) -> tuple:  # type: ignore[type-arg]
+def _static(items: tuple) -> tuple:  # type: ignore[type-arg]  # of any kind of object
     return tuple(item for item in items if item.motion is None)
 
 

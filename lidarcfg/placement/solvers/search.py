@@ -31,12 +31,8 @@ class Trials:
     to_beat: Array  # (n,) a cost at or above this may be reported as inf; inf where every cost matters
 
 
-class Search(Protocol):
-    """A running search: minimises over the unit cube, one batch of trials at a time."""
-
-    cycles: int  # completed
-    best_x: Array  # (dimensions,) the best point so far
-    best_cost: float
+class Sampler(Protocol):
+    """Draws trials, and learns from their costs."""
 
     @property
     def sources(self) -> Array:
@@ -53,6 +49,14 @@ class Search(Protocol):
         """The costs (n,) of the trials asked for, in order. Raises LidarcfgError where one is not a number."""
 
 
+class Search(Sampler, Protocol):
+    """A running search: minimises over the unit cube, one batch of trials at a time."""
+
+    cycles: int  # completed
+    best_x: Array  # (dimensions,) the best point so far
+    best_cost: float
+
+
 def checked(cost: Array) -> Array:
     """The costs (n,), each a number or inf. Raises LidarcfgError on NaN, which would compare as the least."""
     wrong = np.flatnonzero(~(cost > -np.inf))
@@ -63,26 +67,12 @@ def checked(cost: Array) -> Array:
     return cost
 
 
-class Run(Protocol):
-    """A search that ends; see Search."""
+class Run(Sampler, Protocol):
+    """A part of a search, which ends."""
 
     @property
     def over(self) -> bool:
         """Whether it has ended."""
-
-    @property
-    def sources(self) -> Array:
-        """See Search."""
-
-    @property
-    def mean_cost(self) -> float:
-        """See Search."""
-
-    def ask(self) -> Trials:
-        """See Search."""
-
-    def tell(self, cost: Array) -> None:
-        """See Search."""
 
 
 class Runs:
@@ -95,7 +85,7 @@ class Runs:
         self.best_x, self.best_cost = np.full(dimensions, 0.5), np.inf
 
     def _follow(self) -> None:
-        raise NotImplementedError
+        raise NotImplementedError  # each search by runs begins them in its own way
 
     @property
     def sources(self) -> Array:
