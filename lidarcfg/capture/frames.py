@@ -2,7 +2,7 @@
 
 import socket
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,11 +154,20 @@ def gathered(data: Octets, start: NDArray[np.int64], dtype: np.dtype[Any]) -> ND
     return everywhere[start].view(dtype)
 
 
-def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
-    """What the frames hold behind their link headers and VLAN tags, if that is UDP over IPv4.
+class IpPackets(NamedTuple):
+    """N IPv4 packets in the frames of a piece."""
 
-    A datagram that came in fragments stands where its last one came.
-    """
+    which: NDArray[np.int64]  # (N,) the frame
+    ip: NDArray[np.int64]  # (N,) where the IP header is in the data
+    head: NDArray[Any]  # (N,) the header
+    length: NDArray[np.int64]  # (N,) its bytes, options too
+    end: NDArray[np.int64]  # (N,) bytes from the header to where the packet ends, as far as they are there
+    whole: NDArray[np.bool_]  # (N,) whether it holds a UDP datagram
+    part: NDArray[np.bool_]  # (N,) whether it holds a fragment of one
+
+
+def ip_packets(piece: Piece) -> IpPackets:
+    """What the frames hold behind their link headers and VLAN tags."""
     at, kind = LINK_HEADERS[piece.link]
     data, which = piece.data, np.arange(len(piece.size))
     ip = piece.start + at
@@ -183,8 +192,13 @@ def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
     end = np.where(head["length"] > 0, np.minimum(head["length"], left), left)
     part = head["flags"] & (MORE_FRAGMENTS | FRAGMENT_OFFSET) != 0
     whole = good & ~part & (left >= length + UDP.itemsize)
+    return IpPackets(which, ip, head, length, end, whole, part & good & (end > length))
+
+
+def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
+    """The UDP datagrams in the frames. One that came in fragments stands where its last one came."""
+    which, ip, head, length, end, whole, part = ip_packets(piece)
     found = _whole(piece, which[whole], ip[whole], head[whole], length[whole], end[whole])
-    part &= good & (end > length)
     if not part.any():
         return found
     rows = which[part], ip[part] + length[part], end[part] - length[part]
@@ -231,15 +245,8 @@ def _with_fragments(
     alone = np.ones(len(frame), np.bool_)
     alone[rows_of_runs] = False
     for row in np.flatnonzero(alone).tolist():
-        flags = int(head["flags"][row])
-        fragment = Fragment(
-            key=_key(int(key[row]), int(head["id"][row])),
-            time_ns=int(piece.time_ns[frame[row]]),
-            offset=(flags & FRAGMENT_OFFSET) * 8,
-            last=not flags & MORE_FRAGMENTS,
-            data=piece.data[start[row] : start[row] + size[row]].tobytes(),
-        )
-        datagram = reassembly.add(fragment)
+        octets = piece.data[start[row] : start[row] + size[row]].tobytes()
+        datagram = reassembly.add(fragment(int(piece.time_ns[frame[row]]), head[row], octets))
         if datagram is not None and len(datagram) >= UDP.itemsize:
             parts.append(np.frombuffer(datagram, np.uint8))
             lengths.append(len(datagram))
@@ -296,6 +303,13 @@ def _runs(
     waits = [reassembly.waits_for(_key(int(key[row]), int(number[row]))) for row in first.tolist()]
     good &= ~np.array(waits, np.bool_)
     return first[good], last[good]
+
+
+def fragment(time_ns: int, head: Any, data: bytes) -> Fragment:
+    """One fragment, of what its IP header says."""
+    flags = int(head["flags"])
+    key = head["source"].tobytes() + head["destination"].tobytes() + int(head["id"]).to_bytes(2)
+    return Fragment(key, time_ns, (flags & FRAGMENT_OFFSET) * 8, not flags & MORE_FRAGMENTS, data)
 
 
 def _key(addresses: int, number: int) -> bytes:

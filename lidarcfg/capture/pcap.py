@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from decimal import Decimal
-from io import BufferedReader, FileIO
+from io import BufferedReader, BytesIO, FileIO
 from pathlib import Path
 from typing import IO, Any
 
@@ -30,6 +30,8 @@ PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
     for magic, unit_ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
 }
 HEADER = 24  # bytes of a classic pcap before its records
+PCAPNG, PCAPNG_LITTLE = b"\x0a\x0d\x0d\x0a", b"\x4d\x3c\x2b\x1a"  # the first block's type, and its byte order
+PCAPNG_HEAD = 28  # bytes of a block before its frame
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 20  # bytes of a pcap, read at once
 SCANNED = 1 << 26  # bytes of a pcap whose headers are looked at together
@@ -193,6 +195,19 @@ def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
     return heads["seconds"].astype(np.int64) * SECOND_NS + heads["microseconds"].astype(np.int64) * unit_ns
 
 
+def whole_capture(data: bytes, name: str) -> Piece:
+    """All frames of a capture that is in memory, in the order of the file. Raises PacketError."""
+    if data[:4] not in PCAP_MAGIC or len(data) < HEADER:
+        return _other_capture(data, name)
+    order, unit_ns = PCAP_MAGIC[data[:4]]
+    link = _checked_link(struct.unpack_from(order + "I", data, 20)[0] & 0xFFFF, name)
+    record = RECORD if order == "<" else RECORD.newbyteorder()
+    octets = np.frombuffer(data, np.uint8)
+    start = _records(octets[HEADER:], record)[0] + HEADER
+    heads = gathered(octets, start, record)
+    return Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), octets)
+
+
 class _File:
     """A file that remembers whether the last read came out short, and refuses absurd ones."""
 
@@ -210,6 +225,36 @@ class _File:
 
 def _other_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Piece]:
     """The frames of what dpkt knows besides, which is pcapng above all."""
+    link, records = _other_records(file, name, on_warning)
+    while some := list(itertools.islice(records, RECORDS)):
+        sizes = np.array([len(frame) for _, frame in some], np.int64)
+        times_ns = np.array([time_ns for time_ns, _ in some], np.int64)
+        data = np.frombuffer(b"".join(frame for _, frame in some), np.uint8)
+        yield Piece(link, times_ns, np.cumsum(sizes) - sizes, sizes, data)
+
+
+def _other_capture(data: bytes, name: str) -> Piece:
+    """The same of a file in memory; where in it each frame is, the ends of dpkt's reads say."""
+    file = BytesIO(data)
+    link, records = _other_records(file, name, lambda warning: None)
+    order = "<" if data[8:12] == PCAPNG_LITTLE else ">"
+    found = []
+    for time_ns, frame in records:
+        end = file.tell()
+        if data[:4] == PCAPNG:  # blocks end in their length
+            start = end - struct.unpack_from(order + "I", data, end - 4)[0] + PCAPNG_HEAD
+        else:
+            start = end - len(frame)
+        if data[start : start + len(frame)] == frame:
+            found.append((time_ns, start, len(frame)))
+    places = np.array(found, np.int64).reshape(-1, 3)
+    return Piece(link, places[:, 0], places[:, 1], places[:, 2], np.frombuffer(data, np.uint8))
+
+
+def _other_records(
+    file: IO[bytes], name: str, on_warning: Callable[[str], None]
+) -> tuple[int, Iterator[tuple[int, bytes]]]:
+    """The kind of link, and time and frame of each record."""
     import dpkt
 
     damage = dpkt.Error, ValueError, struct.error  # what it raises on bytes that make no sense
@@ -219,12 +264,7 @@ def _other_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None])
     except (*damage, PacketError):
         raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng") from None
     link = _checked_link(reader.datalink(), name)
-    records = _whole_records(reader, damage, watched, name, on_warning)
-    while some := list(itertools.islice(records, RECORDS)):
-        sizes = np.array([len(frame) for _, frame in some], np.int64)
-        times_ns = np.array([time_ns for time_ns, _ in some], np.int64)
-        data = np.frombuffer(b"".join(frame for _, frame in some), np.uint8)
-        yield Piece(link, times_ns, np.cumsum(sizes) - sizes, sizes, data)
+    return link, _whole_records(reader, damage, watched, name, on_warning)
 
 
 def _whole_records(

@@ -44,6 +44,7 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
                           .bag     rosbag1       the same of ROS 1
                           .npz     firings       all that each laser measured
     firings: .npz         .pcap    pcap          the capture of it again
+                          .pcapng  pcapng        the same, of a pcapng
 
     LAS, bags and MCAP need: pip install 'lidarcfg[convert]'
     """

@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.decode import Capture
+from lidarcfg.capture.pcap import PCAPNG
 from lidarcfg.cloud import read_arrays
 from lidarcfg.config import COORDINATE_MAX_M, loads
-from lidarcfg.errors import CloudError, ConfigError, ConversionError
+from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
 from lidarcfg.files import replacing
-from lidarcfg.formats.records import pieces, read_records
+from lidarcfg.formats.records import CUTS, pieces, read_records
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets, codec
 from lidarcfg.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount
 from lidarcfg.sensor import Reported, Sensor
 
-VERSION = 1
+VERSION = 2
 COLUMNS = {  # of a source, and their types; N firings in P packets, R returns of each
     "time_ns": "<i8",  # (N,) device time
     "laser": "|u1",  # (N,)
@@ -34,15 +35,7 @@ COLUMNS = {  # of a source, and their types; N firings in P packets, R returns o
     "rest_at": "<i8",  # (K,) bytes of the source's packets, one after the other, that firings do not say
     "rest": "|u1",  # (K,) and what they are
 }
-FILE_COLUMNS = {
-    "header": "|u1",
-    "tail": "|u1",
-    "heads": "|u1",
-    "source": "<i2",
-    "before": "<i4",
-    "after": "<i4",
-    "raw": "|u1",
-}
+FILE_COLUMNS = CUTS | {"raw": "|u1"}  # where the file has the packets, and all else in it
 KEYS = "name", "sensor", "return_mode", "firings", "packets", "size", "more"  # what is said of a source
 ANY_RANGE = Reported(source="as recorded", min_m=0, max_m=COORDINATE_MAX_M)
 
@@ -86,30 +79,31 @@ class Source:
 
 
 def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWarning) -> Counted:
-    """Write a classic pcap as firings, whole or not at all. Raises LidarcfgError.
+    """Write a capture as firings, whole or not at all. Raises LidarcfgError.
 
-    Sources whose family has no way back from packets to firings are kept as they are, with a warning.
+    What a sensor sends in several return modes are as many sources. Packets whose family has no way back to firings, or
+    of modes that it does not have, are kept as they are, with a warning.
     """
     records, sources, kept = read_records(capture), list[dict[str, Any]](), list[str]()
     arrays: dict[str, NDArray[Any]] = {}
     counted = Counted(0, 0, 0)
     for recorded in Capture(capture, on_warning, model=model).sources():
-        mine = records.of(recorded.name, recorded.packets.shape[1])
-        if not len(mine.packets):
-            kept.append(f"{recorded.name}: its packets came in IP fragments")
-            continue
-        try:
-            found = codec(recorded.sensor).measurements(recorded.source, mine.packets, mine.host_ns)
-        except ConfigError as error:
-            kept.append(f"{recorded.name}: {error}")
-            continue
-        one = Source(recorded.name, recorded.sensor, found)
-        columns = _columns(one, mine.packets)
-        arrays |= {f"{len(sources)}/{key}": value for key, value in columns.items()}
-        records.take(mine, len(sources))
-        sources.append(_said(one, mine.packets.shape[1]))
-        rest = counted.rest + len(columns["rest"])
-        counted = Counted(counted.firings + len(columns["laser"]), counted.packets + len(mine.packets), rest)
+        mine, maker = records.of(recorded.name, recorded.packets.shape[1]), codec(recorded.sensor)
+        modes = maker.return_modes(mine.packets)
+        for rows in [np.flatnonzero(modes == mode) for mode in dict.fromkeys(modes.tolist())]:
+            packets = mine.packets[rows]
+            try:
+                found = maker.measurements(recorded.source, packets, mine.host_ns[rows])
+            except (ConfigError, PacketError) as error:
+                kept.append(f"{recorded.name}: {len(rows)} packets: {error}")
+                continue
+            one = Source(recorded.name, recorded.sensor, found)
+            columns = _columns(one, packets)
+            arrays |= {f"{len(sources)}/{key}": value for key, value in columns.items()}
+            records.take(mine, rows, len(sources))
+            sources.append(_said(one, packets.shape[1]))
+            rest = counted.rest + len(columns["rest"])
+            counted = Counted(counted.firings + len(columns["laser"]), counted.packets + len(packets), rest)
     if not sources:
         raise ConversionError(f"{capture}: nothing can be taken apart into firings; {'; '.join(kept)}")
     if kept:
@@ -121,7 +115,7 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
 
 
 def save_capture(path: Path, firings: Path) -> int:
-    """Write firings as the pcap that they were, or what has been made of them; return the number of packets.
+    """Write firings as the capture that they were, or what has been made of them; return the number of packets.
 
     Raises LidarcfgError.
     """
@@ -129,6 +123,9 @@ def save_capture(path: Path, firings: Path) -> int:
     names = [f"{i}/{key}" for i, one in enumerate(said) for key in (*COLUMNS, *(f"more/{key}" for key in one["more"]))]
     columns = read_arrays(firings, (*FILE_COLUMNS, *names))
     records = {key: _checked(firings, columns, key, kind) for key, kind in FILE_COLUMNS.items()}
+    suffix = ".pcapng" if records["raw"][:4].tobytes() == PCAPNG else ".pcap"
+    if path.suffix.lower() != suffix:
+        raise ConversionError(f"{firings}: holds a {suffix[1:]}; the output's suffix must be {suffix}")
     parts = []
     for number, one in enumerate(said):
         mine = {key: _checked(firings, columns, f"{number}/{key}", kind) for key, kind in COLUMNS.items()}

@@ -51,6 +51,7 @@ FORMATS = (
     Format("rosbag1", "capture", ".bag", "return type"),
     Format("firings", "capture", ".npz"),
     Format("pcap", "firings", ".pcap"),
+    Format("pcapng", "firings", ".pcapng"),
     Format("ply", "drive", ".ply"),
     Format("npz", "drive", ".npz"),
     Format("pcd", "drive", ".pcd", "boxes of objects"),
@@ -128,7 +129,7 @@ def convert(
         return _convert_rig(source, output, form.name, on_warning)
     if form.kind == "cloud":
         return _convert_cloud(source, output, form.name, on_warning)
-    if form.name in ("firings", "pcap"):
+    if "firings" in (form.name, form.kind):
         return _convert_firings(source, output, form, model, on_warning)
     from lidarcfg.formats.bag import save_bag, save_mcap
 
@@ -193,7 +194,7 @@ def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -
 def _convert_firings(source: Path, output: Path, form: Format, model: str | None, on_warning: OnWarning) -> str:
     from lidarcfg.formats.firings import save_capture, save_firings
 
-    if form.name == "pcap":
+    if form.kind == "firings":
         return f"{save_capture(output, source):,} packets of firings"
     made = save_firings(output, source, model, on_warning)
     return f"{made.firings:,} firings of {made.packets:,} packets, and {made.rest:,} bytes of theirs beside them"

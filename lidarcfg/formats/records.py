@@ -1,156 +1,179 @@
-"""The records of a classic pcap, byte by byte, but for the payloads of the packets that are taken out of them."""
+"""A capture, byte by byte, and the packets that are cut out of it: of pcap and pcapng, whole or in IP fragments."""
 
 import struct
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.frames import ETHERNET
-from lidarcfg.capture.pcap import HEADER, PCAP_MAGIC, RECORD_MAX
+from lidarcfg.capture.fragments import Reassembly
+from lidarcfg.capture.frames import IP, UDP, fragment, ip_packets
+from lidarcfg.capture.pcap import whole_capture
 from lidarcfg.errors import CloudError, PacketError
 from lidarcfg.inputs import check_memory, check_regular, read_regular
 from lidarcfg.packets.codec import Octets, Times
-from lidarcfg.units import SECOND_NS
 
 SIZE_MAX, COPIES = 4_000_000_000, 60  # bytes of a capture, and how many for each are needed to take it apart
-HEAD, LINK, UDP = 16, 14, 8  # bytes of headers: a record's, Ethernet's, UDP's
-KEPT = -1  # instead of the number of a source
+CUTS = {  # of what is cut out of a file, K pieces in its order, and their types
+    "at": "<i8",  # (K,) where it belongs in what is left
+    "source": "<i2",  # (K,) whose packet it is a piece of
+    "packet": "<i4",  # (K,) which of its packets
+    "first": "<i4",  # (K,) the first byte of the packet that it holds: 0 but for fragments
+    "size": "<i4",  # (K,) its bytes
+    "headers": "<i4",  # (K,) bytes of IP and UDP headers before it with a checksum that is made anew; 0: there is none
+}
+
+Endpoint = tuple[str, int]  # host:port, and the size of payloads
+
+
+class Part(NamedTuple):
+    """A piece of a payload."""
+
+    at: int  # where it is in the file
+    first: int  # its first byte in the payload
+    size: int
+
+
+class Datagram(NamedTuple):
+    """A payload, and where the file has it."""
+
+    time_ns: int
+    payload: bytes
+    parts: list[Part]
+    headers: int  # bytes before the first part that hold a checksum, which is right; 0: none is
 
 
 @dataclass(frozen=True)
 class Taken:
-    """The packets of one source, and which records hold them."""
+    """The packets of one endpoint."""
 
-    record: NDArray[np.int64]  # (P,)
     packets: Octets  # (P, size)
     host_ns: Times  # (P,)
+    datagrams: list[Datagram]  # (P,)
 
 
 @dataclass(frozen=True)
 class Records:
-    """The M records of a capture."""
+    """A capture, its datagrams, and those that sources have taken."""
 
-    header: Octets  # the file's
-    heads: Octets  # (M, 16) the records'
-    source: NDArray[np.int16]  # (M,) whose payload each had; -1: none, the frame is whole
-    before: NDArray[np.int32]  # (M,) bytes of the frame before the payload, or all of them
-    after: NDArray[np.int32]  # (M,) and after it
-    frames: list[bytes]  # (M,) whole
-    endpoints: list[tuple[str, int]]  # (M,) of datagrams: host:port and size of the payload
-    tail: Octets  # what is left where the file is cut off in mid-record
+    data: bytes
+    datagrams: Mapping[Endpoint, list[Datagram]]
+    cuts: list[tuple[int, ...]] = field(default_factory=list)  # as CUTS has them, but with places in the file
 
     def of(self, name: str, size: int) -> Taken:
         """The packets of a source, host:port, of this size."""
-        which = [i for i, endpoint in enumerate(self.endpoints) if endpoint == (name, size)]
-        rows = [self.frames[i][start : start + size] for i in which for start in [self.before[i]]]
-        order, unit_ns = PCAP_MAGIC[self.header[:4].tobytes()]
-        times = self.heads[which].copy().view(order + "u4").reshape(-1, 4)[:, :2].astype(np.int64)
-        packets = np.frombuffer(b"".join(rows), np.uint8).reshape(-1, size)
-        return Taken(np.array(which, np.int64), packets, times[:, 0] * SECOND_NS + times[:, 1] * unit_ns)
+        found = self.datagrams.get((name, size), [])
+        packets = np.frombuffer(b"".join(one.payload for one in found), np.uint8).reshape(-1, size)
+        return Taken(packets, np.array([one.time_ns for one in found], np.int64), found)
 
-    def take(self, mine: Taken, number: int) -> None:
-        """Leave these packets to source `number`."""
-        self.source[mine.record] = number
+    def take(self, mine: Taken, rows: NDArray[np.int64], number: int) -> None:
+        """Leave these of the packets to source `number`."""
+        for packet, row in enumerate(rows.tolist()):
+            one = mine.datagrams[row]
+            self.cuts.extend(
+                (part.at, number, packet, part.first, part.size, one.headers * (part.first == 0)) for part in one.parts
+            )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What a file holds of them: without the payloads that are taken."""
-        whole = self.source == KEPT
-        size = np.array([len(frame) for frame in self.frames], np.int32)
-        before, after = np.where(whole, size, self.before), np.where(whole, 0, self.after)
-        raw = b"".join(
-            frame[:start] + frame[len(frame) - end :]
-            for frame, start, end in zip(self.frames, before.tolist(), after.tolist(), strict=True)
-        )
-        return {
-            "header": self.header,
-            "tail": self.tail,
-            "heads": self.heads.ravel(),
-            "source": self.source,
-            "before": before.astype(np.int32),
-            "after": after.astype(np.int32),
-            "raw": np.frombuffer(raw, np.uint8),
-        }
+        """What a file holds of them: without the packets that are taken, and where those were."""
+        cuts = np.array(sorted(self.cuts), np.int64).reshape(-1, len(CUTS))
+        starts, sizes = cuts[:, 0], cuts[:, 4]
+        froms = np.append(0, starts + sizes)
+        left = [self.data[i:j] for i, j in zip(froms.tolist(), [*starts.tolist(), len(self.data)], strict=True)]
+        columns = {key: cuts[:, i].astype(kind) for i, (key, kind) in enumerate(CUTS.items())}
+        at = starts - (np.cumsum(sizes) - sizes)
+        return columns | {"at": at, "raw": np.frombuffer(b"".join(left), np.uint8)}
 
 
 def pieces(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Octets]) -> Iterator[bytes]:
     """The bytes of a capture from its arrays, with the packets (P, size) of its sources. Raises CloudError."""
-    heads, source, before, after = (arrays[key] for key in ("heads", "source", "before", "after"))
-    count, edges = len(source), np.concatenate([[0], np.cumsum(before.astype(np.int64) + after)])
-    taken = np.bincount(source[source >= 0], minlength=len(packets))
-    fits = len(heads) == HEAD * count and len(before) == len(after) == count and len(arrays["header"]) == HEADER
-    fits = fits and min(before.min(initial=0), after.min(initial=0)) >= 0 and edges[-1] == len(arrays["raw"])
-    if not fits or source.min(initial=0) < KEPT or taken.tolist() != [len(one) for one in packets]:
+    at, source, packet, first, size, headers = (arrays[key].astype(np.int64) for key in CUTS)
+    raw, shapes = arrays["raw"].tobytes(), np.array([one.shape for one in packets], np.int64).reshape(-1, 2)
+    before, least = np.diff(at, prepend=0), IP.itemsize + UDP.itemsize
+    fits = len({len(column) for column in (at, source, packet, first, size, headers)}) == 1
+    fits = fits and bool((before >= 0).all()) and int(at.max(initial=0)) <= len(raw)
+    fits = fits and bool(((source >= 0) & (source < len(packets)) & (packet >= 0) & (first >= 0) & (size > 0)).all())
+    fits = fits and bool(((packet < shapes[source, 0]) & (first + size <= shapes[source, 1])).all())
+    if not fits or not ((headers == 0) | (headers >= least) & (headers <= before)).all():
         raise CloudError(f"{path}: its records do not belong together")
-    raw, following = arrays["raw"].tobytes(), [0] * len(packets)
-    yield arrays["header"].tobytes()
-    for i in range(count):
-        frame, start = raw[edges[i] : edges[i + 1]], int(before[i])
-        yield heads[HEAD * i : HEAD * (i + 1)].tobytes()
-        if (number := int(source[i])) != KEPT:
-            payload = packets[number][following[number]].tobytes()
-            following[number] += 1
-            yield _with_checksum(frame[:start], payload) + payload + frame[start:]
-        else:
-            yield frame
-    yield arrays["tail"].tobytes()
+    done = 0
+    rows = zip(*(column.tolist() for column in (at, source, packet, first, size, headers)), strict=True)
+    for place, number, which, begin, count, head in rows:
+        payload = packets[number][which].tobytes()
+        between = raw[done:place]
+        yield _with_checksum(between, head, payload) if head else between
+        yield payload[begin : begin + count]
+        done = place
+    yield raw[done:]
 
 
 def read_records(path: Path) -> Records:
-    """All records of a classic pcap of Ethernet frames. Raises PacketError."""
+    """A capture with its datagrams. Raises PacketError."""
     try:
         check_memory(str(path), COPIES * check_regular(path))
         data = read_regular(path, SIZE_MAX)
     except OSError as error:
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    if data[:4] not in PCAP_MAGIC or len(data) < HEADER:
-        raise PacketError(f"{path}: firings are made of classic pcap files; editcap -F pcap writes one of a pcapng")
-    order = PCAP_MAGIC[data[:4]][0]
-    if struct.unpack_from(order + "I", data, 20)[0] & 0xFFFF != ETHERNET:
-        raise PacketError(f"{path}: firings are made of captures of Ethernet")
-    at, heads, frames = HEADER, [], []
-    while at + HEAD <= len(data):
-        (size,) = struct.unpack_from(order + "I", data, at + 8)
-        if size > RECORD_MAX or at + HEAD + size > len(data):
-            break
-        heads.append(data[at : at + HEAD])
-        frames.append(data[at + HEAD : at + HEAD + size])
-        at += HEAD + size
-    found = [_datagram(frame) for frame in frames]
-    return Records(
-        header=np.frombuffer(data[:HEADER], np.uint8),
-        heads=np.frombuffer(b"".join(heads), np.uint8).reshape(-1, HEAD),
-        source=np.full(len(frames), KEPT, np.int16),
-        before=np.array([start for start, _, _ in found], np.int32),
-        after=np.array([len(f) - start - size for f, (start, size, _) in zip(frames, found, strict=True)], np.int32),
-        frames=frames,
-        endpoints=[(name, size) for _, size, name in found],
-        tail=np.frombuffer(data[at:], np.uint8),
-    )
+    piece = whole_capture(data, str(path))
+    found = ip_packets(piece)
+    keep = found.whole | found.part
+    columns = (found.which, found.ip, found.length, found.end, found.part)
+    rows = zip(*(column[keep].tolist() for column in columns), found.head[keep], strict=True)
+    reassembly, waiting = Reassembly(), defaultdict[bytes, list[_Found]](list)
+    datagrams = defaultdict[Endpoint, list[Datagram]](list)
+    for which, ip, length, end, part, head in rows:
+        time_ns, start = int(piece.time_ns[which]), ip + length
+        body, host = data[start : ip + end], ".".join(map(str, head["source"]))
+        found_here = [_Found(start, 0, length, body)]
+        if part:
+            one = fragment(time_ns, head, body)
+            waiting[one.key].append(_Found(start, one.offset, length, body))
+            whole = reassembly.add(one)
+            if whole is None:
+                continue
+            found_here, body = [some for some in waiting.pop(one.key) if some.is_of(whole)], whole
+        if len(body) > UDP.itemsize:
+            name = f"{host}:{int.from_bytes(body[2:4])}"
+            datagrams[name, len(body) - UDP.itemsize].append(_datagram(data, time_ns, body, found_here))
+    return Records(data, datagrams)
 
 
-def _datagram(frame: bytes) -> tuple[int, int, str]:
-    """Where an unfragmented datagram's payload starts, its size, and host:port; of anything else zeros and nothing."""
-    if len(frame) < LINK + 28 or frame[12:15] != b"\x08\x00" + frame[14:15] or frame[14] >> 4 != 4 or frame[23] != 17:
-        return 0, 0, ""
-    start = LINK + 4 * (frame[14] & 15) + UDP
-    if int.from_bytes(frame[20:22]) & 0x3FFF or len(frame) < start:
-        return 0, 0, ""
-    size = int.from_bytes(frame[start - 4 : start - 2]) - UDP
-    if not 0 < size <= len(frame) - start:
-        return 0, 0, ""
-    return start, size, ".".join(map(str, frame[26:30])) + f":{int.from_bytes(frame[start - 6 : start - 4])}"
+class _Found(NamedTuple):
+    """What an IP packet holds of a UDP header and its payload."""
+
+    at: int  # in the file
+    first: int  # its first byte in the datagram
+    length: int  # of the IP header
+    octets: bytes
+
+    def is_of(self, datagram: bytes) -> bool:
+        """Whether it is a piece of it; a fragment with the same id that came of another is not."""
+        return datagram[self.first : self.first + len(self.octets)] == self.octets
 
 
-def _with_checksum(head: bytes, payload: bytes) -> bytes:
-    """The headers before a payload, with the right UDP checksum if they had one."""
-    if head[-2:] == b"\0\0":
-        return head
-    words = head[26:34] + b"\0\x11" + head[-4:-2] + head[-UDP:-2] + payload + b"\0" * (len(payload) % 2)
+def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Datagram:
+    """Of a UDP header and its payload, and of where in the file pieces of that are."""
+    payload, parts, headers = body[UDP.itemsize :], list[Part](), 0
+    for one in found:
+        skipped = max(UDP.itemsize - one.first, 0)  # of the UDP header: the first fragment has all of it
+        if len(one.octets) > skipped:
+            parts.append(Part(one.at + skipped, one.first + skipped - UDP.itemsize, len(one.octets) - skipped))
+        if one.first == 0:
+            head = data[one.at - one.length : one.at + UDP.itemsize]
+            right = head[-2:] != b"\0\0" and _with_checksum(head, len(head), payload) == head
+            headers = len(head) if right else 0
+    return Datagram(time_ns, payload, parts, headers)
+
+
+def _with_checksum(between: bytes, headers: int, payload: bytes) -> bytes:
+    """Bytes that end in so many of IP and UDP headers, with the right UDP checksum."""
+    head = between[len(between) - headers :]
+    words = head[12:20] + b"\0\x11" + head[-4:-2] + head[-UDP.itemsize : -2] + payload + b"\0" * (len(payload) % 2)
     total = sum(struct.unpack(f">{len(words) // 2}H", words))
     while total >> 16:
         total = (total & 0xFFFF) + (total >> 16)
-    return head[:-2] + (0xFFFF - total or 0xFFFF).to_bytes(2)
+    return between[:-2] + (0xFFFF - total or 0xFFFF).to_bytes(2)

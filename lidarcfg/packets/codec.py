@@ -260,8 +260,12 @@ class Codec(Timing, Protocol):
         Raises PacketError.
         """
 
+    def return_modes(self, packets: Octets) -> Times:
+        """(P,) numbers: packets (P, size) with the same one are of one return mode, as `measurements` takes them."""
+        return np.zeros(len(packets), np.int64)
+
     def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
-        """The firings of a source's successive packets (P, size): of them `encode` makes such packets again.
+        """The firings of packets (P, size) of one source and mode: of them `encode` makes such packets again.
 
         Raises PacketError; ConfigError if the family has no such way back.
         """

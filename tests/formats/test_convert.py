@@ -64,6 +64,7 @@ def test_help_lists_every_conversion():
         ("p.pcapng", "folder", "rosbag2-mcap", "rosbag2-mcap"),
         ("p.pcap", "a.mcap", None, "mcap"),
         ("p.pcap", "a.npz", None, "firings"),
+        ("p.pcapng", "a.npz", None, "firings"),
     ],
 )
 def test_which_format_is_meant(source, output, name, meant):

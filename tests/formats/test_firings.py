@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.formats.firings import save_capture
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning, recording, write_datagrams
 from tests.command_line import lidarcfg
@@ -110,13 +111,159 @@ def test_ousters_come_back_whole(name, tmp_path):
         save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
 
 
-def test_fragments_are_kept(tmp_path):
+def frames_in(path):
+    """The frames of a classic pcap, by dpkt."""
+    import dpkt
+
+    with path.open("rb") as file:
+        return [bytes(frame) for _, frame in dpkt.pcap.Reader(file)]
+
+
+def test_fragments_come_back_whole(tmp_path):
+    """Two Ousters whose packets came in IP fragments; what is changed goes into the same fragments."""
     path = recording("ouster/same_ports_legacy.pcap")
-    with pytest.raises(
-        LidarcfgError, match=r"nothing can be taken apart into firings; .*its packets came in IP fragments"
-    ):
-        converted(path, "-o", tmp_path / "a.npz")
-    assert not (tmp_path / "a.npz").exists()
+    columns, back = there_and_back(path, tmp_path)
+    assert back.read_bytes() == path.read_bytes()
+    assert len(columns["0/rest"]) == len(columns["1/rest"]) == 0
+    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    returned = [np.isfinite(columns[f"{i}/range_m"]) for i in range(2)]
+    assert sum(one.sum() for one in returned) == len(cloud.xyz) > 500
+    bright = np.concatenate([columns[f"{i}/reflectivity"][one] for i, one in enumerate(returned)])
+    assert sorted(bright) == sorted(cloud.intensity)
+    changed = columns["1/range_m"][returned[1]] + 1
+    columns["1/range_m"] += 1
+    np.savez(tmp_path / "b.npz", **columns)
+    for file in path.parent.glob("same_ports_legacy*.json"):
+        (tmp_path / file.name.replace("same_ports_legacy", "b")).write_bytes(file.read_bytes())
+    converted(tmp_path / "b.npz", "-o", tmp_path / "b.pcap")
+    columns, _ = there_and_back(tmp_path / "b.pcap", tmp_path)
+    assert np.allclose(columns["1/range_m"][returned[1]], changed, rtol=0, atol=1e-9)
+    before, after = frames_in(path), frames_in(tmp_path / "b.pcap")
+    assert [frame[:34] for frame in before] == [frame[:34] for frame in after]  # sizes, ids, offsets: IP headers
+    assert sum(a != b for a, b in zip(before, after, strict=True)) >= 9
+
+
+def test_fragments_in_disorder_come_back_whole(tmp_path):
+    """Out of order, repeated, missing, and with the same id again: what makes no datagram stays as it is."""
+    path = recording("ouster/same_ports_legacy.pcap")
+    data = path.read_bytes()
+    records, at = [], 24
+    while at < len(data):
+        size = 16 + int.from_bytes(data[at + 8 : at + 12], "little")
+        records.append(data[at : at + size])
+        at += size
+    for file in path.parent.glob("same_ports_legacy*.json"):
+        (tmp_path / file.name.replace("same_ports_legacy", "a")).write_bytes(file.read_bytes())
+    parts = [i for i, one in enumerate(records) if int.from_bytes(one[36:38]) & 0x3FFF]
+    rng, packets = np.random.default_rng(3), []
+    for _ in range(6):
+        order = list(rng.permutation(parts))
+        repeated = [*order, order[int(rng.integers(len(order)))]]
+        for mixed in (order, repeated, order[1:], [*parts[:3], *parts]):
+            (tmp_path / "a.pcap").write_bytes(data[:24] + b"".join(records[i] for i in mixed))
+            columns, back = there_and_back(tmp_path / "a.pcap", tmp_path)
+            assert back.read_bytes() == (tmp_path / "a.pcap").read_bytes()
+            packets.append(sum(one["packets"] for one in json.loads(str(columns["sources"]))["sources"]))
+    assert set(packets) == {1, 2}
+
+
+def blocks_of(path, order):
+    """A pcapng of the frames of a classic pcap: nanoseconds, options, comments and names of hosts; two blocks of them old."""
+
+    def block(kind, body):
+        body += bytes(-len(body) % 4)
+        size = struct.pack(order + "I", len(body) + 12)
+        return struct.pack(order + "I", kind) + size + body + size
+
+    def option(code, value):
+        return struct.pack(order + "HH", code, len(value)) + value + bytes(-len(value) % 4)
+
+    end = bytes(4)
+    yield block(0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, -1) + option(4, b"a drive") + end)
+    yield block(1, struct.pack(order + "HHI", 1, 0, 0) + option(9, b"\x09") + end)
+    yield block(4, struct.pack(order + "HH", 1, 9) + b"\xc0\xa8\x01\xc9lidar\0" + bytes(2) + end)
+    for n, frame in enumerate(frames_in(path)):
+        ticks = 1_700_000_000 * 10**9 + n * 1_327_104
+        words = ticks >> 32, ticks & 0xFFFFFFFF, len(frame), len(frame)
+        frame += bytes(-len(frame) % 4)
+        if n in (3, 7):
+            yield block(2, struct.pack(order + "HHIIII", 0, 0, *words) + frame)
+        else:
+            yield block(6, struct.pack(order + "IIIII", 0, *words) + frame + option(1, b"n" * (n % 5)) * (n % 3) + end)
+        if n % 50 == 0:
+            yield block(0x0BAD, b"of a program that nobody knows")
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("name", ["mrpt_vlp16_gps", "ouster/same_ports_legacy"])
+def test_pcapngs_come_back_whole(tmp_path, order, name):
+    """Byte for byte, and the firings are those of the same frames in a pcap."""
+    path = recording(f"{name}.pcap")
+    for file in path.parent.glob("same_ports_legacy*.json"):
+        (tmp_path / file.name.replace("same_ports_legacy", "a")).write_bytes(file.read_bytes())
+    data = b"".join(blocks_of(path, order)) + b"\x06\0\0\0"
+    (tmp_path / "a.pcapng").write_bytes(data)
+    converted(tmp_path / "a.pcapng", "-o", tmp_path / "a.npz")
+    converted(tmp_path / "a.npz", "-o", tmp_path / "back.pcapng")
+    assert (tmp_path / "back.pcapng").read_bytes() == data
+    with pytest.raises(LidarcfgError, match=r"a.npz: holds a pcapng; the output's suffix must be .pcapng"):
+        save_capture(tmp_path / "back.pcap", tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as arrays:
+        found = dict(arrays)
+    converted(path, "-o", tmp_path / "c.npz")
+    with np.load(tmp_path / "c.npz") as arrays:
+        for key in ("0/range_m", "0/reflectivity", "0/laser"):
+            assert np.array_equal(found[key], arrays[key])
+    assert found["0/host_ns"][0] >= 1_700_000_000 * 10**9
+    assert ((np.diff(found["0/host_ns"]) + 2000) % 1_327_104 <= 4000).all()  # dpkt says microseconds
+
+
+def test_several_modes_in_one_stream(tmp_path):
+    """Dual, then strongest, then last returns of two makers: sources of their own, with the firings of each alone."""
+    modes = {"dual": 0, "strongest": 30_000_000, "last": 60_000_000}
+    street, streams = load_scene(STREET), []
+    for mode, begin_ns in modes.items():
+        sensors = "".join(
+            f"  - {{name: {one}, model: {one}, position_m: [0, {i}, 2], return_mode: {mode}}}\n"
+            for i, one in enumerate(("vlp-16", "pandar-xt16"))
+        )
+        (tmp_path / "rig.yaml").write_text(f"name: r\nsensors:\n{sensors}")
+        rig = load_rig(tmp_path / "rig.yaml")
+        frames = list(in_time_order(export(rig, street, np.eye(4), 20_000_000, START_NS + begin_ns)))
+        write_pcap(tmp_path / f"{mode}.pcap", frames)
+        streams += frames
+    write_pcap(tmp_path / "a.pcap", streams)
+    together, back = there_and_back(tmp_path / "a.pcap", tmp_path)
+    assert back.read_bytes() == (tmp_path / "a.pcap").read_bytes()
+    sources = json.loads(str(together["sources"]))["sources"]
+    assert sorted((one["sensor"]["name"], one["return_mode"]) for one in sources) == sorted(
+        (model, mode) for model in ("vlp-16", "pandar-xt16") for mode in modes
+    )
+    for mode in modes:
+        alone, _ = there_and_back(tmp_path / f"{mode}.pcap", tmp_path)
+        for i, one in enumerate(json.loads(str(alone["sources"]))["sources"]):
+            (same,) = [
+                k for k, two in enumerate(sources) if (two["sensor"], two["return_mode"]) == (one["sensor"], mode)
+            ]
+            for key in ("range_m", "reflectivity", "laser", "host_ns"):
+                assert np.array_equal(alone[f"{i}/{key}"], together[f"{same}/{key}"])
+
+
+def test_packets_of_a_mode_that_is_not_known_are_kept(tmp_path):
+    datagrams = datagrams_of(recording("hesai/nebula_xt16.pcap"))[:200]
+    for n in (20, 21, 150):
+        payload = bytearray(datagrams[n].payload)
+        payload[550] = 0x7F
+        datagrams[n] = replace(datagrams[n], payload=bytes(payload))
+    write_datagrams(tmp_path / "a.pcap", datagrams)
+    done = lidarcfg("convert", "a.pcap", "-o", "a.npz", cwd=tmp_path)
+    assert (
+        "what is not taken apart is kept as it is; 192.168.1.201:2368: 3 packets: pandar-xt16: return mode 0x7F"
+        in done.stderr
+    )
+    assert "of 197 packets" in done.stdout
+    converted(tmp_path / "a.npz", "-o", tmp_path / "b.pcap")
+    assert (tmp_path / "b.pcap").read_bytes() == (tmp_path / "a.pcap").read_bytes()
 
 
 def test_firings_by_hand(tmp_path):
@@ -245,7 +392,9 @@ def test_checksums_are_made_right(tmp_path):
         (lambda c: c["0/rest_at"].__setitem__(0, 10**9), "0/rest_at[0]: 1000000000 is not allowed"),
         (lambda c: c.update({"sources": np.array("{}")}), "sources: not what a recording as firings says"),
         (lambda c: c.update({"source": c["source"][:-1]}), "its records do not belong together"),
-        (lambda c: c["before"].__setitem__(0, -5), "its records do not belong together"),
+        (lambda c: c["at"].__setitem__(0, -5), "its records do not belong together"),
+        (lambda c: c["packet"].__setitem__(0, 24), "its records do not belong together"),
+        (lambda c: c["headers"].__setitem__(0, 10**6), "its records do not belong together"),
         (
             lambda c: c.update(
                 {"sources": np.array(str(c["sources"]).replace('"product_id": 34', '"product_id": 340'))}
@@ -281,5 +430,5 @@ def test_captures_that_are_not_taken_apart(tmp_path):
     assert (tmp_path / "again.pcap").read_bytes() == cut
     (tmp_path / "no.pcapng").write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(40))
     done = lidarcfg("convert", "no.pcapng", "-o", "no.npz", cwd=tmp_path, code=2)
-    assert "no.pcapng: firings are made of classic pcap files; editcap -F pcap writes one of a pcapng" in done.stderr
+    assert "no.pcapng: not a capture; allowed: pcap and pcapng" in done.stderr
     assert not (tmp_path / "no.npz").exists()

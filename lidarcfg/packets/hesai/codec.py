@@ -99,6 +99,12 @@ class Hesai(Codec):
 
         return corrections.written(self.unit, mount)
 
+    def return_modes(self, packets: Octets) -> Times:
+        """See `Codec`."""
+        from lidarcfg.packets.hesai.firings import return_modes
+
+        return return_modes(self.unit, packets)
+
     def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
         """See `Codec`."""
         from lidarcfg.packets.hesai.firings import measurements

@@ -9,8 +9,14 @@ from lidarcfg.packets.hesai.layout import WRITTEN, device_time_ns, encoder_rad
 from lidarcfg.rig import SINGLE
 
 
+def return_modes(unit: Unit, octets: Octets) -> Times:
+    """(P,) what packets (P, size) say of their mode, and of the unit of their distances."""
+    packets = unit.packets_of(octets)
+    return np.asarray(packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"])
+
+
 def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
-    """All firings of successive packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
+    """All firings of packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
 
     Blocks are taken to hold the returns that the sensor's file says, as later firmware sends them.
     """
@@ -18,9 +24,9 @@ def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
     code = int(packets["tail"]["return_mode"][0])
     modes = {WRITTEN[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
     mode = modes.get(code)
-    if mode is None or (packets["tail"]["return_mode"] != code).any():
+    if mode is None:
         allowed = ", ".join(f"0x{one:02X} {name}" for one, name in modes.items())
-        raise PacketError(f"{unit.name}: return mode 0x{code:02X}, or several in one recording; allowed: {allowed}")
+        raise PacketError(f"{unit.name}: return mode 0x{code:02X}; allowed: {allowed}")
     columns = unit.columns(mode)
     dual = len(columns) == 2
     if (packets["header"]["unit_mm"] != unit.unit_mm).any():

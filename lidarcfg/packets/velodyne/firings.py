@@ -2,21 +2,22 @@
 
 import numpy as np
 
-from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Times
 from lidarcfg.packets.velodyne import decode_kernels as kernels
 from lidarcfg.packets.velodyne.encode import encode, returned
 from lidarcfg.packets.velodyne.facts import Calibration, Unit
 from lidarcfg.packets.velodyne.layout import RADIANS, REVOLUTION, Packets, device_time_ns, is_dual, slots
 
+MODES = "strongest", "last", "dual"
+
 
 def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
-    """All firings of successive packets (P,) of one return mode: see `Codec.measurements`. Raises PacketError.
+    """All firings of packets (P,) of one return mode: see `Codec.measurements`.
 
     Ranges are what distances and the lasers' offsets far off make; an HDL-64E's other corrections are left to decoding.
     """
-    dual = bool(is_dual(unit.packet, packets)[:1].any())
-    mode = _return_mode(unit, packets, dual)
+    mode = MODES[int(return_modes(unit, packets[:1])[0])]
+    dual = mode == "dual"
     spin = unit.spin(dual)
     azimuth = np.ascontiguousarray(
         packets["blocks"]["azimuth"][:, : unit.span(dual) * (spin.sequences // spin.per_azimuth) : unit.span(dual)],
@@ -52,9 +53,8 @@ def packed(unit: Unit, found: Measurements) -> Packets:
     return packets
 
 
-def _return_mode(unit: Unit, packets: Packets, dual: bool) -> str:
-    if (is_dual(unit.packet, packets) != dual).any():
-        raise PacketError(f"{unit.name}: single and dual returns in one recording")
+def return_modes(unit: Unit, packets: Packets) -> Times:
+    """(P,) of MODES. Packets that say a mode which the sensor does not have are taken for the strongest returns."""
     codes = unit.packet.return_modes
-    last = codes is not None and bool((packets["return_mode"] == codes.last).any())
-    return "dual" if dual else "last" if last else "strongest"
+    last = packets["return_mode"] == codes.last if codes else np.zeros(len(packets), np.bool_)
+    return np.where(is_dual(unit.packet, packets), MODES.index("dual"), last.astype(np.int64))
