@@ -9,7 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from draw_flows import data, packets
+from draw_flows import data, packets, parts, python, sweep
+from draw_pages import skipping, targets, terms, writing
 from draw_scenes import Camera, picture, save, seen_at
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
@@ -262,6 +263,13 @@ PICTURES = {
     "makers": makers,
     "data": data,
     "packets": packets,
+    "sweep": sweep,
+    "python": python,
+    "parts": parts,
+    "targets": targets,
+    "skipping": skipping,
+    "writing": writing,
+    "terms": terms,
 }
 
 

@@ -31,7 +31,7 @@ ARROWS: Arrows = (
     *(("scene", "export"), ("export", "truth"), ("export", "pcap"), ("pcap", "decode"), ("pcap", "replay")),
     *(("decode", "cloud"), ("cloud", "view"), ("pcap", "convert"), ("rig", "urdf")),
 )
-FILLS = {"file": "#eaf2fa", "command": "#fbeccb"}
+FILLS = {"file": "#eaf2fa", "command": "#fbeccb", "type": "#dcefe6"}
 WIDE, HIGH = 2.6, 1.1
 INSIDE: Boxes = {
     "mount": (0.2, 3.3, "file", "rig, sensor\nbeams, rpm, mode"),
@@ -49,6 +49,64 @@ FLOW: Arrows = (
     *(("encode", "pcap"), ("pcap", "stream"), ("stream", "decode"), ("decode", "cloud")),
 )
 
+SWEEP: Boxes = {
+    "plan": (0.2, 3.3, "file", "plan.yaml\na study, the keys that\nvary, their values"),
+    "sweep": (3.5, 3.3, "command", "lidarcfg sweep\na run per combination;\nit alone writes files"),
+    "scheduler": (6.6, 3.3, "command", "dask scheduler\nhands out runs,\ngives lost ones again"),
+    "worker": (9.7, 5.0, "command", "dask worker\none run at a time,\none thread"),
+    "other": (9.7, 3.3, "command", "dask worker\non any machine,\nno shared disk"),
+    "last": (9.7, 1.6, "command", "dask worker\nmay come and go"),
+    "runs": (3.5, 1.6, "file", "runs/NAME/\nresult.json, rig.yaml,\nwritten when a run ends"),
+    "table": (0.2, 1.6, "file", "table.csv, .parquet\na row a run;\nsweep.png"),
+}
+SWEPT: Arrows = (
+    *(("plan", "sweep"), ("sweep", "scheduler"), ("scheduler", "sweep"), ("sweep", "runs"), ("runs", "table")),
+    *(
+        (one, other)
+        for name in ("worker", "other", "last")
+        for one, other in (("scheduler", name), (name, "scheduler"))
+    ),
+)
+PYTHON: Boxes = {
+    "study": (0.2, 6.7, "command", "load_study\nstudy.yaml"),
+    "Study": (3.4, 6.7, "type", "Study\nregion, sensors with\nbounds, objective"),
+    "optimize": (6.6, 6.7, "command", "optimize\nsearches"),
+    "Placement": (9.7, 6.7, "type", "Placement\nrig, objective, history"),
+    "rig": (0.2, 5.0, "command", "load_rig\nrig.yaml"),
+    "Rig": (3.4, 5.0, "type", "Rig\nmounts: sensor and pose"),
+    "evaluate": (6.6, 5.0, "command", "evaluate\none rig in a study"),
+    "Evaluation": (9.7, 5.0, "type", "Evaluation\nmax_vsr_m, subspaces,\ndetection"),
+    "capture": (0.2, 3.3, "file", "capture.pcap\nof export, or recorded"),
+    "decode": (3.4, 3.3, "command", "decode\npackets to points,\nmerged by the rig"),
+    "cloud": (6.6, 3.3, "type", "PointCloud\nxyz, intensity, ring,\ntime_ns, sensor"),
+    "scene": (0.2, 1.6, "command", "load_scene\nscene.yaml"),
+    "Scene": (3.4, 1.6, "type", "Scene\nstatic and dynamic\nobjects, weather"),
+    "export": (6.6, 1.6, "command", "export\nrays, echoes, packets"),
+    "files": (9.7, 1.6, "file", "capture.pcap\nor points with\nground truth"),
+}
+CALLS: Arrows = (
+    *(("study", "Study"), ("Study", "optimize"), ("optimize", "Placement"), ("Study", "evaluate"), ("rig", "Rig")),
+    *(("Rig", "evaluate"), ("evaluate", "Evaluation"), ("Rig", "decode"), ("capture", "decode"), ("decode", "cloud")),
+    *(("Rig", "export"), ("scene", "Scene"), ("Scene", "export"), ("export", "files")),
+)
+PARTS: Boxes = {
+    "commands": (4.95, 6.7, "command", "commands/\nthe command line"),
+    "report": (1.2, 5.0, "type", "report/\nHTML, JSON, tables"),
+    "view": (4.95, 5.0, "type", "view/\npage, still, window"),
+    "formats": (8.7, 5.0, "type", "formats/\nother tools' files"),
+    "placement": (1.2, 3.3, "type", "placement/\nregion, subspaces,\nsolvers"),
+    "simulate": (8.7, 3.3, "type", "simulate/\nrays, echoes, noise"),
+    "capture": (8.7, 1.6, "type", "capture/\npcap, stream, decode"),
+    "packets": (8.7, -0.1, "type", "packets/\na codec per family"),
+    "world": (4.95, -0.1, "type", "world/\nscene, motion, tracer"),
+    "rig": (1.2, -0.1, "file", "rig.py, sensor.py\nmounts, models"),
+}
+IMPORTS: Arrows = (
+    *(("commands", "report"), ("commands", "view"), ("commands", "formats"), ("report", "placement")),
+    *(("view", "placement"), ("view", "simulate"), ("formats", "simulate"), ("simulate", "capture")),
+    *(("capture", "packets"), ("packets", "world"), ("placement", "world"), ("world", "rig")),
+)
+
 
 def data(path: Path) -> None:
     """The files (blue) and the commands (yellow) between them."""
@@ -58,6 +116,21 @@ def data(path: Path) -> None:
 def packets(path: Path) -> None:
     """From a rig to packets and back: what of it is the codec's."""
     _flow(path, INSIDE, FLOW, (10.5, 4.0))
+
+
+def sweep(path: Path) -> None:
+    """A sweep on a cluster: what is a file, what a process, and who speaks with whom."""
+    _flow(path, SWEEP, SWEPT, (10.5, 4.0))
+
+
+def python(path: Path) -> None:
+    """The functions of the package (yellow), and the types that they take and give (green)."""
+    _flow(path, PYTHON, CALLS, (10.5, 5.4))
+
+
+def parts(path: Path) -> None:
+    """The package's folders; an arrow points at what a folder may import, with all that follows it."""
+    _flow(path, PARTS, IMPORTS, (10.5, 6.4))
 
 
 def _flow(path: Path, boxes: Boxes, arrows: Arrows, size_in: tuple[float, float]) -> None:
