@@ -2,9 +2,9 @@
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import yaml
 
@@ -12,26 +12,30 @@ import lidarcfg
 from lidarcfg.config import Model, Positive, error_at, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
-from lidarcfg.rig import ReturnMode
+from lidarcfg.rig import ReturnMode, Rig
+from lidarcfg.sensor import catalogue
 
 SUFFIX = ".yaml"  # behind the capture's name: a rig may be called as the capture is
 READ = 1 << 20  # bytes of a file at once
 
 
-class Input(Model):
-    """A file that went into a capture."""
+class Part(Model):
+    """A file."""
 
     file: str  # relative to the record
     sha256: str
 
     @classmethod
-    def of(cls, path: Path, record: Path) -> "Input":
+    def of(cls, path: Path, record: Path) -> "Part":
         """The file at `path`, as a record names it. Raises OSError."""
-        digest, path = hashlib.sha256(), example(path)
-        with open(path, "rb") as file:
-            while part := file.read(READ):
-                digest.update(part)
-        return cls(file=os.path.relpath(path.resolve(), record.parent.resolve()), sha256=digest.hexdigest())
+        path = example(path)
+        return cls(file=os.path.relpath(path.resolve(), record.parent.resolve()), sha256=_sha256(path))
+
+
+class Input(Part):
+    """A file that went into a capture, and what it names."""
+
+    files: tuple[Part, ...] | None = None  # meshes, height fields, maps of points, the sensors' own files
 
 
 class Record(Model):
@@ -42,25 +46,36 @@ class Record(Model):
     rig: Input
     scene: Input
     trajectory: Input | None = None
-    vehicle: Input | None = None
+    vehicle: Input | Literal["none"] | None = None  # none at all; or the rig's, if it names one
+    models: dict[str, str] | None = None  # the catalogue's sensors in the rig, and the sha256 of their files
     at: str  # X,Y,YAW_DEG: where the vehicle starts
     start: str  # ISO 8601; UTC unless it names a zone
     return_mode: ReturnMode | None = None  # none: the rig's
     duration_s: Positive
 
     def path(self, key: str, record: Path) -> Path | None:
-        """Where one of the inputs is. Raises ConfigError if it has changed since."""
-        given: Input | None = getattr(self, key)
-        if given is None:
-            return None
-        path = record.parent / given.file
-        try:
-            changed = Input.of(path, record).sha256 != given.sha256
-        except OSError as error:
-            raise error_at(record, (key, "file"), f"{path}: {(error.strerror or str(error)).lower()}") from None
-        if changed:
-            raise error_at(record, (key, "file"), f"{path} has changed since the export; name what fits it: --{key}")
-        return path
+        """Where one of the inputs is, or `none` of the vehicle.
+
+        Raises ConfigError if it, or what it names, has changed since.
+        """
+        given: Input | str | None = getattr(self, key)
+        if not isinstance(given, Input):
+            return Path(given) if given else None
+        for i, part in enumerate((given, *(given.files or ()))):
+            at = (key, "file") if i == 0 else (key, "files", i - 1, "file")
+            path = record.parent / part.file
+            try:
+                same = _sha256(path) == part.sha256
+            except OSError as error:
+                raise error_at(record, at, f"{path}: {(error.strerror or str(error)).lower()}") from None
+            if not same:
+                raise error_at(record, at, f"{path} has changed since the export; name what fits it: --{key}")
+        known = catalogue()
+        for name, digest in (self.models or {}).items() if key == "rig" else ():
+            if name not in known or _sha256(known[name]) != digest:
+                what = f"{name} is another in this catalogue than in the export's; name what fits it: --{key}"
+                raise error_at(record, ("models", name), what)
+        return record.parent / given.file
 
 
 def record_path(capture: Path) -> Path:
@@ -68,13 +83,44 @@ def record_path(capture: Path) -> Path:
     return capture.with_name(capture.name + SUFFIX)
 
 
-def save_record(capture: Path, files: Mapping[str, Path | None], values: Mapping[str, Any]) -> None:
-    """Write the record beside a capture: its input files, those that there are, and the other keys of `Record`."""
+def sensor_files(rig: Rig) -> list[Path]:
+    """The files of its sensors that are not the catalogue's."""
+    known = catalogue()
+    return [Path(mount.model) for mount in rig.mounts if mount.model and mount.model not in known]
+
+
+def models(rig: Rig) -> dict[str, str] | None:
+    """The catalogue's sensors in it, as a record has them."""
+    known = catalogue()
+    names = sorted({mount.model for mount in rig.mounts if mount.model and mount.model in known})
+    return {name: _sha256(known[name]) for name in names} or None
+
+
+def save_record(
+    capture: Path, files: Mapping[str, Path | None], named: Mapping[str, Iterable[Path]], values: Mapping[str, Any]
+) -> None:
+    """Write the record beside a capture: its input files, those that there are, and the other keys of `Record`.
+
+    `named` are the files that an input names.
+    """
     path = record_path(capture)
-    inputs = {key: Input.of(file, path) for key, file in files.items() if file}
+    inputs = {}
+    for key, file in files.items():
+        if file:
+            others = dict.fromkeys(one for one in named.get(key, ()) if one.resolve() != example(file).resolve())
+            parts = tuple(Part.of(one, path) for one in others)
+            inputs[key] = Input(**Part.of(file, path).model_dump(), files=parts or None)
     record = Record.model_validate({**inputs, **{key: value for key, value in values.items() if value is not None}})
-    with replacing(path) as file:
-        yaml.safe_dump(record.model_dump(mode="json", exclude_none=True), file, sort_keys=False, allow_unicode=True)
+    with replacing(path) as out:
+        yaml.safe_dump(record.model_dump(mode="json", exclude_none=True), out, sort_keys=False, allow_unicode=True)
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while part := file.read(READ):
+            digest.update(part)
+    return digest.hexdigest()
 
 
 def load_record(capture: Path) -> Record:

@@ -119,17 +119,14 @@ def export(
         raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
-        from lidarcfg.capture.record import save_record
+        from lidarcfg.capture.record import models, save_record
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
-        from lidarcfg.world.vehicle import load_vehicle, rig_vehicle
+        from lidarcfg.world.vehicle import NONE, carried
 
         mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
-        if vehicle:
-            bodies = None if str(vehicle) == "none" else load_vehicle(vehicle)
-        else:
-            bodies = rig_vehicle(mounted)
+        bodies = carried(mounted, vehicle)
     warn_of(bodies)
     start_ns = nanoseconds(start) if start else START_NS
     moved = load_trajectory(trajectory, at, start_ns)
@@ -137,9 +134,11 @@ def export(
     total = [0, 0]
     files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
     values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
+    values |= {"models": models(mounted), "vehicle": NONE if vehicle and not bodies else None}
+    named = _named(drive, scene, "vehicle" if vehicle else "rig")
 
     def record(path: Path) -> None:
-        save_record(path, files, values)
+        save_record(path, files, named, values)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:
@@ -154,6 +153,17 @@ def export(
     if stats:
         rays, hits = total
         click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
+
+
+def _named(drive: "Drive", scene: Path, owner: str) -> "dict[str, list[Path]]":
+    """The files that the scene at a path, the rig and the vehicle name; `owner` is which of those names the bodies."""
+    from lidarcfg.capture.record import sensor_files
+    from lidarcfg.files import example
+    from lidarcfg.world.scene import files_of
+
+    bodies = files_of(drive.vehicle.file, Path()) if drive.vehicle else []
+    named = {"rig": sensor_files(drive.rig), "scene": files_of(drive.scene.file, example(scene).parent)}
+    return named | {owner: [*named.get(owner, ()), *bodies]}
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from lidarcfg.view.colours import colour
 from lidarcfg.view.rig_source import RigSource
 from lidarcfg.world.motion import Trajectory, standing
 from lidarcfg.world.scene import Scene, SceneFile, load_scene
-from lidarcfg.world.vehicle import Vehicle, load_vehicle, rig_vehicle
+from lidarcfg.world.vehicle import Vehicle, carried
 
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]
 CAPTURES = (".pcap", ".pcapng", ".cap")
@@ -189,7 +189,7 @@ def load_stage(
         raise ConfigError(f"{truth}: needs the rig that recorded the capture; give it, too")
     if loaded and loaded.to_choose:
         on_warning(_first_choices(loaded))
-    body = load_vehicle(vehicle) if vehicle else rig_vehicle(rigs[0]) if rigs else None
+    body = carried(rigs[0] if rigs else None, vehicle)
     if loaded and not rigs:
         rigs = [loaded.rig(loaded.midpoint)]
     return Stage(

@@ -1,5 +1,6 @@
 """glTF files of several nodes, each of which becomes an object. Read by trimesh."""
 
+import json
 import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -8,6 +9,7 @@ from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -93,6 +95,15 @@ def _pieces(path: Path, scene: "trimesh.Scene") -> Iterator[tuple[str, str, str,
         if not np.ptp(mesh[0], axis=0).any():
             raise SceneError(f"{path}: node {node!r} is a single point; if the file is compressed, export it without")
         yield str(node), material, str(geometry), mesh
+
+
+def buffers(path: Path) -> list[Path]:
+    """The files beside a .gltf that hold its numbers, if it is one."""
+    if path.suffix.lower() != ".gltf":
+        return []
+    said = json.loads(path.read_bytes())
+    names = (one["uri"] for one in said.get("buffers", ()) if not one.get("uri", "data:").startswith("data:"))
+    return [path.parent / unquote(name) for name in names]
 
 
 def _check_known(path: Path, what: str, given: Iterable[str], known: Sequence[str]) -> None:

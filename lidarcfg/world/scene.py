@@ -16,7 +16,7 @@ from lidarcfg.sensor import Byte
 from lidarcfg.world.categories import Category
 from lidarcfg.world.height_field import height_field_mesh
 from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed, plane_mesh, read_mesh, sphere_mesh
-from lidarcfg.world.models import model_objects
+from lidarcfg.world.models import buffers, model_objects
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.surfels import surfels_mesh
 
@@ -212,6 +212,12 @@ def load_scene(path: str | Path) -> Scene:
     path = example(path)
     file = load(path, SceneFile)
     return built(file, path)
+
+
+def files_of(file: Model, folder: Path) -> list[Path]:
+    """The files that a scene, or a vehicle, in a folder is made from besides its own: they have been read."""
+    paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if item.file]
+    return [one for path in paths for one in (path, *buffers(path))]
 
 
 def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:

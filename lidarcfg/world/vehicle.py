@@ -40,6 +40,7 @@ MANY = 500_000  # triangles: reading and checking them takes seconds
 LEAST_M, TYPICAL_M, MOST_M = 0.05, 5.0, 40.0  # sizes of a vehicle's mesh: a part of one, a car, the longest bus
 UNITS = {1.0: "metre", 0.001: "millimetre", 0.01: "centimetre", 0.0254: "inch"}  # by the scale that makes them metres
 ORIGIN = 0.0, 0.0, 0.0
+NONE = "none"  # in place of a file: no vehicle, whatever the rig says
 
 
 class Body(Model):
@@ -240,6 +241,13 @@ def rig_vehicle(rig: Rig) -> Vehicle | None:
     """The vehicle that a rig's file names, if it names one. Raises ConfigError with file, line and key."""
     section = rig.vehicle
     return vehicle(section.checked(VehicleFile), Path(section.path), section.at) if section else None
+
+
+def carried(rig: Rig | None, path: Path | None) -> Vehicle | None:
+    """The vehicle in a file; where that is called none, none at all; without it the rig's. Raises ConfigError."""
+    if path is None:
+        return rig_vehicle(rig) if rig else None
+    return None if str(path) == NONE else load_vehicle(path)
 
 
 def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = None) -> None:
