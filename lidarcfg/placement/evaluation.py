@@ -11,7 +11,7 @@ from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Detection, detection
-from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.metric import Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
 from lidarcfg.placement.sightings import Sightings, sightings
 from lidarcfg.placement.study import Study
@@ -73,17 +73,17 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
     subspaces = segment(study.region, rig_lidars(rig), study.visibility)
     vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
-    radius = inscribed_radii_m(subspaces)
-    worst = []
-    for number in np.argsort(-vsr, kind="stable")[:worst_count].tolist():
-        low, high = bounds_m(subspaces, number)
+    spheres, worst = Spheres(subspaces), []
+    numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
+    for number, extent in zip(numbers, extents(subspaces, numbers), strict=True):
+        low, high = extent.bounds_m
         worst.append(
             Worst(
                 vsr_m=float(vsr[number]),
                 volume_m3=float(volume[number]),
                 surface_m2=float(surface[number]),
-                inscribed_radius_m=float(radius[number]),
-                centroid_m=centroid_m(subspaces, number).tolist(),
+                inscribed_radius_m=spheres.radius_m(number, extent),
+                centroid_m=extent.centroid_m.tolist(),
                 min_m=low.tolist(),
                 max_m=high.tolist(),
                 gap=subspaces.gap[number].tolist(),
@@ -97,7 +97,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     rates = _rates(study, subspaces, seen)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
     zones, seconds = by_zone(study, subspaces), clock() - started
-    return Evaluation(subspaces, vsr, tuple(worst), float(radius.max()), rates, seen, blind, zones, converged, seconds)
+    return Evaluation(subspaces, vsr, tuple(worst), spheres.largest()[0], rates, seen, blind, zones, converged, seconds)
 
 
 def detection_rates(study: Study, rig: Rig, subspaces: Subspaces) -> dict[str, Detection]:

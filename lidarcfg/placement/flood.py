@@ -88,8 +88,17 @@ def _lowest(_: Any, word: Any) -> Any:
     return types.int64(types.uint64), generate
 
 
+def _highest(_: Any, word: Any) -> Any:
+    def generate(context: Any, builder: Any, _: Any, args: Any) -> Any:
+        leading = builder.ctlz(args[0], context.get_constant(types.boolean, False))
+        return builder.sub(context.get_constant(types.int64, 63), leading)
+
+    return types.int64(types.uint64), generate
+
+
 ones: Any = intrinsic(_ones)  # how many bits of a word are 1
 lowest: Any = intrinsic(_lowest)  # the number of the lowest of them; 64 where none is
+highest: Any = intrinsic(_highest)  # the number of the highest of them; −1 where none is
 
 
 @njit(inline="always")

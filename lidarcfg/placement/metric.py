@@ -1,22 +1,20 @@
 """How large a subspace is: the paper's volume-to-surface ratio, and the largest sphere inside."""
 
-# mypy: disallow-untyped-decorators=False
-import math
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lidarcfg.geometry import Array
-from lidarcfg.inputs import check_memory
-from lidarcfg.jit import inner, njit
-from lidarcfg.placement.flood import Labels
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.rows import Words
+from lidarcfg.placement.sphere_kernels import Search, clearance, largest
 from lidarcfg.placement.subspace import Subspaces
 
-PIECE = 4_000_000  # cuboids whose spheres are found at a time, where the region's shape allows
-CUBOID_BYTES = 8 * (3 * 4 + 4 + 1)  # of memory: eight nodes, each with its nearest face, its subspace and a flag
-ADVICE = "use larger cuboids"
+RECENT = 8  # columns of cuboids that are tried first, see Search
+SLAB = 2_000_000  # cuboids that are looked at together
 Counts = NDArray[np.int64]
 Node = tuple[int, int, int]  # a point of the lattice of half cuboids, whose origin is the region's lower corner
 
@@ -58,153 +56,112 @@ def _surface(cuboids: Counts, internal: Counts, cuboid_m: Array) -> Array:
     return surface
 
 
-def inscribed_radii_m(subspaces: Subspaces) -> Array:
-    """(n,) the radius of the largest sphere inside each subspace's cuboids.
+class Spheres:
+    """Finds the largest spheres inside subspaces' cuboids, with centres on the lattice of half cuboids.
 
-    Exact among all centres on the lattice of half cuboids: from such a point the nearest point of a face lies on
-    that lattice too, so a distance transform over the lattice's nodes finds all. Raises LidarcfgError where memory
-    does not hold it.
+    From such a centre the nearest point of a face lies on that lattice too, so radii are exact.
     """
-    return _spheres(subspaces)[0]
 
+    def __init__(self, subspaces: Subspaces) -> None:
+        self._region, self._label = subspaces.region, subspaces.label
+        self._ends = _ends(subspaces.label)
 
-def largest_sphere(subspaces: Subspaces) -> tuple[float, Node]:
-    """The radius in metres and the centre of the largest sphere inside any subspace's cuboids."""
-    radius, node = _spheres(subspaces)
-    largest = np.flatnonzero(radius == radius.max())
-    i, j, k = min(map(tuple, node[largest].tolist()))  # of equal ones the first in the lattice
-    return float(radius.max()), (i, j, k)
+    def largest(self) -> tuple[float, Node]:
+        """The radius in metres and the centre of the largest in any subspace; of equals the first in the lattice."""
+        found = self._search(-1, [0, 0, 0], self._region.shape)
+        i, j, k = found.node[:3].tolist()
+        return float(np.sqrt(found.best[0])), (i, j, k)
 
+    def radius_m(self, number: int, extent: "Extent") -> float:
+        """The radius of the largest in one subspace."""
+        return float(np.sqrt(self._search(number, extent.low, extent.high).best[0]))
 
-def _spheres(subspaces: Subspaces) -> tuple[Array, Counts]:
-    """The largest sphere inside each subspace: radius (n,) and centre (n, 3)."""
-    label, cuboid_m = subspaces.label, subspaces.region.cuboid_m
-    square, node = np.full(len(subspaces), -1.0), np.zeros((len(subspaces), 3), np.int64)
-    for piece, core, first in _pieces(label.shape, cuboid_m):
-        check_memory("the largest spheres of so many cuboids", CUBOID_BYTES * float(label[piece].size), ADVICE)
-        owner = _owners(label, np.array([one.start for one in piece]), np.array([one.stop for one in piece]))
-        nearest = ndimage.distance_transform_edt(
-            owner >= 0, sampling=cuboid_m / 2, return_distances=False, return_indices=True
+    def _search(self, number: int, low: Any, high: Any) -> Search:
+        low, high = np.array(low, np.int64), np.array(high, np.int64)
+        half = self._region.cuboid_m / 2
+        radius = float(((high - low) * half).min())
+        columns = int(np.prod(2 * np.ceil(radius / half[:2] / 2).astype(np.int64) + 5))
+        search = Search(
+            self._label,
+            self._ends,
+            half,
+            np.zeros(1),
+            np.zeros(4, np.int64),
+            np.empty((4, columns, 3), np.int64),
+            np.zeros(4, np.int64),
+            np.full(4, -1.0),
+            np.zeros((4, RECENT, 3), np.int64),
         )
-        _largest(owner, nearest, cuboid_m / 2, core, first, square, node)
-    return np.sqrt(square), node
+        largest(search, number, low, high)
+        return search
 
 
-def _pieces(shape: tuple[int, ...], cuboid_m: Array) -> Iterator[tuple[tuple[slice, slice, slice], Counts, Counts]]:
-    """Parts of a region whose spheres are found one after another: cuboids, and of their nodes those to find from.
-
-    No sphere is larger than half the region's shortest side, so a part as much longer than its nodes' on either side
-    has all faces that can be nearest. The nodes are (2, 3): from, to; behind them the part's own first node (3,).
-    """
-    size_m: Array = np.array(shape) * cuboid_m
-    axis = int(np.argmax(size_m))
-    beyond = math.ceil(size_m.min() / 2 / cuboid_m[axis]) + 1
-    layers = PIECE * shape[axis] // math.prod(shape) - 2 * beyond
-    step = min(max(layers, beyond), shape[axis])
-    for start in range(0, shape[axis], step):
-        stop = min(start + step, shape[axis])
-        whole = [slice(0, n) for n in shape]
-        whole[axis] = slice(max(start - beyond, 0), min(stop + beyond, shape[axis]))
-        core = np.array([np.zeros(3), 2 * np.array(shape) + 1], np.int64)
-        core[:, axis] = 2 * start, 2 * stop + 1
-        yield (whole[0], whole[1], whole[2]), core, 2 * np.array([one.start for one in whole])
+def _slabs(shape: tuple[int, ...]) -> list[slice]:
+    """Parts of a region along x."""
+    step = max(SLAB // (shape[1] * shape[2]), 1)
+    return [slice(first, first + step) for first in range(0, shape[0], step)]
 
 
-@njit(cache=True, nogil=True)
-def _owners(label: Labels, low: Counts, high: Counts) -> Labels:
-    """By node of the cuboids from low to high: the subspace that it is inside of, −1 on a face."""
-    a, b, c = 2 * (high - low) + 1
-    owner = np.full((a, b, c), -1, np.int32)
-    for i in range(a):
-        for j in range(b):
-            for k in range(c):
-                x, y, z = i + 2 * low[0], j + 2 * low[1], k + 2 * low[2]
-                if not _on_face(label, x, y, z):
-                    owner[i, j, k] = label[x // 2, y // 2, z // 2]
-    return owner
-
-
-@njit(cache=True, nogil=True)
-def _largest(
-    owner: Labels, nearest: Labels, half: Array, core: Counts, first: Counts, square: Array, node: Counts
-) -> None:
-    """Write the largest squared distance from a face, and from where, by subspace; summed up as SciPy does."""
-    for i in range(core[0, 0] - first[0], core[1, 0] - first[0]):
-        for j in range(core[0, 1] - first[1], core[1, 1] - first[1]):
-            for k in range(core[0, 2] - first[2], core[1, 2] - first[2]):
-                one = owner[i, j, k]
-                if one >= 0:
-                    x = (nearest[0, i, j, k] - i) * half[0]
-                    y = (nearest[1, i, j, k] - j) * half[1]
-                    z = (nearest[2, i, j, k] - k) * half[2]
-                    distance = x * x + y * y + z * z
-                    if distance > square[one]:
-                        square[one] = distance
-                        node[one, 0], node[one, 1], node[one, 2] = i + first[0], j + first[1], k + first[2]
+def _ends(label: NDArray[np.int32]) -> Words:
+    """(nx, ny, words) for each column of cuboids along z a bit for each, set where the next is of another subspace."""
+    nx, ny, nz = label.shape
+    out = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
+    for slab in _slabs(label.shape):
+        part = label[slab]
+        ends = np.ones(part.shape, np.bool_)
+        np.not_equal(part[..., 1:], part[..., :-1], out=ends[..., :-1])
+        out[slab, :, : -(-nz // 8)] = np.packbits(ends, axis=-1, bitorder="little")
+    words: Words = out.view("<u8").astype(np.uint64, copy=False)
+    return words
 
 
 def clearance_m(subspaces: Subspaces, centre: Node) -> float:
     """The radius of the largest sphere around a node of the half cuboids' lattice that no face cuts; 0 on a face."""
-    return float(_clearance(subspaces.label, centre, subspaces.region.cuboid_m / 2))
+    return float(np.sqrt(clearance(subspaces.label, subspaces.region.cuboid_m / 2, *centre)))
 
 
-@inner(makes_arrays=True)
-def _on_face(label: Labels, a: int, b: int, c: int) -> bool:
-    """Whether the up to eight cuboids around a node are not all of one subspace."""
-    nx, ny, nz = label.shape
-    if min(a, b, c) <= 0 or a >= 2 * nx or b >= 2 * ny or c >= 2 * nz:
-        return True
-    one = label[a // 2, b // 2, c // 2]
-    on = one < 0
-    for i in range((a - 1) // 2, a // 2 + 1):
-        for j in range((b - 1) // 2, b // 2 + 1):
-            for k in range((c - 1) // 2, c // 2 + 1):
-                on = on or label[i, j, k] != one
-    return bool(on)
+@dataclass(frozen=True)
+class Extent:
+    """Where a subspace is, by its cuboids."""
+
+    region: Region
+    counts: tuple[Counts, Counts, Counts]  # of cuboids by layer along x, y and z
+
+    @property
+    def low(self) -> Counts:
+        """(3,) the first layers that it has a cuboid in."""
+        return np.array([np.flatnonzero(count)[0] for count in self.counts])
+
+    @property
+    def high(self) -> Counts:
+        """(3,) the layers behind the last ones."""
+        return np.array([np.flatnonzero(count)[-1] + 1 for count in self.counts])
+
+    @property
+    def bounds_m(self) -> tuple[Array, Array]:
+        """The box around it: its lower and upper corner, (3,) each."""
+        low, edge = self.region.min_m, self.region.cuboid_m
+        return low + self.low * edge, low + self.high * edge
+
+    @property
+    def centroid_m(self) -> Array:
+        """(3,) the mean of its cuboids' centres."""
+        index = np.array([count @ np.arange(len(count)) / count.sum() for count in self.counts])
+        centre: Array = self.region.min_m + (index + 0.5) * self.region.cuboid_m
+        return centre
 
 
-@njit(cache=True, nogil=True)
-def _clearance(label: Labels, centre: Node, half: Array) -> float:
-    """The distance of a node from the nearest one on a face, summed up as SciPy's transform does."""
-    nx, ny, nz = label.shape
-    nearest = np.inf
-    for i in range(2 * nx + 1):
-        along_x = (i * half[0]) * (i * half[0])
-        if along_x >= nearest:
-            break
-        for j in range(2 * ny + 1):
-            across = along_x + (j * half[1]) * (j * half[1])
-            if across >= nearest:
-                break
-            for k in range(2 * nz + 1):
-                square = across + (k * half[2]) * (k * half[2])
-                if square >= nearest:
-                    break
-                for a in (centre[0] - i, centre[0] + i):
-                    for b in (centre[1] - j, centre[1] + j):
-                        for c in (centre[2] - k, centre[2] + k):
-                            if _on_face(label, a, b, c):
-                                nearest = min(nearest, square)
-    return float(np.sqrt(nearest))
-
-
-def centroid_m(subspaces: Subspaces, number: int) -> Array:
-    """(3,) the mean of a subspace's cuboids' centres."""
-    counts = _profiles(subspaces, number)
-    index = np.array([count @ np.arange(len(count)) / count.sum() for count in counts])
-    centre: Array = subspaces.region.min_m + (index + 0.5) * subspaces.region.cuboid_m
-    return centre
-
-
-def bounds_m(subspaces: Subspaces, number: int) -> tuple[Array, Array]:
-    """The box around a subspace: its lower and upper corner, (3,) each."""
-    layers = [np.flatnonzero(count) for count in _profiles(subspaces, number)]
-    low, edge = subspaces.region.min_m, subspaces.region.cuboid_m
-    first, last = (np.array([layer[end] for layer in layers]) for end in (0, -1))
-    return low + first * edge, low + (last + 1) * edge
-
-
-def _profiles(subspaces: Subspaces, number: int) -> list[Counts]:
-    """A subspace's cuboids by layer along x, y and z."""
-    inside = subspaces.label == number
-    return [inside.sum(axis=tuple({0, 1, 2} - {axis}), dtype=np.int64) for axis in range(3)]
+def extents(subspaces: Subspaces, numbers: Sequence[int]) -> list[Extent]:
+    """Where some subspaces are."""
+    label, shape = subspaces.label, subspaces.region.shape
+    place = np.full(len(subspaces) + 1, len(numbers), np.min_scalar_type(len(numbers)))  # the last: what is excluded
+    place[list(numbers)] = np.arange(len(numbers))
+    counts = [np.zeros((len(numbers) + 1, n), np.int64) for n in shape]
+    for slab in _slabs(shape):
+        one = place[label[slab]]
+        index = np.nonzero(one < len(numbers))
+        of = one[index].astype(np.int64)
+        for axis, (along, count) in enumerate(zip(index, counts, strict=True)):
+            at = along + slab.start if axis == 0 else along
+            count += np.bincount(of * count.shape[1] + at, minlength=count.size).reshape(count.shape)
+    return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*(count[:-1] for count in counts), strict=True)]

@@ -21,7 +21,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
-from lidarcfg.placement.metric import Node, clearance_m, largest_sphere
+from lidarcfg.placement.metric import Node, Spheres, clearance_m
 from lidarcfg.placement.region import Region, cuboids_needed
 from lidarcfg.placement.returns import NOTHING
 from lidarcfg.placement.returns_kernels import Scans
@@ -205,7 +205,7 @@ class InscribedRadius:
                 if (radius := clearance_m(trial.subspaces, centre)) >= limit:
                     self._centres.add(centre)
                     return radius
-        radius, centre = largest_sphere(trial.subspaces)
+        radius, centre = Spheres(trial.subspaces).largest()
         self._centres.add(centre)
         return radius
 

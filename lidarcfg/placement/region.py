@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.vehicle import Vehicle
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
-CUBOID_BYTES = 40  # of memory to evaluate one, measured; the largest spheres need more and say so
+CUBOID_BYTES = 40  # of memory to evaluate one, measured
 NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]

@@ -10,7 +10,7 @@ from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import fraction_below
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluator import max_vsr
-from lidarcfg.placement.metric import centroid_m, volume_m3, vsr_m
+from lidarcfg.placement.metric import extents, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import ZoneVsr, by_zone
 from lidarcfg.placement.study import Study
@@ -73,14 +73,15 @@ def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigS
     """The rig's max VSR, its worst subspaces and what is blind; nothing hides anything if it is `transparent`."""
     spaces = segment(study.region, rig_lidars(rig), visibility_of(study, transparent))
     vsr, volume = vsr_m(spaces), volume_m3(spaces)
+    numbers = np.argsort(-vsr, kind="stable")[:worst].tolist()
     bodies = [
         Body(
             vsr_m=float(vsr[number]),
             volume_m3=float(volume[number]),
-            centroid_m=centroid_m(spaces, number),
+            centroid_m=extent.centroid_m,
             faces_m=faces(study.region, spaces.label == number),
         )
-        for number in np.argsort(-vsr, kind="stable")[:worst].tolist()
+        for number, extent in zip(numbers, extents(spaces, numbers), strict=True)
     ]
     blind = _blind(spaces) if study.visibility else None
     return RigScore(float(vsr.max()), len(spaces), tuple(bodies), blind, by_zone(study, spaces))

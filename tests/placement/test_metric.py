@@ -1,4 +1,4 @@
-"""The largest spheres found in parts, and subspaces measured layer by layer, against SciPy over everything at once."""
+"""The largest spheres, and subspaces measured layer by layer, against SciPy over everything at once."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy import ndimage
 from lidarcfg import inputs
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement import metric
-from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, largest_sphere
+from lidarcfg.placement.metric import Spheres, clearance_m, extents
 from lidarcfg.placement.region import Region, RegionFile
 from lidarcfg.placement.subspace import Subspaces
 
@@ -42,25 +42,40 @@ def brute_force(spaces):
     return [distance[inside == number].max() for number in range(len(spaces))], distance
 
 
-@pytest.mark.parametrize("piece", [1, 200, 10**6])
-@pytest.mark.parametrize(("shape", "cuboid_m"), [((30, 6, 5), (0.5, 0.4, 0.3)), ((4, 5, 40), (1.0, 1.0, 0.25))])
-def test_spheres_in_parts(monkeypatch, shape, cuboid_m, piece):
-    monkeypatch.setattr(metric, "PIECE", piece)
-    for seed in range(3):
+SHAPES = [((30, 6, 5), (0.5, 0.4, 0.3)), ((4, 5, 150), (1.0, 1.0, 0.25)), ((9, 40, 30), (0.07, 0.2, 0.1))]
+
+
+@pytest.mark.parametrize(("shape", "cuboid_m"), SHAPES)
+def test_the_largest_spheres(shape, cuboid_m):
+    """Of some nodes as near to two faces the two transforms choose another one each, a unit in the last place apart."""
+    for seed in range(4):
         spaces = bodies(shape, np.array(cuboid_m), seed)
         radii, distance = brute_force(spaces)
-        assert inscribed_radii_m(spaces).tolist() == radii
-        radius, centre = largest_sphere(spaces)
-        assert radius == distance.max() == distance[centre]
+        spheres, numbers = Spheres(spaces), range(len(spaces))
+        found = [
+            spheres.radius_m(number, extent) for number, extent in zip(numbers, extents(spaces, numbers), strict=True)
+        ]
+        assert found == pytest.approx(radii, rel=3e-16)
+        radius, centre = spheres.largest()
+        assert radius == max(found) == clearance_m(spaces, centre) == pytest.approx(distance[centre], rel=3e-16)
+        for node in np.random.default_rng(seed).integers(0, distance.shape, (40, 3)).tolist():
+            assert clearance_m(spaces, node) == pytest.approx(distance[tuple(node)], rel=3e-16)
 
 
-def test_where_a_subspace_is():
+def test_of_equal_spheres_the_first_is_found():
+    spaces = bodies((30, 6, 5), np.array((1.0, 1.0, 1.0)), 0)
+    spaces.label[:], spaces.label[10], spaces.label[20] = 0, -1, -1  # three boxes of 10, 9 and 9 × 6 × 5
+    assert Spheres(spaces).largest() == (2.5, (5, 5, 5))
+
+
+def test_where_a_subspace_is(monkeypatch):
+    monkeypatch.setattr(metric, "SLAB", 100)  # cuboids: three layers
     spaces = bodies((30, 6, 5), np.array((0.5, 0.4, 0.3)), 4)
-    edge = spaces.region.cuboid_m
-    for number in range(len(spaces)):
+    edge, numbers = spaces.region.cuboid_m, list(range(len(spaces)))[::-1]
+    for number, extent in zip(numbers, extents(spaces, numbers), strict=True):
         index = np.argwhere(spaces.label == number)
-        assert centroid_m(spaces, number).tolist() == (spaces.region.min_m + (index.mean(axis=0) + 0.5) * edge).tolist()
-        low, high = bounds_m(spaces, number)
+        assert extent.centroid_m.tolist() == (spaces.region.min_m + (index.mean(axis=0) + 0.5) * edge).tolist()
+        low, high = extent.bounds_m
         assert low.tolist() == (spaces.region.min_m + index.min(axis=0) * edge).tolist()
         assert high.tolist() == (spaces.region.min_m + (index.max(axis=0) + 1) * edge).tolist()
 
@@ -72,5 +87,3 @@ def test_what_memory_does_not_hold_is_refused_with_the_bytes(monkeypatch):
         LidarcfgError, match=r"a region of 100,000,000 cuboids needs 4\.0 GB of memory; 0\.0 GB are free"
     ):
         Region.from_file(file)
-    with pytest.raises(LidarcfgError, match=r"needs 0\.0 GB of memory; 0\.0 GB are free; use larger cuboids"):
-        inscribed_radii_m(bodies((30, 6, 5), np.array((0.5, 0.4, 0.3)), 0))

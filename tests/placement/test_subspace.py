@@ -9,7 +9,7 @@ from scipy import ndimage
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement import flood, rows
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.metric import bounds_m, centroid_m, inscribed_radii_m, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.metric import Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.rows import beam_gaps
 from lidarcfg.placement.subspace import Subspaces, segment
@@ -42,9 +42,10 @@ def test_a_box_is_abc_over_twice_its_faces():
     a, b, c = 3 * 0.8, 4 * 0.5, 5 * 0.25
     assert vsr_m(box).tolist() == pytest.approx([a * b * c / (2 * (a * b + b * c + c * a))], rel=1e-14)
     assert volume_m3(box) == pytest.approx([a * b * c])
-    assert inscribed_radii_m(box)[0] == pytest.approx(c / 2)
-    assert centroid_m(box, 0) == pytest.approx([a / 2, b / 2, c / 2])
-    assert bounds_m(box, 0)[1] == pytest.approx([a, b, c])
+    assert Spheres(box).largest()[0] == pytest.approx(c / 2)
+    (extent,) = extents(box, [0])
+    assert extent.centroid_m == pytest.approx([a / 2, b / 2, c / 2])
+    assert extent.bounds_m[1] == pytest.approx([a, b, c])
 
 
 def test_an_l_of_three_unit_cubes():
@@ -54,7 +55,7 @@ def test_an_l_of_three_unit_cubes():
     assert len(body) == 1
     assert surface_m2(body).tolist() == [14.0]  # 3 · 6 faces less 2 · 2 joined ones
     assert vsr_m(body).tolist() == pytest.approx([3 / 14])
-    assert inscribed_radii_m(body)[0] == 0.5
+    assert Spheres(body).largest()[0] == 0.5
 
 
 def test_boxes_that_touch_at_an_edge_are_two():
@@ -146,10 +147,10 @@ def test_components_agree_with_scipy(seed, kinds, shape):
 @given(st.integers(0, 2**32 - 1), st.tuples(*[st.integers(1, 4)] * 3))
 def test_inscribed_spheres_equal_brute_force(seed, shape):
     body = bodies(np.random.default_rng(seed).integers(1, 3, shape))
-    radii = inscribed_radii_m(body)
-    for number in {0, int(body.cuboids.argmax())}:
+    spheres, numbers = Spheres(body), sorted({0, int(body.cuboids.argmax())})
+    for number, extent in zip(numbers, extents(body, numbers), strict=True):
         expected = naive.inscribed_radius(cells(body, number), EDGES, shape)
-        assert radii[number] == pytest.approx(expected, rel=1e-12)
+        assert spheres.radius_m(number, extent) == pytest.approx(expected, rel=1e-12)
 
 
 @settings(max_examples=20, deadline=None)

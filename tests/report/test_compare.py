@@ -12,7 +12,7 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.metric import inscribed_radii_m
+from lidarcfg.placement.metric import Spheres
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import rows
 from lidarcfg.rig import load_rig
@@ -70,7 +70,7 @@ def test_each_column_is_what_evaluate_says(folder):
             "subspaces": f"{len(found.subspaces):,}",
             "volume of the worst (m³)": f"{found.worst[0].volume_m3:.2f}",
             "inner radius of the worst (m)": f"{found.worst[0].inscribed_radius_m:.3f}",
-            "largest inner radius of any (m)": f"{inscribed_radii_m(found.subspaces).max():.3f}",
+            "largest inner radius of any (m)": f"{Spheres(found.subspaces).largest()[0]:.3f}",
             "detection of box": f"{found.detection['box'].rate:.4f}",
             "detection of <i>&": f"{found.detection['<i>&'].rate:.4f}",
         }
