@@ -120,7 +120,7 @@ class Capture:
         self._details = details or Details()
         self._rig, self._override = rig, load_sensor(model) if model else None
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
-        self._catalogue = cache(lambda codec: [load_sensor(name) for name in catalogue(codec)])
+        self._catalogue = cache(_catalogued)
         self._window_ns = window_ns(path, selection)
         self._others: Counter[int] = Counter()  # sizes of other datagrams
         self._families: dict[int, type[Codec] | None] = {}  # by host, port and size; none: these are no LiDAR's
@@ -171,7 +171,8 @@ class Capture:
             for batch in around(self._path, self._on_warning, self._window_ns):
                 left, keys = self._claimed(batch)
                 while len(left.size):
-                    count = chunk_packets - waiting
+                    enough = int(np.searchsorted(np.cumsum(left.size), CHUNK_BYTES - octets)) + 1
+                    count = min(chunk_packets - waiting, enough)
                     self._add(left[:count], keys[:count])
                     waiting, octets = waiting + len(keys[:count]), octets + int(left.size[:count].sum())
                     left, keys = left[count:], keys[count:]
@@ -283,6 +284,11 @@ class Capture:
             sizes = ", ".join(f"{n} of {size} bytes" for size, n in sorted(self._others.items())[:5])
             found_ = f"its UDP datagrams: {sizes}" if sizes else "no UDP datagrams at all"
             raise PacketError(f"{self._path}: no LiDAR data packets; {found_}")
+
+
+def _catalogued(codec: str, name: str | None = None) -> list[Sensor]:
+    """The catalogue's sensors with this codec, or that of this name, if it has this codec."""
+    return [load_sensor(one) for one in catalogue(codec) if name in (None, one)]
 
 
 def _decoder(

@@ -21,6 +21,7 @@ VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
 TAGS_MAX = 4  # VLAN tags in a frame: two are in use
 MTU = 1500  # bytes of an IP packet that Ethernet carries
 IP_MAX = 65535  # and that its header can say
+ROWS = 256  # pieces of datagrams that are copied together
 WORD = np.dtype(">u2")
 DONT_FRAGMENT, MORE_FRAGMENTS, FRAGMENT_OFFSET = 0x4000, 0x2000, 0x1FFF
 RECORD = np.dtype([(key, "<u4") for key in ("seconds", "microseconds", "captured", "length")])
@@ -59,7 +60,10 @@ class Datagrams:
         return replace(self, **{key: column[which] for key, column in vars(self).items() if key != "data"})
 
     def payloads(self, size: int) -> Octets:
-        """The payloads (N, size), each of this size."""
+        """The payloads (N, size), each of this size; a view, if they are equally far apart."""
+        steps = np.diff(self.start)
+        if len(steps) and steps[0] >= size and (steps == steps[0]).all():
+            return np.ndarray((len(self.start), size), np.uint8, self.data, int(self.start[0]), (int(steps[0]), 1))
         return gathered(self.data, self.start, np.dtype((np.void, size))).view(np.uint8).reshape(len(self.start), size)
 
 
@@ -237,48 +241,49 @@ def _with_fragments(
     first, last = _runs(piece.time_ns[frame], key, head, size, reassembly)
     counts = last - first + 1
     before = np.cumsum(counts) - counts
-    rows_of_runs = np.repeat(first - before, counts) + np.arange(counts.sum())
-    parts = [_joined(piece.data, start[rows_of_runs], size[rows_of_runs])]
-    lengths = np.add.reduceat(size[rows_of_runs], before).tolist() if len(first) else []
-    made_at = frame[last].tolist()
-    hosts = (key[first] >> np.uint64(32)).tolist()
+    in_runs = np.repeat(first - before, counts) + np.arange(counts.sum())
     alone = np.ones(len(frame), np.bool_)
-    alone[rows_of_runs] = False
+    alone[in_runs] = False
+    late: dict[int, bytes] = {}  # by the last fragment that came
     for row in np.flatnonzero(alone).tolist():
         octets = piece.data[start[row] : start[row] + size[row]].tobytes()
         datagram = reassembly.add(fragment(int(piece.time_ns[frame[row]]), head[row], octets))
         if datagram is not None and len(datagram) >= UDP.itemsize:
-            parts.append(np.frombuffer(datagram, np.uint8))
-            lengths.append(len(datagram))
-            made_at.append(int(frame[row]))
-            hosts.append(int(key[row]) >> 32)
-    if not lengths:
+            late[row] = datagram
+    if not len(first) and not late:
         return whole
-    sizes = np.array(lengths, np.int64)
+    made = np.concatenate([last, np.array(list(late), np.int64)])  # by these fragments
+    lengths = [np.add.reduceat(size[in_runs], before) if len(first) else first, whole.size + UDP.itemsize]
+    sizes = np.concatenate([*lengths, np.array(list(map(len, late.values())), np.int64)])
+    starts = np.concatenate([start[in_runs], whole.start - UDP.itemsize])
+    data = _joined(piece.data, starts, np.concatenate([size[in_runs], lengths[1]]), b"".join(late.values()))
     begins = np.cumsum(sizes) - sizes
-    data = np.concatenate(parts)
     ports = gathered(data, begins, UDP)
-    order = np.argsort(np.concatenate([whole_at, made_at]), kind="stable")
+    at = np.insert(frame[made], len(first), whole_at)
     together = Datagrams(
-        time_ns=np.concatenate([whole.time_ns, piece.time_ns[made_at]]),
-        host=np.concatenate([whole.host, np.array(hosts, np.uint32)]),
-        source_port=np.concatenate([whole.source_port, ports["source_port"].astype(np.uint16)]),
-        port=np.concatenate([whole.port, ports["port"].astype(np.uint16)]),
-        start=np.concatenate([whole.start, len(piece.data) + begins + UDP.itemsize]),
-        size=np.concatenate([whole.size, sizes - UDP.itemsize]),
-        data=np.concatenate([piece.data, data]),
+        time_ns=piece.time_ns[at],
+        host=np.insert((key[made] >> np.uint64(32)).astype(np.uint32), len(first), whole.host),
+        source_port=ports["source_port"].astype(np.uint16),
+        port=ports["port"].astype(np.uint16),
+        start=begins + UDP.itemsize,
+        size=sizes - UDP.itemsize,
+        data=data,
     )
-    return together[order]
+    return together[np.argsort(at, kind="stable")]
 
 
-def _joined(data: Octets, start: NDArray[np.int64], size: NDArray[np.int64]) -> Octets:
-    """Pieces (N,) of the data, one after the other; those of the same size, which most are, at once."""
+def _joined(data: Octets, start: NDArray[np.int64], size: NDArray[np.int64], more: bytes) -> Octets:
+    """Pieces (N,) of the data, one after the other, and more; those of the same size, which most are, at once."""
     ends = np.cumsum(size)
-    out = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
+    whole = int(ends[-1]) if len(ends) else 0
+    out = np.empty(whole + len(more), np.uint8)
+    out[whole:] = np.frombuffer(more, np.uint8)
     for one in np.unique(size).tolist():
-        rows, kind = size == one, np.dtype((np.void, one))
+        rows, kind = np.flatnonzero(size == one), np.dtype((np.void, one))
         everywhere = np.ndarray(len(out) - one + 1, kind, out, strides=(1,))
-        everywhere[ends[rows] - one] = gathered(data, start[rows], kind)
+        for first in range(0, len(rows), ROWS):  # few enough to stay in the core's cache
+            some = rows[first : first + ROWS]
+            everywhere[ends[some] - one] = gathered(data, start[some], kind)
     return out
 
 

@@ -33,11 +33,12 @@ HEADER = 24  # bytes of a classic pcap before its records
 PCAPNG, PCAPNG_LITTLE = b"\x0a\x0d\x0d\x0a", b"\x4d\x3c\x2b\x1a"  # the first block's type, and its byte order
 PCAPNG_HEAD = 28  # bytes of a block before its frame
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
-BUFFER = 1 << 20  # bytes of a pcap, read at once
+BUFFER = 1 << 22  # bytes of a pcap, read at once
 SCANNED = 1 << 26  # bytes of a pcap whose headers are looked at together
 RECORDS = 1000  # of a pcapng, read at once
 EMPTY = 1000  # records in a row without a byte: the rest of the file is taken for damaged
-RECORDS_ALIKE = 64  # of a pcap, looked at together
+RECORDS_ALIKE = 32  # in a row in a pcap: more are expected
+RECORDS_AHEAD = 1024  # looked at together then
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ def read_batches(
     reassembly = Reassembly(0 if from_ns is None else from_ns + SECOND_NS)
     try:
         check_regular(path)
-        with BufferedReader(FileIO(path), buffer) as file:
+        with BufferedReader(FileIO(path)) as file:  # larger reads go past its buffer
             magic = file.read(4)
             if not magic:
                 raise PacketError(f"{path}: the file is empty")
@@ -169,21 +170,29 @@ def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tupl
 def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np.int64], int, int]:
     """Where the whole records at the beginning of the data start (N,), and where they end; the size last read.
 
-    They are often equally long, so each step looks at as many as may be.
+    Once so many in a row are equally long, each step looks at as many as may be.
     """
-    sizes = np.ndarray(max(len(data) - record.itemsize + 1, 0), record, data, strides=(1,))["captured"]
-    rows, at, size = [np.empty(0, np.int64)], 0, 0
-    while at < len(sizes):
-        size = int(sizes[at])
-        length = record.itemsize + size
-        if size > RECORD_MAX or at + length > len(data):
+    captured = np.ndarray(max(len(data) - record.itemsize + 1, 0), record, data, strides=(1,))["captured"]
+    read = captured.item
+    head, places, end = record.itemsize, len(captured), len(data)
+    starts: list[int] = []
+    at = size = alike = 0
+    while at < places:
+        before, size = size, read(at)
+        stop = at + head + size
+        if size > RECORD_MAX or stop > end:
             break
-        stop = min(at + RECORDS_ALIKE * length, len(data) - length + 1)
-        others = np.flatnonzero(sizes[at:stop:length] != size)
-        row = np.arange(at, at + length * int(others[0]) if len(others) else stop, length)
-        rows.append(row)
-        at = int(row[-1]) + length
-    return np.concatenate(rows), at, size
+        alike = alike + 1 if size == before else 0
+        if alike < RECORDS_ALIKE:
+            starts.append(at)
+        else:
+            some = range(at, min(at + RECORDS_AHEAD * (stop - at), end - (stop - at) + 1), stop - at)
+            others = np.flatnonzero(captured[some.start : some.stop : some.step] != size)
+            some = some[: int(others[0])] if len(others) else some
+            starts.extend(some)
+            stop += some[-1] - at
+        at = stop
+    return np.array(starts, np.int64), at, size
 
 
 def _is_hole(heads: NDArray[Any]) -> bool:

@@ -28,7 +28,12 @@ if TYPE_CHECKING:
 Times = NDArray[np.int64]
 Octets = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
-Known = Callable[[], Sequence[Sensor]]  # the catalogue's sensors of a family, read when they are asked for
+
+
+class Known(Protocol):
+    """The catalogue's sensors of a family, or that with a name, if there is one: read when they are asked for."""
+
+    def __call__(self, name: str | None = None) -> Sequence[Sensor]: ...
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,13 @@ class Payloads:
     header: Header
     first: int = 0  # how many went to this port before: IP ids count on
     fragments: bool = True  # above the MTU they leave as IP fragments, else whole
+
+
+def chosen(packets: Octets, wanted: Flags) -> Octets:
+    """Those packets that are wanted; a view, if they follow each other."""
+    rows = np.flatnonzero(wanted)
+    together = len(rows) > 0 and rows[-1] - rows[0] < len(rows)
+    return packets[rows[0] : rows[-1] + 1] if together else packets[wanted]
 
 
 class Returns(NamedTuple):

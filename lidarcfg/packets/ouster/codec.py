@@ -122,10 +122,8 @@ class Ouster(Codec):
     def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
         """See `Codec`: the metadata says it."""
         found = _of(source, packets)
-        for sensor in known():
-            if sensor.name == found.model:
-                return sensor
-        return _unknown(found, known()[0])
+        named = known(found.model)
+        return named[0] if named else _unknown(found, known()[0])
 
     def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
         """See `Codec`. Beams are those that the metadata says."""

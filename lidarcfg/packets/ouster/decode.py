@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
-from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
+from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times, chosen
 from lidarcfg.packets.ouster import decode_kernels as kernels
 from lidarcfg.packets.ouster.layout import LEGACY_VALID, Layout, columns, heads
 from lidarcfg.packets.ouster.metadata import Metadata
@@ -55,7 +55,7 @@ class OusterDecoder(Decoder):
         """See `Decoder`."""
         if not wanted.any():
             return
-        packets, layout = packets[wanted], self._layout
+        packets, layout = chosen(packets, wanted), self._layout
         frame, column = heads(layout, packets).frame, columns(layout, packets).measurement[:, 0]
         inside = np.searchsorted(self._in_frame, column // layout.columns_per_packet).clip(max=len(self._in_frame) - 1)
         place = frame * len(self._in_frame) + inside
@@ -80,9 +80,7 @@ class OusterDecoder(Decoder):
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
-        if not wanted.all():
-            packets = packets[wanted]
-        layout, packets = self._layout, np.ascontiguousarray(packets)
+        layout, packets = self._layout, np.ascontiguousarray(chosen(packets, wanted))
         slots = len(packets) * layout.columns_per_packet * layout.pixels
         returns = Returns.room(slots * layout.profile.returns)
         xyz, (time_ns, _, ring, intensity, kind) = returns.xyz_m.reshape(-1), returns[3:]
@@ -96,7 +94,7 @@ class OusterDecoder(Decoder):
 
     def driver_columns(self, packets: Octets, wanted: Flags) -> dict[str, NDArray[Any]]:
         """See `Decoder`. What the profile does not have is 0, as with ouster-ros."""
-        layout, packets = self._layout, np.ascontiguousarray(packets[wanted])
+        layout, packets = self._layout, np.ascontiguousarray(chosen(packets, wanted))
         found, ends = fields(layout, packets), ("", "2")[: layout.profile.returns]
         ranges = np.stack([found[f"range{end}"] for end in ends], axis=-1)
         there = (ranges > 0) & columns(layout, packets).valid[:, :, None, None]
