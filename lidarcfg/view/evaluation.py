@@ -9,8 +9,8 @@ from lidarcfg.placement.evaluation import detection_rates
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import Rig
-from lidarcfg.view.bodies import hides, other_max_vsr_m, score, violations, visibility_of
-from lidarcfg.view.packed import packed_quads
+from lidarcfg.view.bodies import bases_m, hides, other_max_vsr_m, score, violations, visibility_of
+from lidarcfg.view.packed import packed_quads, packed_triangles
 
 
 def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) -> dict[str, Any]:
@@ -29,6 +29,7 @@ def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) ->
         "subspaces": found.subspaces,
         "zones": [{"name": zone.name, "max_vsr_m": zone.max_vsr_m} for zone in found.zones],
         "violations": violations(study, rig),
+        "bases": packed_triangles(bases_m(study, rig)),
         "worst": [
             {
                 "vsr_m": body.vsr_m,

@@ -25,3 +25,8 @@ def packed_quads(quads: Array) -> dict[str, Any] | None:
         return None
     first = 4 * np.arange(len(quads))[:, None, None]
     return packed_mesh(quads.reshape(-1, 3), (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3))
+
+
+def packed_triangles(corners: Array) -> dict[str, Any] | None:
+    """The mesh of triangles (T, 3, 3), or none."""
+    return packed_mesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)) if len(corners) else None

@@ -18,12 +18,13 @@ from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
-from lidarcfg.view.bodies import bases_m, faces, has_its_sensors, hides, mirrored_pairs, seats_m
+from lidarcfg.view.bodies import faces, has_its_sensors, hides, mirrored_pairs, seats_m
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import COLOUR_BY, By, colour
 from lidarcfg.view.evaluation import evaluation, rates
 from lidarcfg.view.packed import packed_mesh, packed_quads
 from lidarcfg.view.scenery import parts
+from lidarcfg.view.seats import seats
 from lidarcfg.view.shades import span
 from lidarcfg.view.stage import Stage
 from lidarcfg.view.still import GROUND_M
@@ -94,6 +95,7 @@ def page_of(
         "rigs": [{"name": rig.name, "mounts": [_mount(m) for m in rig.mounts]} for rig in stage.rigs],
         "study": stage.study and _study(stage.study, stage.rigs[0]),
         "mirrored": mirrored_pairs(stage.study, stage.rigs[0]) if stage.study else [],
+        "seated": seats(stage.study, stage.rigs[0]) if stage.study else [],
         "evaluation": evaluations[0],
         "transparent": evaluations[1],
         "vehicle": stage.vehicle and {"mesh": packed_mesh(*stage.vehicle.scene.mesh())},
@@ -259,7 +261,7 @@ def _mount(mount: Mount) -> dict[str, Any]:
 
 
 def _study(study: Study, rig: Rig) -> dict[str, Any]:
-    ours, bases = has_its_sensors(study, rig), bases_m(study, rig)
+    ours = has_its_sensors(study, rig)
     return {
         "name": study.name,
         "min_m": study.region.min_m.tolist(),
@@ -275,7 +277,6 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         if ours
         else [],
         "seats": packed_quads(seats_m(study)) if ours else None,
-        "bases": packed_mesh(bases.reshape(-1, 3), np.arange(3 * len(bases)).reshape(-1, 3)) if len(bases) else None,
         "zones": [
             {"name": zone.name, "weight": zone.weight, "min_m": zone.box_m[0].tolist(), "max_m": zone.box_m[1].tolist()}
             for zone in study.zones

@@ -18,6 +18,7 @@ from lidarcfg.placement.evaluation import WORST
 from lidarcfg.rig import Rig, rig_text
 from lidarcfg.view.evaluation import evaluation, moved, rates
 from lidarcfg.view.page import ASSETS, MODULES, Page, html
+from lidarcfg.view.seats import seated
 from lidarcfg.view.stage import Stage
 
 HERE = "127.0.0.1"
@@ -106,12 +107,14 @@ class _Handler(BaseHTTPRequestHandler):
             with server.saving:
                 server.source = server.source.saved(poses)
             return _json({"file": str(server.source.path)})
+        if self.path == "/place" and study:
+            return _json({"poses": seated(study, poses, *_move(request, server.page.about["seated"])).tolist()})
         if self.path == "/evaluate" and study:
             with server.evaluating:
-                return _json(evaluation(study, rig, _count(request), _transparent(request)))
+                return _json(evaluation(study, rig, _count(request), _flag(request, "transparent")))
         if self.path == "/rates" and study:
             with server.counting:
-                return _json(rates(study, rig, _transparent(request)))
+                return _json(rates(study, rig, _flag(request, "transparent")))
         return "", b""
 
     def log_message(self, format: str, *args: Any) -> None:
@@ -161,22 +164,37 @@ def _poses(request: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:
     """(mounts, 6) of the first rig. Raises ConfigError."""
     if not rigs:
         raise ConfigError("there is no rig to move")
-    count = len(rigs[0].mounts)
+    return _numbers(request, "poses", (len(rigs[0].mounts), 6))
+
+
+def _numbers(request: dict[str, Any], key: str, shape: tuple[int, ...]) -> Array:
+    """One pose, or several. Raises ConfigError."""
     try:
-        poses = np.array(request.get("poses"), np.float64)
+        poses = np.array(request.get(key), np.float64)
     except (TypeError, ValueError, OverflowError):
         poses = np.empty(0)
-    if poses.shape != (count, 6) or not (abs(poses) <= COORDINATE_MAX_M).all():
-        raise ConfigError(f"poses: allowed are {count} of x, y, z, roll, pitch, yaw in metres and radians")
+    if poses.shape != shape or not (abs(poses) <= COORDINATE_MAX_M).all():
+        what = f"{shape[0]} of x, y, z" if len(shape) > 1 else "x, y, z"
+        raise ConfigError(f"{key}: allowed are {what}, roll, pitch, yaw in metres and radians")
     return poses
 
 
-def _transparent(request: dict[str, Any]) -> bool:
-    """Whether nothing shall hide anything. Raises ConfigError."""
-    transparent = request.get("transparent", False)
-    if not isinstance(transparent, bool):
-        raise ConfigError("transparent: allowed is true or false")
-    return transparent
+def _move(request: dict[str, Any], seats: list[int]) -> tuple[int, Array, bool]:
+    """Which sensor on a surface is moved where to, and whether its image follows. Raises ConfigError."""
+    number = request.get("mount")
+    if isinstance(number, bool) or number not in seats:
+        raise ConfigError(
+            f"mount: allowed is one that sits on a surface: {', '.join(map(str, seats)) or 'there is none'}"
+        )
+    return int(number), _numbers(request, "pose", (6,)), _flag(request, "mirrors")
+
+
+def _flag(request: dict[str, Any], key: str) -> bool:
+    """True or false; false unless said. Raises ConfigError."""
+    flag = request.get(key, False)
+    if not isinstance(flag, bool):
+        raise ConfigError(f"{key}: allowed is true or false")
+    return flag
 
 
 def _count(request: dict[str, Any]) -> int:

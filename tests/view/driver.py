@@ -35,7 +35,7 @@ def settled(driver):
     """Wait until the page has drawn everything and has no request open."""
     quiet = (
         "const v = window.lidarcfg; return Boolean(v && v.stage.settledAt === v.stage.frames && !v.stage.waiting "
-        "&& ![v.evaluator, v.rates].some((one) => one?.busy || one?.timer))"
+        "&& ![v.evaluator, v.rates, v.handles?.seats].some((one) => one?.busy || one?.timer))"
     )
     end = time.monotonic() + 60
     while not driver.execute_script(quiet):
@@ -81,6 +81,33 @@ def on_screen(driver, place):
     )
     x, y = driver.execute_script(code, list(place))
     return round(x), round(y)
+
+
+def drag(driver, at, axis, by_m):
+    """Drag the handle along an axis (0, 1, 2) of the selected sensor, which is at a place, so far."""
+    from selenium.webdriver import ActionChains
+
+    settled(driver)
+    code = (  # the handles are as large on the screen from anywhere
+        "const h = lidarcfg.handles.controls; let x; h.getHelper().traverse((o) => { if (o.name === 'Z' && o.isMesh && !x) x = o });"
+        "return x.getWorldScale(h.worldPosition.clone()).x"
+    )
+    size, along = driver.execute_script(code), np.eye(3)[axis]
+    canvas = driver.find_element("id", "canvas")
+    tip, end = (np.array(on_screen(driver, at + far * along)) for far in (0.45 * size, 0.45 * size + by_m))
+    action = ActionChains(driver, duration=100).move_to_element_with_offset(canvas, *tip.tolist()).click_and_hold()
+    for part in (0.25, 0.5, 0.75, 1):
+        action = action.move_to_element_with_offset(canvas, *np.rint(tip + part * (end - tip)).astype(int).tolist())
+    action.release().perform()
+    settled(driver)
+
+
+def told(driver, what):
+    """Wait until the page's status line says it."""
+    end = time.monotonic() + 30
+    while what not in (text := driver.find_element("id", "status").text):
+        assert time.monotonic() < end, text
+        time.sleep(0.02)
 
 
 def shown_vsr(driver):

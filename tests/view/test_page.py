@@ -33,6 +33,7 @@ from tests.view.driver import (
     asked,
     click,
     different,
+    drag,
     in_browser,
     on_screen,
     opened,
@@ -267,29 +268,13 @@ def test_the_slider_shows_a_frame_and_play_goes_on(chromium, served, stage):
 
 @in_browser
 def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, stage):
-    from selenium.webdriver import ActionChains
-
     opened(chromium, served)
     started = evaluate(stage.study, stage.rigs[0]).max_vsr_m
     assert shown_vsr(chromium) == started
     before = picture(chromium)
     put(chromium, "#mount", 0, "change")
-    settled(chromium)
     at = np.array(stage.rigs[0].mounts[0].position_m)
-    size = chromium.execute_script(  # of the handles, which are as large on the screen from anywhere
-        "const h = lidarcfg.handles.controls; let x; h.getHelper().traverse((o) => { if (o.name === 'Z' && o.isMesh && !x) x = o });"
-        "const p = x.getWorldPosition(h.worldPosition.clone()); "
-        "const s = x.getWorldScale(h.worldPosition.clone()); return s.x"
-    )
-    canvas = chromium.find_element("id", "canvas")
-    tip = on_screen(chromium, at + np.array((0, 0, 0.45 * size)))
-    away = on_screen(chromium, at + np.array((0, 0, 0.45 * size + 0.6)))
-    drag = ActionChains(chromium, duration=100).move_to_element_with_offset(canvas, *tip).click_and_hold()
-    for share in (0.25, 0.5, 0.75, 1):
-        to = [round(a + share * (b - a)) for a, b in zip(tip, away, strict=True)]
-        drag = drag.move_to_element_with_offset(canvas, *to)
-    drag.release().perform()
-    settled(chromium)
+    drag(chromium, at, 2, 0.6)
     poses = np.array(chromium.execute_script("return lidarcfg.handles.poses"))
     assert poses[0, 2] > at[2] + 0.1
     rig = moved(stage.rigs[0], poses)
@@ -335,7 +320,7 @@ def test_rotating_by_a_handle_keeps_equivalent_angles(chromium, served, stage):
     code = (
         "const m = lidarcfg.handles.mounts[0]; const before = m.pose; m.pose = arguments[0]; "
         "const e = m.object.matrix.compose(m.object.position, m.object.quaternion, m.object.scale).elements;"
-        "m.takeMove(true); const after = m.pose; m.pose = before; return [e, after]"
+        "const after = m.moved(true); m.pose = before; return [e, after]"
     )
     for rpy in ((0.3, -0.4, 2.0), (3.0, 2.5, 0.0), (-4.0, 0.2, 7.0)):
         pose = [1.0, 2.0, 3.0, *rpy]

@@ -2,7 +2,6 @@
 
 import difflib
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from tests.view.driver import (
     serving,
     settled,
     shown_vsr,
+    told,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -187,12 +187,6 @@ def test_a_moved_pair_is_undone_and_saved(chromium, sides):
     rates = "return [...document.querySelectorAll('#rates tr')].map((row) => row.innerText)"
     poses = "return lidarcfg.handles.poses"
 
-    def told(what):
-        end = time.monotonic() + 30
-        while what not in (text := chromium.find_element("id", "status").text):
-            assert time.monotonic() < end, text
-            time.sleep(0.02)
-
     def agrees(study=sides.study):
         settled(chromium)
         now = moved(sides.rigs[0], np.array(chromium.execute_script(poses)))
@@ -250,13 +244,13 @@ def test_a_moved_pair_is_undone_and_saved(chromium, sides):
         assert sides.source.path.read_text() == RIG
         click(chromium, "#save")
         click(chromium, "#ask-yes")
-        told(f"saved {sides.source.path}")
+        told(chromium, f"saved {sides.source.path}")
         assert (poses_of(load_rig(sides.source.path)) == states[2]).all()
         assert "# measured by hand" in sides.source.path.read_text()
         sides.source.path.write_text(RIG)
         click(chromium, "#save")
         click(chromium, "#ask-yes")
-        told("has changed on disk since it was opened")
+        told(chromium, "has changed on disk since it was opened")
 
 
 IN_VIEW = """

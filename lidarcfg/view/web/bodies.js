@@ -79,12 +79,24 @@ export function region(study, colours) {
   return group;
 }
 
-// Boxes, and on the vehicle where the bases of sensors may be, and where they are.
+// Where the bases of sensors are on the vehicle.
+export class Bases {
+  constructor(colours) {
+    this.colours = colours;
+    this.object = new Group();
+  }
+
+  set(bases) {
+    emptied(this.object);
+    if (bases) this.object.add(body(bases, this.colours.base, 0.9));
+  }
+}
+
+// Boxes, and on the vehicle where the bases of sensors may be.
 export function bounds(study, colours) {
   const group = new Group();
   for (const { min_m, max_m } of study.bounds) group.add(box(min_m, max_m, "white"));
   if (study.seats) group.add(body(study.seats, colours.seat, 0.6));
-  if (study.bases) group.add(body(study.bases, colours.base, 0.9));
   return group;
 }
 

@@ -8,8 +8,9 @@ import { AXES } from "lidarcfg/sensors";
 const PAUSE_MS = 150; // in a move, after which what takes long is asked for
 
 export class Handles {
-  constructor(stage, mounts, pairs, onMove, onHistory) {
-    Object.assign(this, { stage, mounts, pairs, onMove, selected: null, mirrors: true, drags: 0 });
+  constructor(stage, mounts, { mirrored: pairs, seated }, onMove, onHistory, onError) {
+    Object.assign(this, { stage, mounts, pairs, seated, onMove, selected: null, mirrors: true, drags: 0, wanted: null, pending: null });
+    this.seats = new Evaluator("place", () => this.asked(), ({ poses }) => this.sit(poses), onError);
     this.start = mounts.map((mount) => mount.pose);
     this.history = new History(() => this.poses, (poses) => this.restore(poses), onHistory);
     this.controls = new TransformControls(stage.camera, stage.canvas);
@@ -22,9 +23,7 @@ export class Handles {
       this.drags += 1;
     });
     this.controls.addEventListener("objectChange", () => {
-      this.history.before(`drag ${this.drags}`);
-      this.selected.takeMove(this.controls.mode === "rotate");
-      this.changed(this.selected);
+      this.move(this.selected, this.selected.moved(this.controls.mode === "rotate"), `drag ${this.drags}`);
     });
   }
 
@@ -40,11 +39,31 @@ export class Handles {
     this.controls.setSpace(mode === "rotate" ? "local" : "world");
   }
 
-  // `step` names what is undone as one.
-  setPose(mount, pose, step = null) {
+  // `step` names what is undone as one. The server says where a sensor goes that sits on a surface.
+  move(mount, pose, step) {
+    const index = this.mounts.indexOf(mount);
+    if (this.seated.includes(index)) {
+      this.wanted = { index, pose, step };
+      this.seats.ask();
+      return;
+    }
     this.history.before(step);
     mount.pose = pose;
     this.changed(mount);
+  }
+
+  asked() {
+    const { index, pose, step } = this.wanted;
+    this.pending = { poses: this.poses, step };
+    return { poses: this.poses, mount: index, pose, mirrors: this.mirrors };
+  }
+
+  // The sensors that the server has moved; not if the rig was restored meanwhile.
+  sit(poses) {
+    if (!this.pending) return;
+    const moved = poses.map((pose, i) => pose.some((value, j) => value !== this.pending.poses[i][j]));
+    if (moved.includes(true)) this.history.before(this.pending.step);
+    this.place(poses.map((pose, i) => (moved[i] ? pose : this.mounts[i].pose)));
   }
 
   reset() {
@@ -53,6 +72,12 @@ export class Handles {
   }
 
   restore(poses) {
+    this.pending = null;
+    this.seats.drop();
+    this.place(poses);
+  }
+
+  place(poses) {
     this.mounts.forEach((mount, i) => {
       mount.pose = poses[i];
     });
@@ -99,6 +124,11 @@ export class Evaluator {
   forget() {
     clearTimeout(this.timer);
     this.timer = null;
+  }
+
+  // Forget what has not been asked yet.
+  drop() {
+    this.again = false;
   }
 
   async ask() {

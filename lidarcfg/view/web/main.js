@@ -2,7 +2,7 @@
 
 import { readArrays } from "lidarcfg/cloud";
 import { readAbout } from "lidarcfg/data";
-import { Blind, Vehicle, Worst, bounds, region, scenery, zones } from "lidarcfg/bodies";
+import { Bases, Blind, Vehicle, Worst, bounds, region, scenery, zones } from "lidarcfg/bodies";
 import { grid, rings } from "lidarcfg/guides";
 import { Evaluator, Handles } from "lidarcfg/handles";
 import { listenToKeys } from "lidarcfg/keys";
@@ -138,7 +138,12 @@ function bodyControls(view, panel, mounts) {
   };
   if (study) {
     toggled("region", "region, and what it excludes (the vehicle)", region(study, colours));
-    if (study.bounds.length || study.seats) toggled("bounds", "bounds of the sensors", bounds(study, colours));
+    if (study.bounds.length || study.seats) {
+      const limits = bounds(study, colours);
+      view.bases = new Bases(colours);
+      limits.add(view.bases.object);
+      toggled("bounds", "bounds of the sensors", limits);
+    }
     if (study.zones.length) toggled("zones", "zones", zones(study, stage, colours));
     view.worst = new Worst(stage, colours);
     toggled("bodies", "worst subspaces", view.worst.object);
@@ -192,6 +197,7 @@ function show(view, evaluation, count) {
   view.figures.set(evaluation, count);
   view.worst.set(evaluation.worst.slice(0, count));
   view.blind?.set(evaluation.blind);
+  view.bases?.set(evaluation.bases);
   view.stage.redraw();
 }
 
@@ -203,7 +209,7 @@ function rigControls(view, panel, mounts) {
     view.rates?.forget();
     view.evaluator?.ask();
   };
-  view.handles = new Handles(stage, mounts, about.mirrored, moved, () => view.rig.count());
+  view.handles = new Handles(stage, mounts, about, moved, () => view.rig.count(), ({ message }) => view.say(message));
   if (about.study) evaluators(view);
   view.rig = new RigSection(view.handles, about, view.say);
   panel.append(view.rig.element);

@@ -15,6 +15,7 @@ export class RigSection {
     this.inputs = COORDINATES.map(([name], i) => {
       const input = el("input", { type: "number", id: `pose-${name}`, step: i < 3 ? 0.01 : 0.5 });
       input.addEventListener("input", () => this.typed(i));
+      input.addEventListener("change", () => this.show(null)); // a number that could not be taken, for example
       return input;
     });
     const labels = COORDINATES.map(([name, unit], i) => el("label", {}, `${name} (${unit})`, this.inputs[i]));
@@ -72,7 +73,7 @@ export class RigSection {
     const mount = this.handles.selected;
     if (!mount || !Number.isFinite(value)) return;
     const pose = mount.pose.map((before, j) => (j !== i ? before : i < 3 ? value : (value * Math.PI) / 180));
-    this.handles.setPose(mount, pose, `${mount.name} ${i}`);
+    this.handles.move(mount, pose, `${mount.name} ${i}`);
   }
 
   undo() {

@@ -77,17 +77,14 @@ export class Mount {
     this.object.quaternion.setFromEuler(new Euler(...numbers.slice(3), "ZYX"));
   }
 
-  // After a handle moved the object: what the handle did not touch stays the same, bit for bit.
-  takeMove(rotated) {
-    if (!rotated) {
-      this.numbers = [...this.object.position.toArray(), ...this.numbers.slice(3)];
-      return;
-    }
+  // The pose that a handle has given to the object: what it did not touch is the same, bit for bit.
+  moved(rotated) {
+    if (!rotated) return [...this.object.position.toArray(), ...this.numbers.slice(3)];
     const { x, y, z } = new Euler().setFromQuaternion(new Quaternion().copy(this.object.quaternion), "ZYX");
     const before = this.numbers.slice(3);
     const options = [[x, y, z], [x + Math.PI, Math.PI - y, z + Math.PI]].map((option) => option.map((angle, i) => near(angle, before[i])));
     const change = (option) => option.reduce((sum, angle, i) => sum + Math.abs(angle - before[i]), 0);
-    this.numbers = [...this.numbers.slice(0, 3), ...(change(options[0]) <= change(options[1]) ? options[0] : options[1])];
+    return [...this.numbers.slice(0, 3), ...(change(options[0]) <= change(options[1]) ? options[0] : options[1])];
   }
 }
 
