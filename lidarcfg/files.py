@@ -32,32 +32,50 @@ def example(path: str | Path) -> Path:
 
 
 @dataclass(frozen=True)
-class _Whole:
-    """A file that is written and waits to take the place of another."""
+class Whole:
+    """What is written and waits to take its place."""
 
     temporary: Path
     path: Path
-    held: int  # the handle that keeps it locked
+    rest: ExitStack  # removes what is left of it after it took its place, or did not
+
+    def check(self) -> None:
+        """Raises OSError unless it may take that place."""
+        check_replaceable(self.path)
 
     def take_place(self) -> None:
+        """Raises FileNotFoundError if it has done so already."""
         os.replace(self.temporary, self.path)
-
-    def discard(self) -> None:
-        """What is left of it after it took its place, or did not."""
-        with suppress(OSError):
-            self.temporary.unlink()
-        os.close(self.held)
 
 
 @dataclass(frozen=True)
 class _Group:
     """What takes its place together, and what is removed before."""
 
-    waiting: list[_Whole]
+    waiting: list[Whole]
     gone: list[Iterable[Path]]
 
 
 _TOGETHER: ContextVar[_Group | None] = ContextVar("together", default=None)
+
+
+def place(whole: Whole) -> None:
+    """Let it take its place: now, or within `together` at the end of that. Raises OSError."""
+    if group := _TOGETHER.get():
+        group.waiting.append(whole)
+        return
+    with whole.rest:
+        whole.take_place()
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """What is written inside takes its place at once, whatever `together` is around."""
+    token = _TOGETHER.set(None)
+    try:
+        yield
+    finally:
+        _TOGETHER.reset(token)
 
 
 @contextmanager
@@ -72,25 +90,25 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     check_replaceable(path)
     make_parent(path)
     remove_leftovers(path)
-    temporary, together_with = name_beside(path), _TOGETHER.get()
+    temporary = name_beside(path)
     try:  # from before it is there: an interrupt comes at any time
-        with ExitStack() as stack:
+        with ExitStack() as rest:
             file, held = _created(temporary, mode)
-            whole = _Whole(temporary, path, held)
-            if together_with is None:
-                stack.callback(whole.discard)
-            else:
-                together_with.waiting.append(whole)
+            rest.callback(os.close, held)
+            rest.callback(_remove, temporary)
             with file:
                 yield file
-            if together_with is None:
-                whole.take_place()
+            place(Whole(temporary, path, rest.pop_all()))
     except BaseException as error:
-        with suppress(OSError):
-            temporary.unlink()
+        _remove(temporary)
         if isinstance(error, OSError) and error.filename in (None, str(temporary)):  # a full disk names no file
             raise OSError(error.errno, error.strerror, str(path)) from None
         raise
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        path.unlink()
 
 
 def _created(temporary: Path, mode: str) -> tuple[IO[Any], int]:
@@ -107,9 +125,9 @@ def _created(temporary: Path, mode: str) -> tuple[IO[Any], int]:
 def together(gone: Iterable[Path] = ()) -> Iterator[None]:
     """What `replacing` writes inside takes its place at the end, file by file with nothing between; on an error none.
 
-    The order is that of writing: what readers open first comes last. Files that are `gone` are removed before.
-    No two runs do so in a folder at the same time, so that what is there is of one of them. Within another `together`
-    all that is done at the end of that. Raises OSError.
+    Folders of `replacing_folder`, too. The order is that of writing: what readers open first comes last. Files that are
+    `gone` are removed before. No two runs do so in a folder at the same time, so that what is there is of one of them.
+    Within another `together` all that is done at the end of that. Raises OSError.
     """
     if larger := _TOGETHER.get():
         larger.gone.append(gone)
@@ -120,7 +138,7 @@ def together(gone: Iterable[Path] = ()) -> Iterator[None]:
     try:
         yield
         for whole in waiting:
-            check_replaceable(whole.path)
+            whole.check()
         with locked(whole.path.parent for whole in waiting):
             old = list(chain.from_iterable(group.gone))
             for path in old:
@@ -139,7 +157,7 @@ def together(gone: Iterable[Path] = ()) -> Iterator[None]:
     finally:
         _TOGETHER.reset(token)
         for whole in waiting:
-            whole.discard()
+            whole.rest.close()
 
 
 def check_replaceable(path: Path) -> None:

@@ -2,13 +2,12 @@
 
 import math
 import os
-import shutil
 from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
 from lidarcfg.errors import ConfigError, SceneError
-from lidarcfg.files import replacing, shipped
+from lidarcfg.files import replacing, shipped, together
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle of which no mesh is known
@@ -39,12 +38,13 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     for file in (path, copied):
         if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
             raise ConfigError(f"{file}: exists already; name another file, or remove it")
-    with replacing(path) as out:
-        out.write(text)
-    if not (copied and body):
-        return [path]
-    shutil.copyfile(body, copied)
-    return [path, copied]
+    with together():
+        if copied and body and not copied.exists():
+            with replacing(copied, "wb") as mesh:
+                mesh.write(body.read_bytes())
+        with replacing(path) as out:
+            out.write(text)
+    return [path, copied] if copied else [path]
 
 
 def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:

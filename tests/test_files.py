@@ -206,6 +206,46 @@ def test_what_belongs_together_within_what_does(tmp_path):
         assert left == (dict.fromkeys(("a", "b", "gone"), "old") if error else {"a": "new", "b": "new"})
 
 
+@pytest.mark.parametrize("swaps", [True, False])
+def test_a_folder_and_a_file_take_their_places_together(tmp_path, monkeypatch, swaps):
+    """A drive in a folder and the record beside it: on an error neither; an interrupt between the two waits."""
+    if not swaps:
+        monkeypatch.setattr("lidarcfg.formats.folder.exchange", lambda one, other: False)
+
+    def write(text, error):
+        with together():
+            with replacing_folder(tmp_path / "bag", "data") as folder:
+                folder.mkdir()
+                with replacing(folder / "data") as file:
+                    file.write(text)
+                assert names(folder) == ["data"]
+            with replacing(tmp_path / "bag.yaml") as file:
+                file.write(text)
+            assert 1 / (not error)
+
+    for text, error in (("old", False), ("new", True), ("new", False)):
+        before = [path.read_text() for path in (tmp_path / "bag/data", tmp_path / "bag.yaml") if path.exists()]
+        with suppress(ZeroDivisionError):
+            write(text, error)
+        assert [path.read_text() for path in (tmp_path / "bag/data", tmp_path / "bag.yaml")] == (
+            before if error else [text] * 2
+        )
+        assert names(tmp_path) == ["bag", "bag.yaml"]
+
+    def interrupted(one, other):
+        if other.name == "bag.yaml":
+            monkeypatch.setattr(os, "replace", rename)
+            raise KeyboardInterrupt
+        rename(one, other)
+
+    rename = os.replace
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write("newest", False)
+    assert (tmp_path / "bag/data").read_text() == (tmp_path / "bag.yaml").read_text() == "newest"
+    assert names(tmp_path) == ["bag", "bag.yaml"]
+
+
 def test_an_interrupt_between_two_files_waits_for_the_second(tmp_path, monkeypatch):
     rename = os.replace
 

@@ -74,7 +74,7 @@ def load_libraries() -> None:
 
 
 def start(words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None) -> int:
-    """Start a `lidarcfg` command in a process of its own, and return its id."""
+    """Start a `lidarcfg` command in a process of its own, and return its id; one that hangs is killed."""
     sys.stdout.flush()
     pid = os.fork()
     if pid:
@@ -87,6 +87,9 @@ def start(words: Sequence[object], folder: Path, limit: Callable[[], None] = lam
         sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
         sys.argv = ["lidarcfg", *map(str, words)]
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
+            signal.signal(number, signal.SIG_DFL)
+        signal.alarm(int(HANGS_S))
         limit()
         from lidarcfg.cli import main
 
@@ -110,15 +113,9 @@ def wait(pid: int, folder: Path, began: float) -> Ended:
 
 
 def run(words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None) -> Ended:
-    """A command to its end; one that hangs is killed."""
-
-    def limited() -> None:
-        signal.alarm(int(HANGS_S))
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        limit()
-
+    """A command to its end."""
     began = time.monotonic()
-    return wait(start(words, folder, limited), folder, began)
+    return wait(start(words, folder, limit), folder, began)
 
 
 def small_files(most: int) -> Callable[[], None]:

@@ -237,6 +237,7 @@ def _export_points(
     drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", total: list[int], quiet: bool
 ) -> list[str]:
     """Write points and what is true of them, in the format that suffix or name say. Returns what to print."""
+    from lidarcfg.files import together
     from lidarcfg.formats import formats
     from lidarcfg.formats.recording import Recording
     from lidarcfg.sensor import FIRING
@@ -250,7 +251,7 @@ def _export_points(
         for mount in drive.rig.mounts
         if not (mount.sensor.codec or mount.sensor.firing)
     ]
-    with _run(drive.duration_ns, total, quiet) as run:
+    with _run(drive.duration_ns, total, quiet) as run, together():
         recording = Recording(drive, simulated_scans(drive, run))
         found = formats.save_recording(output, form, recording, deskew, warnings.append)
         record(output)

@@ -6,6 +6,7 @@ fields. The message's stamp is the time of the scan's first point.
 
 import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +15,7 @@ import numpy as np
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError, missing
-from lidarcfg.files import check_replaceable
+from lidarcfg.files import Whole, check_replaceable, place
 from lidarcfg.formats.folder import beside, replacing_folder
 from lidarcfg.formats.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.formats.messages import Messages, ros_store
@@ -76,9 +77,9 @@ def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
     check_replaceable(path)
-    with beside(path) as aside:
-        count, written = write(aside)
-        written.replace(path.resolve())
+    with ExitStack() as rest:
+        count, written = write(rest.enter_context(beside(path)))
+        place(Whole(written, path.resolve(), rest.pop_all()))
     return count
 
 

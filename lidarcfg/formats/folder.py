@@ -3,13 +3,14 @@
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
 from lidarcfg.aside import exchange, hold, name_beside, old_name, opened, remove_leftovers
 from lidarcfg.errors import ConversionError
-from lidarcfg.files import check_not_read_only, make_parent
+from lidarcfg.files import Whole, alone, check_not_read_only, make_parent, place
 
 
 @contextmanager
@@ -41,6 +42,7 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
 
     An existing folder is replaced if all its files have names like `contents` and may be written; otherwise
     ConversionError or OSError is raised. It is replaced in one step on Linux; elsewhere there is a moment without it.
+    Within `together` it is replaced at the end of that.
     """
     whole = path.resolve()
     if whole.exists() and not whole.is_dir():
@@ -49,10 +51,26 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
         if not any(fnmatch(item.name, pattern) for pattern in contents):
             raise ConversionError(f"{path}: holds {item.name!r}; only a folder of {', '.join(contents)} is replaced")
         check_not_read_only(item)
-    with beside(path) as aside:
-        new, old = aside / whole.name, aside / old_name(whole)
-        yield new
-        if whole.exists() and exchange(new, whole):
+    with ExitStack() as rest:
+        aside = rest.enter_context(beside(path))
+        new = aside / whole.name
+        with alone():
+            yield new
+        place(_WholeFolder(new, whole, rest.pop_all(), new.stat().st_ino))
+
+
+@dataclass(frozen=True)
+class _WholeFolder(Whole):
+    """A folder that is written and waits to take its place."""
+
+    inode: int  # its own, by which it is known wherever it is
+
+    def check(self) -> None:
+        pass  # as it was checked before it was written
+
+    def take_place(self) -> None:
+        new, whole, old = self.temporary, self.path, self.temporary.with_name(old_name(self.path))
+        if whole.exists() and (whole.stat().st_ino == self.inode or exchange(new, whole)):
             return
         try:
             if whole.exists():

@@ -1,6 +1,8 @@
 """init, validate and schema; what is warned about before a search, and files in the wrong place."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +14,7 @@ from PIL import Image
 
 from lidarcfg.config import Document
 from lidarcfg.errors import ConfigError, SceneError
+from lidarcfg.files import shipped
 from lidarcfg.kinds import kind_of
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
@@ -166,6 +169,17 @@ def test_files_are_summed_up(tmp_path):
     assert lidarcfg("init", "rig", "--vehicle", "truck", "-o", tmp_path / "r.yaml", code=2).stderr.startswith(
         "lidarcfg: --vehicle is for a study, not for a rig"
     )
+
+
+def test_init_writes_the_study_and_the_body_or_neither(tmp_path):
+    """On a disk that is full at 100,000 bytes; the body has more."""
+    code = "import resource as r, signal as s; s.signal(s.SIGXFSZ, s.SIG_IGN); r.setrlimit(r.RLIMIT_FSIZE, (100_000,) * 2);"
+    code += "from lidarcfg.templates import write_template as w; from pathlib import Path;"
+    code += f"w('study', Path({str(tmp_path / 'study.yaml')!r}), 'truck')"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "File too large" in ended.stderr
+    assert (shipped("data") / "vehicles/truck.ply").stat().st_size > 100_000
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
