@@ -134,7 +134,8 @@ def outputs(words):
     if "--dry-run" in words:
         return []
     options = dict(pairwise(words))
-    named = [Path(options[name]) for name in ("-o", "--output", "--html", "--png", "--truth") if name in options]
+    written = ("-o", "--output", "--html", "--png", *(["--truth"] if words[0] == "export" else []))
+    named = [Path(options[name]) for name in written if name in options]
     if words[0] == "optimize":
         folder = Path(options.get("-o") or options.get("--resume") or f"out/{Path(words[1]).stem}")
         if lidarcfg.load_study(words[1]).to_choose:

@@ -26,19 +26,65 @@ class Objects:
     index: NDArray[np.uint16]  # (N,) of names
 
 
-def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
-    """The objects of a cloud's points from a ground-truth file, matched by sensor, ring, return and time.
+@dataclass(frozen=True)
+class GroundTruth:
+    """The returns of a ground-truth file, by sensor, ring, return and time."""
 
-    Raises CloudError if the file is not ground truth, or belongs to another capture.
-    """
-    record = read_arrays(path, (*NAMES, *COLUMNS))
-    if lacking := [key for key in (*NAMES, *COLUMNS) if key not in record]:
-        raise CloudError(f"{path}: is not a ground-truth file: it has no {', '.join(lacking)}")
-    if any(record[key].dtype.kind not in "iu" for key in COLUMNS):
-        raise CloudError(f"{path}: is not a ground-truth file: its columns are not integers")
-    sensors, names = (record.pop(key).tolist() for key in NAMES)
-    if len({column.shape for column in record.values()}) != 1 or record["time_ns"].ndim != 1:
-        raise CloudError(f"{path}: the fields are not of one length")
+    path: Path
+    names: tuple[str, ...]  # of the objects
+    sensors: tuple[str, ...]
+    by_strength: NDArray[np.bool_]  # (S + 1,) sensors whose pairs are the strongest and the second strongest
+    start_ns: int
+    known: NDArray[np.int64]  # (N,) one number of each return, ascending
+    object: NDArray[np.int64]  # (N,) -1: rain or fog
+
+    @classmethod
+    def read(cls, path: Path, rig: Rig) -> "GroundTruth":
+        """Those of a capture of this rig. Raises CloudError if the file is not ground truth, or not of this rig."""
+        record = read_arrays(path, (*NAMES, *COLUMNS))
+        if lacking := [key for key in (*NAMES, *COLUMNS) if key not in record]:
+            raise CloudError(f"{path}: is not a ground-truth file: it has no {', '.join(lacking)}")
+        if any(record[key].dtype.kind not in "iu" for key in COLUMNS):
+            raise CloudError(f"{path}: is not a ground-truth file: its columns are not integers")
+        sensors, names = (tuple(record.pop(key).tolist()) for key in NAMES)
+        if len({column.shape for column in record.values()}) != 1 or record["time_ns"].ndim != 1:
+            raise CloudError(f"{path}: the fields are not of one length")
+        ring = _rings(path, sensors, rig)
+        if len(record["time_ns"]) == 0:
+            raise CloudError(f"{path}: no return has an object")
+        for key, first, end in (("sensor", 0, len(sensors)), ("object", -1, len(names)), ("laser", 0, ring.shape[1])):
+            if not ((record[key] >= first) & (record[key] < end)).all():
+                raise CloudError(f"{path}: {key} holds a number outside {first} to {end - 1}")
+        start_ns = int(record["time_ns"].min()) - 2 * AWAY_NS
+        if int(record["time_ns"].max()) - start_ns >= LATEST_NS:
+            raise CloudError(f"{path}: is longer than {LATEST_NS / 6e10:.0f} minutes")
+        by_strength = np.zeros(len(sensors) + 1, np.bool_)
+        by_strength[record["sensor"][record["return_type"] == SECOND]] = True
+        second = np.isin(record["return_type"], (LAST, SECOND))
+        known = _key(record["sensor"], ring[record["sensor"], record["laser"]], second, record["time_ns"] - start_ns)
+        order = np.argsort(known)
+        return cls(path, names, sensors, by_strength, start_ns, known[order], record["object"][order].astype(np.int64))
+
+    def objects(self, cloud: PointCloud) -> NDArray[np.int32]:
+        """(N,) of names, of a cloud's points; -1: none. Raises CloudError if none of the points is a return here."""
+        sensor = np.array(
+            [self.sensors.index(name) if name in self.sensors else len(self.sensors) for name in cloud.sensor_names],
+            np.int64,
+        )
+        since_ns = np.clip(cloud.time_ns - self.start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
+        by_strength = self.by_strength[sensor[cloud.sensor]]
+        second = (cloud.return_type == LAST) | ((cloud.return_type == SECOND) & by_strength)
+        asked, known = _key(sensor[cloud.sensor], cloud.ring, second, since_ns), self.known
+        after = np.searchsorted(known, asked).clip(1, len(known) - 1) if len(known) > 1 else np.zeros_like(asked)
+        near = np.where(asked - known[after - 1] < known[after] - asked, after - 1, after)
+        found = abs(known[near] - asked) <= AWAY_NS
+        if not found.any():
+            raise CloudError(f"{self.path}: none of the points has a return in it; it belongs to another capture")
+        return np.where(found, self.object[near], -1).astype(np.int32)
+
+
+def _rings(path: Path, sensors: tuple[str, ...], rig: Rig) -> NDArray[np.int64]:
+    """(S, 256): the ring of each laser. Raises CloudError for a sensor that the rig does not have."""
     mounts = {mount.name: mount for mount in rig.mounts}
     missing = [name for name in sensors if name not in mounts]
     if missing:
@@ -46,33 +92,21 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
     ring = np.zeros((max(len(sensors), 1), 256), np.int64)
     for i, name in enumerate(sensors):
         ring[i, : mounts[name].sensor.count] = mounts[name].sensor.ring
-    if len(record["time_ns"]) == 0 or len(cloud.xyz) == 0:
-        raise CloudError(f"{path}: no return has an object")
-    for key, first, end in (("sensor", 0, len(sensors)), ("object", -1, len(names)), ("laser", 0, ring.shape[1])):
-        if not ((record[key] >= first) & (record[key] < end)).all():
-            raise CloudError(f"{path}: {key} holds a number outside {first} to {end - 1}")
+    return ring
 
-    start_ns = int(record["time_ns"].min()) - 2 * AWAY_NS
-    if int(record["time_ns"].max()) - start_ns >= LATEST_NS:
-        raise CloudError(f"{path}: is longer than {LATEST_NS / 6e10:.0f} minutes")
-    by_strength = np.zeros(len(sensors) + 1, np.bool_)  # sensors whose pairs are the strongest and the second strongest
-    by_strength[record["sensor"][record["return_type"] == SECOND]] = True
-    second = np.isin(record["return_type"], (LAST, SECOND))
-    known = _key(record["sensor"], ring[record["sensor"], record["laser"]], second, record["time_ns"] - start_ns)
-    order = np.argsort(known)
-    known = known[order]
-    sensor = np.array(
-        [sensors.index(name) if name in sensors else len(sensors) for name in cloud.sensor_names], np.int64
-    )
-    since_ns = np.clip(cloud.time_ns - start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
-    second = (cloud.return_type == LAST) | ((cloud.return_type == SECOND) & by_strength[sensor[cloud.sensor]])
-    asked = _key(sensor[cloud.sensor], cloud.ring, second, since_ns)
-    after = np.searchsorted(known, asked).clip(1, len(known) - 1) if len(known) > 1 else np.zeros(len(asked), np.int64)
-    near = np.where(asked - known[after - 1] < known[after] - asked, after - 1, after)
-    index = np.where(abs(known[near] - asked) <= AWAY_NS, record["object"][order[near]], -1)
+
+def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
+    """The objects of a cloud's points from a ground-truth file, matched by sensor, ring, return and time.
+
+    Raises CloudError if the file is not ground truth, or belongs to another capture.
+    """
+    truth = GroundTruth.read(path, rig)
+    if len(cloud.xyz) == 0:
+        raise CloudError(f"{path}: no return has an object")
+    index = truth.objects(cloud)
     if (index < 0).all():
         raise CloudError(f"{path}: none of the points has a return in it; it belongs to another capture")
-    return Objects((*names, OTHER), np.where(index < 0, len(names), index).astype(np.uint16))
+    return Objects((*truth.names, OTHER), np.where(index < 0, len(truth.names), index).astype(np.uint16))
 
 
 def own_objects(cloud: PointCloud) -> Objects | None:

@@ -53,11 +53,12 @@ class Record(Model):
     return_mode: ReturnMode | None = None  # none: the rig's
     duration_s: Positive
 
-    def path(self, key: str, record: Path) -> Path | None:
+    def path(self, key: str, record: Path, hint: str = "name what fits it: --{key}") -> Path | None:
         """Where one of the inputs is, or `none` of the vehicle.
 
-        Raises ConfigError if it, or what it names, has changed since.
+        Raises ConfigError if it, or what it names, has changed since, with a hint of what to do.
         """
+        hint = hint.format(key=key)
         given: Input | str | None = getattr(self, key)
         if not isinstance(given, Input):
             return Path(given) if given else None
@@ -69,11 +70,11 @@ class Record(Model):
             except OSError as error:
                 raise error_at(record, at, f"{path}: {(error.strerror or str(error)).lower()}") from None
             if not same:
-                raise error_at(record, at, f"{path} has changed since the export; name what fits it: --{key}")
+                raise error_at(record, at, f"{path} has changed since the export; {hint}")
         known = catalogue()
         for name, digest in (self.models or {}).items() if key == "rig" else ():
             if name not in known or _sha256(known[name]) != digest:
-                what = f"{name} is another in this catalogue than in the export's; name what fits it: --{key}"
+                what = f"{name} is another in this catalogue than in the export's; {hint}"
                 raise error_at(record, ("models", name), what)
         return record.parent / given.file
 

@@ -1,11 +1,15 @@
 """lidarcfg convert: rigs, clouds and captures in the formats of other tools."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import cloup
 
-from lidarcfg.commands.options import FILE, model_option, quiet_option, warn
+from lidarcfg.commands.options import FILE, load_trajectory, model_option, nanoseconds, quiet_option, warn
+
+if TYPE_CHECKING:
+    from lidarcfg.simulate.tasks import Drive
 
 
 @cloup.command(
@@ -21,13 +25,17 @@ from lidarcfg.commands.options import FILE, model_option, quiet_option, warn
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a cloud or a capture.")
 @cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; its suffix is the format.")
 @cloup.option("--to", "name", metavar="FORMAT", help="The format, where the suffix does not name it.")
-@cloup.option("--rig", type=FILE, help="A capture's rig: its sensors' names and poses (/tf_static).")
+@cloup.option("--rig", type=FILE, help="A capture's rig: its sensors' names and poses, and nothing else of a drive.")
+@cloup.option("--truth", type=FILE, metavar="NPZ", help="Also each point's object, by export's --truth.")
 @model_option
 @quiet_option
-def convert(source: Path, output: Path, name: str | None, rig: Path | None, model: str | None, quiet: bool) -> None:
+def convert(
+    source: Path, output: Path, name: str | None, rig: Path | None, truth: Path | None, model: str | None, quiet: bool
+) -> None:
     """Convert a rig, a cloud or a capture for another tool.
 
-    What a format cannot hold is a warning on stderr.
+    What a format cannot hold is a warning on stderr. Of a capture that export wrote, with its record beside it, bags
+    also have the vehicle's poses and the boxes of objects.
 
     \b
     INPUT                 OUTPUT   FORMAT
@@ -42,6 +50,9 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
       .pcap .pcapng       folder   rosbag2-mcap  the same as MCAP; needs --to
                           .mcap    mcap          the same as one MCAP file
                           .bag     rosbag1       the same of ROS 1
+                          folder   kitti-odometry  needs --truth of an export
+                          folder   kitti-object  the same: labels, boxes
+                          folder   nuscenes      the same: all tables
                           .npz     firings       all that each laser measured
     firings: .npz         .pcap    pcap          the capture of it again
                           .pcapng  pcapng        the same, of a pcapng
@@ -51,13 +62,54 @@ def convert(source: Path, output: Path, name: str | None, rig: Path | None, mode
     from lidarcfg.formats import formats
 
     form = formats.chosen(source, output, name)
-    if form.kind != "capture" and (rig or model):
-        raise click.UsageError("--rig and --model are for captures")
-    if form.name == "firings" and rig:
-        raise click.UsageError("--rig is not for firings, which are of each sensor alone")
+    if form.kind != "capture" and (rig or model or truth):
+        raise click.UsageError("--rig, --truth and --model are for captures")
+    if form.name == "firings" and (rig or truth):
+        raise click.UsageError("--rig and --truth are not for firings, which are of each sensor alone")
+    if rig and (truth or form.name in formats.FOLDERS):
+        what = "--truth goes" if truth else f"{form.name} goes"
+        raise click.UsageError(f"{what} by the record beside an exported capture, which names the rig; leave --rig out")
     warnings: list[str] = []
-    found = formats.convert(source, output, form, rig, model, warnings.append)
+    drive = None if rig or form.kind != "capture" or form.name == "firings" else _drive(source, form.name, truth)
+    if drive:
+        from lidarcfg.formats.exported import recording
+
+        made = recording(source, drive, truth, model, warnings.append)
+        found = formats.save_recording(output, form, made, False, warnings.append)
+    else:
+        found = formats.convert(source, output, form, rig, model, warnings.append)
     if not quiet:
         for text in warnings:
             warn(text)
         click.echo(f"{output}: {found}")
+
+
+def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
+    """What an export noted of a capture, or none if it is a recording. Raises ConfigError, also where it is needed."""
+    from lidarcfg.capture.record import load_record, record_path
+    from lidarcfg.errors import ConfigError
+    from lidarcfg.formats.formats import FOLDERS
+    from lidarcfg.rig import load_rig
+    from lidarcfg.simulate.tasks import Drive
+    from lidarcfg.units import SECOND_NS
+    from lidarcfg.world.scene import load_scene
+    from lidarcfg.world.vehicle import carried
+
+    beside = record_path(capture)
+    if not beside.exists():
+        if truth or name in FOLDERS:
+            raise ConfigError(f"{beside}: there is no record of the capture; --truth and {', '.join(FOLDERS)} need it")
+        return None
+    if name in FOLDERS and not truth:
+        raise click.UsageError(f"{name} says what points are on; give --truth, as export wrote it with the capture")
+    record = load_record(capture)
+    hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
+    rig, scene, trajectory, vehicle = (
+        record.path(key, beside, hint) for key in ("rig", "scene", "trajectory", "vehicle")
+    )
+    assert rig
+    assert scene
+    mounted, start_ns = load_rig(rig), nanoseconds(record.start)
+    moved = load_trajectory(trajectory, record.at, start_ns)
+    duration_ns = round(record.duration_s * SECOND_NS)
+    return Drive(mounted, load_scene(scene), moved, carried(mounted, vehicle), start_ns, duration_ns)

@@ -144,7 +144,10 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
 
 
 def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Made:
-    """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects."""
+    """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects.
+
+    Where it is not known what points are on, boxes are of all objects that have some.
+    """
     rig = recording.drive.rig
 
     def made(messages: Messages) -> Timed:
@@ -158,9 +161,9 @@ def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Ma
                 vehicle = {BASE_LINK: recording.T_world_vehicle(pose_ns)}
                 yield TF, messages.transforms(vehicle, MAP, pose_ns), pose_ns
                 pose_ns += TF_STEP_NS
-            fields = (*_family_fields(recording, scan), OBJECT) if scan.driver else PLAIN
-            yield _points(messages, scan, fields, name)
-            boxes = recording.boxes(scan).with_returns()
+            yield _points(messages, scan, _fields(recording, scan), name)
+            boxes = recording.boxes(scan)
+            boxes = boxes if scan.object is None else boxes.with_returns()
             poses = [
                 inverse(recording.T_world_sensor(scan, time_ns)) @ T
                 for time_ns, T in zip(boxes.time_ns.tolist(), boxes.T_world_box, strict=True)
@@ -171,9 +174,12 @@ def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Ma
     return made
 
 
-def _family_fields(recording: Recording, scan: PointCloud) -> tuple[PointField, ...]:
-    """The fields of points as the sensor's driver has them."""
-    return family(recording.mount(scan).sensor.codec or "").point_fields
+def _fields(recording: Recording, scan: PointCloud) -> tuple[PointField, ...]:
+    """The fields of a scan's points; of packets, as the sensor's driver has them, and the object."""
+    if not recording.packets:
+        return PLAIN
+    fields = family(recording.mount(scan).sensor.codec or "").point_fields
+    return fields if scan.object is None else (*fields, OBJECT)
 
 
 def _check_time(last_ns: int, where: Path) -> None:

@@ -16,10 +16,11 @@ from lidarcfg.world.boxes import Boxed, Boxes, boxed, boxes_at
 
 @dataclass(frozen=True)
 class Recording:
-    """Scans of single sensors, in the frame of the sensor, each point with its object, in the order of time."""
+    """Scans of single sensors, in the frame of the sensor, in the order of time; points know their objects, or none."""
 
     drive: Drive
     scans: Iterable[PointCloud]
+    packets: bool = False  # whether points come from packets: bags have them as the makers' drivers do
 
     @cached_property
     def objects(self) -> tuple[Boxed, ...]:
@@ -52,8 +53,9 @@ class Recording:
         return transform(inverse(self.T_world_sensor(scan, stamp_ns(scan))), world)
 
     def boxes(self, scan: PointCloud) -> Boxes:
-        """The boxes in a scan; of objects that were not hit, at its stamp."""
-        return boxes_at(self.objects, [(hits(scan), scan.time_ns)], self.drive.start_ns, stamp_ns(scan))
+        """The boxes in a scan; of objects that were not hit, or where that is not known, at its stamp."""
+        hit = np.empty(0, np.int32) if scan.object is None else scan.object
+        return boxes_at(self.objects, [(hit, scan.time_ns[: len(hit)])], self.drive.start_ns, stamp_ns(scan))
 
 
 def stamp_ns(scan: PointCloud) -> int:

@@ -1,6 +1,7 @@
 """lidarcfg convert as a user types it: which format is meant, what is said, and each mistake in one line."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -42,7 +43,7 @@ def test_help_lists_every_conversion():
     text = run("--help").output
     table, example = text.split("Examples:")
     for form in (form for form in FORMATS if form.kind != "drive"):  # those `export` writes
-        assert form.name in table.replace(".", " ").split()
+        assert form.name in re.split(r"[\s.,:]+", table)
         assert not form.suffix or form.suffix in table.split()
     for suffixes in INPUTS.values():
         assert all(suffix in table.split() for suffix in suffixes)
@@ -106,9 +107,12 @@ def test_mistakes_get_one_line(words, what, here):
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        (("roof.yaml", "-o", "a.urdf", "--rig", "roof.yaml"), "--rig and --model are for captures"),
-        (("c.ply", "-o", "a.las", "--model", "vlp-16"), "--rig and --model are for captures"),
-        (("p.pcap", "-o", "a.npz", "--rig", "roof.yaml"), "--rig is not for firings, which are of each sensor alone"),
+        (("roof.yaml", "-o", "a.urdf", "--rig", "roof.yaml"), "--rig, --truth and --model are for captures"),
+        (("c.ply", "-o", "a.las", "--model", "vlp-16"), "--rig, --truth and --model are for captures"),
+        (
+            ("p.pcap", "-o", "a.npz", "--rig", "roof.yaml"),
+            "--rig and --truth are not for firings, which are of each sensor alone",
+        ),
         (("roof.yaml",), "Missing option '-o' / '--output'"),
         (("-o", "a.las"), "Missing argument 'INPUT'"),
     ],
