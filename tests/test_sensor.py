@@ -45,6 +45,19 @@ def test_the_page_has_each_sensor_of_a_maker():
             assert cells[6] == (f"{known.at_10_percent_m:g}" if known and known.at_10_percent_m else "not known")
 
 
+def test_the_page_says_what_is_not_known():
+    page = (Path(__file__).parents[1] / "docs/sensors.md").read_text()
+    makers = {name: sensor for name in catalogue() if (sensor := load_sensor(name)).maker}
+    for figure, known in {
+        "range": lambda sensor: sensor.range,
+        "range at 10 % reflectivity": lambda sensor: sensor.range and sensor.range.at_10_percent_m,
+        "wavelength, divergence": lambda sensor: sensor.optics,
+        "diameter of the base": lambda sensor: sensor.housing,
+    }.items():
+        (row,) = (line for line in page.splitlines() if line.startswith(f"| {figure} |"))
+        assert row.split("|")[2].split("`")[1::2] == [name for name in makers if not known(makers[name])]
+
+
 def test_the_catalogue_is_read_as_any_file_is():
     for path in catalogue().values():
         assert load(path, Sensor, own=True) == load(path, Sensor)
