@@ -33,15 +33,17 @@ SeenPoints = Callable[[Array], Bools]  # of points (N, 3) which are seen by any 
 
 def seen_by_m3(region: Region, seen_by: NDArray[np.integer], lidars: int) -> Array:
     """(lidars + 1,) the volume of the region that exactly 0, 1, 2 … LiDARs see; seen_by (nx, ny, nz)."""
-    count = np.bincount(seen_by[region.included], minlength=lidars + 1)
+    count = np.zeros(lidars + 1, np.int64)
+    for layer, included in zip(seen_by, region.included, strict=True):
+        count += np.bincount(layer[included], minlength=lidars + 1)
     volume: Array = count * np.prod(region.cuboid_m, dtype=np.float64)
     return volume
 
 
 def fraction_below(region: Region, seen_by: NDArray[np.integer], least: int) -> float:
     """The fraction of the region's volume that fewer than `least` LiDARs see."""
-    of = seen_by[region.included]
-    return float(np.count_nonzero(of < least) / of.size)
+    below = (seen_by < least) & region.included
+    return float(np.count_nonzero(below) / np.count_nonzero(region.included))
 
 
 @dataclass(frozen=True)

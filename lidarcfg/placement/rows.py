@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.jit import inner, njit, outer
-from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, signed_squares
+from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, gaps_at, signed_squares
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility_kernels import (
     LIMITS,
@@ -59,34 +59,43 @@ class Grid(NamedTuple):
     @classmethod
     def of(cls, region: Region, weight: Array | None = None) -> "Grid":
         """The grid of a region; `weight` (nx, ny, nz) by cuboid."""
-        nx, ny, nz = region.shape
-        chunks = -(-nx // 64)
-
-        def pad(bits: NDArray[np.bool_]) -> NDArray[np.bool_]:
-            out = np.zeros((nz + 2, ny + 2, 64 * chunks), bool)
-            out[1:-1, 1:-1, :nx] = bits.transpose(2, 1, 0)
-            return out
-
-        padded = pad(region.included)
-        links = np.stack([padded] * 3)
-        links[0, ..., 1:] &= padded[..., :-1]
-        links[0, ..., 0] = False
-        links[1, :, 1:] &= padded[:, :-1]
-        links[2, 1:] &= padded[:-1]
+        included = packed(region.included)
+        links = np.stack([included] * 3)
+        links[0] &= included << ONE
+        links[0, ..., 1:] |= included[..., 1:] & included[..., :-1] >> np.uint64(63)
+        links[1, :, 1:] &= included[:, :-1]
+        links[2, 1:] &= included[:-1]
         x, y, z = region.centres()
-        x = np.concatenate([x, np.full(64 * chunks - nx, x[-1])])
+        x = np.concatenate([x, np.full(64 * included.shape[2] - len(x), x[-1])])
         ex, ey, ez = region.cuboid_m.tolist()
-        included, edge = _words(padded).ravel(), (ex, ey, ez)
         levels = np.empty(0) if weight is None else np.unique(weight[region.included])[::-1].copy()
         weighted = np.zeros((len(levels), included.size), np.uint64)
         for row, level in zip(weighted, levels, strict=True):
-            row[:] = _words(pad(region.included & (weight == level))).ravel()
-        return cls(x, y, z, included, _words(links).reshape(3, -1), edge, levels, weighted)
+            row[:] = packed(region.included & (weight == level)).ravel()
+        return cls(x, y, z, included.ravel(), links.reshape(3, -1), (ex, ey, ez), levels, weighted)
 
 
-def _words(bits: NDArray[np.bool_]) -> Words:
-    words: Words = np.packbits(bits, axis=-1, bitorder="little").view("<u8").astype(np.uint64)
+def packed(bits: NDArray[np.bool_]) -> Words:
+    """(nz + 2, ny + 2, chunks) the words of flags by cuboid (nx, ny, nz), 64 along x, with a margin of none."""
+    nx, ny, nz = bits.shape
+    words = np.zeros((nz + 2, ny + 2, -(-nx // 64)), np.uint64)
+    for chunk in range(words.shape[2]):
+        octets = np.zeros((nz, ny, 8), np.uint8)
+        found = np.packbits(bits[64 * chunk : 64 * chunk + 64], axis=0, bitorder="little")
+        octets[..., : len(found)] = found.transpose(2, 1, 0)
+        words[1:-1, 1:-1, chunk] = octets.view("<u8")[..., 0]
     return words
+
+
+def unpacked(region: Region, words: Words) -> NDArray[np.bool_]:
+    """(nx, ny, nz) the bits of words (rows,)."""
+    nx, ny, nz = region.shape
+    octets = words.reshape(nz + 2, ny + 2, -1)[1:-1, 1:-1].astype("<u8", copy=False)
+    out = np.empty(region.shape, np.bool_)
+    for first in range(0, nx, 64):
+        chunk = octets[..., first // 64, None].copy().view(np.uint8).transpose(2, 1, 0)
+        out[first : first + 64] = np.unpackbits(chunk, axis=0, bitorder="little")[: nx - first]
+    return out
 
 
 def cuboid_number(grid: Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
@@ -115,7 +124,7 @@ def put_links(out: Words, links: Words) -> None:
 class Work(NamedTuple):
     """Scratch memory of `link`; each thread has its own."""
 
-    beyond: Words  # (lidars, rows, beams) the centres at or above each beam
+    beyond: Words  # (lidars, rows of two layers, beams) the centres at or above each beam
     guess: Counts  # (lidars,) a beam that passes near the last row
     squares: Array  # (2, 64) signed_squares of a row's centres
     links: Words  # (3, rows) the result
@@ -125,8 +134,10 @@ class Work(NamedTuple):
 
 def check_room(grid: Grid, lidars: int, beams: int, threads: int = 1) -> None:
     """Raises LidarcfgError where memory does not hold that many threads' `room`."""
-    needed = 8.0 * grid.included.size * lidars * beams * threads
-    what = f"comparing {64 * grid.included.size:,} cuboids with {lidars * beams:,} beams on {threads} threads"
+    rows = grid.included.size
+    layer = rows // (grid.z.size + 2)
+    needed = 8.0 * threads * lidars * (2 * layer * beams + rows)
+    what = f"comparing {64 * rows:,} cuboids with {lidars * beams:,} beams on {threads} threads"
     check_memory(what, needed, "use larger cuboids or fewer beams")
 
 
@@ -135,7 +146,7 @@ def room(grid: Grid, lidars: int, beams: int, looks: Looks) -> Work:
     """Work on a grid, for up to so many LiDARs of so many beams."""
     rows = grid.included.size
     return Work(
-        np.empty((lidars, rows, beams), np.uint64),
+        np.empty((lidars, 2 * (rows // (grid.z.size + 2)), beams), np.uint64),
         np.zeros(lidars, np.int64),
         np.empty((2, 64)),
         np.zeros((3, rows), np.uint64),
@@ -237,33 +248,36 @@ def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, wo
         look(grid, cones, moved, sight, work.looks, seen)
     step_y, step_z = steps(grid)
     for k in range(zs.size):
+        first = (k + 1) * step_z  # row of this layer, whose words are in one half of `beyond`
+        here, below = (k & 1) * step_z, (1 - (k & 1)) * step_z
         for j in range(ys.size):
             for chunk in range(step_y):
-                row = (k + 1) * step_z + (j + 1) * step_y + chunk
-                if included[row] != NONE:
+                at = (j + 1) * step_y + chunk
+                if included[first + at] != NONE:
                     for lidar in moved:
                         square_up(xs, chunk * 64, ys[j], zs[k], cones, lidar, squares)
-                        _compare(row, cones, lidar, squares, guess, beyond)
+                        _compare(here + at, cones, lidar, squares, guess, beyond)
                         if limited:
                             for beam in range(beyond.shape[2]):
-                                beyond[lidar, row, beam] &= seen[lidar, row]
-    for row in range(step_z, included.size - step_z):
-        if included[row] != NONE:
-            x, y, z = fixed[0, row], fixed[1, row], fixed[2, row]
-            for lidar in moved:
-                unlike_x = unlike_y = unlike_z = NONE  # on another side of some beam
-                for beam in range(beyond.shape[2]):
-                    here = beyond[lidar, row, beam]
-                    unlike_x |= here ^ (here << ONE | beyond[lidar, row - 1, beam] >> np.uint64(63))
-                    unlike_y |= here ^ beyond[lidar, row - step_y, beam]
-                    unlike_z |= here ^ beyond[lidar, row - step_z, beam]
-                if limited:
-                    here = seen[lidar, row]
-                    unlike_x |= here ^ (here << ONE | seen[lidar, row - 1] >> np.uint64(63))
-                    unlike_y |= here ^ seen[lidar, row - step_y]
-                    unlike_z |= here ^ seen[lidar, row - step_z]
-                x, y, z = x & ~unlike_x, y & ~unlike_y, z & ~unlike_z
-            links[0, row], links[1, row], links[2, row] = x, y, z
+                                beyond[lidar, here + at, beam] &= seen[lidar, first + at]
+        for at in range(step_y, step_z - step_y):
+            row = first + at
+            if included[row] != NONE:
+                x, y, z = fixed[0, row], fixed[1, row], fixed[2, row]
+                for lidar in moved:
+                    unlike_x = unlike_y = unlike_z = NONE  # on another side of some beam
+                    for beam in range(beyond.shape[2]):
+                        word = beyond[lidar, here + at, beam]
+                        unlike_x |= word ^ (word << ONE | beyond[lidar, here + at - 1, beam] >> np.uint64(63))
+                        unlike_y |= word ^ beyond[lidar, here + at - step_y, beam]
+                        unlike_z |= word ^ beyond[lidar, below + at, beam]
+                    if limited:
+                        word = seen[lidar, row]
+                        unlike_x |= word ^ (word << ONE | seen[lidar, row - 1] >> np.uint64(63))
+                        unlike_y |= word ^ seen[lidar, row - step_y]
+                        unlike_z |= word ^ seen[lidar, row - step_z]
+                    x, y, z = x & ~unlike_x, y & ~unlike_y, z & ~unlike_z
+                links[0, row], links[1, row], links[2, row] = x, y, z
 
 
 def linked(region: Region, lidars: Sequence[Lidar], sight: Sight = EVERYTHING) -> tuple[Grid, Work]:
@@ -283,17 +297,7 @@ def seen_words(region: Region, lidars: Sequence[Lidar], sight: Sight) -> Words:
     return out
 
 
-def unpacked(region: Region, words: Words) -> NDArray[np.bool_]:
-    """(…, nx, ny, nz) the bits of words (…, rows)."""
-    nx, ny, nz = region.shape
-    rows = words.reshape(*words.shape[:-1], nz + 2, ny + 2, -1)[..., 1:-1, 1:-1, :]
-    bits = np.unpackbits(np.ascontiguousarray(rows, "<u8").view(np.uint8), axis=-1, bitorder="little")
-    return bits[..., :nx].swapaxes(-1, -3).astype(np.bool_)
-
-
 def beam_gaps(region: Region, lidar: Lidar) -> Counts:
     """(nx, ny, nz) the beam gap index of each cuboid: how many of a LiDAR's cones lie at or below its centre."""
-    _, work = linked(region, [lidar])
-    bits = unpacked(region, np.moveaxis(work.beyond[0], 1, 0))
-    out: Counts = bits.sum(axis=0, dtype=np.int64)
-    return out
+    points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1)
+    return gaps_at(points.reshape(-1, 3), lidar).reshape(region.shape)

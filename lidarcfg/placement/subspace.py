@@ -31,17 +31,18 @@ class Subspaces:
     internal: NDArray[np.int64]  # (n, 3) faces inside each, across x, y and z
     gap: NDArray[np.int64]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it, or BLIND
     first: NDArray[np.int64]  # (n,) the first cuboid of each, as an index into the flat region
-    seen: NDArray[np.bool_] | None = None  # (lidars, nx, ny, nz) what each LiDAR sees; None: all that counts
+    seen: NDArray[np.integer] | None = None  # (nx, ny, nz) by how many LiDARs, 0 if excluded; None: by all
 
     def __len__(self) -> int:
         return len(self.cuboids)
 
     @property
-    def seen_by(self) -> NDArray[np.int64]:
+    def seen_by(self) -> NDArray[np.integer]:
         """(nx, ny, nz) by how many LiDARs each cuboid is seen; 0 where it is excluded."""
-        if self.seen is None:
-            return self.region.included * np.int64(self.gap.shape[1])
-        count: NDArray[np.int64] = self.seen.sum(axis=0, dtype=np.int64)
+        if self.seen is not None:
+            return self.seen
+        lidars = self.gap.shape[1]
+        count: NDArray[np.integer] = self.region.included * np.array(lidars, np.min_scalar_type(lidars))
         return count
 
     def voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
@@ -88,8 +89,13 @@ def _subspaces(
     label, cuboids, internal, first = flood.components(grid, region.shape, links)
     index = np.unravel_index(first, region.shape)
     points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
-    gap, seen = beam_gap_table(points, cone_rows(lidars)), None
-    if seen_words is not None:
-        seen = rows.unpacked(region, seen_words)
-        gap[~seen.reshape(len(lidars), -1)[:, first].T] = BLIND
-    return Subspaces(region, label, cuboids, internal, gap, first, seen)
+    gap = beam_gap_table(points, cone_rows(lidars))
+    if seen_words is None:
+        return Subspaces(region, label, cuboids, internal, gap, first)
+    i, j, k = index
+    number = rows.cuboid_number(grid, (i, j, k))
+    gap[(seen_words[:, number >> 6] >> (number & 63).astype(np.uint64) & rows.ONE).T == 0] = BLIND
+    seen_by = np.zeros(region.shape, np.min_scalar_type(len(lidars)))
+    for words in seen_words:
+        seen_by += rows.unpacked(region, words)
+    return Subspaces(region, label, cuboids, internal, gap, first, seen_by)
