@@ -101,8 +101,8 @@ def export(
     """Simulate what a rig's sensors send, or see, in a scene.
 
     A pcap holds their packets; other formats hold points with the ground truth. The vehicle stands, or moves along a
-    trajectory. The same input gives the same bytes. What it was is noted in a YAML file beside the output, by which
-    `decode --deskew` takes the motion out.
+    trajectory. The same input gives the same bytes. A YAML file beside the output notes rig, scene and trajectory, so
+    that `decode --deskew` and `view` need not be told again.
 
     \b
     OUTPUT      FORMAT

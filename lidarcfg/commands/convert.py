@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a cloud or a capture.")
 @cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; its suffix is the format.")
 @cloup.option("--to", "name", metavar="FORMAT", help="The format, where the suffix does not name it.")
-@cloup.option("--rig", type=FILE, help="A capture's rig: its sensors' names and poses, and nothing else of a drive.")
+@cloup.option(
+    "--rig", type=FILE, help="The rig that names and places a capture's sensors, instead of what its export noted."
+)
 @cloup.option("--truth", type=FILE, metavar="NPZ", help="Also each point's object, by export's --truth.")
 @model_option
 @quiet_option

@@ -90,8 +90,8 @@ def optimize(
     Ctrl-C ends the search and keeps the best rig found. While it runs, rig.yaml and search.npz are updated every few
     seconds, so that --resume can continue even a search that was killed.
 
-    A study that lets one choose sensors gives the rigs that no other is both cheaper and better than: front.html, and a
-    folder for each in points/. Budgets count for all combinations together.
+    A study with `choose` has a front as its result: the rigs that no other one beats in both price and objective, in
+    front.html, and a folder for each in points/. Its budget is for all combinations together.
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
