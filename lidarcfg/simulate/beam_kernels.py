@@ -1,32 +1,33 @@
 """The rays of wide beams: those of a packet of firings are tested against the few shapes that the beams may hit.
 
 The middle rays are traced as thin beams are. Then one walk through the tree, with bounds of all rays' origins and
-directions, lists the shapes whose boxes any ray may enter, up to a little beyond what the middle rays hit. The other
-rays are tested against these alone, by the operations of every other ray, and are traced in full where that settles
-nothing: where one hits nothing so near, where the list is full, where the rays do not face the same way. So no result
-depends on the list.
+directions, lists the shapes whose boxes any ray may enter, up to a little beyond what the middle rays hit; where a ray
+hits nothing so near, another one lists those up to the limit. The other rays are tested against these alone, by the
+operations of every other ray, and are traced in full where a list is full or a dynamic object near. So no result
+depends on the lists.
 """
 
 # mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
-import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
 from lidarcfg.simulate.simulator_kernels import (
     BLOCK_NS,
-    _aim,
-    _box,
-    _drift,
-    _hit_bodies,
-    _may_hit,
-    _mounted,
-    _moved,
-    _place,
+    aimed,
     grouped,
+    hit_bodies,
+    new_aim,
+    new_own,
+    sideways,
+    spread,
+    swept_in,
+    turned,
 )
 from lidarcfg.world.bvh import TRIANGLE
-from lidarcfg.world.motion_kernels import VELOCITY, matrix, times
 from lidarcfg.world.shapes import FAST
 from lidarcfg.world.tracer_kernels import (
     DX,
@@ -44,115 +45,115 @@ from lidarcfg.world.tracer_kernels import (
     load,
     new_packet,
     normal_at,
-    ray_of,
     row,
 )
-from lidarcfg.world.world_kernels import GROUND, hit, hit_dynamic, keep, keep_normals, new_poses, swept
+from lidarcfg.world.world_kernels import GROUND, hit, hit_dynamic, keep_normals, swept
 
-BEYOND, BEYOND_M = 1.02, 0.3  # how much farther than what the middle rays hit the list of shapes goes
+BEYOND, BEYOND_M = 1.02, 0.3  # how much farther than what the middle rays hit the first list of shapes goes
 PAD, WIDER = 1e-6, 1e-6  # m, and a part of a coordinate, by which boxes are larger
-FLATTEST = 1e-30  # of a direction's component
+SLACK = 1 + 1e-9  # of distances along rays
+NEAR, WHOLE = range(2)  # lists of shapes
+FULL, UNKNOWN = -1, -2  # instead of their lengths
+LOW, HIGH, BACK, AHEAD = range(4)  # rows of a cone
+OTHER = -5  # no slot
 
 
-@inner(fastmath=FAST)
-def _sideways(axes, right):
-    """Write the unit vectors (2, SIZE) to the right of axes, in the plane."""
-    for n in range(SIZE):
-        flat = math.sqrt(axes[0, n] * axes[0, n] + axes[1, n] * axes[1, n])
-        right[0, n], right[1, n] = axes[1, n] / flat, -axes[0, n] / flat
+class Beams(NamedTuple):
+    """Working memory: what the rays of a packet of beams may hit, and what some of them do."""
+
+    cone: Array  # (4, 3) bounds of origins, and of directions
+    box: NDArray[np.float32]  # (6,) of a shape
+    shapes: NDArray[np.int32]  # (2, most) that the rays may hit: nearby, and up to the limit
+    counts: NDArray[np.int64]  # (2,) of these; FULL, or UNKNOWN
+    range_m: Array  # (SIZE,) of what the rays hit
+    slot: NDArray[np.int64]  # (SIZE,)
+    cosine: Array  # (SIZE,)
+    normal: Array  # (3, SIZE) of the shapes last hit by the rays of each beam
+    of: NDArray[np.int64]  # (SIZE,) the slots of these shapes
 
 
-@inner(fastmath=FAST)
-def _spread(axes, right, across, above, beams):
-    """Write the directions (3, SIZE) of rays so far beside the axes, to the right and above."""
-    for n in range(SIZE):
-        x, y, z, u, v = axes[0, n], axes[1, n], axes[2, n], right[0, n], right[1, n]
-        if across != 0 or above != 0:
-            x, y, z = x + across * u + above * (v * z), y + across * v - above * (u * z), z + above * (u * y - v * x)
-            length = math.sqrt(x * x + y * y + z * z)
-            x, y, z = x / length, y / length, z / length
-        beams[0, n], beams[1, n], beams[2, n] = x, y, z
+@inner(makes_arrays=True)
+def _new_beams(most):
+    """Working memory for lists of so many shapes."""
+    return Beams(
+        np.empty((4, 3)), np.empty(6, np.float32), np.empty((2, most), np.int32), np.zeros(2, np.int64),
+        np.empty(SIZE), np.empty(SIZE, np.int64), np.empty(SIZE), np.zeros((3, SIZE)), np.full(SIZE, OTHER),
+    )  # fmt: skip
 
 
-@inner(fastmath=FAST)
-def _turned(R, beams, directions):
-    """Write directions (3, SIZE) rotated by R (9, SIZE)."""
-    for n in range(SIZE):
-        x, y, z = beams[0, n], beams[1, n], beams[2, n]
-        directions[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * z
-        directions[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * z
-        directions[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z
+@inner()
+def _widest(lasers):
+    """The tangent of the largest angle between a ray and its beam's axis."""
+    widest = 0.0
+    for k in range(len(lasers.across)):
+        widest = max(widest, (lasers.across[k] ** 2 + lasers.above[k] ** 2) ** 0.5)
+    return widest
 
 
-@inner(fastmath=FAST)
-def _bounds(origins, directions, count, face, low, high, least, most):
-    """The bounds (3,) of origins, and of 1 / directions without signs, of rays (K, 3, SIZE); whether all face so.
-
-    Those of directions are of all SIZE rays of a packet, also beyond its count.
-    """
-    so = True
+@inner()
+def _bound(origins, directions, count, wider, cone):
+    """Write the cone of rays (3, count), whose directions are wider by so much; returns the axes, as bits, that may be
+    the largest of a direction."""
     for axis in range(3):
-        start, end, back, ahead = 1e300, -1e300, 1e300, -1e300
+        low, high, back, ahead = 1e300, -1e300, 1e300, -1e300
         for n in range(count):
-            start, end = min(start, origins[axis, n]), max(end, origins[axis, n])
-        for k in range(len(directions)):
-            for n in range(SIZE):
-                back, ahead = min(back, directions[k, axis, n]), max(ahead, directions[k, axis, n])
-        if face & (4 << axis):
-            back, ahead = -ahead, -back
-            so &= back > 0
-        so &= back >= 0
-        low[axis], high[axis] = start, end
-        least[axis], most[axis] = 1 / max(ahead, FLATTEST), 1 / max(back, FLATTEST)
-    largest = face & 3
+            low, high = min(low, origins[axis, n]), max(high, origins[axis, n])
+            back, ahead = min(back, directions[axis, n]), max(ahead, directions[axis, n])
+        cone[LOW, axis], cone[HIGH, axis], cone[BACK, axis], cone[AHEAD, axis] = low, high, back - wider, ahead + wider
+    axes, sure = 0, 0.0
     for axis in range(3):
-        so &= axis == largest or most[largest] < least[axis]
-    return so
+        sure = max(sure, cone[BACK, axis], -cone[AHEAD, axis])  # the largest component is at least this
+    for axis in range(3):
+        axes |= (max(cone[AHEAD, axis], -cone[BACK, axis]) >= sure) << axis
+    return axes
 
 
 @inner(error_model="numpy")
-def _keep_cosines(shapes, kind, rays, rows, count, face, cosine):
-    """Write the cosines of the angles between rays and what they hit, of static objects; whether all are."""
-    last, nx, ny, nz = -5, 0.0, 0.0, 1.0
-    for n in range(count):
-        s = int(rays[SLOT + n])
-        if s >= len(kind):
-            return False
-        x, y, z, dx, dy, dz = ray_of(rays, n, face)
-        if s != last or (s >= 0 and kind[s] != TRIANGLE):
-            last, nx, ny, nz = s, 0.0, 0.0, 1.0
-            if s >= 0:
-                nx, ny, nz = normal_at(shapes, kind, s, x, y, z, dx, dy, dz, rays[RANGE + n])
-        if s != NONE:
-            cosine[rows[n]] = abs(nx * dx + ny * dy + nz * dz)
-    return True
-
-
-@inner()
-def _entered(boxes, at, face, low, high, least, most, far):
-    """Whether any of the rays with these bounds may enter a box before `far`."""
+def _entered(boxes, at, cone, far):
+    """Whether any of the rays in a cone may enter a box before `far`."""
     near, end = 0.0, far
     for axis in range(3):
-        below, above = float(boxes[at + axis]), float(boxes[at + 3 + axis])
-        pad = PAD + WIDER * max(abs(below), abs(above))
-        first, last = below - high[axis] - pad, above - low[axis] + pad
-        if face & (4 << axis):
-            first, last = low[axis] - above - pad, high[axis] - below + pad
+        low, high, back, ahead = (
+            float(boxes[at + axis]),
+            float(boxes[at + 3 + axis]),
+            cone[BACK, axis],
+            cone[AHEAD, axis],
+        )
+        pad = PAD + WIDER * max(abs(low), abs(high))
+        first, last = low - pad - cone[HIGH, axis], high + pad - cone[LOW, axis]  # to the box from the nearest ray
+        if first > 0:
+            if ahead <= 0:
+                return False
+            near = max(near, first / ahead)
         if last < 0:
-            return False
-        near = max(near, first * least[axis] if first > 0 else 0.0)
-        end = min(end, last * most[axis])
-    return near <= end
+            if back >= 0:
+                return False
+            near = max(near, last / back)
+        if back > 0:
+            end = min(end, last / back)
+        if ahead < 0:
+            end = min(end, first / ahead)
+    return near <= end * SLACK
 
 
 @inner()
-def _listed(tree, codes, face, low, high, least, most, far, out):
-    """Write the shapes of a tree that rays with these bounds may hit before `far`; how many, or -1: too many."""
+def _may_hit_shape(tree, s, cone, far, box):
+    """Whether any of the rays in a cone may hit shape s before `far`."""
+    if tree.kind[s] != TRIANGLE:
+        return True
+    for axis in range(3):
+        a, b, c = tree.shapes[9 * s + axis], tree.shapes[9 * s + 3 + axis], tree.shapes[9 * s + 6 + axis]
+        box[axis], box[3 + axis] = min(a, b, c), max(a, b, c)
+    return _entered(box, 0, cone, far)
+
+
+@inner()
+def _listed(tree, codes, cone, far, box, out):
+    """Write the shapes of a tree that rays in a cone may hit before `far`; how many, or FULL: too many."""
     code, waiting, count = tree.root, 0, 0
     while True:
         if code >= 0:
-            first = _entered(tree.boxes, 12 * code, face, low, high, least, most, far)
-            second = _entered(tree.boxes, 12 * code + 6, face, low, high, least, most, far)
+            first, second = _entered(tree.boxes, 12 * code, cone, far), _entered(tree.boxes, 12 * code + 6, cone, far)
             one, other = tree.children[2 * code], tree.children[2 * code + 1]
             if first and second:
                 codes[waiting] = other
@@ -163,128 +164,173 @@ def _listed(tree, codes, face, low, high, least, most, far, out):
         else:
             leaf = ~code
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
-                if count == len(out):
-                    return -1
-                out[count] = s
-                count += 1
+                if _may_hit_shape(tree, s, cone, far, box):
+                    if count == len(out):
+                        return FULL
+                    out[count] = s
+                    count += 1
         if not waiting:
             return count
         waiting -= 1
         code = codes[waiting]
 
 
-@inner(error_model="numpy")
-def _settled(ground_m, static, packet, listed, some, face, origins, directions, count, limit_m, far):
-    """Test rays (3, count) against the ground and the listed shapes; whether what they hit is nearer than `far`."""
-    rays, middle, beyond = packet.rays, OX + row(face, 2), DX + row(face, 2)
-    for axis in range(3):
-        start, way = OX + row(face, axis), DX + row(face, axis)
-        for n in range(SIZE):
-            rays[start + n], rays[way + n] = origins[axis, n], directions[axis, n]
-        for n in range(count, SIZE):
-            rays[start + n], rays[way + n] = origins[axis, count - 1], directions[axis, count - 1]
-    for n in range(SIZE):
-        down = (ground_m - rays[middle + n]) / rays[beyond + n]
+@inner(fastmath=FAST, error_model="numpy")
+def _test(ground_m, static, packet, shapes, count, axis, origins, directions, limit_m):
+    """Find what rays (3, SIZE), the largest component of whose directions is `axis`, hit of ground and shapes."""
+    rays, width = packet.rays, origins.shape[1]
+    for k in range(3):
+        start, way = OX + row(axis, k), DX + row(axis, k)
+        for n in range(width):
+            rays[start + n], rays[way + n] = origins[k, n], directions[k, n]
+    for n in range(width):
+        down = (ground_m - origins[2, n]) / directions[2, n]
         ground = (down > 0) & (down <= limit_m) & (down < FARTHEST)
         rays[RANGE + n] = down if ground else limit_m
         rays[SLOT + n] = GROUND if ground else NONE
-    if some:
+    if count:
         _shear(rays)
-    for i in range(some):
-        s = listed[i]
+    for i in range(count):
+        s = shapes[i]
         if static.kind[s] == TRIANGLE:
-            _test_triangle(static.shapes, s, face, rays, 0.0)
+            _test_triangle(static.shapes, s, axis, rays, 0.0)
         else:
-            _test_round(static.shapes, static.kind, s, face, rays, 0.0)
-    so = True
-    for n in range(SIZE):
-        so &= rays[RANGE + n] <= far
-    return so or far >= limit_m
+            _test_round(static.shapes, static.kind, s, axis, rays, 0.0)
+
+
+@inner()
+def _settle(ground_m, static, packet, beams, which, axes, origins, directions, count, limit_m, far):
+    """Test rays (3, count) against a list of shapes; whether all hit something nearer than `far`."""
+    rays, settled = packet.rays, True
+    for axis in range(3):
+        if axes >> axis & 1:
+            _test(
+                ground_m, static, packet, beams.shapes[which], beams.counts[which], axis, origins, directions, limit_m
+            )
+            for n in range(count):
+                if axes == 1 << axis or facing(directions[0, n], directions[1, n], directions[2, n]) & 3 == axis:
+                    beams.range_m[n], beams.slot[n] = rays[RANGE + n], int(rays[SLOT + n])
+                    settled &= rays[RANGE + n] <= far
+    return settled or far >= limit_m
+
+
+@inner(fastmath=FAST, error_model="numpy")
+def _cosines(static, beams, origins, directions, count):
+    """Find the cosines of the angles between rays (3, count) and what they hit of static objects."""
+    kind, normal, of = static.kind, beams.normal, beams.of
+    for n in range(count):
+        s = beams.slot[n]
+        if s != of[n] or (s >= 0 and kind[s] != TRIANGLE):
+            nx, ny, nz = 0.0, 0.0, 1.0
+            if 0 <= s < len(kind):
+                x, y, z, dx, dy, dz = (
+                    origins[0, n], origins[1, n], origins[2, n], directions[0, n], directions[1, n], directions[2, n]
+                )  # fmt: skip
+                nx, ny, nz = normal_at(static.shapes, kind, s, x, y, z, dx, dy, dz, beams.range_m[n])
+            normal[0, n], normal[1, n], normal[2, n], of[n] = nx, ny, nz, s
+    for n in range(directions.shape[1]):
+        along = normal[0, n] * directions[0, n] + normal[1, n] * directions[1, n] + normal[2, n] * directions[2, n]
+        beams.cosine[n] = abs(along)
+
+
+@inner()
+def _keep(beams, rows, count, slots, found):
+    """Write what rays hit to rows (count,); the cosines only of what is static, and where there are rows."""
+    range_m, slot, cosine, cosines = found.range_m, found.slot, found.cosine, len(found.cosine) > 0
+    for n in range(count):
+        at, s = rows[n], beams.slot[n]
+        slot[at], range_m[at] = s, beams.range_m[n] if s != int(NONE) else np.inf
+        if cosines and s != int(NONE) and s < slots:
+            cosine[at] = beams.cosine[n]
+
+
+@inner()
+def _take(rays, beams, first, count):
+    """Take over what a packet's rays hit, from `first` on; returns the highest slot."""
+    most = NONE
+    for n in range(count):
+        beams.range_m[first + n], beams.slot[first + n] = rays[RANGE + n], int(rays[SLOT + n])
+        most = max(most, rays[SLOT + n])
+    return most
+
+
+@inner()
+def _beyond(beams, count, limit_m):
+    """A little farther than what rays hit."""
+    far = 0.0
+    for n in range(count):
+        far = max(far, beams.range_m[n])
+    return min(far * BEYOND + BEYOND_M, limit_m)
+
+
+@inner()
+def _look(moving, packet, beams, far, limit_m):
+    """Begin the lists of what the rays of a cone may hit; returns whether that is static objects alone."""
+    counts = beams.counts
+    counts[NEAR], counts[WHOLE] = UNKNOWN, UNKNOWN if far < limit_m else FULL
+    if not len(moving.kind):
+        return True
+    return _listed(moving, packet.codes, beams.cone, limit_m, beams.box, beams.shapes[NEAR]) == 0
+
+
+@inner()
+def _settled(ground_m, static, packet, beams, axes, origins, directions, count, limit_m, far):
+    """Whether the lists of shapes say what rays (3, count) hit, and that then."""
+    for which in range(2):
+        end = far if which == NEAR else limit_m
+        if beams.counts[which] == UNKNOWN:
+            beams.counts[which] = _listed(static, packet.codes, beams.cone, end, beams.box, beams.shapes[which])
+        if beams.counts[which] != FULL and _settle(
+            ground_m, static, packet, beams, which, axes, origins, directions, count, limit_m, end
+        ):
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
 def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, most_listed, found):
     """As `trace_firings` does, for beams of several rays; up to so many shapes are listed for a packet of beams."""
-    time_ns, laser, encoder_rad = firings
-    static, dynamic, ground_m, range_m, slot = world.static, world.dynamic, world.ground_m, found.range_m, found.slot
-    dynamics, slots, cosines, rays = len(dynamic.roots), len(static.kind), len(found.cosine), len(lasers.across)
-    group, order = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
-    seconds, encoder, path_s, rows = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.empty(SIZE, np.int64)
-    packet, moved, R, t = new_packet(dynamics), new_poses(), np.empty((9, SIZE)), np.empty((3, SIZE))
-    axes, origins, all_directions = np.empty((3, SIZE)), np.empty((3, SIZE)), np.empty((rays, 3, SIZE))
-    own_origins, own_directions = np.empty((3, SIZE)), np.empty((3, SIZE))
-    bodies, own, own_slots = frames.bodies, len(frames.bodies.kind) > 0, slots + len(dynamic.trees.kind)
-    (own_R, own_t), box, right = _mounted(frames), _box(bodies), np.empty((2, SIZE))
-    starts, beams = np.empty((3, SIZE)), np.empty((rays, 3, SIZE))
-    low, high, least, most = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    listed, near_dynamic = np.empty(most_listed, np.int32), np.empty(1, np.int32)
-    turns, v = frames.paths.kind[0] > VELOCITY, frames.paths.values[0]
-    slope = times(matrix(frames.R_world_start), v[0], v[1], v[2])
-    _place(frames, path_s, SIZE, moved, R, t)
-    base, block, first, middle = t[:, 0].copy(), -1, 0, rays // 2
-    moving = swept(dynamic, 0.0, 0.0)
-    while first < len(order):
-        here, count = group[order[first]], 0
-        while count < SIZE and first + count < len(order) and group[order[first + count]] == here:
-            n = order[first + count]
-            seconds[count], path_s[count] = (time_ns[n] - zero_ns) / 1e9, (time_ns[n] - frames.zero_ns) / 1e9
-            encoder[count] = encoder_rad[n]
-            count += 1
+    time_ns, laser, _ = firings
+    static, dynamic, ground_m, cosines = world.static, world.dynamic, world.ground_m, len(found.cosine)
+    dynamics, slots, rays, wider = len(dynamic.roots), len(static.kind), len(lasers.across), _widest(lasers)
+    group, order, cuts = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
+    packet, aim, own, block, beams = new_packet(dynamics), new_aim(frames), new_own(frames), -1, _new_beams(most_listed)
+    seconds, placed, axes, starts, origins, rows = aim.seconds, aim.placed, aim.axes, aim.starts, aim.origins, aim.rows
+    right, lights, directions = np.empty((2, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
+    bodies, own_slots, moving = len(frames.bodies.kind), slots + len(dynamic.trees.kind), swept(dynamic, 0.0, 0.0)
+    for p in range(len(cuts) - 1):
+        which = order[cuts[p] : cuts[p + 1]]
+        here, count = group[which[0]], len(which)
         if dynamics and here // len(lasers.left_m) != block:
             block = here // len(lasers.left_m)
-            begin_s = (time_ns.min() + block * BLOCK_NS - zero_ns) / 1e9
-            moving = swept(dynamic, begin_s, begin_s + BLOCK_NS / 1e9)
-        if turns:
-            _place(frames, path_s, count, moved, R, t)
-        else:
-            _drift(base, slope, path_s, t)
-        _aim(lasers, here % len(lasers.left_m), encoder, axes, starts)
-        _sideways(axes, right)
-        _moved(R, t, starts, axes, origins, all_directions[middle])
-        for ray in range(rays):
-            _spread(axes, right, lasers.across[ray], lasers.above[ray], beams[ray])
-            _turned(R, beams[ray], all_directions[ray])
-        face = facing(all_directions[middle, 0, 0], all_directions[middle, 1, 0], all_directions[middle, 2, 0])
-        together = most_listed > 0 and _bounds(origins, all_directions, count, face, low, high, least, most)
-        some, far, still = -1, limit_m, True
+            moving = swept_in(dynamic, time_ns, block, zero_ns)
+        aimed(aim, lasers, frames, firings, zero_ns, which, here % len(lasers.left_m))
+        sideways(axes, right)
+        near, largest, far = False, 0, limit_m
         for k in range(rays):
-            ray = (middle + k) % rays
-            directions = all_directions[ray]
+            ray = (rays // 2 + k) % rays
+            spread(axes, right, lasers.across[ray], lasers.above[ray], lights)
+            turned(aim.R, lights, directions)
             for n in range(count):
-                rows[n] = order[first + n] * rays + ray
-            if k == 1 and together:
-                far = 0.0
-                for n in range(count):
-                    far = max(far, range_m[order[first + n] * rays + middle])
-                far = min(far * BEYOND + BEYOND_M, limit_m)
-                some = _listed(static, packet.codes, face, low, high, least, most, far, listed)
-                still = not dynamics
-                if dynamics:
-                    still = _listed(moving, packet.codes, face, low, high, least, most, limit_m, near_dynamic) == 0
+                rows[n] = which[n] * rays + ray
             done = 0
-            near = some >= 0 and still
-            if near and _settled(
-                ground_m, static, packet, listed, some, face, origins, directions, count, limit_m, far
-            ):
-                keep(packet.rays, rows, 0, count, range_m, slot)
-                if cosines:
-                    _keep_cosines(static.shapes, static.kind, packet.rays, rows, count, face, found.cosine)
+            if near and _settled(ground_m, static, packet, beams, largest, origins, directions, count, limit_m, far):
                 done = count
             while done < count:
-                part, faced = alike(directions, done, count)
-                load(packet.rays, packet.slabs, origins, directions, done, part, faced)
-                hit(ground_m, static, packet, faced, limit_m)
+                part, face = alike(directions, done, count)
+                load(packet.rays, packet.slabs, origins, directions, done, part, face)
+                hit(ground_m, static, packet, face, limit_m)
                 if dynamics:
-                    hit_dynamic(dynamic, moving, packet, moved, seconds, done, part, faced, slots)
-                keep(packet.rays, rows, done, part, range_m, slot)
-                alone = done == 0 and cosines > 0
-                if alone:
-                    alone = _keep_cosines(static.shapes, static.kind, packet.rays, rows, part, faced, found.cosine)
-                if cosines and not alone:
-                    keep_normals(world, packet, moved, seconds, done, part, faced, rows, found)
+                    hit_dynamic(dynamic, moving, packet, placed, seconds, done, part, face, slots)
+                if _take(packet.rays, beams, done, part) >= slots and cosines:
+                    keep_normals(world, packet, placed, seconds, done, part, face, rows, found)
                 done += part
-            if own:
-                _moved(own_R, own_t, starts, beams[ray], own_origins, own_directions)
-                if _may_hit(box, own_origins, own_directions):
-                    _hit_bodies(bodies, packet, own_origins, own_directions, rows, count, limit_m, own_slots, found)
-        first += count
+            if cosines:
+                _cosines(static, beams, origins, directions, count)
+            _keep(beams, rows, count, slots, found)
+            if k == 0 and most_listed:
+                far = _beyond(beams, count, limit_m)
+                largest = _bound(origins, directions, count, wider, beams.cone)
+                near = _look(moving, packet, beams, far, limit_m)
+            if bodies:
+                hit_bodies(own, packet, starts, lights, rows, count, limit_m, own_slots, found)

@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
@@ -12,7 +13,7 @@ from lidarcfg.world.bvh import Tree, bounds
 from lidarcfg.world.motion_kernels import VELOCITY, Paths, column, matrix, poses, product, times
 from lidarcfg.world.shapes import FAST
 from lidarcfg.world.tracer_kernels import RANGE, SIZE, SLOT, alike, load, new_packet, normal_at, ray_of, trace
-from lidarcfg.world.world_kernels import hit, hit_dynamic, keep, keep_normals, new_poses, swept
+from lidarcfg.world.world_kernels import Poses, hit, hit_dynamic, keep, keep_normals, new_poses, swept
 
 FLATTEST, SLACK_M = 1e-18, 1e-6  # of a direction's component; by which a box is larger
 BLOCK_NS = 50_000_000  # for which dynamic objects are held by the same spheres
@@ -50,11 +51,39 @@ class Frames(NamedTuple):
     bodies: Tree  # of what travels along, in the vehicle frame
 
 
+class Aim(NamedTuple):
+    """Working memory: where the beams of up to SIZE firings of one laser start and point, and when."""
+
+    seconds: Array  # (SIZE,) since time 0 of the dynamic objects
+    path_s: Array  # (SIZE,) since time 0 of the path
+    encoder: Array  # (SIZE,)
+    placed: Poses
+    R: Array  # (9, SIZE) of the sensor in the world
+    t: Array  # (3, SIZE)
+    base: Array  # (3,) where the sensor is at time 0 of the path
+    slope: Array  # (3,) its velocity, if that is constant
+    axes: Array  # (3, SIZE) of the beams, in the sensor's frame
+    starts: Array  # (3, SIZE)
+    origins: Array  # (3, SIZE) in the world
+    rows: NDArray[np.int64]  # (SIZE,) of the results
+
+
+class Own(NamedTuple):
+    """The vehicle's bodies, and working memory for beams in the vehicle frame, where the sensor is the same ever."""
+
+    bodies: Tree
+    box: Array  # (6,) a little larger than theirs
+    R: Array  # (9, SIZE)
+    t: Array  # (3, SIZE)
+    origins: Array  # (3, SIZE)
+    directions: Array  # (3, SIZE)
+
+
 @inner(makes_arrays=True)
 def grouped(laser, time_ns, lasers, block_ns):
-    """The group of each firing, by block of time (0: all is one) and laser; and their order by group.
+    """The group of each firing, by block of time (0: all is one) and laser; their order by group; where packets begin.
 
-    Neighbours in that order point in nearly the same direction.
+    Neighbours in that order point in nearly the same direction. The last packet's end follows the packets' beginnings.
     """
     group, first_ns = np.empty(len(laser), np.int64), time_ns.min()
     for n in range(len(laser)):
@@ -68,7 +97,13 @@ def grouped(laser, time_ns, lasers, block_ns):
     for n in range(len(laser)):
         order[begin[group[n]]] = n
         begin[group[n]] += 1
-    return group, order
+    cuts, packets = np.empty(len(order) + 1, np.int64), 0
+    for i in range(len(order)):
+        if i == 0 or group[order[i]] != group[order[i - 1]] or i - cuts[packets - 1] == SIZE:
+            cuts[packets] = i
+            packets += 1
+    cuts[packets] = len(order)
+    return group, order, cuts[: packets + 1]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -124,42 +159,93 @@ def _aim(lasers, k, encoder, axes, starts):
         starts[0, n], starts[1, n], starts[2, n] = left_m * s + forward_m * cos_h, left_m * c - forward_m * sin_h, up_m
 
 
-@inner(fastmath=FAST)
-def _spread(axes, across, above, beams):
+@inner(fastmath=FAST, error_model="numpy")
+def sideways(axes, right):
+    """Write the unit vectors (2, SIZE) to the right of axes, in the plane."""
+    for n in range(axes.shape[1]):  # a number that the compiler does not know: a known one is unrolled, not vectorised
+        flat = math.sqrt(axes[0, n] * axes[0, n] + axes[1, n] * axes[1, n])
+        right[0, n], right[1, n] = axes[1, n] / flat, -axes[0, n] / flat
+
+
+@inner(fastmath=FAST, error_model="numpy")
+def spread(axes, right, across, above, beams):
     """Write the directions (3, SIZE) of rays so far beside the axes, to the right and above."""
-    for n in range(SIZE):
-        x, y, z = axes[0, n], axes[1, n], axes[2, n]
-        if across != 0 or above != 0:
-            flat = math.sqrt(x * x + y * y)
-            u, v = y / flat, -x / flat  # to the right; above is that times the axis
-            x, y, z = x + across * u + above * (v * z), y + across * v - above * (u * z), z + above * (u * y - v * x)
-            length = math.sqrt(x * x + y * y + z * z)
-            x, y, z = x / length, y / length, z / length
-        beams[0, n], beams[1, n], beams[2, n] = x, y, z
+    if across == 0 and above == 0:
+        for n in range(axes.shape[1]):
+            beams[0, n], beams[1, n], beams[2, n] = axes[0, n], axes[1, n], axes[2, n]
+        return
+    for n in range(axes.shape[1]):
+        x, y, z, u, v = axes[0, n], axes[1, n], axes[2, n], right[0, n], right[1, n]  # above is right times the axis
+        x, y, z = x + across * u + above * (v * z), y + across * v - above * (u * z), z + above * (u * y - v * x)
+        length = math.sqrt(x * x + y * y + z * z)
+        beams[0, n], beams[1, n], beams[2, n] = x / length, y / length, z / length
 
 
 @inner(fastmath=FAST)
-def _moved(R, t, starts, beams, origins, directions):
-    """Write points and directions (3, SIZE) in another frame: rotated by R (9, SIZE), and moved by t (3, SIZE)."""
-    for n in range(SIZE):
-        x, y, z = starts[0, n], starts[1, n], starts[2, n]
-        origins[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * z + t[0, n]
-        origins[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * z + t[1, n]
-        origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z + t[2, n]
-    for n in range(SIZE):
+def turned(R, beams, directions):
+    """Write directions (3, SIZE) rotated by R (9, SIZE)."""
+    for n in range(beams.shape[1]):
         x, y, z = beams[0, n], beams[1, n], beams[2, n]
         directions[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * z
         directions[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * z
         directions[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z
 
 
+@inner(fastmath=FAST)
+def moved(R, t, starts, origins):
+    """Write points (3, SIZE) rotated by R (9, SIZE) and moved by t (3, SIZE)."""
+    for n in range(starts.shape[1]):
+        x, y, z = starts[0, n], starts[1, n], starts[2, n]
+        origins[0, n] = R[0, n] * x + R[1, n] * y + R[2, n] * z + t[0, n]
+        origins[1, n] = R[3, n] * x + R[4, n] * y + R[5, n] * z + t[1, n]
+        origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z + t[2, n]
+
+
 @inner(makes_arrays=True)
-def _mounted(frames):
-    """Where the sensor is in the vehicle frame, whatever the time: (9, SIZE) and (3, SIZE)."""
+def new_aim(frames):
+    """Working memory."""
+    aim = Aim(
+        np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), new_poses(), np.empty((9, SIZE)), np.empty((3, SIZE)),
+        np.empty(3), np.empty(3), np.empty((3, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE)),
+        np.empty(SIZE, np.int64),
+    )  # fmt: skip
+    v = frames.paths.values[0]
+    _place(frames, aim.path_s, SIZE, aim.placed, aim.R, aim.t)
+    aim.base[:] = aim.t[:, 0]
+    aim.slope[0], aim.slope[1], aim.slope[2] = times(matrix(frames.R_world_start), v[0], v[1], v[2])
+    return aim
+
+
+@inner(makes_arrays=True)
+def new_own(frames):
+    """Working memory."""
     R, t = np.empty((9, SIZE)), np.empty((3, SIZE))
     for n in range(SIZE):
         R[:, n], t[:, n] = frames.R_vehicle_sensor.ravel(), frames.t_vehicle_sensor
-    return R, t
+    return Own(frames.bodies, _box(frames.bodies), R, t, np.empty((3, SIZE)), np.empty((3, SIZE)))
+
+
+@inner()
+def aimed(aim, lasers, frames, firings, zero_ns, which, laser):
+    """Find where the beams of some firings (count,) of a laser start and point; dynamic objects start at `zero_ns`."""
+    time_ns, _, encoder_rad = firings
+    for n in range(len(which)):
+        at = which[n]
+        aim.seconds[n], aim.path_s[n] = (time_ns[at] - zero_ns) / 1e9, (time_ns[at] - frames.zero_ns) / 1e9
+        aim.encoder[n] = encoder_rad[at]
+    if frames.paths.kind[0] > VELOCITY:
+        _place(frames, aim.path_s, len(which), aim.placed, aim.R, aim.t)
+    else:
+        _drift(aim.base, aim.slope, aim.path_s, aim.t)
+    _aim(lasers, laser, aim.encoder, aim.axes, aim.starts)
+    moved(aim.R, aim.t, aim.starts, aim.origins)
+
+
+@inner(makes_arrays=True)
+def swept_in(dynamic, time_ns, block, zero_ns):
+    """The tree over spheres that hold the dynamic objects during a block of the firings' time."""
+    begin_s = (time_ns.min() + block * BLOCK_NS - zero_ns) / 1e9
+    return swept(dynamic, begin_s, begin_s + BLOCK_NS / 1e9)
 
 
 @njit(cache=True, nogil=True)
@@ -190,12 +276,17 @@ def _may_hit(box, origins, directions):
 
 
 @inner(error_model="numpy")
-def _hit_bodies(bodies, packet, origins, directions, rows, count, limit_m, first_slot, found):
-    """Keep what rays (3, count) of the vehicle frame hit of its bodies, where it is nearer than what `found` has.
+def hit_bodies(own, packet, starts, beams, rows, count, limit_m, first_slot, found):
+    """Keep what beams (3, count) of the sensor's frame hit of the bodies, where it is nearer than what `found` has.
 
     The results of the rays are in rows (count,); slots count from `first_slot`.
     """
+    bodies, origins, directions = own.bodies, own.origins, own.directions
     rays, range_m, slot, cosine, first = packet.rays, found.range_m, found.slot, found.cosine, 0
+    moved(own.R, own.t, starts, origins)
+    turned(own.R, beams, directions)
+    if not _may_hit(own.box, origins, directions):
+        return
     while first < count:
         some, face = alike(directions, first, count)
         load(rays, packet.slabs, origins, directions, first, some, face)
@@ -220,55 +311,38 @@ def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
     Firings are times, lasers and encoder angles; dynamic objects have their time 0 at `zero_ns`. Slots count through
     the world's and then through the bodies'.
     """
-    time_ns, laser, encoder_rad = firings
+    time_ns, laser, _ = firings
     static, dynamic, ground_m, range_m, slot = world.static, world.dynamic, world.ground_m, found.range_m, found.slot
     dynamics, slots, cosines, rays = len(dynamic.roots), len(static.kind), len(found.cosine), len(lasers.across)
-    group, order = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
-    seconds, encoder, path_s, rows = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.empty(SIZE, np.int64)
-    packet, moved, R, t = new_packet(dynamics), new_poses(), np.empty((9, SIZE)), np.empty((3, SIZE))
-    axes, origins, directions = np.empty((3, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
-    bodies, own, own_slots = frames.bodies, len(frames.bodies.kind) > 0, slots + len(dynamic.trees.kind)
-    (own_R, own_t), box = _mounted(frames), _box(bodies)
-    starts, beams = np.empty((3, SIZE)), np.empty((3, SIZE))
-    turns, v = frames.paths.kind[0] > VELOCITY, frames.paths.values[0]
-    slope = times(matrix(frames.R_world_start), v[0], v[1], v[2])
-    _place(frames, path_s, SIZE, moved, R, t)
-    base, block, first = t[:, 0].copy(), -1, 0
-    moving = swept(dynamic, 0.0, 0.0)
-    while first < len(order):
-        here, count = group[order[first]], 0
-        while count < SIZE and first + count < len(order) and group[order[first + count]] == here:
-            n = order[first + count]
-            seconds[count], path_s[count] = (time_ns[n] - zero_ns) / 1e9, (time_ns[n] - frames.zero_ns) / 1e9
-            encoder[count] = encoder_rad[n]
-            count += 1
+    group, order, cuts = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
+    packet, aim, own, block = new_packet(dynamics), new_aim(frames), new_own(frames), -1
+    seconds, placed, axes, starts, origins, rows = aim.seconds, aim.placed, aim.axes, aim.starts, aim.origins, aim.rows
+    right, beams, directions = np.empty((2, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
+    bodies, own_slots, moving = len(frames.bodies.kind), slots + len(dynamic.trees.kind), swept(dynamic, 0.0, 0.0)
+    for p in range(len(cuts) - 1):
+        which = order[cuts[p] : cuts[p + 1]]
+        here, count = group[which[0]], len(which)
         if dynamics and here // len(lasers.left_m) != block:
             block = here // len(lasers.left_m)
-            begin_s = (time_ns.min() + block * BLOCK_NS - zero_ns) / 1e9
-            moving = swept(dynamic, begin_s, begin_s + BLOCK_NS / 1e9)
-        if turns:
-            _place(frames, path_s, count, moved, R, t)
-        else:
-            _drift(base, slope, path_s, t)
-        _aim(lasers, here % len(lasers.left_m), encoder, axes, starts)
+            moving = swept_in(dynamic, time_ns, block, zero_ns)
+        aimed(aim, lasers, frames, firings, zero_ns, which, here % len(lasers.left_m))
+        if rays > 1:
+            sideways(axes, right)
         for ray in range(rays):
-            _spread(axes, lasers.across[ray], lasers.above[ray], beams)
-            _moved(R, t, starts, beams, origins, directions)
+            spread(axes, right, lasers.across[ray], lasers.above[ray], beams)
+            turned(aim.R, beams, directions)
+            for n in range(count):
+                rows[n] = which[n] * rays + ray
             done = 0
             while done < count:
                 some, face = alike(directions, done, count)
                 load(packet.rays, packet.slabs, origins, directions, done, some, face)
                 hit(ground_m, static, packet, face, limit_m)
                 if dynamics:
-                    hit_dynamic(dynamic, moving, packet, moved, seconds, done, some, face, slots)
-                for n in range(done, done + some):
-                    rows[n] = order[first + n] * rays + ray
+                    hit_dynamic(dynamic, moving, packet, placed, seconds, done, some, face, slots)
                 keep(packet.rays, rows, done, some, range_m, slot)
                 if cosines:
-                    keep_normals(world, packet, moved, seconds, done, some, face, rows, found)
+                    keep_normals(world, packet, placed, seconds, done, some, face, rows, found)
                 done += some
-            if own:
-                _moved(own_R, own_t, starts, beams, origins, directions)
-                if _may_hit(box, origins, directions):
-                    _hit_bodies(bodies, packet, origins, directions, rows, count, limit_m, own_slots, found)
-        first += count
+            if bodies:
+                hit_bodies(own, packet, starts, beams, rows, count, limit_m, own_slots, found)
