@@ -240,8 +240,8 @@ def _keep(beams, rows, count, slots, found):
     for n in range(count):
         at, s = rows[n], beams.slot[n]
         slot[at], range_m[at] = s, beams.range_m[n] if s != int(NONE) else np.inf
-        if cosines and s != int(NONE) and s < slots:
-            cosine[at] = beams.cosine[n]
+        if cosines and s < slots:
+            cosine[at] = beams.cosine[n] if s != int(NONE) else 1.0
 
 
 @inner()

@@ -48,6 +48,7 @@ class SubRays:
     reflectivity: NDArray[np.uint8]
     object: NDArray[np.int32]
     cosine: Array  # of the angle between ray and normal
+    laser: NDArray[np.uint8]  # (N,) that fired
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,7 @@ def echoes(
     )
     merged(
         (hits.range_m, hits.reflectivity, hits.object, hits.cosine),
+        hits.laser,
         weights,
         (sensor.range.reported_m[1], _step_rad(sensor, realism), least),
         drops,

@@ -6,7 +6,6 @@ The figures of real sensors stand in `sensors/*.yaml`; tools/measure_realism.py 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
@@ -39,12 +38,11 @@ def lose(found: "Echoes", realism: Realism, sensor_index: int, first: int) -> No
 def roughen(found: "Echoes", realism: Realism, sensor_index: int, first: int) -> None:
     """Write the noise of each candidate, and change its reflectivity: the same where it is the strongest one."""
     dark_m = realism.range_noise_m if realism.dark_noise_m is None else realism.dark_noise_m
-    same = found.range_m == found.range_m[:, :1]
     if realism.range_noise_m or dark_m:
         sigma_m = np.where(found.reflectivity < DARK, dark_m, realism.range_noise_m)
-        found.noise_m[:] = sigma_m * _normals(realism, sensor_index, NOISE, first, same)
+        found.noise_m[:] = sigma_m * _normals(realism, sensor_index, NOISE, first, found.range_m)
     if realism.intensity_noise:
-        levels = realism.intensity_noise * _normals(realism, sensor_index, INTENSITY, first, same)
+        levels = realism.intensity_noise * _normals(realism, sensor_index, INTENSITY, first, found.range_m)
         found.reflectivity[:] = np.clip(np.rint(found.reflectivity + levels), 0, 255)
 
 
@@ -70,10 +68,10 @@ def separate(pairs: "Echoes", realism: Realism, sensor_index: int, first: int) -
         pairs.range_m[1 - drawn < realism.strongest_alone_fraction, 1] = np.inf
 
 
-def _normals(realism: Realism, sensor_index: int, stream: int, first: int, same: NDArray[np.bool_]) -> Array:
-    """Normal numbers for candidates (N, R): one for the strongest and what is the same, one for the others."""
+def _normals(realism: Realism, sensor_index: int, stream: int, first: int, range_m: Array) -> Array:
+    """Normal numbers for candidates (N, R): one for the strongest and what is as far, one for the others."""
     from scipy.special import ndtri
 
-    count = len(same)
+    count = len(range_m)
     normal = ndtri(uniforms(realism, sensor_index, stream, 2 * first, 2 * count)).reshape(count, 2)
-    return np.asarray(np.where(same, normal[:, :1], normal[:, 1:]))
+    return np.asarray(np.where(range_m == range_m[:, :1], normal[:, :1], normal[:, 1:]))

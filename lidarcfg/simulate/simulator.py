@@ -14,13 +14,12 @@ from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.beam_kernels import trace_beams
 from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import laser_errors_m, separate
-from lidarcfg.simulate.simulator_kernels import Frames, Lasers, trace_firings
+from lidarcfg.simulate.simulator_kernels import Frames, Lasers, looked_up, trace_firings
 from lidarcfg.world.bvh import NO_TREE, Tree
 from lidarcfg.world.motion import Trajectory, packed
 from lidarcfg.world.scene import Weather
 from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.tracer_kernels import NONE
-from lidarcfg.world.world_kernels import Found, resolve
+from lidarcfg.world.world_kernels import NOTHING, Found
 
 EXACT, CLEAR = Realism(), Weather()
 LISTED = 24  # shapes that the beams of a packet of firings may hit, at most, to be tested one by one
@@ -46,7 +45,8 @@ class Simulator:
         self._index, self._mount, self._tracer, self._trajectory = index, mount, tracer, trajectory
         self._bodies = bodies.world.static if bodies else NO_TREE
         own = bodies.scene.reflectivity if bodies else np.empty(0, np.uint8)
-        self._reflectivity = np.concatenate([tracer.scene.reflectivity, own, np.zeros(1, np.uint8)])  # nothing, -1: 0
+        self._objects = _objects(tracer, self._bodies)
+        self._reflectivity = np.concatenate([tracer.scene.reflectivity, own, np.zeros(1, np.uint8)])[self._objects]
         self._realism, self._weather = mount.realism or EXACT, tracer.scene.file.weather
         if self._realism.divergence is True and not mount.sensor.optics:
             raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
@@ -67,10 +67,10 @@ class Simulator:
         assert sensor.range
         count, width, (_, most_m) = len(fired.time_ns), len(self._weights), sensor.range.reported_m
         found = Found(
-            range_m=np.full(count * width, np.inf),
-            slot=np.full(count * width, NONE, np.int32),
+            range_m=np.empty(count * width),
+            slot=np.empty(count * width, np.int32),
             normal=np.empty((0, 3)),
-            cosine=np.ones(0 if self._exact else count * width),
+            cosine=np.empty(0 if self._exact else count * width),
         )
         if count:
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
@@ -80,29 +80,19 @@ class Simulator:
                 trace_firings(*told, found)
             else:
                 trace_beams(*told, LISTED, found)
-        counts = Counts(count * width, int(np.count_nonzero(found.range_m <= most_m)))
-        objects = self._objects(found.slot).reshape(count, width)
-        reflectivity = self._reflectivity[objects]
-        range_m = found.range_m.reshape(count, width)
+        objects, reflectivity = np.empty((count, width), np.int32), np.empty((count, width), np.uint8)
+        tables = self._objects, self._reflectivity
+        hits = looked_up(found.range_m, found.slot, most_m, *tables, objects.ravel(), reflectivity.ravel())
+        counts, range_m = Counts(count * width, hits), found.range_m.reshape(count, width)
         if self._exact:
             return single(range_m, reflectivity, objects, mount.return_mode), counts
-        sub_rays = SubRays(range_m, reflectivity, objects, found.cosine.reshape(count, width))
+        sub_rays = SubRays(range_m, reflectivity, objects, found.cosine.reshape(count, width), fired.laser)
         candidates = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, sub_rays)
-        candidates.noise_m[:] += self._errors_m[fired.laser][:, None]
         reported = candidates.reported(mount.return_mode)
+        reported.noise_m[:] += self._errors_m[fired.laser][:, None]
         if mount.return_mode == "dual":
             separate(reported, self._realism, self._index, first)
         return reported, counts
-
-    def _objects(self, slot: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The objects of slots (N,), -1 for none."""
-        world, objects = self._tracer.world, np.empty(len(slot), np.int32)
-        first = len(world.static.kind) + len(world.dynamic.trees.kind)
-        own = np.flatnonzero(slot >= first) if len(self._bodies.kind) else np.empty(0, np.intp)
-        own_slot, slot[own] = slot[own] - first, NONE
-        resolve(world, slot, objects, np.empty(0, np.int32))
-        objects[own] = len(self._tracer.scene.names) + self._bodies.object[own_slot]
-        return objects
 
     def _check_span(self, first_ns: int, last_ns: int) -> None:
         """Raises ConfigError unless vehicle and dynamic objects have poses from the first time to the last."""
@@ -111,6 +101,12 @@ class Simulator:
             (self._tracer.zero_ns, self._tracer.check_span),
         ):
             check((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9)
+
+
+def _objects(tracer: Tracer, bodies: Tree) -> NDArray[np.int32]:
+    """The objects of slots, from NONE on: nothing, the ground, what is static and dynamic, and the bodies."""
+    world, own = tracer.world, len(tracer.scene.names) + bodies.object
+    return np.concatenate([[NOTHING, 0], world.static.object, world.dynamic.trees.object, own], dtype=np.int32)
 
 
 def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:

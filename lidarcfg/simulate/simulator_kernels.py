@@ -12,7 +12,7 @@ from lidarcfg.jit import inner, njit
 from lidarcfg.world.bvh import Tree, bounds
 from lidarcfg.world.motion_kernels import VELOCITY, Paths, column, matrix, poses, product, times
 from lidarcfg.world.shapes import FAST
-from lidarcfg.world.tracer_kernels import RANGE, SIZE, SLOT, alike, load, new_packet, normal_at, ray_of, trace
+from lidarcfg.world.tracer_kernels import NONE, RANGE, SIZE, SLOT, alike, load, new_packet, normal_at, ray_of, trace
 from lidarcfg.world.world_kernels import Poses, hit, hit_dynamic, keep, keep_normals, new_poses, swept
 
 FLATTEST, SLACK_M = 1e-18, 1e-6  # of a direction's component; by which a box is larger
@@ -346,3 +346,14 @@ def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
                 done += some
             if bodies:
                 hit_bodies(own, packet, starts, beams, rows, count, limit_m, own_slots, found)
+
+
+@njit(cache=True, nogil=True)
+def looked_up(range_m, slot, most_m, object_of, reflectivity_of, objects, reflectivity):
+    """Write the objects and reflectivities of slots (N,), by tables from NONE on; how many hits are in range."""
+    first, hits = int(NONE), 0
+    for n in range(len(slot)):
+        s = slot[n] - first
+        objects[n], reflectivity[n] = object_of[s], reflectivity_of[s]
+        hits += range_m[n] <= most_m
+    return hits

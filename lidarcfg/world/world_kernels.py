@@ -174,8 +174,8 @@ def keep_normals(world, packet, moved, seconds, first, count, face, rows, found)
             nx, ny, nz = normal_at(static.shapes, static.kind, slot, x, y, z, dx, dy, dz, range_m)
         if slot != NONE and len(normal):
             normal[at, 0], normal[at, 1], normal[at, 2] = nx, ny, nz
-        if slot != NONE and len(cosine):
-            cosine[at] = abs(nx * dx + ny * dy + nz * dz)
+        if len(cosine):
+            cosine[at] = abs(nx * dx + ny * dy + nz * dz) if slot != NONE else 1.0
 
 
 @njit(cache=True, nogil=True)

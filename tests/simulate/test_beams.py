@@ -96,8 +96,9 @@ def test_echoes_of_a_beam(weather):
     if weather:
         drops = np.stack([rng.uniform(0.5, 18, count), rng.uniform(0, 1e-3, count)], axis=1)
         fade = np.exp(-0.02 * np.column_stack([near, drops[:, 0]]))
+    lasers = rng.integers(0, 3, count).astype(np.uint8)
     out = np.empty((count, 6)), np.empty((count, 6), np.uint8), np.empty((count, 6), np.int32)
-    merged((near, bright, objects, cosine), weights, (most_m, step_rad, least), drops, fade, out)
+    merged((near, bright, objects, cosine), lasers, weights, (most_m, step_rad, least), drops, fade, out)
     several = 0
     for n in range(count):
         hits = list(zip(near[n].tolist(), bright[n].tolist(), objects[n].tolist(), cosine[n].tolist(), strict=True))

@@ -23,6 +23,7 @@ def made(range_m, reflectivity, weights=(1.0,), cosine=1.0, first=0, weather=Non
         np.broadcast_to(np.array(reflectivity, np.uint8), range_m.shape),
         np.broadcast_to(np.array(objects, np.int32), range_m.shape),
         np.broadcast_to(cosine, range_m.shape),
+        np.arange(len(range_m), dtype=np.uint8) % 2,
     )
     return echoes(VLP16, Realism(**realism), weather or Weather(), 0, first, np.array(weights), hits)
 
