@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from lidarcfg.cloud import FIELDS, PointCloud, concatenate, load_cloud, save_clouds
 from lidarcfg.errors import CloudError
+from tests.refusals import refused
 
 
 def no_warning(text: str) -> None:
@@ -103,9 +104,8 @@ def test_wrong_suffix(tmp_path):
 def test_not_a_cloud(tmp_path, suffix, raw):
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(raw)
-    with pytest.raises(CloudError, match=rf"a\.{suffix}: ") as error:
+    with refused(f"a.{suffix}: ", kind=CloudError):
         load_cloud(path, no_warning)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd", "npz"])
@@ -205,10 +205,8 @@ def columns(**other) -> dict[str, object]:
 )
 def test_columns_that_no_cloud_holds(tmp_path, other, message):
     np.savez(tmp_path / "a.npz", **columns(**other))
-    with pytest.raises(CloudError, match=r"a\.npz: ") as error:
+    with refused(message, r"a\.npz: ", CloudError):
         load_cloud(tmp_path / "a.npz", no_warning)
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_other_integers_and_floats_are_taken(tmp_path):
@@ -311,10 +309,8 @@ def test_headers_that_lie(tmp_path, suffix, old, new, message):
     raw = path.read_bytes()
     assert old in raw
     path.write_bytes(raw.replace(old, new, 1))
-    with pytest.raises(CloudError, match=rf"a\.{suffix}: ") as error:
+    with refused(message, rf"a\.{suffix}: ", CloudError):
         load_cloud(path, no_warning)
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("time_s", [1e300, np.nan, np.inf, 0.5, -1e10])

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from lidarcfg.cloud import load_cloud
 from lidarcfg.errors import CloudError
+from tests.refusals import refused
 
 PCD = """# .PCD v0.7 - Point Cloud Data file format
 VERSION 0.7
@@ -180,10 +181,8 @@ def test_sensors_by_number(tmp_path):
 )  # fmt: skip
 def test_pcd_that_lies(tmp_path, raw, what):
     (tmp_path / "a.pcd").write_bytes(raw)
-    with pytest.raises(CloudError, match=r"a\.pcd: ") as error:
+    with refused(what, r"a\.pcd: ", CloudError):
         load_cloud(tmp_path / "a.pcd", lambda text: None)
-    assert what in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -202,10 +201,8 @@ def test_pcd_that_lies(tmp_path, raw, what):
 )  # fmt: skip
 def test_ply_that_lies(tmp_path, raw, what):
     (tmp_path / "a.ply").write_bytes(raw)
-    with pytest.raises(CloudError, match=r"a\.ply: ") as error:
+    with refused(what, r"a\.ply: ", CloudError):
         load_cloud(tmp_path / "a.ply", lambda text: None)
-    assert what in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 FILES = {

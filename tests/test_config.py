@@ -23,7 +23,7 @@ from lidarcfg.world.scene import SceneFile
 GOOD = "name: a\nbeams:\n  elevation_deg: [-1, 1e-05]\n"
 
 
-def refused(text: str) -> str:
+def refusal(text: str) -> str:
     with pytest.raises(ConfigError) as caught:
         loads(text, Sensor, "f.yaml")
     assert "\n" not in str(caught.value)
@@ -62,7 +62,7 @@ def refused(text: str) -> str:
     ],
 )  # fmt: skip
 def test_refused(text, message):
-    assert refused(text).startswith(message)
+    assert refusal(text).startswith(message)
 
 
 def test_the_core_schema():
@@ -77,7 +77,7 @@ def test_json_is_yaml():
 
 def test_errors_of_an_alias_bomb_end_soon():
     bomb = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10))
-    assert "too many" in refused(bomb)
+    assert "too many" in refusal(bomb)
 
 
 @given(st.text(max_size=200))
@@ -153,7 +153,7 @@ def test_a_device_is_not_replaced():
 
 def test_an_error_is_one_line_whatever_names_hold():
     """Found by tools/stress.py: a key with a line break stood in the place that an error names."""
-    assert refused(f'{GOOD}"a\\nb": 1\n').startswith("f.yaml:4:1: a\\nb: unknown key")
+    assert refusal(f'{GOOD}"a\\nb": 1\n').startswith("f.yaml:4:1: a\\nb: unknown key")
 
 
 WRONG = [None, True, 0, -1, 2.5, 1e300, 10**400, "", "x y", "\ud800", (), (1,), ("a",) * 9, {}, {"a": 1}]

@@ -17,6 +17,7 @@ from lidarcfg.errors import PacketError
 from tests.capture_fixtures import no_warning, recording
 from tests.capture_fixtures import write_datagrams as write_pcap
 from tests.naive import capture as naive_capture
+from tests.refusals import refused
 
 AT_NS = 1_700_000_000_999_999_000
 
@@ -168,10 +169,8 @@ def test_cut_in_mid_record(tmp_path, cut):
 )
 def test_not_a_capture(tmp_path, raw, message):
     (tmp_path / "a.pcap").write_bytes(raw)
-    with pytest.raises(PacketError, match=r"a\.pcap: ") as error:
+    with refused(message, r"a\.pcap: ", PacketError):
         list(read_datagrams(tmp_path / "a.pcap", no_warning))
-    assert message in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 @settings(max_examples=200, deadline=None)

@@ -19,6 +19,7 @@ from lidarcfg.simulate.export import START_NS, export, in_time_order
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning, recording, write_datagrams
 from tests.command_line import lidarcfg
+from tests.refusals import refused
 
 # Of each recording: which bytes of its packets firings do not say, and from where the sensor's family has them.
 VELODYNE = {
@@ -414,10 +415,8 @@ def test_files_that_are_wrong(tmp_path, change, message):
     columns, _ = there_and_back(tmp_path / "a.pcap", tmp_path)
     change(columns)
     np.savez(tmp_path / "b.npz", **columns)
-    with pytest.raises(LidarcfgError) as caught:
+    with refused(message):
         save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
     assert not (tmp_path / "b.pcap").exists()
 
 

@@ -15,6 +15,7 @@ from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import StudyFile
+from tests.refusals import exchanged, refused
 
 CHOICES = """region: {min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25]}
 prices: {vlp-16: 4000, fan-4: 500.5, os1-64: 12000}
@@ -103,13 +104,8 @@ def test_a_combination_is_the_study_that_its_file_describes(tmp_path):
     ],
 )
 def test_what_is_refused_and_where(old, new, message, tmp_path):
-    assert old in CHOICES
-    text = CHOICES.replace(old, new, 1)
-    with pytest.raises(ConfigError) as caught:
-        study(tmp_path, text)
-    assert message in str(caught.value)
-    assert str(caught.value).startswith(f"{tmp_path}/study.yaml:")
-    assert "\n" not in str(caught.value)
+    with refused(message, f"^{tmp_path}/study.yaml:", ConfigError):
+        study(tmp_path, exchanged(CHOICES, old, new))
 
 
 def test_an_unknown_model_is_refused_where_it_is_chosen(tmp_path):

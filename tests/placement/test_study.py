@@ -11,6 +11,7 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
+from tests.refusals import exchanged, refused
 
 STUDIES = Path(__file__).parents[2] / "data/studies"
 SMALL = """
@@ -72,11 +73,8 @@ def test_no_lidar_of_the_sedan_can_hang_upside_down():
     ],
 )  # fmt: skip
 def test_refused(tmp_path, old, new, message):
-    text = SMALL.replace(old, new)
-    assert text != SMALL
-    with pytest.raises(ConfigError) as caught:
-        study(tmp_path, text)
-    assert message in str(caught.value)
+    with refused(message, kind=ConfigError):
+        study(tmp_path, exchanged(SMALL, old, new))
 
 
 def test_fixed_coordinates_stay_and_bounds_are_reached_exactly(tmp_path):

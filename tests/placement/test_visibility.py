@@ -21,6 +21,7 @@ from lidarcfg.world.scene import Box
 from tests import visibility_cases
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
+from tests.refusals import exchanged, refused
 from tests.visibility_cases import GOBLET
 
 STUDY = """
@@ -226,9 +227,8 @@ def test_ground_hides_what_is_below_it_and_what_moves_hides_nothing(tmp_path):
     ],
 )  # fmt: skip
 def test_refused(tmp_path, old, new, message):
-    with pytest.raises(ConfigError) as caught:
-        study(tmp_path, STUDY.replace(old, new, 1))
-    assert message in str(caught.value)
+    with refused(message, kind=ConfigError):
+        study(tmp_path, exchanged(STUDY, old, new))
 
 
 def test_points_inside_a_closed_mesh_by_its_convex_parts():

@@ -19,6 +19,7 @@ from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning
 from tests.naive import hesai as naive
 from tests.packets.hesai.recorded import mount
+from tests.refusals import refused
 
 MODELS = {"pandar-xt32": 400_000, "pandar-xt16": 400_000, "xt32m2x": 300_000, "qt128": 222_220}  # ns, a packet
 CHUNK = 64
@@ -372,10 +373,8 @@ def test_angles_that_make_no_sense(files, what, tmp_path):
     (tmp_path / "drive-192.168.1.201-2368-angles.csv").unlink()
     for name, text in files.items():
         (tmp_path / name).write_text(text)
-    with pytest.raises(PacketError, match=f"drive.pcap: 192.168.1.201:2368|^{tmp_path}/{what[:20]}") as error:
+    with refused(what, f"drive.pcap: 192.168.1.201:2368|^{tmp_path}/{what[:20]}", PacketError):
         list(decode_pcap(path, no_warning))
-    assert what in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_two_files_that_may_be_meant(tmp_path):
@@ -407,10 +406,8 @@ def test_packets_that_make_no_sense(at, value, what, tmp_path):
     payloads.data[:, at] = value
     write_pcap(path, [frames(of.host, payloads)])
     save_companions(path, [of])
-    with pytest.raises(PacketError) as error:
+    with refused(what, kind=PacketError):
         list(decode_pcap(path, no_warning))
-    assert what in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_another_model_than_was_said(tmp_path):
