@@ -18,6 +18,7 @@ from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.rig import one_of
 
 Counts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 Heading = Annotated[float, Field(ge=0, le=360)]
 
 REPLICATES = 16  # independent scramblings, whose spread gives the confidence interval
@@ -133,7 +134,14 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> tuple[Counts,
     """
     size = cuboids_needed(item.box_m, subspaces.region.cuboid_m)
     layers = 1 if item.on_ground else subspaces.region.shape[2]
-    return kernels.detected_positions(subspaces.label, size, item.threshold, layers, ALL)
+    return kernels.detected_positions(subspaces.label, size, item.threshold, layers, ALL, kernels.NOBODY)
+
+
+def held_by(subspaces: Subspaces, size: tuple[int, int, int], layers: int) -> tuple[Flags, Flags]:
+    """Which subspaces hold boxes of so many cuboids (n,), and above which places of these, as `counted_places`."""
+    held = np.zeros(len(subspaces), np.bool_)
+    detected, places = kernels.detected_positions(subspaces.label, size, 1, layers, ALL, held)
+    return held, detected < places
 
 
 def free_places(region: Region, item: DetectionObject) -> list[int]:
@@ -165,7 +173,8 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
         size = cuboids_needed(item.box_m, subspaces.region.cuboid_m)
         layers = 1 if item.on_ground else subspaces.region.shape[2]
         label = subspaces.label
-        detected, seen = kernels.detected_positions(label, size, item.threshold, layers, max(enough, 1))
+        most = max(enough, 1)
+        detected, seen = kernels.detected_positions(label, size, item.threshold, layers, most, kernels.NOBODY)
         misses = int(seen.sum() - detected.sum())
         return 1.0 - (places - misses) / places
     rates = np.ones(len(free))

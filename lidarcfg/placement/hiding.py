@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.detection import DetectionObject
+from lidarcfg.placement.detection import DetectionObject, held_by
 from lidarcfg.placement.region import cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
 
@@ -39,9 +37,9 @@ def hiding(subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m:
         size = cuboids_needed(size_m, subspaces.region.cuboid_m)
         if any(need > have for need, have in zip(size, subspaces.region.shape, strict=True)):
             continue
-        inside = _inside(subspaces.label[:, :, : size[2] if on_ground else None], size)
-        found |= set(np.unique(inside[inside >= 0]).tolist())
-        corner = np.argwhere((inside >= 0).any(axis=2))
+        held, above = held_by(subspaces, size, 1 if on_ground else subspaces.region.shape[2])
+        found |= set(np.flatnonzero(held).tolist())
+        corner = np.argwhere(above)
         places.append(subspaces.region.min_m[:2] + (corner + np.array(size[:2]) / 2) * subspaces.region.cuboid_m[:2])
     if not found:
         return Hiding(item.size_m, on_ground, False, 0, None, None, None)
@@ -57,12 +55,3 @@ def hiding(subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m:
         float(far[nearest]),
         (float(at[nearest, 0]), float(at[nearest, 1])),
     )
-
-
-def _inside(label: NDArray[np.int32], size: tuple[int, ...]) -> NDArray[np.int32]:
-    """The subspace that holds each block of so many cuboids, by its lowest one; −1 where none does."""
-    low = high = label
-    for axis, count in enumerate(size):
-        low = sliding_window_view(low, count, axis).min(axis=-1)
-        high = sliding_window_view(high, count, axis).max(axis=-1)
-    return np.where(low == high, low, np.int32(-1))

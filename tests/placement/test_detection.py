@@ -36,6 +36,26 @@ def test_the_kernel_equals_its_twin(size, threshold, on_ground):
     assert expected[1] == 0 or (round(found.rate * found.places), found.places, found.half_width) == (*expected, 0.0)
 
 
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.tuples(st.integers(1, 4), st.integers(1, 4), st.integers(1, 140)),
+    st.tuples(st.integers(1, 3), st.integers(1, 3), st.integers(1, 70)),
+    st.integers(0, 3),
+)
+def test_high_columns(seed, shape, size, threshold):
+    """More than 64 places above one another; blocks of one label, so that boxes lie in some."""
+    if any(n > most for n, most in zip(size, shape, strict=True)):
+        return
+    blocks = np.random.default_rng(seed).integers(-1, 20, (-(-shape[0] // 2), -(-shape[1] // 2), 3))
+    label = np.repeat(blocks.repeat(2, 0).repeat(2, 1), 60, axis=2)[: shape[0], : shape[1], : shape[2]].astype(np.int32)
+    held = np.zeros(20, bool)
+    detected, places = kernels.detected_positions(label, size, threshold, shape[2], 2**62, held)
+    assert (detected.sum(), places.sum()) == naive.detection(label.tolist(), size, threshold, on_ground=False)
+    boxes = np.lib.stride_tricks.sliding_window_view(label, size).reshape(-1, np.prod(size))
+    assert set(np.flatnonzero(held)) == {box[0] for box in boxes if box[0] >= 0 and (box == box[0]).all()}
+
+
 def test_by_hand():
     """A plane halfway up 4 layers: of the 3 heights of a 2-layer box, the middle one touches both halves."""
     region = Region.from_boxes((0, 0, 0), (3, 1, 4), (1, 1, 1))

@@ -12,11 +12,12 @@ from lidarcfg.placement.subspace import Subspaces
 
 
 def labelled(label, cuboid_m=(1.0, 1.0, 1.0)):
-    """Subspaces with these labels; nothing but label and region is asked for."""
+    """Subspaces with these labels; nothing but label, region and number is asked for."""
     label, cuboid = np.asarray(label, np.int32), np.array(cuboid_m)
     region = Region(np.zeros(3), label.shape * cuboid, label >= 0)
     none = np.zeros(0, np.int64)
-    return Subspaces(region, label, none, none.reshape(0, 3), none.reshape(0, 1), none)
+    cuboids = np.bincount(label[label >= 0])
+    return Subspaces(region, label, cuboids, none.reshape(0, 3), none.reshape(0, 1), none)
 
 
 def tried(label, size_m, cuboid_m, on_ground):
