@@ -44,7 +44,11 @@ class Figures:
     dropout_percent: float  # of the firings whose neighbours before and after have returns at one distance
     intensity_levels: float  # sigma of one shot's intensity on one surface
     two_distances_percent: float  # of the pairs with a return
-    two_at_edges_percent: float  # the same of those whose neighbours are an edge
+    edges_percent: float  # of the pairs with a return: those at an edge from firing to firing
+    two_at_edges_percent: float  # of those, pairs of two distances
+    laser_edges_percent: float  # the others at an edge from laser to laser
+    two_at_laser_edges_percent: float
+    two_elsewhere_percent: float  # of all others
     last_alone_percent: float  # of the pairs with a return: the slot of the strongest is empty
     strongest_alone_percent: float
 
@@ -57,10 +61,17 @@ NAMES = {
     "dropout_percent": "isolated dropouts (%)",
     "intensity_levels": "intensity of a shot, sd (levels)",
     "two_distances_percent": "pairs of two distances (%)",
-    "two_at_edges_percent": "at edges (%)",
+    "edges_percent": "edges from firing to firing (%)",
+    "two_at_edges_percent": "two distances there (%)",
+    "laser_edges_percent": "edges from laser to laser (%)",
+    "two_at_laser_edges_percent": "two distances there (%)",
+    "two_elsewhere_percent": "two distances elsewhere (%)",
     "last_alone_percent": "the last return alone (%)",
     "strongest_alone_percent": "the strongest alone (%)",
 }
+
+
+PAIRS = [field.name for field in fields(Figures)][6:]  # what dual returns say
 
 
 @dataclass(frozen=True)
@@ -68,6 +79,7 @@ class Shots:
     """All firings of a sensor, sequence by sequence: (T, L), and (T, L, R) of what they returned."""
 
     azimuth_rad: Array
+    elevation_rad: Array
     range_m: Array  # inf: none
     main_m: Array  # (T, L) the strongest return, or the last where that slot is empty
     level: Array  # (T, L) its intensity
@@ -96,6 +108,7 @@ def shots(sensor: Sensor, found: Measurements) -> Shots:
     slot = np.where(np.isfinite(range_m[..., :1]), 0, returns - 1)
     return Shots(
         azimuth_rad=azimuth % (2 * np.pi),
+        elevation_rad=elevation,
         range_m=range_m,
         main_m=np.take_along_axis(range_m, slot, axis=2)[..., 0],
         level=np.take_along_axis(intensity, slot, axis=2)[..., 0].astype(float),
@@ -194,7 +207,7 @@ def measure(all_shots: Shots) -> Figures:
         laser_error_max_mm=1000 * float(abs(of_laser).max(initial=0)) if len(of_laser) > 1 else NAN,
         dropout_percent=100 * float(np.concatenate(lost).mean()),
         intensity_levels=sigma(_steep(light)),
-        **_pairs(all_shots.range_m),
+        **_pairs(all_shots),
     )
 
 
@@ -218,24 +231,53 @@ def _lost(range_m: Array, plane: NDArray[np.int64]) -> NDArray[np.bool_]:
     return ~np.isfinite(range_m[here][between])
 
 
-def _pairs(range_m: Array) -> dict[str, float]:
+def _pairs(some: Shots) -> dict[str, float]:
     """What dual returns say; (T, L, 2) strongest and last."""
-    if range_m.shape[2] < 2:
-        keys = "two_distances_percent", "two_at_edges_percent", "last_alone_percent", "strongest_alone_percent"
-        return dict.fromkeys(keys, NAN)
-    first, last = range_m[..., 0], range_m[..., 1]
-    some, both = np.isfinite(first) | np.isfinite(last), np.isfinite(first) & np.isfinite(last)
-    two = both & (first != last)
+    if some.range_m.shape[2] < 2:
+        return {field.name: NAN for field in fields(Figures) if field.name in PAIRS}
+    order = np.argsort(some.elevation_rad[0])
+    first, last = some.range_m[:, order, 0], some.range_m[:, order, 1]
+    there, both = np.isfinite(first) | np.isfinite(last), np.isfinite(first) & np.isfinite(last)
+    two, one_m = both & (first != last), np.where(np.isfinite(last), last, np.where(there, first, NAN))
+    edge = there & _firing_edges(one_m)
+    laser_edge = there & _laser_edges(one_m, some.elevation_rad[0][order]) & ~edge
+    count, others = there.sum(), there & ~edge & ~laser_edge
+    found = (
+        *(two.sum() / count, edge.sum() / count, _fraction(two, edge), laser_edge.sum() / count),
+        *(_fraction(two, laser_edge), _fraction(two, others)),
+        *((there & ~np.isfinite(one)).sum() / count for one in (first, last)),
+    )
+    return {name: 100 * float(value) for name, value in zip(PAIRS, found, strict=True)}
+
+
+def _fraction(two: NDArray[np.bool_], where: NDArray[np.bool_]) -> float:
+    return float((two & where).sum() / max(where.sum(), 1))
+
+
+def _firing_edges(range_m: Array) -> NDArray[np.bool_]:
+    """(T, L): whether the returns of a laser before and after are far apart."""
+    edge = np.zeros(range_m.shape, bool)
     with np.errstate(invalid="ignore"):
-        edge = np.zeros(first.shape, bool)
-        apart_m = abs(last[2:] - last[:-2])
+        apart_m = abs(range_m[2:] - range_m[:-2])
         edge[1:-1] = np.isfinite(apart_m) & (apart_m > EDGE_M)
-    return {
-        "two_distances_percent": 100 * two.sum() / some.sum(),
-        "two_at_edges_percent": 100 * (two & edge).sum() / max((some & edge).sum(), 1),
-        "last_alone_percent": 100 * (some & ~np.isfinite(first)).sum() / some.sum(),
-        "strongest_alone_percent": 100 * (some & ~np.isfinite(last)).sum() / some.sum(),
-    }
+    return edge
+
+
+def _laser_edges(range_m: Array, elevation_rad: Array) -> NDArray[np.bool_]:
+    """(T, L): whether the laser above, or below, is beyond the plane of the two on the other side: that one ends.
+
+    On a plane 1 / range = A cos(elevation) + B sin(elevation). Lasers are in the order of elevation.
+    """
+    edge, near = np.zeros(range_m.shape, bool), 1 / range_m
+    for back, ahead in ((-1, 1), (1, -1)):
+        rows = np.arange(2, range_m.shape[1] - 2)
+        a, b, c = (elevation_rad[rows + step] for step in (2 * back, back, ahead))
+        plane = near[:, rows + 2 * back] * np.sin(b - c) + near[:, rows + back] * np.sin(c - a)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far_m = np.where(plane / np.sin(b - a) > 0, np.sin(b - a) / plane, np.inf)
+            beyond_m = range_m[:, rows + ahead] - far_m
+        edge[:, rows] |= np.isfinite(beyond_m) & (beyond_m > EDGE_M)
+    return edge
 
 
 def draw(columns: dict[str, Figures], path: Path) -> None:
@@ -245,11 +287,11 @@ def draw(columns: dict[str, Figures], path: Path) -> None:
 
     named = {field.name: [getattr(one, field.name) for one in columns.values()] for field in fields(Figures)}
     named = {name: values for name, values in named.items() if np.isfinite(values).any()}
-    figure = new_figure(13, 5.5)
+    figure = new_figure(15, 5.5)
     charts = figure.subplots(2, -(-len(named) // 2)).ravel()
     for axes, (name, values) in zip(charts, named.items(), strict=False):
         bars = axes.bar(range(len(values)), values, color=[COLOURS[i % len(COLOURS)] for i in range(len(values))])
-        axes.set_title(NAMES[name], fontsize=9)
+        axes.set_title(NAMES[name], fontsize=8)
         axes.set_xticks([])
         axes.grid(alpha=0.3, axis="y")
     for axes in charts[len(named) :]:
