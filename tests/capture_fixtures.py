@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import frames as frames_of
 from lidarcfg.capture.pcap import Datagram, read_datagrams, write_pcap
+from lidarcfg.cloud import concatenate
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.velodyne.layout import POSITION
 from lidarcfg.rig import Mount, Rig
@@ -115,3 +117,14 @@ def datagrams_of(path) -> list[Datagram]:
 def no_warning(warning: str) -> None:
     """For captures that must read without a warning."""
     raise AssertionError(warning)
+
+
+def decoded(path, rig=None, on_warning=no_warning, **options):
+    """All points of a capture."""
+    return concatenate(list(decode_pcap(path, on_warning, rig, **options)))
+
+
+def decoded_with_stats(path, on_warning=no_warning, **options):
+    """All points of a capture, and what is said of its sources."""
+    stats = []
+    return decoded(path, on_warning=on_warning, on_stats=stats.append, **options), stats[0]

@@ -1,6 +1,5 @@
 """The suburb and its drive: what the scripts make, that the car is on the road, and that odometry tracks it."""
 
-import importlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,13 +15,6 @@ from lidarcfg.world.tracer import Tracer
 
 ROOT = Path(__file__).parents[1]
 SUBURB, DRIVE = ROOT / "data/scenes/suburb.yaml", ROOT / "data/trajectories/suburb.tum"
-
-
-@pytest.fixture
-def tool(monkeypatch):
-    """A module of tools/ by its name."""
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    return importlib.import_module
 
 
 def test_the_files_are_what_the_script_makes(tool, tmp_path):

@@ -24,13 +24,6 @@ planes: [{name: roof, center_m: [0, 0, 8], size_m: [2, 2], rpy_deg: [0, 45, 0], 
 """
 
 
-@pytest.fixture
-def tool(monkeypatch):
-    """A module of tools/ by its name."""
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    return importlib.import_module
-
-
 @pytest.fixture(scope="module")
 def study():
     return load_study(ROOT / "data/studies/liu2018-2x8.yaml")

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram, read_batches
 from lidarcfg.capture.selection import Selection
 from lidarcfg.cli import cli
-from lidarcfg.cloud import FIELDS, concatenate, load_cloud
+from lidarcfg.cloud import FIELDS, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.velodyne.layout import PACKET
-from tests.capture_fixtures import datagrams_of, no_warning, recording, tilted_rig, write_datagrams
+from tests.capture_fixtures import datagrams_of, decoded, no_warning, recording, tilted_rig, write_datagrams
 from tests.packets.velodyne.test_models import sent, write
 
 
@@ -50,10 +49,6 @@ def repeated(datagrams, times):
 @pytest.fixture(scope="module")
 def full(capture):
     return by_name(decoded(capture))
-
-
-def decoded(path, **options):
-    return concatenate(list(decode_pcap(path, no_warning, **options)))
 
 
 def by_name(cloud):

@@ -16,6 +16,7 @@ from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import StudyFile
 from tests.refusals import exchanged, refused
+from tests.studies import study_of
 
 CHOICES = """region: {min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25]}
 prices: {vlp-16: 4000, fan-4: 500.5, os1-64: 12000}
@@ -27,9 +28,7 @@ sensors:
 
 
 def study(tmp_path, text=CHOICES):
-    path = tmp_path / "study.yaml"
-    path.write_text(text)
-    return load_study(path)
+    return study_of(tmp_path, text)
 
 
 def test_the_combinations_are_those_of_every_sensor_by_itself(tmp_path):

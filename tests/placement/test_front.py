@@ -13,6 +13,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.sensor import load_sensor
 from tests.naive import placement as naive
+from tests.studies import study_of
 
 REGION = "region: {min_m: [0, 0, 0], max_m: [8, 6, 3], cuboid_m: [1, 0.5, 0.5]}\n"
 PRICES = {"fan-4": 100, "fan-8": 250, "fan-16": 400, "none": 0}
@@ -24,10 +25,8 @@ TWO = f"""\
 
 
 def study(tmp_path, sensors=TWO, solver="method: auto, evaluations: 6000, seed: 2"):
-    path = tmp_path / "study.yaml"
     prices = ", ".join(f"{model}: {price}" for model, price in PRICES.items() if price)
-    path.write_text(f"{REGION}prices: {{{prices}}}\nsensors:\n{sensors}solver: {{{solver}}}\n")
-    return load_study(path)
+    return study_of(tmp_path, f"{REGION}prices: {{{prices}}}\nsensors:\n{sensors}solver: {{{solver}}}\n")
 
 
 def undominated(pairs):

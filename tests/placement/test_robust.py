@@ -16,6 +16,7 @@ from lidarcfg.placement.study import load_study, with_solver
 from tests.naive import placement as naive_placement
 from tests.naive import robust as naive
 from tests.refusals import refused
+from tests.studies import study_of
 
 STUDY = """
 region: {min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{min_m: [5, 3, 0], max_m: [7, 5, 3]}]}
@@ -34,9 +35,7 @@ BODY = "vehicle: {allow_inside: true, boxes: [{name: body, center_m: [6, 4, 0.6]
 
 
 def study(tmp_path, more="", text=STUDY):
-    path = tmp_path / "s.yaml"
-    path.write_text(text + more)
-    return load_study(path)
+    return study_of(tmp_path, text + more)
 
 
 def lidars(loaded, poses):

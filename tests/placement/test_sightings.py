@@ -18,6 +18,7 @@ from lidarcfg.placement.sightings import missed
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.words import object_in_words
 from tests.returns_cases import at_place, box, revolution, simulated, tracer_of
+from tests.studies import study_of
 
 ROOT = Path(__file__).parents[2]
 STUDY = """
@@ -45,10 +46,9 @@ detection:
 
 
 def study(tmp_path, objective="max_vsr: 1", sensor="vlp-16", patterns=lidarcfg.pattern, change=("", "")):
-    path, mesh = tmp_path / "s.yaml", str(ROOT / "data/objects/child.ply")
+    mesh = str(ROOT / "data/objects/child.ply")
     text = STUDY.replace("OBJECTIVE", objective).replace("SENSOR", sensor).replace("MESH", mesh)
-    path.write_text(text.replace(*change))
-    return load_study(path, patterns)
+    return study_of(tmp_path, text.replace(*change), patterns)
 
 
 def rig_of(loaded):

@@ -12,6 +12,7 @@ from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from tests.refusals import exchanged, refused
+from tests.studies import study_of
 
 STUDIES = Path(__file__).parents[2] / "data/studies"
 SMALL = """
@@ -25,9 +26,7 @@ detection: [{name: box, size_m: [1, 1, 1]}]
 
 
 def study(tmp_path, text=SMALL):
-    path = tmp_path / "study.yaml"
-    path.write_text(text)
-    return load_study(path)
+    return study_of(tmp_path, text)
 
 
 OWN = [path for path in sorted(STUDIES.glob("*.yaml")) if "\nvary:" not in path.read_text()]  # without plans

@@ -17,6 +17,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.view.bodies import bases_m, seats_m, violations
 from tests.naive import surfaces as naive
+from tests.studies import study_of
 
 SEDAN = shipped("data") / "vehicles" / "sedan.ply"
 REGION = "region: {min_m: [-6, -4, 0], max_m: [6, 4, 3], cuboid_m: [1, 0.5, 0.25]}\n"
@@ -32,11 +33,8 @@ CAR = f"vehicle: {{meshes: [{{name: body, file: {SEDAN}, exclude: true}}]}}\n"
 
 
 def study(folder, vehicle, *groups, more="solver: {evaluations: 200}\n"):
-    path = folder / "study.yaml"
-    path.write_text(
-        REGION + vehicle + "sensors:\n" + "".join(f"  - {{model: vlp-16, {group}}}\n" for group in groups) + more
-    )
-    return load_study(path)
+    sensors = "".join(f"  - {{model: vlp-16, {group}}}\n" for group in groups)
+    return study_of(folder, f"{REGION}{vehicle}sensors:\n{sensors}{more}")
 
 
 def on(body, side, low, high, **more):

@@ -12,7 +12,6 @@ from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import BLIND, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world import solids
@@ -22,6 +21,7 @@ from tests import visibility_cases
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
 from tests.refusals import exchanged, refused
+from tests.studies import study_of
 from tests.visibility_cases import GOBLET
 
 STUDY = """
@@ -33,9 +33,7 @@ PLATE = "vehicle: {boxes: [{name: plate, center_m: [4, 2, 1], size_m: [0.1, 1, 9
 
 
 def study(tmp_path, text):
-    path = tmp_path / "study.yaml"
-    path.write_text(text)
-    return load_study(path)
+    return study_of(tmp_path, text)
 
 
 def at(loaded):

@@ -14,7 +14,7 @@ import velodyne_decoder as vd
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import TIME_END_NS, write_pcap
-from lidarcfg.cloud import FIELDS, concatenate
+from lidarcfg.cloud import FIELDS
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.realism import Realism
@@ -29,6 +29,7 @@ from tests.capture_fixtures import (
     STREET,
     alone,
     datagrams_of,
+    decoded,
     mount,
     no_warning,
     recording,
@@ -57,10 +58,6 @@ def second(street, tmp_path_factory):
     return path
 
 
-def whole(path, **options):
-    return concatenate(list(decode_pcap(path, no_warning, **options)))
-
-
 def truth(street, rig, index):
     """Times, head azimuths, ranges, reflectivities and lasers of all that the sensor can measure."""
     sensor = rig.mounts[index].sensor
@@ -83,7 +80,7 @@ def test_every_return(street, second, index):
     """None missing, none extra; range within half a step, time within 1 µs, azimuth within 0.005°."""
     rig = tilted_rig()
     time_ns, azimuth, range_m, reflectivity, laser, packet, slot = truth(street, rig, index)
-    cloud = whole(second, rig=rig)
+    cloud = decoded(second, rig=rig)
     mine = cloud.sensor == index
     assert mine.sum() == len(range_m) > 100_000
     assert abs(cloud.time_ns[mine] - time_ns).max() <= 1000
@@ -113,7 +110,7 @@ def decoded_elsewhere(path):
 
 def assert_as_elsewhere(path, other_path=None, azimuth_deg=0.025, **options):
     """Point for point. The other decoder turns the head by the packet's mean rate and rounds to 0.01°."""
-    ours = whole(path, **options)
+    ours = decoded(path, **options)
     xyz, time_s, intensity, ring = decoded_elsewhere(other_path or path)
     assert len(ours.xyz) == len(xyz)
     error = np.linalg.norm(ours.xyz - xyz, axis=1)
@@ -133,7 +130,7 @@ def test_another_decoder_sees_the_same(street, tmp_path, index):
     write_pcap(tmp_path / "one.pcap", stream)
     ours = assert_as_elsewhere(tmp_path / "one.pcap", azimuth_deg=0.012)
     assert ours.sensor_names == (f"192.168.1.{201 + index}:2368",)
-    names = whole(tmp_path / "one.pcap", rig=rig).sensor_names
+    names = decoded(tmp_path / "one.pcap", rig=rig).sensor_names
     assert names == ("lidar_0", "lidar_1")
 
 
@@ -152,12 +149,12 @@ def test_jerry_recording(tmp_path):
             writer.writepkt(frame[:-1] + b"\x22" if len(frame) == 1248 else frame, time_s)
     assert_as_elsewhere(path, tmp_path / "right.pcap")
     with pytest.raises(PacketError, match=r"sends a packet every 1327 us; hdl-32e would every 552\.96"):
-        whole(path, model="hdl-32e")
+        decoded(path, model="hdl-32e")
 
 
 def test_other_recordings_are_refused():
     with pytest.raises(PacketError, match="no LiDAR data packets; its UDP datagrams: 1 of 1212 bytes"):
-        whole(recording("ouster_VLI-16-one-packet.pcap"))
+        decoded(recording("ouster_VLI-16-one-packet.pcap"))
 
 
 def test_cut_recording(tmp_path):
@@ -173,7 +170,7 @@ def test_cut_recording(tmp_path):
 def test_chunks_do_not_matter(second, tmp_path, chunk_packets):
     """Ours in any chunks: the same points, sensor by sensor."""
     write_datagrams(tmp_path / "a.pcap", datagrams_of(second)[:300])
-    once, often = whole(tmp_path / "a.pcap"), whole(tmp_path / "a.pcap", chunk_packets=chunk_packets)
+    once, often = decoded(tmp_path / "a.pcap"), decoded(tmp_path / "a.pcap", chunk_packets=chunk_packets)
     assert once.sensor_names == often.sensor_names
     for sensor in (0, 1):
         for key in FIELDS:
@@ -277,7 +274,7 @@ def test_over_the_hour(street, tmp_path):
     rig, hour_ns = Rig("one", (mount(),)), START_NS + 7 * 3600 * SECOND_NS
     start_ns = hour_ns - 51 * PERIOD_NS + 123
     write_pcap(tmp_path / "a.pcap", export(rig, street, np.eye(4), 100 * PERIOD_NS, start_ns)[0])
-    times = whole(tmp_path / "a.pcap").time_ns
+    times = decoded(tmp_path / "a.pcap").time_ns
     assert (np.diff(times) > -600).all()
     assert start_ns - 500 <= times[0] < hour_ns < times[-1] < start_ns + 100 * PERIOD_NS
 
@@ -285,7 +282,7 @@ def test_over_the_hour(street, tmp_path):
 def test_street_fills_a_roof_sensor(street, tmp_path):
     rig = Rig("roof", (mount(),))
     write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, street, np.eye(4), SECOND_NS)))
-    cloud = whole(tmp_path / "a.pcap", rig=rig)
+    cloud = decoded(tmp_path / "a.pcap", rig=rig)
     assert len(cloud.xyz) > 100_000
     assert (cloud.intensity > 100).any()
     on_road = (abs(cloud.xyz[:, 1]) < 4) & (np.hypot(*cloud.xyz.T[:2]) < 8)
@@ -294,27 +291,27 @@ def test_street_fills_a_roof_sensor(street, tmp_path):
 
 def test_sources_and_the_rig(second):
     rig = tilted_rig()
-    assert set(whole(second).sensor_names) == {"192.168.1.201:2368", "192.168.1.202:2368"}
+    assert set(decoded(second).sensor_names) == {"192.168.1.201:2368", "192.168.1.202:2368"}
     with pytest.raises(
         PacketError, match=r"192\.168\.1\.202:2368 is not in the rig 'tilted'; it has 192\.168\.1\.201:2368"
     ):
-        whole(second, rig=alone(rig, 0))
+        decoded(second, rig=alone(rig, 0))
     other = replace(rig.mounts[0], sensor=with_facts(rig.mounts[0].sensor, packet={"product_id": 0x33}))
     with pytest.raises(PacketError, match="sends product id 0x22, not vlp-16's 0x33; --model"):
-        whole(second, rig=replace(rig, mounts=(other, rig.mounts[1])))
-    assert len(whole(second, rig=replace(rig, mounts=(other, rig.mounts[1])), model="vlp-16").xyz) > 200_000
+        decoded(second, rig=replace(rig, mounts=(other, rig.mounts[1])))
+    assert len(decoded(second, rig=replace(rig, mounts=(other, rig.mounts[1])), model="vlp-16").xyz) > 200_000
     with pytest.raises(ConfigError, match="'fan-16' has no codec, and so no packets"):
-        whole(second, model="fan-16")
+        decoded(second, model="fan-16")
 
 
 def test_capture_without_lidar(second, tmp_path):
     positions = [d for d in datagrams_of(second) if d.port == 8308]
     write_datagrams(tmp_path / "a.pcap", positions[:3])
     with pytest.raises(PacketError, match="no LiDAR data packets; its UDP datagrams: 3 of 512 bytes"):
-        whole(tmp_path / "a.pcap")
+        decoded(tmp_path / "a.pcap")
     write_pcap(tmp_path / "b.pcap", [])
     with pytest.raises(PacketError, match="no UDP datagrams at all"):
-        whole(tmp_path / "b.pcap")
+        decoded(tmp_path / "b.pcap")
 
 
 def test_what_cannot_be_exported(street):
@@ -354,7 +351,7 @@ def test_far_places(tmp_path, x, y):
         stage = scene(tmp_path, f"ground: {{reflectivity: 10}}\n{box}")
         T = pose((*at, 0.0), (0.0, 0.0, 0.0))
         write_pcap(tmp_path / "a.pcap", in_time_order(export(rig, stage, T, SECOND_NS // 10)))
-        clouds.append(whole(tmp_path / "a.pcap"))
+        clouds.append(decoded(tmp_path / "a.pcap"))
     assert len(clouds[0].xyz) > 1000
     np.testing.assert_allclose(clouds[1].xyz, clouds[0].xyz, atol=0.003)
 

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.cones import sensor_lidar
 from lidarcfg.realism import Realism
@@ -21,7 +19,7 @@ from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.noise import laser_errors_m, roughen, separate
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import mount, no_warning, recording, scene
+from tests.capture_fixtures import decoded, mount, recording, scene
 from tests.refusals import refused
 
 ROOT = Path(__file__).parents[2]
@@ -204,7 +202,7 @@ def test_exports_keep_what_is_reported_and_placement_what_is_promised(tmp_path):
         write_pcap(
             tmp_path / "a.pcap", in_time_order(export(Rig("r", (one,)), scene(tmp_path, wall), np.eye(4), 10**8))
         )
-        cloud = concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning)))
+        cloud = decoded(tmp_path / "a.pcap")
         near = abs(cloud.xyz[:, 1]) < 0.05 * at_m
         assert cloud.xyz[near, 0] == pytest.approx(at_m, abs=0.01)
         found |= {at_m} if near.any() else set()

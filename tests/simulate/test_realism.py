@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate, load_cloud
+from lidarcfg.cloud import load_cloud
 from lidarcfg.geometry import inverse, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
@@ -19,7 +18,7 @@ from lidarcfg.simulate.export import START_NS, Run, export, in_time_order
 from lidarcfg.simulate.ground_truth import TruthFile
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import STREET, mount, no_warning, scene, tilted_rig
+from tests.capture_fixtures import STREET, decoded, mount, scene, tilted_rig
 from tests.command_line import lidarcfg
 
 ALL = Realism(seed=7, range_noise_m=0.02, dropout_fraction=0.1, range_10_percent_m=40.0, divergence=True)
@@ -39,7 +38,7 @@ def with_truth(tmp_path, rig, stage, duration_ns=SECOND_NS // 10, **options):
     with np.load(tmp_path / "truth.npz") as arrays:
         columns = dict(arrays)
     assert len(columns["range_m"]) == count
-    return concatenate(list(decode_pcap(tmp_path / "a.pcap", no_warning, rig))), columns
+    return decoded(tmp_path / "a.pcap", rig), columns
 
 
 @pytest.mark.parametrize("return_mode", ["strongest", "last", "dual"])

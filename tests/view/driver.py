@@ -115,6 +115,11 @@ def shown_vsr(driver):
     return float(driver.execute_script("return document.getElementById('vsr').dataset.value"))
 
 
+def poses_of(rig):
+    """(mounts, 6) of a rig."""
+    return np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
+
+
 def asked(url, method, path, body=None, **headers):
     host = url.removeprefix("http://").rstrip("/")
     connection = http.client.HTTPConnection(host, timeout=20)

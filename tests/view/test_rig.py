@@ -25,6 +25,7 @@ from tests.view.driver import (
     in_browser,
     opened,
     picture,
+    poses_of,
     put,
     serving,
     settled,
@@ -64,10 +65,6 @@ OTHERS = {
     "JSON": '{"name": "r",\n "sensors": [{"name": "a", "model": "vlp-16", "position_m": [1, 2, 3]}]}',
     "Windows": "\ufeffname: r\r\nsensors:\r\n- position_m: [1, 2, 3]  # ä\r\n  name: a\r\n  model: vlp-16\r\n",
 }  # fmt: skip
-
-
-def poses_of(rig):
-    return np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
 
 
 def source(path, text):

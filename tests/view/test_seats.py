@@ -14,7 +14,7 @@ from lidarcfg.view.seats import seated, seats
 from lidarcfg.view.stage import load_stage
 from tests.capture_fixtures import no_warning
 from tests.naive import surfaces as naive
-from tests.view.driver import asked, click, drag, in_browser, opened, put, serving, settled, shown_vsr, told
+from tests.view.driver import asked, click, drag, in_browser, opened, poses_of, put, serving, settled, shown_vsr, told
 
 ROOT = Path(__file__).parents[2]
 STANDOFF_M, RADIUS_M, STEP_M = 0.1, 0.103 / 2, 0.01
@@ -51,10 +51,6 @@ def stage(tmp_path_factory):
     alone = load_stage([folder / "study.yaml"], None, None, np.eye(4), no_warning)
     save_rig(alone.rigs[0], folder / "rig.yaml")
     return load_stage([folder / "study.yaml", folder / "rig.yaml"], None, None, np.eye(4), no_warning)
-
-
-def poses_of(rig):
-    return np.array([(*mount.position_m, *mount.rpy_rad) for mount in rig.mounts])
 
 
 def sits(stage, poses, number):

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.cloud import concatenate
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.ouster.layout import columns, heads
 from lidarcfg.packets.ouster.metadata import read
 from lidarcfg.packets.ouster.pixels import fields, packed
-from tests.capture_fixtures import no_warning, recording
+from tests.capture_fixtures import decoded, no_warning, recording
 from tests.packets.ouster.judge import judged
 
 SINGLE, DUAL, LOW = "OS-2-128-U1_v2.3.0_1024x10", "OS-0-32-U1_v2.2.0_1024x10", "crc_test"
@@ -46,7 +45,7 @@ def test_points_fields_and_stamps_are_those_of_ouster_sdk(name):
     np.testing.assert_array_equal(said.time_ns, theirs.time_ns)
     np.testing.assert_array_equal(said.measurement, theirs.measurement)
     np.testing.assert_array_equal(heads(layout, theirs.packets).frame, theirs.frame)
-    cloud = concatenate(list(decode_pcap(pcap, no_warning)))
+    cloud = decoded(pcap)
     both = [theirs.points(key) for key in ("range", "range2") if key in theirs.fields]
     points = np.stack(both, axis=3)
     found = ~np.isnan(points[..., 0])
@@ -88,7 +87,7 @@ def test_recordings_encode_again_but_for_undocumented_bits(name):
 
 def test_fragments_of_two_sensors_behind_one_port():
     pcap = recording("ouster/same_ports_legacy.pcap")
-    cloud = concatenate(list(decode_pcap(pcap, no_warning)))
+    cloud = decoded(pcap)
     for name, host in (("1", "169.254.92.158"), ("2", "169.254.238.111")):
         theirs = judged(pcap, pcap.with_name(f"same_ports_legacy.{name}.json"))
         points = theirs.points()

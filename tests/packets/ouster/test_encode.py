@@ -22,7 +22,7 @@ from lidarcfg.sensor import catalogue, load_sensor
 from lidarcfg.simulate.export import START_NS, export, in_time_order, save_companions
 from lidarcfg.world.motion import Motion, Trajectory, prepared, standing
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import STREET, datagrams_of, no_warning
+from tests.capture_fixtures import STREET, datagrams_of, decoded, no_warning
 from tests.packets.ouster.judge import config, core, judged
 
 PROFILES = {  # with their unit in millimetres
@@ -136,7 +136,7 @@ def test_every_return_of_every_profile(tmp_path, street, profile):
         hit = theirs.fields["range"] > 0
         assert (theirs.fields["signal"][~hit] == 0).all()
         assert theirs.fields["signal"][hit].max() > 100
-    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    cloud = decoded(path)
     both = np.stack([theirs.points(key) for key in ("range", "range2") if key in theirs.fields], axis=3)
     np.testing.assert_allclose(cloud.xyz, both[~np.isnan(both[..., 0])], rtol=0, atol=1e-9)
     sizes = {len(one.payload) for one in datagrams_of(path)}
@@ -211,7 +211,7 @@ def test_the_stronger_of_two_returns_comes_first_with_firmware_2(tmp_path, stree
     two = (near > 0) & (far > 0)
     assert (theirs.fields["signal"][two].astype(np.int64) >= theirs.fields["signal2"][two]).all()
     assert (near[two] > far[two]).sum() > 20 < (near[two] < far[two]).sum()
-    cloud = concatenate(list(decode_pcap(path, no_warning)))
+    cloud = decoded(path)
     assert (set(cloud.return_type), len(cloud.xyz)) == ({0, 2}, len(truth))
 
 
@@ -377,9 +377,9 @@ def test_a_rig_of_two_makers(tmp_path):
     assert run.stdout
     ports = {(one.host[-3:], one.port) for one in datagrams_of(out)}
     assert {("201", 7502), ("201", 7503), ("202", 2368), ("203", 7502)} <= ports
-    cloud = concatenate(list(decode_pcap(out, no_warning, load_rig(rig))))
+    cloud = decoded(out, load_rig(rig))
     assert [int((cloud.sensor == i).sum()) > 1000 for i in range(3)] == [True] * 3
-    free = concatenate(list(decode_pcap(out, no_warning)))
+    free = decoded(out)
     assert len(free.xyz) == len(cloud.xyz)
 
 
@@ -418,4 +418,4 @@ def test_inertial_packets_of_firmware_3(tmp_path, street, rpm):
     np.testing.assert_allclose(
         np.concatenate([one.gyro() for one in packets]), np.tile([0, 0, rate], (128, 1)), atol=1e-5
     )
-    assert len(concatenate(list(decode_pcap(path, no_warning))).xyz) > 1000
+    assert len(decoded(path).xyz) > 1000

@@ -4,13 +4,11 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
 from lidarcfg.formats.bag import save_bag
 from lidarcfg.rig import Rig
 from lidarcfg.simulate.export import export, in_time_order
-from tests.capture_fixtures import no_warning, scene
+from tests.capture_fixtures import decoded, no_warning, scene
 from tests.packets.robosense.fixtures import mount
 
 FLOAT32, FLOAT64, UINT16 = 7, 8, 4
@@ -31,7 +29,7 @@ def test_points_are_laid_out_as_the_drivers(tmp_path):
         messages = [store.deserialize_cdr(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic != "/tf_static"]
     assert [(one.name, one.offset, one.datatype) for one in messages[0].fields] == FIELDS
     rows = np.concatenate([one.data.view(ROW) for one in messages])
-    cloud = concatenate(list(decode_pcap(path, no_warning)))  # in the sensor's own frame, as the bag is
+    cloud = decoded(path)  # in the sensor's own frame, as the bag is
     assert (rows["xyz"] == cloud.xyz.astype(np.float32)).all()
     assert (rows["intensity"] == cloud.intensity).all()
     assert (rows["ring"] == cloud.ring).all()

@@ -14,7 +14,7 @@ from lidarcfg.packets.codec import codec
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.export import START_NS, check_exportable, export, in_time_order
-from tests.capture_fixtures import datagrams_of, no_warning, scene, write_datagrams
+from tests.capture_fixtures import datagrams_of, decoded_with_stats, no_warning, scene, write_datagrams
 from tests.naive import robosense as naive
 from tests.packets.robosense.fixtures import mount
 
@@ -33,12 +33,6 @@ def exported(tmp_path, mounts, duration_s=0.25, start_ns=START_NS):
     streams = export(rig, scene(tmp_path, SCENE), way, round(duration_s * 1e9), start_ns, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
     return path, rig, np.concatenate(truth)
-
-
-def decoded(path, on_warning=no_warning, **options):
-    stats = []
-    cloud = concatenate(list(decode_pcap(path, on_warning, on_stats=stats.append, **options)))
-    return cloud, stats[0]
 
 
 def msop(path):
@@ -66,14 +60,14 @@ def test_there_and_back(tmp_path, model, mode, fov):
     """Every return of the ground truth, at its time, within half a unit and half a hundredth of azimuth a block."""
     mounted = mount(model, return_mode=mode, rpy_rad=(0.03, 0.05, 0.4), azimuth_fov_deg=fov)
     path, rig, truth = exported(tmp_path, [mounted])
-    cloud, stats = decoded(path, rig=rig)
+    cloud, stats = decoded_with_stats(path, rig=rig)
     assert (stats.models, stats.return_modes, stats.lost) == ((model,), (mode,), 0)
     assert stats.rpm == pytest.approx(600, abs=1)
     assert len(cloud.xyz) == len(truth) > 2000
     assert (cloud.ring == mounted.sensor.ring[truth["laser"]]).all()
     assert (cloud.return_type == truth["return_type"]).all()
     assert abs(cloud.time_ns - truth["time_ns"]).max() <= (1000 if fov is None else 10_000)
-    bare, _ = decoded(path)
+    bare, _ = decoded_with_stats(path)
     lens_m = np.hypot(bare.xyz[:, 0], bare.xyz[:, 1])
     up_m = bare.xyz[:, 2]
     found_m = np.hypot((lens_m - 0.03498), up_m)  # the azimuth offset turns the beam by 5 degrees: 0.1 mm
@@ -94,7 +88,7 @@ def test_there_and_back(tmp_path, model, mode, fov):
 @pytest.mark.parametrize(("model", "lasers"), MODELS.items())
 def test_the_twin_reads_single_returns(tmp_path, model, lasers):
     path, _, _ = exported(tmp_path, [mount(model)], 0.1)
-    cloud, _ = decoded(path)
+    cloud, _ = decoded_with_stats(path)
     beams = load_sensor(model).beams
     first_us = 27.68 if lasers == 16 else 0
     offset = beams.azimuth_offset_deg or (0.0,) * 16
@@ -170,8 +164,8 @@ def test_losses_are_counted(tmp_path):
             return None
         return patched(one, *patches) if mine else one
 
-    assert decoded(changed(path, fewer))[1].lost == 3
-    assert decoded(changed(path, lambda one: fewer(one, (12, bytes(4)))))[1].lost == 3
+    assert decoded_with_stats(changed(path, fewer))[1].lost == 3
+    assert decoded_with_stats(changed(path, lambda one: fewer(one, (12, bytes(4)))))[1].lost == 3
 
 
 def test_sensors_are_told_apart(tmp_path):
@@ -207,12 +201,12 @@ def test_early_firmware_without_difop(tmp_path, model, mode, found):
 
     if found:
         said = []
-        _, stats = decoded(changed(path, early), said.append)
+        _, stats = decoded_with_stats(changed(path, early), said.append)
         assert (stats.models, stats.return_modes) == ((found,), (mode,))
         assert len(said) == 1
     else:
         with pytest.raises(PacketError, match="may be helios-16p or helios-32: its packets say no model, and no DIFOP"):
-            decoded(changed(path, early))
+            decoded_with_stats(changed(path, early))
 
 
 @pytest.mark.parametrize(
@@ -232,14 +226,14 @@ def test_what_cannot_be_read_says_why(tmp_path, patches, difop, what):
     path, _, _ = exported(tmp_path, [mount("helios-32")], 0.05)
     wrong = changed(path, lambda one: patched(one, *patches) if one.port == 6699 else one if difop else None)
     with pytest.raises(PacketError, match=what):
-        decoded(wrong)
+        decoded_with_stats(wrong)
 
 
 def test_a_rig_of_another_sensor(tmp_path):
     path, _, _ = exported(tmp_path, [mount("helios-32")], 0.05)
     other = Rig("other", (mount("helios-16p"),))
     with pytest.raises(PacketError, match="sends model 0x01, not helios-16p's 0x03; --model says"):
-        decoded(path, rig=other)
+        decoded_with_stats(path, rig=other)
 
 
 @pytest.mark.parametrize(

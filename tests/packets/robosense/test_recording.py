@@ -8,14 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import Datagram
-from lidarcfg.cloud import concatenate
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Batch, Firings, codec
 from lidarcfg.packets.robosense.facts import unit
 from lidarcfg.sensor import load_sensor
-from tests.capture_fixtures import datagrams_of, no_warning, recording, write_datagrams
+from tests.capture_fixtures import datagrams_of, decoded_with_stats, recording, write_datagrams
 from tests.naive import robosense as naive
 from tests.packets.robosense.fixtures import mount
 
@@ -37,15 +35,9 @@ def difop():
     return next(one.payload for one in sent() if one.port == 7788)
 
 
-def decoded(path, on_warning=no_warning, **options):
-    stats = []
-    cloud = concatenate(list(decode_pcap(path, on_warning, on_stats=stats.append, **options)))
-    return cloud, stats[0]
-
-
 def test_it_is_what_the_twin_reads():
     """Every return, by the DIFOP's angles, which come 0.36 s after the first packet."""
-    cloud, stats = decoded(recording("robosense/nebula_helios16p.pcap"))
+    cloud, stats = decoded_with_stats(recording("robosense/nebula_helios16p.pcap"))
     assert (stats.models, stats.return_modes, stats.packets, stats.lost) == (("helios-32",), ("strongest",), 750, 0)
     assert stats.rpm == pytest.approx(600, abs=0.2)
     expected = np.array(list(naive.single(payloads(), 32, *naive.difop_angles(difop()))))
@@ -67,7 +59,7 @@ def test_nebulas_cloud_is_found(tmp_path):
     sensor = sensor.model_copy(update={"robosense": sensor.robosense | {"firing": firing}})
     model = tmp_path / "nebula.json"
     model.write_text(sensor.model_dump_json(exclude_none=True))
-    cloud, stats = decoded(path, model=str(model))
+    cloud, stats = decoded_with_stats(path, model=str(model))
     assert stats.models == ("helios-16p",)
     units = np.rint(nebula[:, 8] / 0.0025).astype(int)
     wire = [(units, c % 16, intensity) for one in payloads() for _, c, units, intensity in naive.cells(one) if units]
@@ -132,8 +124,8 @@ def test_a_difop_that_never_comes(tmp_path):
     """Its packets, which do not say their model, may then be two; named, they are read by the file's angles."""
     path, said = rewritten(tmp_path, lambda one: one if one.port == 6699 else None), []
     with pytest.raises(PacketError, match="may be helios-16p or helios-32: its packets say no model, and no DIFOP"):
-        decoded(path)
-    cloud, _ = decoded(path, said.append, model="helios-32")
+        decoded_with_stats(path)
+    cloud, _ = decoded_with_stats(path, said.append, model="helios-32")
     assert said == [f"{path}: 192.168.1.200:6699: no DIFOP near its start; those of helios-32's file are taken"]
     mine = load_sensor("helios-32").beams
     expected = np.array(list(naive.single(payloads(), 32, mine.elevation_deg, mine.azimuth_offset_deg)))
@@ -153,4 +145,4 @@ def test_a_difop_of_another_sensor(tmp_path):
         return Datagram(one.time_ns, one.host, one.source_port, one.port, bytes(data))
 
     with pytest.raises(PacketError, match="its DIFOP has the angles of 16 lasers, helios-32 has 32; --model says"):
-        decoded(rewritten(tmp_path, fewer))
+        decoded_with_stats(rewritten(tmp_path, fewer))

@@ -31,7 +31,7 @@ from lidarcfg.simulate.export import START_NS, export
 from lidarcfg.simulate.ground_truth import records
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
-from tests.capture_fixtures import AT_NS, STREET, hdl_64e, mount, no_warning, recording, scene
+from tests.capture_fixtures import AT_NS, STREET, decoded, hdl_64e, mount, no_warning, recording, scene
 from tests.capture_fixtures import write_datagrams as write_pcap
 from tests.packets.velodyne.shaped import (
     decode,
@@ -103,10 +103,6 @@ def elsewhere(path, model, calibration=None):
     points = np.concatenate([points for _, points in scans])
     time_s = np.concatenate([stamp.device + points[:, 4].astype(np.float64) for stamp, points in scans])
     return points[:, :3], time_s, points[:, 3], points[:, 6], points[:, 7]
-
-
-def whole(path, **options):
-    return concatenate(list(decode_pcap(path, no_warning, **options)))
 
 
 def test_the_catalogue_has_them_all():
@@ -268,7 +264,7 @@ def order(xyz, ring, time_s):
 def test_real_recordings(name, tmp_path):
     """Point for point, but for the packets of the VLP-32C that go on beyond its sector: see the next test."""
     path, model = recording(f"{name}.pcap"), RECORDINGS[name]
-    ours = whole(path)
+    ours = decoded(path)
     if name == "jerry_vlp16":  # its id byte is that of an HDL-32E
         datagrams = [d for d in read_datagrams(path, no_warning) if len(d.payload) == 1206]
         write_pcap(tmp_path / "a.pcap", [replace(d, payload=d.payload[:-1] + b"\x22") for d in datagrams])
@@ -409,7 +405,7 @@ def test_a_unit_is_heard_as_it_was_met(name, mode, tmp_path):
         np.testing.assert_allclose(
             read, getattr(unit.beams if hasattr(unit.beams, key) else facts(unit).calibration, key), atol=1e-5
         )
-    ours = whole(tmp_path / "a.pcap")  # no warning: recognised, and its calibration found
+    ours = decoded(tmp_path / "a.pcap")  # no warning: recognised, and its calibration found
     xyz, time_s, intensity, ring, _ = elsewhere(tmp_path / "a.pcap", OTHERS[name], read_elsewhere)
     agree(ours, xyz, time_s, intensity, ring, 2e-6)
     assert dual or (ours.return_type == (mode == "last")).all()
@@ -606,10 +602,10 @@ def test_models_mixed_on_one_port(tmp_path):
     stats = []
     both = concatenate(list(decode_pcap(tmp_path / "c.pcap", no_warning, on_stats=stats.append)))
     assert {s.models[0]: s.return_modes for s in stats} == {"vlp-16": ("strongest",), "vlp-32c": ("dual",)}
-    assert len(both.xyz) == len(whole(tmp_path / "a.pcap").xyz) + len(whole(tmp_path / "b.pcap").xyz)
+    assert len(both.xyz) == len(decoded(tmp_path / "a.pcap").xyz) + len(decoded(tmp_path / "b.pcap").xyz)
     write_pcap(tmp_path / "d.pcap", a + [replace(d, host=a[0].host) for d in b])
     with pytest.raises(PacketError, match=r"192\.168\.1\.201:2368 sends product ids 0x22 and 0x28: two models on"):
-        whole(tmp_path / "d.pcap")
+        decoded(tmp_path / "d.pcap")
 
 
 def test_old_ids_do_not_hide_a_second_model(tmp_path):
@@ -626,12 +622,12 @@ def test_the_wrong_model_is_refused(tmp_path):
     sensor, packets, fired, *_ = sent("hdl-64e-s3", "strongest", 30)
     write(tmp_path / "a.pcap", sensor, packets, fired)
     with pytest.raises(PacketError, match=r"sends a packet every 3\d\d us; hdl-64e-s2 would every 288"):
-        whole(tmp_path / "a.pcap", model="hdl-64e-s2")
+        decoded(tmp_path / "a.pcap", model="hdl-64e-s2")
     sensor, packets, fired, *_ = sent("vls-128", "strongest", 30)
     write(tmp_path / "b.pcap", sensor, packets, fired)
     rig = Rig("one", (replace(mount(), sensor=load_sensor("vlp-32c")),))
     with pytest.raises(PacketError, match="sends product id 0xA1, not vlp-32c's 0x28; --model"):
-        whole(tmp_path / "b.pcap", rig=rig)
+        decoded(tmp_path / "b.pcap", rig=rig)
 
 
 @pytest.mark.parametrize(
@@ -685,10 +681,10 @@ def test_facts_decide_not_names(tmp_path):
     (tmp_path / "mine.yaml").write_text(text)
     sensor, packets, fired, *_ = sent(tmp_path / "mine.yaml", "dual", 20)
     write(tmp_path / "a.pcap", sensor, packets, fired)
-    cloud = whole(tmp_path / "a.pcap", model=str(tmp_path / "mine.yaml"))
+    cloud = decoded(tmp_path / "a.pcap", model=str(tmp_path / "mine.yaml"))
     assert len(cloud.xyz) > 5000
     with pytest.raises(PacketError, match="unknown product id 0x77"):
-        whole(tmp_path / "a.pcap")
+        decoded(tmp_path / "a.pcap")
 
 
 def test_what_a_sensor_does_not_do():
@@ -735,7 +731,7 @@ def test_a_calibration_that_makes_no_sense(tmp_path):
     bad = sensor.model_copy(update={"beams": beams})
     write(tmp_path / "a.pcap", bad, *calibrating(bad))
     with pytest.raises(PacketError, match=r"carry a calibration that no sensor has: .*95 is outside the allowed"):
-        whole(tmp_path / "a.pcap")
+        decoded(tmp_path / "a.pcap")
 
 
 def test_both_clocks_of_a_vls_128(tmp_path):

@@ -1,0 +1,13 @@
+"""What all tests may ask for."""
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    """A module of tools/ by its name."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
+    return importlib.import_module

@@ -1,0 +1,10 @@
+"""Studies that tests write and read."""
+
+from lidarcfg.placement.study import load_study
+
+
+def study_of(folder, text, patterns=None):
+    """The study that a YAML text in a folder's study.yaml says."""
+    path = folder / "study.yaml"
+    path.write_text(text)
+    return load_study(path, patterns)
