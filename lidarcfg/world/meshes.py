@@ -14,6 +14,7 @@ from lidarcfg.config import COORDINATE_MAX_M, Vec3
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.inputs import check_regular
+from lidarcfg.world.gltf import SUFFIXES, check_nodes
 
 if TYPE_CHECKING:
     from lidarcfg.world.scene import Box, Cylinder, MeshFile, Plane, Sphere
@@ -106,6 +107,8 @@ def read_mesh(path: Path) -> Mesh:
     check_readable(path, FILE_MAX)
     if path.suffix.lower() in NO_MESHES:
         raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
+    if path.suffix.lower() in SUFFIXES:
+        check_nodes(path)
     with silent(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)

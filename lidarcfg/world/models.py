@@ -1,20 +1,19 @@
 """glTF files of several nodes, each of which becomes an object. Read by trimesh."""
 
-import json
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
-from urllib.parse import unquote
 
 import numpy as np
 
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import transform
+from lidarcfg.world.gltf import SUFFIXES, check_nodes
 from lidarcfg.world.meshes import FILE_MAX, Mesh, check_mesh, check_readable, joined, placed
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 
     from lidarcfg.world.scene import GltfModel
 
-SUFFIXES = ".gltf", ".glb"
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # of y up: -z becomes y
 SHOWN = 8  # names in a message
 SEVERAL = "from_gltf_primitive"  # trimesh's mark of a mesh that is one of a node's several
@@ -47,8 +45,11 @@ def model_objects(item: "GltfModel", folder: Path) -> list[tuple["GltfModel", Me
     A node of several materials is several objects, NODE/MATERIAL. Raises SceneError.
     """
     path = folder / item.file
-    parts = read_parts(path)
-    _check_known(path, "node", item.nodes or (), sorted({part.node for part in parts}))
+    parts = read_parts(path, item.nodes)
+    shown = sorted({part.node for part in parts})
+    for name in sorted(set(item.nodes or ()) & (check_nodes(path, ()) - set(shown))):
+        raise SceneError(f"{path}: node {name!r} has no triangles; it has {_listed(shown)}")
+    _check_known(path, "node", item.nodes or (), shown)
     _check_known(path, "material", item.materials, sorted({part.material for part in parts} - {""}))
     wanted = None if item.nodes is None else set(item.nodes)
     materials = Counter(part.node for part in parts)
@@ -63,13 +64,17 @@ def model_objects(item: "GltfModel", folder: Path) -> list[tuple["GltfModel", Me
     return out
 
 
-def read_parts(path: Path) -> list[Part]:
-    """The triangles of a glTF file by node and material, where its nodes' transforms have them. Raises SceneError."""
+def read_parts(path: Path, wanted: Collection[str] | None = None) -> list[Part]:
+    """The triangles of a glTF file by node and material, where its nodes' transforms have them. Raises SceneError.
+
+    Of nodes that are not wanted, some may be otherwise than the file means them.
+    """
     import trimesh
 
     check_readable(path, FILE_MAX)
     if path.suffix.lower() not in SUFFIXES:
         raise SceneError(f"{path}: is no glTF file; allowed: {', '.join(SUFFIXES)}")
+    check_nodes(path, wanted)
     try:
         found = sorted(_pieces(path, trimesh.load_scene(path, process=False)), key=itemgetter(0, 1, 2))
     except ERRORS as error:
@@ -97,19 +102,14 @@ def _pieces(path: Path, scene: "trimesh.Scene") -> Iterator[tuple[str, str, str,
         yield str(node), material, str(geometry), mesh
 
 
-def buffers(path: Path) -> list[Path]:
-    """The files beside a .gltf that hold its numbers, if it is one."""
-    if path.suffix.lower() != ".gltf":
-        return []
-    said = json.loads(path.read_bytes())
-    names = (one["uri"] for one in said.get("buffers", ()) if not one.get("uri", "data:").startswith("data:"))
-    return [path.parent / unquote(name) for name in names]
-
-
 def _check_known(path: Path, what: str, given: Iterable[str], known: Sequence[str]) -> None:
     """Raises SceneError for a name that the file does not have."""
     if unknown := [name for name in given if name not in known]:
         close = get_close_matches(unknown[0], known, 1)
         hint = f"did you mean {close[0]!r}? " if close else ""
-        there = ", ".join(map(repr, known[:SHOWN])) + " …" * (len(known) > SHOWN)
-        raise SceneError(f"{path}: has no {what} {unknown[0]!r}; {hint}it has {there or 'none'}")
+        raise SceneError(f"{path}: has no {what} {unknown[0]!r}; {hint}it has {_listed(known)}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names, for a message."""
+    return ", ".join(map(repr, names[:SHOWN])) + " …" * (len(names) > SHOWN) or "none"

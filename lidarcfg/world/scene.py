@@ -14,9 +14,10 @@ from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.sensor import Byte
 from lidarcfg.world.categories import Category
+from lidarcfg.world.gltf import buffers
 from lidarcfg.world.height_field import height_field_mesh
 from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed, plane_mesh, read_mesh, sphere_mesh
-from lidarcfg.world.models import buffers, model_objects
+from lidarcfg.world.models import model_objects
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.surfels import surfels_mesh
 

@@ -237,6 +237,56 @@ def test_models_that_are_refused(tmp_path, given, made, message):
         scene(tmp_path, MODEL.format("0, 0, 0", given))
 
 
+BONES = {"skins": [{"joints": [1]}], "nodes": [{"name": "man", "mesh": 0, "skin": 0}, {"name": "hip"}]}
+SHARED = [{"name": "a", "children": [2]}, {"name": "b", "children": [2]}, {"name": "wheel", "mesh": 0}]
+MANY = {"name": "tree", "mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (
+            BONES,
+            "node 'man' has a skin, whose bones bend its mesh (in Blender, an Armature modifier); apply them, so that",
+        ),
+        (
+            {"nodes": [{"name": "a", "mesh": 0}, {"mesh": 7}]},
+            "node '1' names mesh 7, of 2; export it again, with its mesh",
+        ),
+        ({"nodes": [{"name": "a", "mesh": -1}]}, "node 'a' names mesh -1, of 2; export it again, with its mesh"),
+        (
+            {"nodes": [{"name": "face", "mesh": 0, "weights": [0, 0.5]}]},
+            "node 'face' has morph targets in use (in Blender,",
+        ),
+        ({"nodes": SHARED}, "node 'wheel' has 2 parents; allowed is one: export it again, with a copy under each"),
+        (
+            {"nodes": [MANY]},
+            "node 'tree' stands for several by EXT_mesh_gpu_instancing; export it again without instancing",
+        ),
+        ({"nodes": {"a": {"mesh": 0}}}, "a.glb: not a whole glTF file: "),
+        ({"nodes": [{"children": [[1]]}]}, "a.glb: not a whole glTF file: "),
+    ],
+)
+def test_nodes_that_would_be_shown_otherwise(tmp_path, made, message):
+    """By name, for a model and for a mesh, whose reader crashes on skins without matrices."""
+    glb(tmp_path / "a.glb", NODES, primitives=((0,), (1,)), damaged=made)
+    with refused(message, r"scene\.yaml:2:\d+: models\[0\]"):
+        scene(tmp_path, MODEL.format("0, 0, 0", ""))
+    with refused(message, r"scene\.yaml:2:\d+: meshes\[0\]"):
+        scene(tmp_path, "meshes: [{name: m, file: a.glb, position_m: [0, 0, 0], reflectivity: 3}]")
+
+
+def test_nodes_beside_those_that_are_wanted(tmp_path):
+    """A skin is no matter where another node is asked for; a node without triangles is said to be one."""
+    nodes = [{"name": "man", "mesh": 0, "skin": 0}, {"name": "hip"}, {"name": "door", "mesh": 1}]
+    still = [{"name": "rest", "mesh": 0, "weights": [0, 0]}]
+    made = {"skins": [{"joints": [1]}], "nodes": nodes + still}
+    glb(tmp_path / "a.glb", nodes + still, primitives=((0,), (1,)), damaged=made)
+    assert scene(tmp_path, MODEL.format("0, 0, 0", ", nodes: [door, rest]")).names == ("block/door", "block/rest")
+    with refused("a.glb: node 'hip' has no triangles; it has 'door', 'man', 'rest'", r"scene\.yaml:2:\d+: models\[0\]"):
+        scene(tmp_path, MODEL.format("0, 0, 0", ", nodes: [door, hip]"))
+
+
 def test_a_node_called_as_another_object(tmp_path):
     glb(tmp_path / "a.glb", NODES, primitives=((0,), (1,)))
     box = "boxes: [{name: block/door, center_m: [0, 0, 0], size_m: [1, 1, 1], reflectivity: 3}]\n"

@@ -1,0 +1,78 @@
+"""What a glTF file (version 2.0) says of its nodes: those that readers show otherwise are refused by name."""
+
+import json
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from lidarcfg.errors import SceneError
+
+SUFFIXES = ".gltf", ".glb"
+MAGIC, HEAD = b"glTF", 20  # of a .glb: what it begins with, and bytes before its JSON
+INSTANCES = "EXT_mesh_gpu_instancing"
+SHAPES = "apply them, so that the mesh has the shape that is meant, and export it again"
+
+
+def said(path: Path) -> dict[str, Any]:
+    """The JSON of a glTF file. Raises SceneError if there is none, OSError."""
+    with path.open("rb") as file:
+        head = file.read(HEAD)
+        if head.startswith(MAGIC) and len(head) == HEAD:
+            text = file.read(struct.unpack("<I", head[12:16])[0])
+        else:
+            text = head + file.read()
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise _damaged(path, error) from None
+    if not isinstance(found, dict):
+        raise _damaged(path, "its JSON is no object")
+    return found
+
+
+def buffers(path: Path) -> list[Path]:
+    """The files beside a whole glTF file that hold its numbers, if it is one."""
+    if path.suffix.lower() not in SUFFIXES:
+        return []
+    names = (one["uri"] for one in said(path).get("buffers", ()) if not one.get("uri", "data:").startswith("data:"))
+    return [path.parent / unquote(name) for name in names]
+
+
+def check_nodes(path: Path, wanted: Collection[str] | None = None) -> frozenset[str]:
+    """The names of a glTF file's nodes. Raises SceneError for one, of those wanted, that readers show otherwise."""
+    whole = said(path)
+    try:
+        nodes = whole.get("nodes", [])
+        names = [str(node.get("name", i)) for i, node in enumerate(nodes)]
+        parents = Counter(child for node in nodes for child in node.get("children", ()))
+        for i, (name, node) in enumerate(zip(names, nodes, strict=True)):
+            if wanted is None or name in wanted:
+                for wrong in _mistakes(whole, node, parents[i]):
+                    raise SceneError(f"{path}: node {name!r} {wrong}")
+    except (AttributeError, TypeError, ValueError, LookupError) as error:
+        raise _damaged(path, error) from None
+    return frozenset(names)
+
+
+def _mistakes(whole: dict[str, Any], node: dict[str, Any], parents: int) -> Iterator[str]:
+    """What is wrong with a node, and what to do."""
+    if parents > 1:
+        yield f"has {parents} parents; allowed is one: export it again, with a copy under each"
+    if "mesh" not in node:
+        return
+    meshes = whole.get("meshes", [])
+    if not 0 <= node["mesh"] < len(meshes):
+        yield f"names mesh {node['mesh']}, of {len(meshes)}; export it again, with its mesh, or without the node"
+    if "skin" in node:
+        yield f"has a skin, whose bones bend its mesh (in Blender, an Armature modifier); {SHAPES} without skins"
+    if any(node.get("weights", meshes[node["mesh"]].get("weights", ()))):
+        yield f"has morph targets in use (in Blender, shape keys); {SHAPES}"
+    if INSTANCES in node.get("extensions", ()):
+        yield f"stands for several by {INSTANCES}; export it again without instancing"
+
+
+def _damaged(path: Path, what: object) -> SceneError:
+    return SceneError(f"{path}: not a whole glTF file: {' '.join(str(what).split())[:200]}")
