@@ -86,7 +86,7 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     What killed runs have left of the same output is removed. Within `together` the file takes its place at the end of
     that. Raises OSError, also for a file that is read-only.
     """
-    path = _target(Path(path))
+    path = target(Path(path))
     check_replaceable(path)
     make_parent(path)
     remove_leftovers(path)
@@ -191,7 +191,7 @@ def make_parent(path: Path) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
-def _target(path: Path) -> Path:
+def target(path: Path) -> Path:
     """What the path leads to, whether it is there yet or not. Raises OSError for links that lead in a circle."""
     if not path.is_symlink():
         return path

@@ -179,7 +179,7 @@ def resolve_sensor(
     if model is None:
         return custom_sensor(elevation_deg or ()), None
     try:
-        return load_sensor(model, path.parent), model if model in catalogue() else str((path.parent / model).resolve())
+        return load_sensor(model, path.parent), model if model in catalogue() else os.path.realpath(path.parent / model)
     except ConfigError as error:
         raise error_at(path, ("sensors", index, *(at or ("model",))), error) from None
 
@@ -269,7 +269,7 @@ def _realism(path: Path, index: int, given: Realism | None, sensor: Sensor) -> R
 
 def _whole(vehicle: Mapping[str, Any], base: Path) -> dict[str, Any]:
     """A vehicle's keys with whole paths instead of those relative to a folder."""
-    return _with_files(vehicle, lambda file: str((base / file).resolve()))
+    return _with_files(vehicle, lambda file: os.path.realpath(base / file))
 
 
 def _with_files(vehicle: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
@@ -322,7 +322,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
     """Write the rig as YAML; floats are written so that they read back bit for bit."""
     path = Path(path)
     with replacing(path) as file:
-        file.write(rig_text(rig, path.parent.resolve()))
+        file.write(rig_text(rig, Path(os.path.realpath(path.parent))))
 
 
 def rig_text(rig: Rig, base: Path | None = None) -> str:

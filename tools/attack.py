@@ -29,6 +29,7 @@ sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
 
 import attack_inputs  # noqa: E402
 import attack_names  # noqa: E402
+import attack_save  # noqa: E402
 import attack_server  # noqa: E402
 import attack_writes  # noqa: E402
 from attack_commands import COMMANDS, prepare  # noqa: E402
@@ -40,17 +41,21 @@ BEGIN, END = "<!-- attacks: begin -->", "<!-- attacks: end -->"
 SEED = 1
 WRITES = ("kills", "signals", "full_disk", "read_only", "two_writers")
 QUICK = [command for command in COMMANDS if command.name in ("convert a rig to .urdf", "export to .ply")]
-GROUPS = (*WRITES, "bombs", "liars", "names", "server")
+GROUPS = (*WRITES, "bombs", "liars", "names", "server", "save")
 
 
 def rows(name: str, folder: Path, given: argparse.Namespace, done: set[str]) -> Iterator[Row]:
     """The rows of a group of attacks; of kills without those that are done."""
+    if name not in WRITES:
+        load_libraries()
     if name in WRITES:
         yield from merged(_written(name, folder, given, done))
     elif name in ("bombs", "liars"):
         yield from getattr(attack_inputs, name)(folder, given.quick)
     elif name == "names":
         yield from attack_names.attacks(folder)
+    elif name == "save":
+        yield from attack_save.attacks(folder, 2 if given.quick else given.times, random.Random(SEED))
     else:
         yield from attack_server.attacks(given.quick)
 
@@ -150,7 +155,6 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if unknown := set(given.names) - set(GROUPS):
         parser.error(f"no group is called {', '.join(sorted(unknown))}; allowed: {', '.join(GROUPS)}")
-    load_libraries()
     kept, began = Kept(given.rows, given.quick), time.perf_counter()
     for name in given.names or GROUPS:
         if name not in kept.done:

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from attack_run import ROOT, run
+from attack_run import run
 
 MARKS = "markfirst", "marksecond"  # the name of the rig or study that a file is of
 KINDS = "study", "rig"  # of a schema, in place of the names
-STREET = ROOT / "data/scenes/street.yaml"
 STUDY = """
 region: {{min_m: [-4, -4, 0], max_m: [4, 4, 2], cuboid_m: [0.5, 0.5, 0.25]}}
 sensors:
@@ -35,6 +34,10 @@ study:
        max: {{position_m: [1, 1, 2], rpy_deg: [20, 20, 0]}}}}
   solver: {{method: cmaes, evaluations: 40}}
 vary: {{solver.seed: [{1}, 7]}}
+"""
+SCENE = """name: box
+ground: {z_m: 0, reflectivity: 12}
+boxes: [{name: box, center_m: [5, 0, 1], size_m: [1, 1, 2], reflectivity: 20}]
 """
 RIG = "name: {0}\nsensors:\n  - {{name: {0}, model: vlp-16, position_m: [0, 0, {1}]}}\n"
 TWO = """name: {0}
@@ -66,7 +69,7 @@ def _search(name: str, words: str, folder: str, progress: set[str]) -> Command:
 
 
 def _export(what: str, output: str, options: str = "", rig: str = "rig", more: Sequence[str] = ()) -> Command:
-    words = f"export {{0}}-{rig}.yaml --scene {STREET} --duration 0.1 -o {output} {options} --quiet"
+    words = f"export {{0}}-{rig}.yaml --scene scene.yaml --duration 0.1 -o {output} {options} --quiet"
     return Command(f"export {what}", words, (*(more or (f"{output}.yaml", output)),))
 
 
@@ -102,7 +105,7 @@ COMMANDS = (
     _convert("a capture to .bag", ".pcap", "m.bag"),
     _convert("a capture to firings", ".pcap", "firings.npz"),
     _convert("firings to .pcap", "-firings.npz", "again.pcap"),
-    Command("view to .png", f"view {{0}}-rig.yaml {STREET} --size 320x200 --png v.png --quiet", ("v.png",)),
+    Command("view to .png", "view {0}-rig.yaml scene.yaml --size 320x200 --png v.png --quiet", ("v.png",)),
     Command("view to .html", "view {0}-rig.yaml --html v.html --quiet", ("v.html",)),
     Command("init", "init study --vehicle truck -o i/{0}.yaml --quiet", ("i",), once=True),
     Command("schema", "schema {1} -o schema.json", ("schema.json",)),
@@ -116,6 +119,7 @@ def prepare(folder: Path) -> None:
     """The inputs of both names."""
     os.environ["SOURCE_DATE_EPOCH"] = "0"
     folder.chmod(0o755)
+    (folder / "scene.yaml").write_text(SCENE)
     for i, mark in enumerate(MARKS):
         (folder / f"{mark}.yaml").write_text(STUDY.format(mark, i))
         (folder / f"{mark}-choices.yaml").write_text(CHOICES.format(mark, i))
@@ -123,7 +127,7 @@ def prepare(folder: Path) -> None:
         (folder / f"{mark}-rig.yaml").write_text(RIG.format(mark, 1.8 + i / 10))
         (folder / f"{mark}-two.yaml").write_text(TWO.format(mark, 1.8 + i / 10))
         for words in (
-            f"export {mark}-rig.yaml --scene {STREET} --duration 0.2 -o {mark}.pcap --quiet",
+            f"export {mark}-rig.yaml --scene scene.yaml --duration 0.2 -o {mark}.pcap --quiet",
             f"decode {mark}.pcap -o {mark}.ply --quiet",
             f"convert {mark}.pcap -o {mark}-firings.npz --quiet",
         ):

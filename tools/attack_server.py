@@ -19,6 +19,8 @@ FOREIGN = (
     {"Host": "127.0.0.1", "Origin": "null"},
     {"Host": "127.0.0.1", "Origin": "http://127.0.0.1.evil.example"},
     {"Host": "127.0.0.1", "Origin": "file://"},
+    {"Host": "127.0.0.1", "Origin": "http://localhost:80@evil.example"},
+    {"Host": "localhost:80@evil.example"},
 )
 BODIES = (
     b"",
@@ -31,6 +33,9 @@ BODIES = (
     b'{"poses": "x"}',
     b'{"poses": [[1, 2, 3]]}',
     b'{"poses": [[1, 2, 3, 0, 0, 0]], "worst": -1}',
+    b'{"poses": [["1", "2", "3", "0", "0", "0"]]}',
+    b'{"poses": [[true, false, true, false, true, false]], "mount": 0, "pose": [1, 2, 3, 0, 0, 0]}',
+    b'{"poses": [[1, 2, 3, 0, 0, 0]], "mount": [0], "pose": {"x": 1}}',
     b'{"poses": [[1, 2, 3, 0, 0, 0]], "worst": true, "transparent": 3}',
     b"\xff\xfe",
     b"9" * 5000,
@@ -89,7 +94,7 @@ def nonsense(port: int) -> Row:
     """Bodies that are none, sizes that are not so, paths that lead elsewhere."""
     row = Row("the page's server: oversized and odd bodies, paths, methods")
     for body in BODIES:
-        for path in ("/evaluate", "/rig.yaml", "/none"):
+        for path in ("/evaluate", "/rig.yaml", "/rates", "/place", "/save", "/none"):
             status, _ = ask(port, "POST", path, body, {})
             row.add("" if status in (400, 404) else f"{body[:40]!r} to {path}: {status}")
     for size in ("-1", "1e3", str(2**20 + 1), "9" * 400, "", "x", "\u0663".encode().decode("latin-1")):

@@ -3,6 +3,7 @@
 A kill then falls into the work and its writing, and not into the seconds that a start takes.
 """
 
+import gc
 import io
 import os
 import pickle
@@ -59,6 +60,7 @@ class Warm:
             clear(folder, command)
             self._drawings.use(mark, ready=False)
             self._run_here(mark)
+        gc.freeze()  # forks share what is there by now
         self.known = self._learn()
 
     def start(self, mark: str, limit: Callable[[], None] = lambda: None) -> int:

@@ -29,7 +29,7 @@ class Part(Model):
     def of(cls, path: Path, record: Path) -> "Part":
         """The file at `path`, as a record names it. Raises OSError."""
         path = example(path)
-        return cls(file=os.path.relpath(path.resolve(), record.parent.resolve()), sha256=_sha256(path))
+        return cls(file=os.path.relpath(os.path.realpath(path), os.path.realpath(record.parent)), sha256=_sha256(path))
 
 
 class Input(Part):
@@ -108,7 +108,9 @@ def save_record(
     inputs = {}
     for key, file in files.items():
         if file:
-            others = dict.fromkeys(one for one in named.get(key, ()) if one.resolve() != example(file).resolve())
+            others = dict.fromkeys(
+                one for one in named.get(key, ()) if os.path.realpath(one) != os.path.realpath(example(file))
+            )
             parts = tuple(Part.of(one, path) for one in others)
             inputs[key] = Input(**Part.of(file, path).model_dump(), files=parts or None)
     record = Record.model_validate({**inputs, **{key: value for key, value in values.items() if value is not None}})

@@ -4,6 +4,7 @@ Points are laid out as the maker's driver has them, by the `point_fields` of the
 fields. The message's stamp is the time of the scan's first point.
 """
 
+import os
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -15,7 +16,7 @@ import numpy as np
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError, missing
-from lidarcfg.files import Whole, check_replaceable, place
+from lidarcfg.files import Whole, check_replaceable, place, target
 from lidarcfg.formats.folder import beside, replacing_folder
 from lidarcfg.formats.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.formats.messages import Messages, ros_store
@@ -56,8 +57,9 @@ def write_bag(path: Path, storage: str, made: Made) -> int:
     """Write messages as a bag, whole or not at all, and return their number."""
     if storage == "ros1":
         return _file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
-    if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(path.resolve()))):
-        raise ConversionError(f"{path.resolve()}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
+    whole = Path(os.path.realpath(target(path)))
+    if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(whole))):
+        raise ConversionError(f"{whole}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
     with replacing_folder(path, *BAG_FILES) as folder:
         return _write(folder, storage, made)
 
@@ -79,7 +81,7 @@ def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
     check_replaceable(path)
     with ExitStack() as rest:
         count, written = write(rest.enter_context(beside(path)))
-        place(Whole(written, path.resolve(), rest.pop_all()))
+        place(Whole(written, Path(os.path.realpath(target(path))), rest.pop_all()))
     return count
 
 

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from lidarcfg.aside import exchange, hold, name_beside, old_name, opened, remove_leftovers
 from lidarcfg.errors import ConversionError
-from lidarcfg.files import Whole, alone, check_not_read_only, make_parent, place
+from lidarcfg.files import Whole, alone, check_not_read_only, make_parent, place, target
 
 
 @contextmanager
 def beside(path: Path) -> Iterator[Path]:
     """A temporary folder beside `path`. Errors of the system inside it are reported for `path`."""
-    whole = path.resolve()
+    whole = Path(os.path.realpath(target(path)))
     aside, held = name_beside(whole), None
     try:  # from before it exists: an interrupt can come at any time
         make_parent(whole)
@@ -44,7 +44,7 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
     ConversionError or OSError is raised. It is replaced in one step on Linux; elsewhere there is a moment without it.
     Within `together` it is replaced at the end of that.
     """
-    whole = path.resolve()
+    whole = Path(os.path.realpath(target(path)))
     if whole.exists() and not whole.is_dir():
         raise ConversionError(f"{path}: is not a folder; give the name of a new one")
     for item in whole.iterdir() if whole.exists() else ():

@@ -1,6 +1,7 @@
 """A study: which sensors may be placed where, what is minimised, and how to search."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -381,7 +382,7 @@ def _resolved(
     if bodies:
         values["vehicle"] = bodies.file.model_dump(mode="json", exclude_none=True)
     if file.surroundings is not None:
-        values["surroundings"] = str((path.parent / file.surroundings).resolve())
+        values["surroundings"] = os.path.realpath(path.parent / file.surroundings)
     models = iter(slots)
     for group in values["sensors"]:
         for slot in islice(models, group["count"]):

@@ -1,6 +1,7 @@
 """The file that a rig came from: moved poses are written into its text, and all else of it stays as it is."""
 
 import math
+import os
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import yaml
 
 import lidarcfg
+from lidarcfg.aside import locked
 from lidarcfg.config import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
@@ -38,14 +40,21 @@ class RigSource:
 
         Raises ConfigError if the file has changed since it was read, or its text cannot take them, and OSError.
         """
-        if self.path.resolve().is_relative_to(Path(lidarcfg.__file__).parent):
+        real = Path(os.path.realpath(self.path))
+        if real.is_relative_to(Path(lidarcfg.__file__).parent):
             raise ConfigError(f"{self.path}: comes with lidarcfg and is not changed; {ELSE}")
-        if not self.path.is_file() or self.path.read_bytes().decode("utf-8", "replace") != self.text:
-            raise ConfigError(f"{self.path}: has changed on disk since it was opened; nothing is written; {ELSE}")
-        changed = replace(self, text=self._with(poses))
-        with replacing(self.path, "wb") as file:
-            file.write(changed.text.encode())
+        with locked([real.parent]):  # another page may have the same file
+            if not self._is_there():
+                raise ConfigError(f"{self.path}: has changed on disk since it was opened; nothing is written; {ELSE}")
+            changed = replace(self, text=self._with(poses))
+            with replacing(self.path, "wb") as file:
+                file.write(changed.text.encode())
         return changed
+
+    def _is_there(self) -> bool:
+        """Whether the file is as it was; one of another size, however large, is not read."""
+        text = self.text.encode()
+        return self.path.is_file() and self.path.stat().st_size == len(text) and self.path.read_bytes() == text
 
     def _with(self, poses: Array) -> str:
         """The text with other poses. Raises ConfigError."""

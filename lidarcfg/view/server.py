@@ -1,6 +1,7 @@
 """The page's server, for this machine only: the page's own routes, and evaluations of the rig as it is moved."""
 
 import json
+import re
 import secrets
 import sys
 import threading
@@ -23,6 +24,7 @@ from lidarcfg.view.stage import Stage
 
 HERE = "127.0.0.1"
 HOSTS = (HERE, "localhost")  # any other name could be a page from elsewhere
+HOST = re.compile(rf"({'|'.join(map(re.escape, HOSTS))})(:[0-9]{{1,5}})?")
 REQUEST_MAX = 1 << 20  # bytes
 TOKEN = "X-Lidarcfg-Token"  # a header that a page from elsewhere can neither know nor send
 IDLE_S = 30.0  # a connection that says nothing for so long is closed
@@ -123,7 +125,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_local(self) -> bool:
         """Whether the request names this machine; if not, it is refused."""
         names = [self.headers.get("Host", ""), self.headers.get("Origin", f"http://{HERE}").partition("://")[2]]
-        if all(name.partition(":")[0] in HOSTS for name in names):
+        if all(map(HOST.fullmatch, names)):
             return True
         self.close_connection = True
         self._refuse(HTTPStatus.FORBIDDEN, f"this page answers to {' and '.join(HOSTS)} only")
@@ -137,6 +139,9 @@ class _Handler(BaseHTTPRequestHandler):
             raise ConfigError(f"Content-Length {length!r}; allowed: 0 to {REQUEST_MAX}")
         try:
             request = json.loads(self.rfile.read(int(length)))
+        except TimeoutError:
+            self.close_connection = True  # what comes later is no request
+            raise ConfigError(f"the request is not whole after {self.timeout:g} s") from None
         except (ValueError, RecursionError):
             raise ConfigError("the request is not JSON") from None
         if not isinstance(request, dict):
@@ -169,8 +174,10 @@ def _poses(request: dict[str, Any], rigs: tuple[Rig, ...]) -> Array:
 
 def _numbers(request: dict[str, Any], key: str, shape: tuple[int, ...]) -> Array:
     """One pose, or several. Raises ConfigError."""
+    given: Any = request.get(key)
     try:
-        poses = np.array(request.get(key), np.float64)
+        plain = all(type(number) in (int, float) for pose in (given if len(shape) > 1 else [given]) for number in pose)
+        poses = np.array(given if plain else None, np.float64)  # "1" and true are no numbers
     except (TypeError, ValueError, OverflowError):
         poses = np.empty(0)
     if poses.shape != shape or not (abs(poses) <= COORDINATE_MAX_M).all():
@@ -200,6 +207,6 @@ def _flag(request: dict[str, Any], key: str) -> bool:
 def _count(request: dict[str, Any]) -> int:
     """How many of the worst subspaces are wanted. Raises ConfigError."""
     worst = request.get("worst", WORST)
-    if not isinstance(worst, int) or not 0 <= worst <= WORST:
+    if type(worst) is not int or not 0 <= worst <= WORST:
         raise ConfigError(f"worst: allowed is 0 to {WORST}")
     return worst

@@ -1,6 +1,7 @@
 """A vehicle: the bodies that travel with the sensors and block their beams, in the vehicle frame."""
 
 import math
+import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -224,7 +225,7 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
             f"{path}: the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
         )
     excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
-    meshes = (mesh.model_copy(update={"file": str((path.parent / mesh.file).resolve())}) for mesh in file.meshes)
+    meshes = (mesh.model_copy(update={"file": os.path.realpath(path.parent / mesh.file)}) for mesh in file.meshes)
     whole = file.model_copy(update={"meshes": tuple(meshes)})
     return Vehicle(scene, excluded, file.allow_inside, whole, closed, tuple(warnings))
 

@@ -123,6 +123,20 @@ def test_options_that_do_not_belong(words, what, here):
     assert what in done.output
 
 
+@pytest.mark.parametrize(
+    "words",
+    ["roof.yaml -o a", "roof.yaml -o a/b", "p.pcap -o a", "p.pcap -o a.mcap", "p.pcap -o a.bag", "c.ply -o a.las"],
+)
+def test_a_loop_of_links_as_output(words, here):
+    """One line, and the links stay."""
+    link = here / words.split()[-1].split("/")[0]
+    link.symlink_to(link.name)
+    said = lidarcfg("convert", *words.split(), code=2, cwd=here).stderr
+    assert (said.count("\n"), words.split()[-1] in said) == (1, True)
+    assert link.is_symlink()
+    assert sorted(path.name for path in here.iterdir()) == sorted(["c.ply", "p.pcap", "roof.yaml", link.name])
+
+
 def test_all_that_a_rig_becomes(here):
     for output, there in (("a.urdf", "<robot"), ("a.launch.py", "static_transform"), ("a.json", "ray_cast")):
         done = run("roof.yaml", "-o", output)

@@ -150,6 +150,43 @@ def sides(tmp_path):
     return load_stage([tmp_path / "sides.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
 
 
+def test_what_is_no_file_any_more_is_not_written(tmp_path):
+    """Links in a circle, and a file that has become ten gigabytes, which are not read."""
+    found, rig = source(tmp_path / "rig.yaml", RIG)
+    found.path.unlink()
+    found.path.symlink_to("rig.yaml")
+    with pytest.raises(ConfigError, match="has changed on disk"):
+        found.saved(poses_of(rig))
+    found.path.unlink()
+    with open(found.path, "wb") as file:
+        file.truncate(10**10)
+    with pytest.raises(ConfigError, match="has changed on disk"):
+        found.saved(poses_of(rig))
+    assert found.path.stat().st_size == 10**10
+
+
+@pytest.mark.parametrize("number", ['"1"', "true", "null", "[1]", "NaN", "1e999", "1e308"])
+def test_what_is_no_number_is_not_saved(sides, number):
+    with serving(sides) as url:
+        token = json.loads(asked(url, "GET", "/about.json")[1])["token"]
+        body = f'{{"poses": [[{number}, 1, 2, 0, 0, 0], [1, 2, 3, 0, 0, 0]]}}'
+        status, text = asked(url, "POST", "/save", body, **{"X-Lidarcfg-Token": token})
+        assert (status, text) == (400, b"poses: allowed are 2 of x, y, z, roll, pitch, yaw in metres and radians\n")
+    assert sides.source.path.read_text() == RIG
+
+
+def test_of_two_pages_one_saves_and_a_request_that_stops_is_refused(sides, monkeypatch):
+    monkeypatch.setattr("lidarcfg.view.server._Handler.timeout", 0.2)
+    with serving(sides) as one, serving(sides) as other:
+        tokens = [json.loads(asked(url, "GET", "/about.json")[1])["token"] for url in (one, other)]
+        bodies = [json.dumps({"poses": (poses_of(sides.rigs[0]) + step).tolist()}) for step in (0.01, 0.02)]
+        assert asked(one, "POST", "/save", bodies[0], **{"X-Lidarcfg-Token": tokens[0]})[0] == 200
+        status, text = asked(other, "POST", "/save", bodies[1], **{"X-Lidarcfg-Token": tokens[1]})
+        assert (status, b"has changed on disk" in text) == (400, True)
+        status, text = asked(one, "POST", "/save", bodies[0], **{"Content-Length": "9999"})
+        assert (status, text) == (400, b"the request is not whole after 0.2 s\n")
+
+
 def test_who_may_save(sides):
     """Only the page as it is served now; a foreign page knows no token, nor does one of an earlier server."""
     body = json.dumps({"poses": (poses_of(sides.rigs[0]) + 0.01).tolist()})
