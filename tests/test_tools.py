@@ -145,3 +145,13 @@ def test_tools_ask_for_what_the_package_has(path):
             module = importlib.import_module(node.module)
             for name in node.names:
                 assert hasattr(module, name.name) or importlib.import_module(f"{node.module}.{name.name}"), name.name
+
+
+def test_the_targets_of_the_benchmarks_stand_on_their_page(tool, tmp_path):
+    """Each is found there; one by hand: at most 3 times the cost of thin beams, which the page states."""
+    pages = tool("draw_pages")
+    ratios = dict(zip((target[0] for target in pages.TARGETS), pages.ratios(), strict=True))
+    row = next(line for line in pages.BENCHMARKS.read_text().splitlines() if line.startswith("| with wide beams"))
+    assert ratios["export with wide beams, × thin ones"] == pytest.approx(3 / float(row.split("|")[2].split()[0]))
+    pages.targets(tmp_path / "t.png")
+    assert (tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")

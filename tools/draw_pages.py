@@ -38,16 +38,9 @@ BEES, CYCLES = 200, 800  # the paper's search
 
 def targets(path: Path) -> None:
     """How far each figure of docs/benchmarks.md is beyond its target, or short of it."""
-    rows = {cells[0]: cells for cells in _cells(BENCHMARKS.read_text("utf-8"))}
-    ratios = []
-    for _, begins, cell, aim, more in TARGETS:
-        value = float(
-            re.findall(r"[\d.]+", next(row for name, row in rows.items() if name.startswith(begins))[cell])[0]
-        )
-        ratios.append(value / aim if more else aim / value)
     figure = new_figure(9, 5)
     axis = figure.subplots()
-    for y, ratio in enumerate(ratios):
+    for y, ratio in enumerate(ratios()):
         axis.barh(y, ratio - 1, left=1, height=0.6, color=COLOURS[0] if ratio >= 1 else COLOURS[5])
         side = 1 if ratio >= 1 else -1
         axis.annotate(
@@ -62,6 +55,18 @@ def targets(path: Path) -> None:
     axis.axvline(1, color="0.2", linewidth=1)
     axis.grid(alpha=0.3, axis="x")
     save_figure(figure, path)
+
+
+def ratios() -> list[float]:
+    """By how much each figure is better than its target."""
+    rows = {cells[0]: cells for cells in _cells(BENCHMARKS.read_text("utf-8"))}
+    found = []
+    for _, begins, cell, aim, more in TARGETS:
+        value = float(
+            re.findall(r"[\d.]+", next(row for name, row in rows.items() if name.startswith(begins))[cell])[0]
+        )
+        found.append(value / aim if more else aim / value)
+    return found
 
 
 def _cells(page: str) -> list[list[str]]:
