@@ -110,6 +110,8 @@ def _along(bits: np.uint64, links: np.uint64) -> np.uint64:
     links &= links << ONE
     bits |= (bits & links) >> np.uint64(2)
     links &= links << np.uint64(2)
+    if (bits & links) >> np.uint64(4) & ~bits == NONE:  # most neighbours' ends are no further apart
+        return bits
     bits |= (bits & links) >> np.uint64(4)
     links &= links << np.uint64(4)
     bits |= (bits & links) >> np.uint64(8)

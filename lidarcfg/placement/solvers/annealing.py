@@ -22,7 +22,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
 
 MANY, ONE = (8, 8), (1, 32)  # islands, and chains on each
-TRIES = 4  # trials of a chain at a time; the first that it takes moves it
+TRIES = 8  # at most so many trials of a chain at a time; the first that it takes moves it
 HOT, WARM, COLD = 0.04, 0.004, 0.0005  # T at the beginning, where a run goes on from a good point, and at the end
 HALVED = (0.3, 0.38, 0.46)  # how far a run has come when the worse half of the islands is given up
 LEAST, MOST = 0.001, 0.3  # standard deviations of Gaussian steps, in the unit cube
@@ -50,7 +50,8 @@ class Annealing:
         shape: tuple[int, int] = MANY,
         start: Array | None = None,
     ) -> None:
-        self._rng, self._asks, self._renewals, self._halvings = rng, 0, 0, 0
+        self._rng, self._renewals, self._halvings = rng, 0, 0
+        self._tries, self._tried = 1, 0  # trials of a chain: those asked for now, and before
         self._members = np.unique(coordinates.group)[:, None] == coordinates.group
         self._counterpart = _counterparts(coordinates.kind, self._members)
         self._islands = np.arange(shape[0] * shape[1]).reshape(shape)  # those that are left, by their chains
@@ -61,7 +62,7 @@ class Annealing:
         self._hot = HOT if start is None else WARM
         left = np.maximum(shape[0] >> np.arange(len(HALVED) + 1), 1) / shape[0]
         fraction = (np.diff((0.0, *HALVED, 1.0)) * left).sum()  # of the trials that all chains would take to the end
-        self._most_asks = max(1, round(trials / (TRIES * len(self._x) * fraction)))
+        self._most_tries = trials / (len(self._x) * fraction)
         self.over = False
         self._asked = Trials("trial", self._x.copy(), np.arange(len(self._x)), self._cost.copy())
 
@@ -78,7 +79,7 @@ class Annealing:
     @property
     def temperature(self) -> float:
         """How far uphill a chain goes on average, as a fraction of its cost."""
-        return float(self._hot * (COLD / self._hot) ** (self._asks / self._most_asks))
+        return float(self._hot * (COLD / self._hot) ** min(self._tried / self._most_tries, 1.0))
 
     def ask(self) -> Trials:
         """Where the chains begin, then some trials for each of them."""
@@ -90,13 +91,14 @@ class Annealing:
         taken = np.flatnonzero(cost < trials.to_beat)
         chain, first = np.unique(trials.source[taken], return_index=True)
         self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
-        self._asks += 1
-        self.over = self._asks >= self._most_asks
-        if len(self._islands) > 1 and self._asks >= HALVED[self._halvings] * self._most_asks:
+        self._tried += self._tries
+        self._tries = int(np.clip(len(cost) // (2 * max(len(taken), 1)), 1, TRIES))  # so that few are taken in vain
+        self.over = self._tried >= self._most_tries
+        if len(self._islands) > 1 and self._tried >= HALVED[self._halvings] * self._most_tries:
             self._halvings += 1
             order = np.argsort(self._cost[self._islands].min(axis=1), kind="stable")
             self._islands = self._islands[np.sort(order[: len(order) // 2])]
-        if self._asks * RENEWALS >= (self._renewals + 1) * self._most_asks:
+        if self._tried * RENEWALS >= (self._renewals + 1) * self._most_tries:
             self._renewals += 1
             self._renew()
         self._asked = self._draw()
@@ -110,7 +112,7 @@ class Annealing:
 
     def _draw(self) -> Trials:
         rng, size, dimensions = self._rng, self._islands.shape[1], self._x.shape[1]
-        chain = np.repeat(self._islands.ravel(), TRIES)
+        chain = np.repeat(self._islands.ravel(), self._tries)
         n, groups = len(chain), len(self._members)
         group = rng.integers(groups, size=n)
         moves = self._members[group]
