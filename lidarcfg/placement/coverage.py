@@ -10,26 +10,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.placement.column_kernels import Span, widen
 from lidarcfg.placement.subspace import BLIND, Subspaces
 
 Counts = NDArray[np.int64]
 MOST = np.int32(2**31 - 1)
 
 
-def beams_across(subspaces: Subspaces, axis: int) -> NDArray[np.int64]:
-    """(lidars, a, b) the number of each LiDAR's beams that cross each line along `axis`; a, b are the other two axes.
+def beams_across(subspaces: Subspaces) -> tuple[Counts, Counts, Counts]:
+    """The number of each LiDAR's beams that cross the lines along x, y and z: (lidars, a, b) for the other two axes.
 
     −1 where a line has no cuboid that counts.
     """
-    empty = (subspaces.label < 0).all(axis=axis)
-    lidars = subspaces.gap.shape[1]
-    beams = np.empty((lidars, *empty.shape), np.int64)
-    for i, gap in enumerate(subspaces.gap.T.astype(np.int32)):
-        # what is blind, and an excluded cuboid, of label −1, which takes the last entry, is neither least nor greatest
-        low = np.append(np.where(gap == BLIND, MOST, gap), MOST)[subspaces.label].min(axis=axis)
-        high = np.append(gap, np.int32(-1))[subspaces.label].max(axis=axis)
-        beams[i] = np.where(empty, -1, np.where(high < low, 0, high - low))
-    return beams
+    included, lidars = subspaces.region.included, subspaces.gap.shape[1]
+    empty = [~included.any(axis=axis) for axis in range(3)]
+    spans = [
+        Span(np.full((lidars, *one.shape), MOST, np.int32), np.full((lidars, *one.shape), -1, np.int32))
+        for one in empty
+    ]
+    widen(subspaces.label, subspaces.gap, BLIND, *spans)
+    x, y, z = (
+        np.where(none, -1, np.maximum(span.high.astype(np.int64) - span.low, 0))
+        for none, span in zip(empty, spans, strict=True)
+    )
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Coverage:
 
 def coverage(subspaces: Subspaces) -> Coverage:
     """The beams across the lines of cuboids along each axis."""
-    along_x, along_y, along_z = (beams_across(subspaces, axis) for axis in range(3))
+    along_x, along_y, along_z = beams_across(subspaces)
     upright = along_z[:, along_z[0] >= 0]
     sensors = (upright > 0).sum(axis=0)
     return Coverage(

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.placement.column_kernels import count_layers
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.rows import Words
 from lidarcfg.placement.sphere_kernels import Search, clearance, largest
 from lidarcfg.placement.subspace import Subspaces
 
 RECENT = 8  # columns of cuboids that are tried first, see Search
-SLAB = 2_000_000  # cuboids that are looked at together
 Counts = NDArray[np.int64]
 Node = tuple[int, int, int]  # a point of the lattice of half cuboids, whose origin is the region's lower corner
 
@@ -96,21 +96,14 @@ class Spheres:
         return search
 
 
-def _slabs(shape: tuple[int, ...]) -> list[slice]:
-    """Parts of a region along x."""
-    step = max(SLAB // (shape[1] * shape[2]), 1)
-    return [slice(first, first + step) for first in range(0, shape[0], step)]
-
-
 def _ends(label: NDArray[np.int32]) -> Words:
     """(nx, ny, words) for each column of cuboids along z a bit for each, set where the next is of another subspace."""
     nx, ny, nz = label.shape
     out = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
-    for slab in _slabs(label.shape):
-        part = label[slab]
-        ends = np.ones(part.shape, np.bool_)
-        np.not_equal(part[..., 1:], part[..., :-1], out=ends[..., :-1])
-        out[slab, :, : -(-nz // 8)] = np.packbits(ends, axis=-1, bitorder="little")
+    for octets, layer in zip(out, label, strict=True):
+        ends = np.ones((ny, nz), np.bool_)
+        np.not_equal(layer[:, 1:], layer[:, :-1], out=ends[:, :-1])
+        octets[:, : -(-nz // 8)] = np.packbits(ends, axis=-1, bitorder="little")
     words: Words = out.view("<u8").astype(np.uint64, copy=False)
     return words
 
@@ -153,15 +146,8 @@ class Extent:
 
 def extents(subspaces: Subspaces, numbers: Sequence[int]) -> list[Extent]:
     """Where some subspaces are."""
-    label, shape = subspaces.label, subspaces.region.shape
-    place = np.full(len(subspaces) + 1, len(numbers), np.min_scalar_type(len(numbers)))  # the last: what is excluded
+    place = np.full(len(subspaces) + 1, -1)
     place[list(numbers)] = np.arange(len(numbers))
-    counts = [np.zeros((len(numbers) + 1, n), np.int64) for n in shape]
-    for slab in _slabs(shape):
-        one = place[label[slab]]
-        index = np.nonzero(one < len(numbers))
-        of = one[index].astype(np.int64)
-        for axis, (along, count) in enumerate(zip(index, counts, strict=True)):
-            at = along + slab.start if axis == 0 else along
-            count += np.bincount(of * count.shape[1] + at, minlength=count.size).reshape(count.shape)
-    return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*(count[:-1] for count in counts), strict=True)]
+    counts = [np.zeros((len(numbers), n), np.int64) for n in subspaces.region.shape]
+    count_layers(subspaces.label, place, *counts)
+    return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*counts, strict=True)]

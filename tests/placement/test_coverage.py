@@ -24,7 +24,7 @@ SPACES = segment(REGION, [lidar(at, rpy, np.sin(np.radians(ELEVATION_DEG))) for 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_beams_across_lines_against_plain_loops(axis):
-    found = beams_across(SPACES, axis)
+    found = beams_across(SPACES)[axis]
     others = [a for a in range(3) if a != axis]
     centres = REGION.centres()
     empty = 0
@@ -52,7 +52,7 @@ def test_coverage_by_hand():
     region = Region.from_boxes((0, 0, 0), (4, 1, 2), (1, 1, 0.5), (((0, 0, 1), (1, 1, 2)),))
     spaces = segment(region, [lidar((2, 0.5, 1.0), (0, 0, 0), np.array([0.0]))])
     found = coverage(spaces)
-    assert beams_across(spaces, 2).tolist() == [[[0], [1], [1], [1]]]
+    assert beams_across(spaces)[2].tolist() == [[[0], [1], [1], [1]]]
     assert (found.median_beams, found.by_none, found.by_one_sensor) == (1.0, 0.25, 0.75)
 
 

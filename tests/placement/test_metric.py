@@ -6,7 +6,6 @@ from scipy import ndimage
 
 from lidarcfg import inputs
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.placement import metric
 from lidarcfg.placement.metric import Spheres, clearance_m, extents
 from lidarcfg.placement.region import Region, RegionFile
 from lidarcfg.placement.subspace import Subspaces
@@ -68,8 +67,7 @@ def test_of_equal_spheres_the_first_is_found():
     assert Spheres(spaces).largest() == (2.5, (5, 5, 5))
 
 
-def test_where_a_subspace_is(monkeypatch):
-    monkeypatch.setattr(metric, "SLAB", 100)  # cuboids: three layers
+def test_where_a_subspace_is():
     spaces = bodies((30, 6, 5), np.array((0.5, 0.4, 0.3)), 4)
     edge, numbers = spaces.region.cuboid_m, list(range(len(spaces)))[::-1]
     for number, extent in zip(numbers, extents(spaces, numbers), strict=True):

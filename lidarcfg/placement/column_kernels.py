@@ -1,0 +1,69 @@
+"""The compiled loops over upright columns of cuboids, by runs of one subspace."""
+
+# mypy: disallow-untyped-decorators=False
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.jit import inner, outer
+from lidarcfg.placement.flood import Labels
+from lidarcfg.placement.rows import Counts
+
+Gaps = NDArray[np.int32]
+
+
+class Span(NamedTuple):
+    """The least and the greatest beam gap of each LiDAR on lines of cuboids: (lidars, a, b) each."""
+
+    low: Gaps
+    high: Gaps
+
+
+@inner()
+def _end(label: Labels, i: int, j: int, k: int) -> int:
+    """The first cuboid up a column from k that is not of the same subspace."""
+    one = label[i, j, k]
+    while k < label.shape[2] and label[i, j, k] == one:
+        k += 1
+    return k
+
+
+@outer()
+def count_layers(label: Labels, place: Counts, x: Counts, y: Counts, z: Counts) -> None:
+    """Count the cuboids of some subspaces by layer along x, y and z: (subspaces, layers) each.
+
+    place: by the number of a subspace its row in these, or −1; the last entry is for excluded cuboids, of label −1.
+    """
+    for i in range(label.shape[0]):
+        for j in range(label.shape[1]):
+            k = 0
+            while k < label.shape[2]:
+                end, row = _end(label, i, j, k), place[label[i, j, k]]
+                if row >= 0:
+                    x[row, i] += end - k
+                    y[row, j] += end - k
+                    for n in range(k, end):
+                        z[row, n] += 1
+                k = end
+
+
+@outer()
+def widen(label: Labels, gap: Counts, blind: int, x: Span, y: Span, z: Span) -> None:
+    """Widen the spans of the lines along x, y and z by the gaps (n, lidars) of what lies on them, but blind ones."""
+    for i in range(label.shape[0]):
+        for j in range(label.shape[1]):
+            k = 0
+            while k < label.shape[2]:
+                end, one = _end(label, i, j, k), label[i, j, k]
+                for lidar in range(gap.shape[1] if one >= 0 else 0):
+                    among = np.int32(gap[one, lidar])
+                    if among != blind:
+                        z.low[lidar, i, j] = min(z.low[lidar, i, j], among)
+                        z.high[lidar, i, j] = max(z.high[lidar, i, j], among)
+                        for n in range(k, end):
+                            x.low[lidar, j, n] = min(x.low[lidar, j, n], among)
+                            x.high[lidar, j, n] = max(x.high[lidar, j, n], among)
+                            y.low[lidar, i, n] = min(y.low[lidar, i, n], among)
+                            y.high[lidar, i, n] = max(y.high[lidar, i, n], among)
+                k = end
