@@ -31,11 +31,14 @@ Indices = NDArray[np.int64]
 SeenPoints = Callable[[Array], Bools]  # of points (N, 3) which are seen by any LiDAR
 
 
-def seen_by_m3(region: Region, seen_by: NDArray[np.integer], lidars: int) -> Array:
-    """(lidars + 1,) the volume of the region that exactly 0, 1, 2 … LiDARs see; seen_by (nx, ny, nz)."""
+def seen_by_m3(region: Region, seen_by: NDArray[np.integer] | None, lidars: int) -> Array:
+    """(lidars + 1,) the volume of the region that exactly 0, 1, 2 … LiDARs see; seen_by (nx, ny, nz), None: all."""
     count = np.zeros(lidars + 1, np.int64)
-    for layer, included in zip(seen_by, region.included, strict=True):
-        count += np.bincount(layer[included], minlength=lidars + 1)
+    if seen_by is None:
+        count[lidars] = np.count_nonzero(region.included)
+    else:
+        for layer, included in zip(seen_by, region.included, strict=True):
+            count += np.bincount(layer[included], minlength=lidars + 1)
     volume: Array = count * np.prod(region.cuboid_m, dtype=np.float64)
     return volume
 

@@ -10,14 +10,14 @@ from lidarcfg.jit import inner, outer
 from lidarcfg.placement.flood import Labels
 from lidarcfg.placement.rows import Counts
 
-Gaps = NDArray[np.int32]
+Lines = NDArray[np.int32]
 
 
 class Span(NamedTuple):
     """The least and the greatest beam gap of each LiDAR on lines of cuboids: (lidars, a, b) each."""
 
-    low: Gaps
-    high: Gaps
+    low: Lines
+    high: Lines
 
 
 @inner()
@@ -30,8 +30,8 @@ def _end(label: Labels, i: int, j: int, k: int) -> int:
 
 
 @outer()
-def count_layers(label: Labels, place: Counts, x: Counts, y: Counts, z: Counts) -> None:
-    """Count the cuboids of some subspaces by layer along x, y and z: (subspaces, layers) each.
+def count_lines(label: Labels, place: Counts, x: Lines, y: Lines, z: Lines) -> None:
+    """Count the cuboids of some subspaces on the lines along x, y and z: (subspaces, a, b) each.
 
     place: by the number of a subspace its row in these, or −1; the last entry is for excluded cuboids, of label −1.
     """
@@ -41,10 +41,10 @@ def count_layers(label: Labels, place: Counts, x: Counts, y: Counts, z: Counts) 
             while k < label.shape[2]:
                 end, row = _end(label, i, j, k), place[label[i, j, k]]
                 if row >= 0:
-                    x[row, i] += end - k
-                    y[row, j] += end - k
+                    z[row, i, j] += end - k
                     for n in range(k, end):
-                        z[row, n] += 1
+                        x[row, j, n] += 1
+                        y[row, i, n] += 1
                 k = end
 
 

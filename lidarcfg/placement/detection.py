@@ -189,10 +189,16 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
     return 1.0 - float(np.mean(rates))
 
 
-def detection_by_distance(subspaces: Subspaces, item: DetectionObject, middle_m: Array, edges_m: Array) -> Rings:
+def detection_by_distance(
+    subspaces: Subspaces,
+    item: DetectionObject,
+    middle_m: Array,
+    edges_m: Array,
+    counted: tuple[Counts, Counts] | None = None,
+) -> Rings:
     """The places of `detection`, by the distance of the object's middle from `middle_m` (2,), along the ground.
 
-    What is beyond the last of `edges_m` is in no ring.
+    What is beyond the last of `edges_m` is in no ring. counted: what `counted_places` says, if that is known.
     """
     n = len(edges_m) - 1
     detected, places = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -204,7 +210,7 @@ def detection_by_distance(subspaces: Subspaces, item: DetectionObject, middle_m:
                 met = _detected_boxes(subspaces, item, box[at == i])
                 detected[i], places[i] = detected[i] + met[0], places[i] + met[1]
         return Rings(edges_m, detected, places)
-    found, free = counted_places(subspaces, item)
+    found, free = counted or counted_places(subspaces, item)
     size = cuboids_needed(item.box_m, region.cuboid_m)
     x, y = (region.min_m[a] + (np.arange(free.shape[a]) + size[a] / 2) * region.cuboid_m[a] for a in (0, 1))
     at = ring(x[:, None], y[None, :], middle_m, edges_m)

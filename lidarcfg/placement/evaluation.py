@@ -11,7 +11,7 @@ from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Detection, detection
-from lidarcfg.placement.metric import Spheres, extents, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
 from lidarcfg.placement.sightings import Sightings, sightings
 from lidarcfg.placement.study import Study
@@ -46,6 +46,7 @@ class Evaluation:
     subspaces: Subspaces
     vsr_m: Array  # (n,) by subspace
     worst: tuple[Worst, ...]
+    extents: tuple[Extent, ...]  # of these
     sphere_m: float  # radius of the largest sphere inside any subspace
     detection: dict[str, Detection]  # by object
     sightings: dict[str, Sightings]  # by object that is detected by returns
@@ -75,7 +76,8 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
     spheres, worst = Spheres(subspaces), []
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
-    for number, extent in zip(numbers, extents(subspaces, numbers), strict=True):
+    where = extents(subspaces, numbers)
+    for number, extent in zip(numbers, where, strict=True):
         low, high = extent.bounds_m
         worst.append(
             Worst(
@@ -97,7 +99,9 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     rates = _rates(study, subspaces, seen)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
     zones, seconds = by_zone(study, subspaces), clock() - started
-    return Evaluation(subspaces, vsr, tuple(worst), spheres.largest()[0], rates, seen, blind, zones, converged, seconds)
+    return Evaluation(
+        subspaces, vsr, tuple(worst), tuple(where), spheres.largest()[0], rates, seen, blind, zones, converged, seconds
+    )
 
 
 def detection_rates(study: Study, rig: Rig, subspaces: Subspaces) -> dict[str, Detection]:
@@ -114,7 +118,7 @@ def _rates(study: Study, subspaces: Subspaces, seen: dict[str, Sightings]) -> di
 
 def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:
     """The volume by the number of LiDARs, and the blind-spot contours of the heights that the region has."""
-    volume = seen_by_m3(study.region, subspaces.seen_by, len(lidars))
+    volume = seen_by_m3(study.region, subspaces.seen, len(lidars))
     if study.visibility is None:
         return BlindSpots(volume, ())
     seen = seen_by_any(study.visibility, lidars)

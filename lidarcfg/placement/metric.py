@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.column_kernels import count_layers
+from lidarcfg.placement.column_kernels import Lines, count_lines
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.rows import Words
 from lidarcfg.placement.sphere_kernels import Search, clearance, largest
@@ -118,7 +119,14 @@ class Extent:
     """Where a subspace is, by its cuboids."""
 
     region: Region
-    counts: tuple[Counts, Counts, Counts]  # of cuboids by layer along x, y and z
+    lines: tuple[Lines, Lines, Lines]  # of its cuboids on each line along x, y and z: (ny, nz), (nx, nz), (nx, ny)
+
+    @cached_property
+    def counts(self) -> tuple[Counts, Counts, Counts]:
+        """Of its cuboids by layer along x, y and z."""
+        across_x, _, across_z = self.lines
+        x, y = (across_z.sum(axis=axis, dtype=np.int64) for axis in (1, 0))
+        return x, y, across_x.sum(axis=0, dtype=np.int64)
 
     @property
     def low(self) -> Counts:
@@ -148,6 +156,7 @@ def extents(subspaces: Subspaces, numbers: Sequence[int]) -> list[Extent]:
     """Where some subspaces are."""
     place = np.full(len(subspaces) + 1, -1)
     place[list(numbers)] = np.arange(len(numbers))
-    counts = [np.zeros((len(numbers), n), np.int64) for n in subspaces.region.shape]
-    count_layers(subspaces.label, place, *counts)
-    return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*counts, strict=True)]
+    nx, ny, nz = subspaces.region.shape
+    lines = [np.zeros((len(numbers), *shape), np.int32) for shape in ((ny, nz), (nx, nz), (nx, ny))]
+    count_lines(subspaces.label, place, *lines)
+    return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*lines, strict=True)]

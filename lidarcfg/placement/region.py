@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
@@ -160,6 +161,12 @@ class Region:
         included[tuple((index - first).T)] = True
         low = (np.asarray(grid.origin) + first * grid.voxel_size) * scale
         return cls(low, low + included.shape * (grid.voxel_size * scale), included)
+
+    @cached_property
+    def excluded_lines(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which lines along x, y and z have an excluded cuboid: (ny, nz), (nx, nz), (nx, ny)."""
+        x, y, z = (np.asarray(~self.included.all(axis=axis)) for axis in range(3))
+        return x, y, z
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -140,7 +140,7 @@ def shade(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, rgb:
 
 def shade_excluded(axes: "Axes", region: Region, view: str) -> None:
     """Shade what is excluded from the region."""
-    shade(axes, region, np.asarray((~region.included).any(axis=hidden(view))), view, EXCLUDED, 0.4)
+    shade(axes, region, region.excluded_lines[hidden(view)], view, EXCLUDED, 0.4)
 
 
 def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **style: Any) -> None:

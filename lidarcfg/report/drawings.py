@@ -139,15 +139,14 @@ def draw_history(study: Study, found: Placement) -> Markup:
 def worst_view(axes: "Axes", view: str, rig: Rig, found: Evaluation, count: int) -> None:
     """The worst subspaces from one side: outlined and numbered, the first one filled."""
     region, (across, up) = found.subspaces.region, VIEWS[view]
-    numbers = np.argsort(-found.vsr_m, kind="stable")[:count].tolist()
     shade_excluded(axes, region, view)
-    for rank in reversed(range(len(numbers))):
-        mask = np.asarray((found.subspaces.label == numbers[rank]).any(axis=hidden(view)))
+    for rank, one in reversed(list(enumerate(found.extents[:count]))):
+        mask = one.lines[hidden(view)] > 0
         if rank == 0:
             shade(axes, region, mask, view, WORST, 0.35)
         outline(axes, region, mask, view, color=_tint(rank), lw=1.4 if rank == 0 else 0.8)
     box = {"boxstyle": "round,pad=0.15", "fc": "w", "ec": "none", "alpha": 0.8}
-    for rank in reversed(range(len(numbers))):
+    for rank in reversed(range(len(found.extents[:count]))):
         at = found.worst[rank].centroid_m
         text = axes.text(at[across], at[up], str(rank + 1), ha="center", va="center", color=_tint(rank), bbox=box)
         text.set(fontsize=7, weight="bold")

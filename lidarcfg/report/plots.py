@@ -69,15 +69,14 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
     figure = new_figure(11, 7)
     grid = figure.add_gridspec(2, 2, width_ratios=(3, 1))
     views = ((0, 1, grid[0, :]), (0, 2, grid[1, 0]), (1, 2, grid[1, 1]))
-    worst = int(found.vsr_m.argmax())
     for across, up, place in views:
         axes = figure.add_subplot(place)
         hidden = ({0, 1, 2} - {across, up}).pop()
         left, right = float(region.min_m[across]), float(region.max_m[across])
         bottom, top = float(region.min_m[up]), float(region.max_m[up])
         for mask, colour in (
-            ((~region.included).any(axis=hidden), (0.6, 0.6, 0.6)),
-            ((found.subspaces.label == worst).any(axis=hidden), (0.84, 0.37, 0.0)),
+            (region.excluded_lines[hidden], (0.6, 0.6, 0.6)),
+            (found.extents[0].lines[hidden] > 0, (0.84, 0.37, 0.0)),
         ):
             picture = np.zeros((*mask.T.shape, 4))
             picture[..., :3] = colour

@@ -171,13 +171,19 @@ class Vehicle:
 
     def inside(self, name: str, x: Array, y: Array, z: Array) -> Inside:
         """(nx, ny, nz): which points of a grid are inside a body; x, y and z ascend. Nothing is inside an open one."""
-        for solid in self.solids:
-            if solid.name == name and isinstance(solid.shape, tuple):
-                return inside(solid.shape, x, y, z)
-            if solid.name == name:
-                grid = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1)
-                return solid.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3])
-        return np.zeros((len(x), len(y), len(z)), np.bool_)
+        found = np.zeros((len(x), len(y), len(z)), np.bool_)
+        solid = next((solid for solid in self.solids if solid.name == name), None)
+        if solid:
+            a, b, c = (
+                slice(np.searchsorted(at, low), np.searchsorted(at, high, "right"))
+                for at, low, high in zip((x, y, z), solid.low_m, solid.high_m, strict=True)
+            )
+            if isinstance(solid.shape, tuple):
+                found[a, b, c] = inside(solid.shape, x[a], y[b], z[c])
+            else:
+                grid = np.stack(np.meshgrid(x[a], y[b], z[c], indexing="ij"), axis=-1)
+                found[a, b, c] = solid.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3])
+        return found
 
     def around(self, point_m: Array) -> str | None:
         """The name of a body that a point (3,) is inside of, if any."""
