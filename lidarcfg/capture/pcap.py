@@ -23,6 +23,7 @@ from lidarcfg.units import SECOND_NS
 
 SNAPLEN = 65535
 TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC
+LATEST_NS = 4_600_000_000 * SECOND_NS  # of a pcapng, in 2115; beyond are damaged ones
 RECORD_MAX = 262144  # bytes; libpcap allows no longer record
 PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
     struct.pack(order + "I", magic): (order, unit_ns)
@@ -307,5 +308,6 @@ def _checked_link(link: int, name: str) -> int:
 
 
 def _nanoseconds(time_s: float | Decimal) -> int:
-    """dpkt gives whole microseconds as a float, nanoseconds as a Decimal."""
-    return int(time_s * 10**9) if isinstance(time_s, Decimal) else round(time_s * 1e6) * 1000
+    """dpkt gives whole microseconds as a float, nanoseconds as a Decimal; of damaged files any number."""
+    time_ns = int(time_s * 10**9) if isinstance(time_s, Decimal) else round(time_s * 1e6) * 1000
+    return min(max(time_ns, 0), LATEST_NS)

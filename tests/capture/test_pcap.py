@@ -215,11 +215,8 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert (tmp_path / "a.pcap").read_bytes() == b"old"
 
 
-@pytest.mark.parametrize(
-    ("resolution", "unit"), [(None, 10**6), (0, 1), (3, 10**3), (6, 10**6), (9, 10**9), (128, 1), (138, 2**10)]
-)
-def test_the_units_of_a_pcapng(tmp_path, resolution, unit):
-    """Times in tenths to some power of a second, or, from 128 on, in halves: as the draft of the format has if_tsresol."""
+def pcapng(path, ticks, resolution):
+    """A file of one datagram."""
 
     def block(kind, body):
         body += bytes(-len(body) % 4)
@@ -227,13 +224,29 @@ def test_the_units_of_a_pcapng(tmp_path, resolution, unit):
         return struct.pack("<I", kind) + size + body + size
 
     frame = bytes.fromhex("ffffffffffff60768800000008004500001d0000400040110000c0a80101c0a801020940094000090000") + b"x"
-    ticks = 1_700_000_000 * unit + unit // 4
     option = b"" if resolution is None else struct.pack("<HHB3xHH", 9, 1, resolution, 0, 0)
-    (tmp_path / "a.pcapng").write_bytes(
+    path.write_bytes(
         block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
         + block(1, struct.pack("<HHI", 1, 0, 0) + option)
         + block(6, struct.pack("<IIIII", 0, ticks >> 32, ticks & 0xFFFFFFFF, len(frame), len(frame)) + frame)
     )
+
+
+@pytest.mark.parametrize(
+    ("resolution", "unit"), [(None, 10**6), (0, 1), (3, 10**3), (6, 10**6), (9, 10**9), (128, 1), (138, 2**10)]
+)
+def test_the_units_of_a_pcapng(tmp_path, resolution, unit):
+    """Times in tenths to some power of a second, or, from 128 on, in halves: as the draft of the format has if_tsresol."""
+    ticks = 1_700_000_000 * unit + unit // 4
+    pcapng(tmp_path / "a.pcapng", ticks, resolution)
     (datagram,) = read_datagrams(tmp_path / "a.pcapng", no_warning)
     assert datagram.payload == b"x"
     assert datagram.time_ns == 1_700_000_000 * 10**9 + unit // 4 * 10**9 // unit
+
+
+@pytest.mark.parametrize("resolution", [0, 6, 9])
+def test_a_time_that_no_number_holds(tmp_path, resolution):
+    """The greatest count of a damaged pcapng: read as the latest time, not an error."""
+    pcapng(tmp_path / "a.pcapng", 2**64 - 1, resolution)
+    (datagram,) = read_datagrams(tmp_path / "a.pcapng", no_warning)
+    assert datagram.time_ns == 4_600_000_000 * 10**9
