@@ -135,6 +135,12 @@ def test_a_sensor_stays_on_its_surface_in_the_page(chromium, stage):
         typed = poses()
         assert all(sits(stage, typed, i) for i in (2, 3))
         assert typed[2, 0] == pytest.approx(1.9, abs=1e-12)
+        for key, value in (("x", 1.95), ("z", 0.6)):  # the second before the first is answered
+            put(chromium, f"#pose-{key}", value)
+        assert poses()[2, [0, 2]] == pytest.approx([1.95, 0.6], abs=1e-12)
+        click(chromium, "#undo")
+        click(chromium, "#undo")
+        assert (poses() == typed).all()
         assert np.degrees(typed[2:, 3]) == pytest.approx([15, -15])
         put(chromium, "#pose-x", 5)  # ahead of the car
         edge = poses()

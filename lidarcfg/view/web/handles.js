@@ -52,6 +52,12 @@ export class Handles {
     this.changed(mount);
   }
 
+  // Where a sensor is, or is to go as soon as the server says how far.
+  wish(mount) {
+    const waiting = this.seats.busy && this.mounts[this.wanted?.index] === mount;
+    return waiting ? this.wanted.pose : mount.pose;
+  }
+
   asked() {
     const { index, pose, step } = this.wanted;
     this.pending = { poses: this.poses, step };
@@ -72,6 +78,7 @@ export class Handles {
   }
 
   restore(poses) {
+    this.wanted = null;
     this.pending = null;
     this.seats.drop();
     this.place(poses);

@@ -72,7 +72,7 @@ export class RigSection {
     const value = this.inputs[i].valueAsNumber;
     const mount = this.handles.selected;
     if (!mount || !Number.isFinite(value)) return;
-    const pose = mount.pose.map((before, j) => (j !== i ? before : i < 3 ? value : (value * Math.PI) / 180));
+    const pose = this.handles.wish(mount).map((before, j) => (j !== i ? before : i < 3 ? value : (value * Math.PI) / 180));
     this.handles.move(mount, pose, `${mount.name} ${i}`);
   }
 
