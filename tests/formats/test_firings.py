@@ -12,7 +12,7 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cli import cli
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.formats.firings import save_capture
+from lidarcfg.formats.firings import save_capture, save_firings
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.export import START_NS, export, in_time_order
@@ -217,6 +217,60 @@ def test_pcapngs_come_back_whole(tmp_path, order, name):
             assert np.array_equal(found[key], arrays[key])
     assert found["0/host_ns"][0] >= 1_700_000_000 * 10**9
     assert ((np.diff(found["0/host_ns"]) + 2000) % 1_327_104 <= 4000).all()  # dpkt says microseconds
+
+
+LINKS = {  # kinds of link, and what stands before an IP header: RFC 894 with a tag of IEEE 802.1Q, tcpdump.org's lists
+    "tagged": (1, bytes(12) + b"\x81\x00\x00\x05\x08\x00"),
+    "cooked": (113, bytes(14) + b"\x08\x00"),
+    "raw": (101, b""),
+}
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_other_links_come_back_whole(tmp_path, name):
+    """VLAN tags, Linux cooked and raw IP: the firings are those of Ethernet frames."""
+    path = recording("jerry_vlp16.pcap")
+    link, before = LINKS[name]
+    frames = [before + frame[14:] for frame in frames_in(path)]
+    records = (struct.pack("<IIII", n, 0, len(frame), len(frame)) + frame for n, frame in enumerate(frames))
+    data = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link) + b"".join(records)
+    (tmp_path / "a.pcap").write_bytes(data)
+    columns, back = there_and_back(tmp_path / "a.pcap", tmp_path)
+    assert back.read_bytes() == data
+    known, _ = there_and_back(path, tmp_path)
+    for key in ("0/range_m", "0/reflectivity", "0/encoder_rad"):
+        assert np.array_equal(columns[key], known[key])
+
+
+def test_damaged_captures_come_back_whole_or_are_refused(tmp_path):
+    """Bytes changed, cut out, repeated; the end missing: of a pcap, a pcapng, and one of IP fragments."""
+    rng, found, said = np.random.default_rng(5), 0, []
+    for file in recording("ouster/same_ports_legacy.pcap").parent.glob("same_ports_legacy*.json"):
+        (tmp_path / file.name.replace("same_ports_legacy", "a")).write_bytes(file.read_bytes())
+    write_datagrams(tmp_path / "s.pcap", datagrams_of(recording("nebula_vlp16.pcap"))[:20])
+    seeds = [(tmp_path / "s.pcap").read_bytes(), b"".join(blocks_of(tmp_path / "s.pcap", ">"))]
+    seeds.append(recording("ouster/same_ports_legacy.pcap").read_bytes())
+    for n in range(24):
+        data = bytearray(seeds[n % 3])
+        for i in rng.integers(40, len(data), 3).tolist():
+            data[i] = rng.integers(256)
+        if n % 4 == 1:
+            i, j = sorted(rng.integers(40, len(data), 2).tolist())
+            data = data[:i] + data[j:] if n % 8 == 1 else data[:j] + data[i:]
+        if n % 4 == 2:
+            del data[int(rng.integers(40, len(data))) :]
+        capture = tmp_path / ("a.pcapng" if n % 3 == 1 else "a.pcap")
+        capture.write_bytes(data)
+        try:
+            save_firings(tmp_path / "a.npz", capture, None, lambda warning: None)
+        except LidarcfgError as error:
+            said.append(str(error))
+            continue
+        save_capture(capture.with_stem("b"), tmp_path / "a.npz")
+        assert capture.with_stem("b").read_bytes() == data
+        found += 1
+    assert found > 5
+    assert not any("\n" in one for one in said)
 
 
 def test_several_modes_in_one_stream(tmp_path):
