@@ -236,7 +236,7 @@ def _export_packets(
 def _export_points(
     drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", total: list[int], quiet: bool
 ) -> list[str]:
-    """Write points and what is true of them, in the format that suffix or name say. Returns what to print."""
+    """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.files import together
     from lidarcfg.formats import formats
     from lidarcfg.formats.recording import Recording

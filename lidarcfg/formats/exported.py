@@ -1,4 +1,4 @@
-"""Captures that were exported, as drives: scans of what the packets hold, and what is true of them."""
+"""Captures that were exported, as drives: scans of what the packets hold, and their ground truth."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
