@@ -252,17 +252,17 @@ def _with_fragments(
             late[row] = datagram
     if not len(first) and not late:
         return whole
-    made = np.concatenate([last, np.array(list(late), np.int64)])  # by these fragments
+    made = np.concatenate([np.array(list(late), np.int64), last])  # by these fragments
     lengths = [np.add.reduceat(size[in_runs], before) if len(first) else first, whole.size + UDP.itemsize]
-    sizes = np.concatenate([*lengths, np.array(list(map(len, late.values())), np.int64)])
+    sizes = np.concatenate([np.array(list(map(len, late.values())), np.int64), *lengths])
     starts = np.concatenate([start[in_runs], whole.start - UDP.itemsize])
-    data = _joined(piece.data, starts, np.concatenate([size[in_runs], lengths[1]]), b"".join(late.values()))
+    data = _joined(b"".join(late.values()), piece.data, starts, np.concatenate([size[in_runs], lengths[1]]))
     begins = np.cumsum(sizes) - sizes
     ports = gathered(data, begins, UDP)
-    at = np.insert(frame[made], len(first), whole_at)
+    at = np.concatenate([frame[made], whole_at])
     together = Datagrams(
         time_ns=piece.time_ns[at],
-        host=np.insert((key[made] >> np.uint64(32)).astype(np.uint32), len(first), whole.host),
+        host=np.concatenate([(key[made] >> np.uint64(32)).astype(np.uint32), whole.host]),
         source_port=ports["source_port"].astype(np.uint16),
         port=ports["port"].astype(np.uint16),
         start=begins + UDP.itemsize,
@@ -272,12 +272,11 @@ def _with_fragments(
     return together[np.argsort(at, kind="stable")]
 
 
-def _joined(data: Octets, start: NDArray[np.int64], size: NDArray[np.int64], more: bytes) -> Octets:
-    """Pieces (N,) of the data, one after the other, and more; those of the same size, which most are, at once."""
-    ends = np.cumsum(size)
-    whole = int(ends[-1]) if len(ends) else 0
-    out = np.empty(whole + len(more), np.uint8)
-    out[whole:] = np.frombuffer(more, np.uint8)
+def _joined(begin: bytes, data: Octets, start: NDArray[np.int64], size: NDArray[np.int64]) -> Octets:
+    """A beginning and pieces (N,) of the data, one after the other; those of the same size, which most are, at once."""
+    ends = np.cumsum(np.concatenate([[len(begin)], size]))[1:]
+    out = np.empty(len(begin) + int(size.sum()), np.uint8)
+    out[: len(begin)] = np.frombuffer(begin, np.uint8)
     for one in np.unique(size).tolist():
         rows, kind = np.flatnonzero(size == one), np.dtype((np.void, one))
         everywhere = np.ndarray(len(out) - one + 1, kind, out, strides=(1,))
