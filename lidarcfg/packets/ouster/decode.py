@@ -85,8 +85,7 @@ class OusterDecoder(Decoder):
         returns = Returns.room(slots * layout.profile.returns)
         xyz, (time_ns, _, ring, intensity, kind) = returns.xyz_m.reshape(-1), returns[3:]
         out = kernels.Returned(xyz, time_ns, ring, intensity, kind)
-        turned = np.empty((2, layout.pixels))
-        count = kernels.points(words_of(packets), packets, self._pixels, self._beams, turned, out)
+        count = kernels.points(words_of(packets), self._pixels, self._beams, out)
         returns = returns._replace(laser=np.empty(0, np.uint8)).first(count)
         if self._T is not None:
             returns.xyz_m[:] = transform(self._T, returns.xyz_m)
@@ -123,7 +122,7 @@ def _pixels(layout: Layout) -> kernels.Pixels:
         (layout.column // 4 - 1, LEGACY_VALID) if layout.legacy else (2, 1 << 16),
         width,
         np.array([field.bit // 32 for field in ranges], np.uint64),
-        np.array([field.bit // 8 for field in bright], np.uint64),
+        np.array([divmod(field.bit, 32) for field in bright], np.uint64),
         (1 << ranges[0].bits) - 1,
         0.001 * (1 << ranges[0].dropped),
     )

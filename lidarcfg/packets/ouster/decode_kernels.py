@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.jit import outer
 from lidarcfg.packets.codec import Octets, Times
+from lidarcfg.packets.ouster.eight import copy, place, same, which
 
 loop = outer(fastmath={"contract", "nsz"}, error_model="numpy")  # products may be fused with sums
-ONE, TWO, THREE, FOUR = (np.uint64(i) for i in (1, 2, 3, 4))  # unsigned: never from the end
+ONE, TWO, THREE, SEVEN, EIGHT = (np.uint64(i) for i in (1, 2, 3, 7, 8))  # unsigned: never from the end
+ALL = np.uint8(255)
 
 
 class Pixels(NamedTuple):
@@ -23,7 +25,7 @@ class Pixels(NamedTuple):
     valid: tuple[int, int]  # where a column says whether it is valid, and the bits that are set if so
     width: int  # from one pixel to the next
     ranges: NDArray[np.uint64]  # (R,) a pixel's words that begin with the range of each return
-    bright: NDArray[np.uint64]  # (R,) the octets of its reflectivities
+    bright: NDArray[np.uint64]  # (R, 2) the words of its reflectivities, and with which bit these begin
     mask: int  # of a range
     unit_m: float
 
@@ -52,109 +54,89 @@ class Returned(NamedTuple):
 
 
 @loop
-def points(words, octets, pixels, beams, turned, out):
+def points(words, pixels, beams, out):
     """Write the returns of packets, column by column, a pixel's first before its second; and say how many there are.
 
-    The packets are given in 32-bit words (P, W) and in octets (P, 4 W). `turned` (2, L) is room for a column's
-    directions.
+    The packets are given in 32-bit words (P, W).
     """
     heading, kinds, valid = beams.heading, beams.kinds, np.uint32(pixels.valid[1])
     shift_m, times_ns, (ahead_m, start_m) = beams.shift_m, out.time_ns, beams.start_m
-    dual, n = len(kinds) == 2, np.uint64(0)
+    n = np.uint64(0)
     for p in range(len(words)):
         for column in range(pixels.columns):
-            at = pixels.head + column * pixels.column
-            said = words[p, at:]
+            said = words[p, pixels.head + column * pixels.column :]
             measurement = np.int64(said[2] & np.uint32(0xFFFF))
             if said[pixels.valid[0]] & valid != valid or measurement >= len(heading):
                 continue
             cos, sin = heading[measurement, 0], heading[measurement, 1]
-            _turn(beams.ahead, beams.right, cos, sin, turned)
-            start = ahead_m * cos + shift_m[0], ahead_m * sin + shift_m[1], shift_m[2], start_m
-            part, bright, begun = said[pixels.first :], octets[p, 4 * (at + pixels.first) :], n
-            if dual:
-                n = _two(part, bright, pixels, beams, turned, start, out, n)
-            else:
-                n = _one(part, bright, pixels, beams, turned, start, out, n)
+            how = cos, sin, ahead_m * cos + shift_m[0], ahead_m * sin + shift_m[1], shift_m[2], start_m
+            begun, n = n, _column(said[pixels.first :], pixels, beams, how, out, n)
             _fill(np.int64(np.uint64(said[1]) << np.uint64(32) | np.uint64(said[0])), begun, n, times_ns)
-    if not dual:
+    if len(kinds) == 1:
         _fill(kinds[0], np.uint64(0), n, out.kind)
     return np.int64(n)
 
 
 @loop
-def _one(part, bright, pixels, beams, turned, start, out, n):
-    """Write a column's returns, from number n on, where a pixel has one; and say the number of the next.
+def _column(part, pixels, beams, how, out, n):
+    """Write a column's returns, from number n on, and say the number of the next.
 
-    Two pixels at a time, which mostly both have one.
+    Eight pixels at a time, which mostly have one return each, or none.
     """
-    xyz, intensity, out_ring, ring = out.xyz, out.intensity, out.ring, beams.ring
-    x, y, z = turned[0], turned[1], beams.up
-    mask, unit_m, width = np.uint32(pixels.mask), pixels.unit_m, np.uint64(pixels.width)
-    at, gray, count = pixels.ranges[0], pixels.bright[0], np.uint64(len(ring))
-    for i in range(np.uint64(0), count & ~ONE, TWO):
-        here, there = part[at] & mask, part[at + width] & mask
-        if here and there:
-            _put(xyz, n, here * unit_m, (x[i], y[i], z[i]), start)
-            _put(xyz, n + ONE, there * unit_m, (x[i + ONE], y[i + ONE], z[i + ONE]), start)
-            intensity[n], intensity[n + ONE] = bright[gray], bright[gray + FOUR * width]
-            out_ring[n], out_ring[n + ONE] = ring[i], ring[i + ONE]
-            n += TWO
-        elif here | there:
-            which = np.uint64(here == 0)
-            k = i + which
-            _put(xyz, n, (here | there) * unit_m, (x[k], y[k], z[k]), start)
-            intensity[n], out_ring[n] = bright[gray + FOUR * width * which], ring[k]
-            n += ONE
-        at, gray = at + TWO * width, gray + np.uint64(8) * width
-    if count & ONE and part[at] & mask:
-        k = count - ONE
-        _put(xyz, n, (part[at] & mask) * unit_m, (x[k], y[k], z[k]), start)
-        intensity[n], out_ring[n] = bright[gray], ring[k]
-        n += ONE
-    return n
-
-
-@loop
-def _two(part, bright, pixels, beams, turned, start, out, n):
-    """The same where a pixel has up to two, whose types are also written."""
-    xyz, intensity, out_ring, ring, kind = out.xyz, out.intensity, out.ring, beams.ring, out.kind
-    x, y, z = turned[0], turned[1], beams.up
-    mask, unit_m, width = np.uint32(pixels.mask), pixels.unit_m, np.uint64(pixels.width)
-    near, far = pixels.ranges[0], pixels.ranges[1]
-    near_gray, far_gray, at = pixels.bright[0], pixels.bright[1], np.uint64(0)
-    first, second = beams.kinds[0], beams.kinds[1]
-    for i in range(np.uint64(len(ring))):
-        units, more = part[at + near] & mask, part[at + far] & mask
-        if units:
-            _put(xyz, n, units * unit_m, (x[i], y[i], z[i]), start)
-            intensity[n], out_ring[n], kind[n] = bright[FOUR * at + near_gray], ring[i], first
-            n += ONE
+    mask, width, count, dual = (
+        np.uint32(pixels.mask),
+        np.uint64(pixels.width),
+        np.uint64(len(beams.ring)),
+        len(beams.kinds) == 2,
+    )
+    ranges, bright, ring, out_ring = pixels.ranges, pixels.bright, beams.ring, out.ring
+    ways, whole, more = (beams.ahead, beams.right, beams.up), count & ~SEVEN, np.uint8(0)
+    for i in range(np.uint64(0), whole, EIGHT):
+        at = i * width
+        found = which(part, at + ranges[0], width, mask)
+        if dual:
+            more = which(part, at + ranges[1], width, mask)
         if more:
-            _put(xyz, n, more * unit_m, (x[i], y[i], z[i]), start)
-            intensity[n], out_ring[n], kind[n] = bright[FOUR * at + far_gray], ring[i], second
-            n += ONE
-        at += width
+            n = _singly(part, pixels, beams, how, out, i, i + EIGHT, n)
+        elif found:
+            place(part, at + ranges[0], width, mask, pixels.unit_m, ways, i, how, out.xyz, n)
+            copy(part, at + bright[0, 0], width, np.uint32(bright[0, 1]), out.intensity, n)
+            same(ring, i, out_ring, n)
+            if dual:
+                _fill(beams.kinds[0], n, n + EIGHT, out.kind)
+            n = n + EIGHT if found == ALL else _chosen(np.uint64(found), out, n)
+    return _singly(part, pixels, beams, how, out, whole, count, n)
+
+
+@loop
+def _chosen(bits, out, n):
+    """Of eight returns that were written, from number n on, keep those with a bit; and say the number of the next."""
+    xyz, intensity, ring, kept = out.xyz, out.intensity, out.ring, n
+    for k in range(n, n + EIGHT):
+        for axis in range(THREE):
+            xyz[THREE * kept + axis] = xyz[THREE * k + axis]
+        intensity[kept], ring[kept] = intensity[k], ring[k]
+        kept += bits & ONE
+        bits >>= ONE
+    return kept
+
+
+@loop
+def _singly(part, pixels, beams, how, out, first, last, n):
+    """The same for some pixels, one after the other."""
+    mask, width, (cos, sin, x, y, z, start_m) = np.uint32(pixels.mask), np.uint64(pixels.width), how
+    for i in range(first, last):
+        for r in range(len(beams.kinds)):
+            units = part[i * width + pixels.ranges[r]] & mask
+            if units:
+                length_m, k = units * pixels.unit_m - start_m, THREE * n
+                out.xyz[k] = (beams.ahead[i] * cos + beams.right[i] * sin) * length_m + x
+                out.xyz[k + ONE] = (beams.ahead[i] * sin - beams.right[i] * cos) * length_m + y
+                out.xyz[k + TWO] = beams.up[i] * length_m + z
+                gray = part[i * width + pixels.bright[r, 0]] >> pixels.bright[r, 1]
+                out.intensity[n], out.ring[n], out.kind[n] = gray & np.uint64(255), beams.ring[i], beams.kinds[r]
+                n += ONE
     return n
-
-
-@loop
-def _turn(ahead, right, cos, sin, turned):
-    """Write x and y of the directions at an encoder angle."""
-    x, y = turned[0], turned[1]
-    for i in range(np.uint64(len(ahead))):
-        x[i] = ahead[i] * cos + right[i] * sin
-        y[i] = ahead[i] * sin - right[i] * cos
-
-
-@loop
-def _put(xyz, n, range_m, direction, start):
-    """Write where return n lies, given how far it is from the middle."""
-    x, y, z, start_m = start
-    length_m, k = range_m - start_m, THREE * n
-    xyz[k] = direction[0] * length_m + x
-    xyz[k + ONE] = direction[1] * length_m + y
-    xyz[k + TWO] = direction[2] * length_m + z
 
 
 @loop

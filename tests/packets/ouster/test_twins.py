@@ -100,3 +100,29 @@ def test_points_are_those_of_the_formulas(profile, tilted):
         np.testing.assert_array_equal(found.ring, 31 - np.array(laser))  # altitudes descend
         np.testing.assert_array_equal(found.intensity, gray)
         np.testing.assert_array_equal(found.return_type, np.array(kinds)[list(number)])
+
+
+@pytest.mark.parametrize("pixels", [3, 8, 21])
+@pytest.mark.parametrize("profile", ["LEGACY", "RNG15_RFL8_NIR8", "RNG19_RFL8_SIG16_NIR16_DUAL"])
+def test_points_of_any_number_of_pixels(profile, pixels):
+    """Of the first pixels of each column, as of a sensor with no more; loops take eight of them together."""
+    _, _, _, _, data, metadata = encoded(profile, "3.2")
+    layout = read("a.json", metadata).layout
+    begin, end, wide = layout.head, layout.head + 16 * layout.column, layout.profile.pixel
+    columns = data[:4, begin:end].reshape(4, 16, layout.column)
+    gone = np.s_[layout.column_head + pixels * wide : layout.column_head + 32 * wide]
+    columns = np.delete(columns, gone, axis=2)
+    few = np.concatenate([data[:4, :begin], columns.reshape(4, -1), data[:4, end:]], axis=1)
+    said = json.loads(metadata)
+    said["lidar_data_format"]["pixels_per_column"] = pixels
+    for key in ("beam_altitude_angles", "beam_azimuth_angles"):
+        said["beam_intrinsics"][key] = said["beam_intrinsics"][key][:pixels]
+    metadata = json.dumps(said).encode()
+    decoder = OusterDecoder("a", read("a.json", metadata), "os0-32")
+    found = decoder.decode(few, np.empty(0, np.int64), np.ones(4, np.bool_))
+    theirs = [point for payload in few for point in naive.points(payload.tobytes(), metadata)]
+    x, y, z, time_ns, laser, gray, _ = zip(*theirs, strict=True)
+    np.testing.assert_allclose(found.xyz_m, np.stack([x, y, z], axis=1), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(found.time_ns.view(np.uint64), np.array(time_ns, np.uint64))
+    np.testing.assert_array_equal(found.ring, pixels - 1 - np.array(laser))
+    np.testing.assert_array_equal(found.intensity, gray)
