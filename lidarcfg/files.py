@@ -113,8 +113,9 @@ def _remove(path: Path) -> None:
 
 def _created(temporary: Path, mode: str) -> tuple[IO[Any], int]:
     """The new file, and the handle that keeps it locked."""
+    encoding, errors = (None, None) if "b" in mode else ("utf-8", "backslashreplace")  # of paths that are no UTF-8
     while True:
-        file = open(temporary, mode.replace("w", "x"), encoding=None if "b" in mode else "utf-8")  # noqa: SIM115
+        file = open(temporary, mode.replace("w", "x"), encoding=encoding, errors=errors)  # noqa: SIM115
         held = hold(file.fileno())
         if held is not None:
             return file, held

@@ -85,6 +85,13 @@ def test_folders_that_are_missing_are_made(tmp_path):
     assert [path.name for path in (tmp_path / "d/e").iterdir()] == ["truth.npz"]
 
 
+def test_a_path_that_is_no_unicode_can_be_named_in_a_text(tmp_path):
+    path = tmp_path / os.fsdecode(b"\xff")
+    with replacing(path) as file:
+        file.write(f"ü {path.name}")
+    assert path.read_bytes() == "ü \\udcff".encode()
+
+
 def test_a_read_only_file_stays(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("mine")

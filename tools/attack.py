@@ -27,6 +27,7 @@ from typing import Any
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
 
+import attack_corners  # noqa: E402
 import attack_inputs  # noqa: E402
 import attack_names  # noqa: E402
 import attack_save  # noqa: E402
@@ -41,7 +42,7 @@ BEGIN, END = "<!-- attacks: begin -->", "<!-- attacks: end -->"
 SEED = 1
 WRITES = ("kills", "signals", "full_disk", "read_only", "two_writers")
 QUICK = [command for command in COMMANDS if command.name in ("convert a rig to .urdf", "export to .ply")]
-GROUPS = (*WRITES, "bombs", "liars", "names", "server", "save")
+GROUPS = (*WRITES, "bombs", "liars", "names", "corners", "server", "save")
 
 
 def rows(name: str, folder: Path, given: argparse.Namespace, done: set[str]) -> Iterator[Row]:
@@ -54,6 +55,8 @@ def rows(name: str, folder: Path, given: argparse.Namespace, done: set[str]) -> 
         yield from getattr(attack_inputs, name)(folder, given.quick)
     elif name == "names":
         yield from attack_names.attacks(folder)
+    elif name == "corners":
+        yield from attack_corners.attacks(folder, given.quick)
     elif name == "save":
         yield from attack_save.attacks(folder, 2 if given.quick else given.times, random.Random(SEED))
     else:

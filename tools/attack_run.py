@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-SECONDS, MEGABYTES = 10.0, 1000.0  # a bad input is refused, or used, within these
-HANGS_S = 100.0
+SECONDS, MEGABYTES = 10.0, 1000.0  # of a processor and of memory: a bad input is refused, or used, within these
+HANGS_S = 100.0  # however busy the machine is
 LIBRARIES = "numba scipy.ndimage scipy.spatial.transform matplotlib.figure open3d jinja2 lidarcfg.cli lidarcfg.report "
 LIBRARIES += (
     "lidarcfg.view.page lidarcfg.view.still lidarcfg.simulate.export lidarcfg.formats.bag lidarcfg.placement.details"
@@ -44,6 +44,7 @@ class Ended:
     code: int  # negative: by this signal
     errors: str
     seconds: float
+    busy_s: float  # of processors
     megabytes: float  # resident, at most
 
     @property
@@ -61,8 +62,8 @@ class Ended:
     @property
     def unfit(self) -> str:
         """Empty if it ended in time and memory."""
-        what = f"{self.seconds:.1f} s, {self.megabytes:.0f} MB"
-        return "" if self.seconds <= SECONDS and self.megabytes <= MEGABYTES else what
+        what = f"{self.busy_s:.1f} s of processors, {self.megabytes:.0f} MB"
+        return "" if self.busy_s <= SECONDS and self.megabytes <= MEGABYTES else what
 
 
 def load_libraries() -> None:
@@ -73,7 +74,9 @@ def load_libraries() -> None:
         importlib.import_module(name)
 
 
-def start(words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None) -> int:
+def start(
+    words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None, encoding: str | None = None
+) -> int:
     """Start a `lidarcfg` command in a process of its own, and return its id; one that hangs is killed."""
     sys.stdout.flush()
     pid = os.fork()
@@ -84,7 +87,7 @@ def start(words: Sequence[object], folder: Path, limit: Callable[[], None] = lam
         os.chdir(folder)
         for number, name in enumerate((os.devnull, ".out", ".errors")):
             os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
-        sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
+        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False, encoding=encoding) for number in (1, 2))
         sys.argv = ["lidarcfg", *map(str, words)]
         signal.signal(signal.SIGINT, signal.default_int_handler)
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
@@ -109,13 +112,16 @@ def wait(pid: int, folder: Path, began: float) -> Ended:
     """Until the process has ended."""
     _, status, usage = os.wait4(pid, 0)
     code, seconds = os.waitstatus_to_exitcode(status), time.monotonic() - began
-    return Ended(code, (folder / ".errors").read_text(errors="replace"), seconds, usage.ru_maxrss / 1024)
+    said = (folder / ".errors").read_text(errors="replace")
+    return Ended(code, said, seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
-def run(words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None) -> Ended:
+def run(
+    words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None, encoding: str | None = None
+) -> Ended:
     """A command to its end."""
     began = time.monotonic()
-    return wait(start(words, folder, limit), folder, began)
+    return wait(start(words, folder, limit, encoding), folder, began)
 
 
 def small_files(most: int) -> Callable[[], None]:

@@ -158,7 +158,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def _refuse(self, status: HTTPStatus, what: str) -> None:
-        self._send("text/plain; charset=utf-8", f"{what}\n".encode(), status)
+        self._send("text/plain; charset=utf-8", f"{what}\n".encode(errors="backslashreplace"), status)
 
 
 def _json(values: Any) -> tuple[str, bytes]:
