@@ -312,6 +312,16 @@ def test_links_and_paths_lead_somewhere(page):
         assert os.access(ROOT / path, os.X_OK) or path.endswith(".py"), path
 
 
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "api.md"], ids=name_of)
+def test_every_page_has_a_picture(page):
+    """That one can see without waiting for it, and whose text says what is in it."""
+    pictures = re.findall(r"^!\[(.*)\]\((\S+\.png)\)$", page.read_text(), re.MULTILINE)
+    assert pictures
+    for text, path in pictures:
+        assert len(text.split()) > 1, path
+        assert (page.parent / path).stat().st_size <= 200_000, path
+
+
 def documentation():
     return "\n".join(page.read_text() for page in PAGES)
 

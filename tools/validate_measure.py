@@ -17,7 +17,9 @@ from pathlib import Path
 
 import numpy as np
 from accuracy_page import ROOT, table, write_section
+from draw_scenes import save
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.stats import qmc, rankdata
 
 import lidarcfg
@@ -291,6 +293,7 @@ def draw(rigs: Rigs, path: Path) -> None:
         "rank correlation by object and distance; white: rigs hardly differ there, or the measure does not", fontsize=9
     )
     save_figure(figure, path)
+    save(Image.open(path).convert("RGB"), path)  # a third of the size
 
 
 def saved(path: Path, study: Path, asked: dict[str, int]) -> Rigs:
