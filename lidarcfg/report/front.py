@@ -1,7 +1,7 @@
 """The front of price against objective: files, one page, a folder for each point, and the log to resume from."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from lidarcfg import __version__
 from lidarcfg.cloud import read_arrays
@@ -137,16 +138,9 @@ def load_front_logs(study: Study, folder: Path, combinations: int) -> list[list[
         arrays = read_arrays(path, tuple(LOG))
     except CloudError as error:
         raise ConfigError(str(error)) from None
-    cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
-    if (
-        {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG
-        or not len(told) == len(owner) == len(seconds) > 0
-        or np.isnan(cost).any()
-        or not ((seconds >= 0) & (seconds < np.inf)).all()
-        or (told < 0).any()
-        or told.sum() != len(cost)
-    ):
+    if not _is_log(arrays):
         raise ConfigError(f"{path}: is not the log of a search for a front")
+    cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
     if str(arrays["asked"]) != fingerprint(study) or set(owner.tolist()) != set(range(combinations)):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
     logs: list[list[Log]] = [[] for _ in range(combinations)]
@@ -154,6 +148,17 @@ def load_front_logs(study: Study, folder: Path, combinations: int) -> list[list[
     for number, part, spent in zip(owner.tolist(), parts, seconds.tolist(), strict=True):
         logs[number].append(Log(part, spent))
     return logs
+
+
+def _is_log(arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Whether these are the arrays of a search for a front, of their kinds and lengths."""
+    if {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()} != LOG:
+        return False
+    cost, told, owner, seconds = (arrays[key] for key in ("cost", "told", "owner", "seconds"))
+    lengths = len(told) == len(owner) == len(seconds) > 0 and told.sum() == len(cost)
+    return bool(
+        lengths and (told >= 0).all() and not np.isnan(cost).any() and ((seconds >= 0) & (seconds < np.inf)).all()
+    )
 
 
 def front_page(study: Study, found: Front, values: dict[str, Any], commands: Commands) -> str:

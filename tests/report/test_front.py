@@ -118,6 +118,10 @@ def test_a_log_is_resumed_and_what_is_none_is_refused(tmp_path):
         np.savez(tmp_path / "search.npz", **arrays)
         with pytest.raises(ConfigError, match=r"search.npz: is not the log of a search for a front"):
             load_front_logs(study, tmp_path, 5)
+    for key in arrays:
+        np.savez(tmp_path / "search.npz", **{name: array for name, array in arrays.items() if name != key})
+        with pytest.raises(ConfigError, match=r"search.npz: is not the log of a search for a front"):
+            load_front_logs(study, tmp_path, 5)
     lidarcfg("optimize", "study.yaml", "--resume", "nowhere", code=2, cwd=tmp_path)
 
 
