@@ -150,7 +150,7 @@ def epochs(folder: Path, quick: bool) -> Row:
 
 
 def arrays(folder: Path, quick: bool) -> Row:
-    """Each array of each .npz that we read as one of another shape or kind, or left out; an .npy under that name."""
+    """Each array of each .npz that we read as one of another shape or kind, or omitted; an .npy under that name."""
     row = Row(".npz with arrays of other shapes and kinds, or none")
     for words in ("optimize {0}.yaml -o o", "optimize {0}-choices.yaml -o f", "decode {0}.pcap -o d.npz"):
         run(words.format(FIRST).split(), folder)
