@@ -89,9 +89,9 @@ def exchange(one: Path, other: Path) -> bool:
 def locked(folders: Iterable[Path]) -> Iterator[None]:
     """Folders in which no other run renames several files meanwhile; it is waited for, but not for long."""
     with ExitStack() as stack:
-        for folder in sorted(set(folders)):
+        for folder in sorted({os.path.realpath(folder) for folder in folders}):  # each once, whatever it is called
             with suppress(OSError):  # of a folder that may not be read, or of Windows
-                handle = stack.enter_context(opened(folder))
+                handle = stack.enter_context(opened(Path(folder)))
                 until = time.monotonic() + COMMIT_S
                 while not _lock(handle, wait=False) and time.monotonic() < until:
                     time.sleep(AGAIN_S)

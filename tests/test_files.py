@@ -269,6 +269,18 @@ def test_an_interrupt_between_two_files_waits_for_the_second(tmp_path, monkeypat
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new"}
 
 
+def test_a_run_does_not_wait_for_itself(tmp_path, monkeypatch):
+    """A folder by two names, here and by its whole path and through a link, is locked once."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("lidarcfg.aside.AGAIN_S", "no wait is expected")
+    (tmp_path / "link").symlink_to(tmp_path)
+    with together():
+        for path in ("a", tmp_path / "b", "link/c"):
+            with replacing(path) as file:
+                file.write("new")
+    assert names(tmp_path) == ["a", "b", "c", "link"]
+
+
 def test_of_two_runs_with_several_files_one_waits(tmp_path):
     """So that what is there in the end is all of one of them: four threads, twenty times each."""
 
