@@ -19,7 +19,7 @@ from lidarcfg.errors import CloudError, ConfigError, PacketError
 from lidarcfg.geometry import pose, transform
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.metric import bounds_m, surface_m2
+from lidarcfg.placement.metric import extents, surface_m2
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
@@ -165,12 +165,13 @@ def test_faces_have_the_surface_that_the_measure_counts(seed):
     region = Region.from_boxes((-1, 0, 2), (4, 6, 5), (1, 1.5, 0.5), (((0, 1, 2), (2, 4, 3)),))
     lidars = [lidar(rng.uniform(-1, 4, 3), rng.uniform(-1, 1, 3), np.sin([-0.3, 0.2])) for _ in range(2)]
     spaces = segment(region, lidars)
-    for number, surface in enumerate(surface_m2(spaces)):
+    numbers = range(len(spaces))
+    for number, surface, extent in zip(numbers, surface_m2(spaces), extents(spaces, numbers), strict=True):
         quads = faces(region, spaces.label == number)
         sides = np.cross(quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0])
         assert np.linalg.norm(sides, axis=1).sum() == pytest.approx(surface)
         assert (quads.reshape(-1, 3).min(axis=0), quads.reshape(-1, 3).max(axis=0)) == tuple(
-            pytest.approx(corner) for corner in bounds_m(spaces, number)
+            pytest.approx(corner) for corner in extent.bounds_m
         )
 
 
