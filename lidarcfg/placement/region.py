@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.vehicle import Vehicle
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
-CUBOID_BYTES = 40  # of memory to evaluate one, measured
+CUBOID_BYTES = 11  # of memory to evaluate one, measured
 NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
@@ -88,7 +88,13 @@ class Cut(NamedTuple):
     """What bodies have taken out of a region."""
 
     bodies: "Vehicle"
-    included: NDArray[np.bool_]  # (nx, ny, nz) which cuboids counted before
+    packed: NDArray[np.uint8]  # which cuboids counted before, eight to a byte
+    shape: tuple[int, ...]
+
+    @property
+    def included(self) -> NDArray[np.bool_]:
+        """(nx, ny, nz) which cuboids counted before."""
+        return np.unpackbits(self.packed, count=math.prod(self.shape)).view(np.bool_).reshape(self.shape)
 
 
 @dataclass(frozen=True)
@@ -136,7 +142,7 @@ class Region:
         included = self.included.copy()
         for name in bodies.excluded:
             included[bodies.inside(name, *self.centres())] = False
-        return Region(self.min_m, self.max_m, included, Cut(bodies, self.included))
+        return Region(self.min_m, self.max_m, included, Cut(bodies, np.packbits(self.included), self.shape))
 
     def halved(self) -> "Region":
         """The same region with every cuboid cut into eight; bodies are cut out anew."""

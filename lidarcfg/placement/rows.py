@@ -9,7 +9,8 @@ Rows are numbered ((k + 1)(ny + 2) + j + 1) · chunks + c, so that every neighbo
 """
 
 # mypy: disallow-untyped-decorators=False
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,10 @@ EVERYTHING = Sight(  # no limits: all that counts is seen
     Obstacles(NO_TREE, np.empty((6, 0)), np.zeros(3), np.inf),
 )
 BIT = ONE << np.arange(64, dtype=np.uint64)
+
+
+LARGE = 2**14  # rows from which on what LiDARs see is found on threads
+WORDS = 16  # a row that an evaluation needs at least, beside three for each LiDAR
 
 
 class Grid(NamedTuple):
@@ -87,15 +92,20 @@ def packed(bits: NDArray[np.bool_]) -> Words:
     return words
 
 
-def unpacked(region: Region, words: Words) -> NDArray[np.bool_]:
-    """(nx, ny, nz) the bits of words (rows,)."""
+def layers(region: Region, words: Words) -> Iterator[NDArray[np.bool_]]:
+    """The bits of words (rows,), by layer along x: (ny, nz) each."""
     nx, ny, nz = region.shape
-    octets = words.reshape(nz + 2, ny + 2, -1)[1:-1, 1:-1].astype("<u8", copy=False)
-    out = np.empty(region.shape, np.bool_)
+    chunks = words.reshape(nz + 2, ny + 2, -1)[1:-1, 1:-1].T
     for first in range(0, nx, 64):
-        chunk = octets[..., first // 64, None].copy().view(np.uint8).transpose(2, 1, 0)
-        out[first : first + 64] = np.unpackbits(chunk, axis=0, bitorder="little")[: nx - first]
-    return out
+        chunk = np.ascontiguousarray(chunks[first // 64])
+        for bit in BIT[: nx - first]:
+            yield chunk & bit != NONE
+
+
+def unpacked(region: Region, words: Words) -> NDArray[np.bool_]:
+    """(…, nx, ny, nz) the bits of words (…, rows)."""
+    every = [list(layers(region, one)) for one in words.reshape(-1, words.shape[-1])]
+    return np.array(every, np.bool_).reshape(*words.shape[:-1], *region.shape)
 
 
 def cuboid_number(grid: Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
@@ -136,7 +146,7 @@ def check_room(grid: Grid, lidars: int, beams: int, threads: int = 1) -> None:
     """Raises LidarcfgError where memory does not hold that many threads' `room`."""
     rows = grid.included.size
     layer = rows // (grid.z.size + 2)
-    needed = 8.0 * threads * lidars * (2 * layer * beams + rows)
+    needed = 8.0 * threads * ((WORDS + 3 * lidars) * rows + 2 * layer * lidars * beams)
     what = f"comparing {64 * rows:,} cuboids with {lidars * beams:,} beams on {threads} threads"
     check_memory(what, needed, "use larger cuboids or fewer beams")
 
@@ -284,7 +294,16 @@ def linked(region: Region, lidars: Sequence[Lidar], sight: Sight = EVERYTHING) -
     """A region's grid, and the links and comparisons of some LiDARs on it."""
     grid, cones = Grid.of(region), cone_rows(lidars)
     check_room(grid, len(cones), cones.shape[1] - FIRST)
-    work = room(grid, len(cones), cones.shape[1] - FIRST, new_looks(len(cones), grid.included.size))
+    rows = grid.included.size
+    work = room(grid, len(cones), cones.shape[1] - FIRST, new_looks(len(sight.limits), rows))
+    if len(sight.limits) and rows > LARGE:
+
+        def ahead(lidar: int) -> None:
+            looks = work.looks._replace(shadows=new_looks(0, 0).shadows)
+            look(grid, cones, np.array([lidar]), sight, looks, work.seen)
+
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(ahead, range(len(cones))))
     link(grid, grid.links, cones, np.arange(len(cones)), sight, work)
     return grid, work
 

@@ -91,8 +91,7 @@ class Visibility:
 
     def seen(self, region: Region, lidars: Sequence[Lidar]) -> NDArray[np.bool_]:
         """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
-        words = rows.seen_words(region, lidars, self.sight(lidars))
-        return np.stack([rows.unpacked(region, one) for one in words])
+        return rows.unpacked(region, rows.seen_words(region, lidars, self.sight(lidars)))
 
     def seen_points(self, points_m: Array, lidar: Lidar) -> NDArray[np.bool_]:
         """(N,): which points (N, 3) a LiDAR sees."""

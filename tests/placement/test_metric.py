@@ -1,5 +1,9 @@
 """The largest spheres, and subspaces measured layer by layer, against SciPy over everything at once."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -7,8 +11,10 @@ from scipy import ndimage
 from lidarcfg import inputs
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement.metric import Spheres, clearance_m, extents
-from lidarcfg.placement.region import Region, RegionFile
+from lidarcfg.placement.region import CUBOID_BYTES, Region, RegionFile
 from lidarcfg.placement.subspace import Subspaces
+
+ROOT = Path(__file__).parents[2]
 
 
 def bodies(shape, cuboid_m, seed):
@@ -82,6 +88,31 @@ def test_what_memory_does_not_hold_is_refused_with_the_bytes(monkeypatch):
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 1000.0)
     file = RegionFile(min_m=(0.0, 0.0, 0.0), max_m=(100.0, 100.0, 10.0), cuboid_m=(0.1, 0.1, 0.1))
     with pytest.raises(
-        LidarcfgError, match=r"a region of 100,000,000 cuboids needs 4\.0 GB of memory; 0\.0 GB are free"
+        LidarcfgError, match=r"a region of 100,000,000 cuboids needs 1\.1 GB of memory; 0\.0 GB are free"
     ):
         Region.from_file(file)
+
+
+PEAK = """
+import sys
+from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.study import load_study
+from lidarcfg.rig import load_rig
+peaks = []
+for path in sys.argv[2:]:
+    evaluate(load_study(path), load_rig(sys.argv[1]))
+    peaks.append(next(1024 * int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM")))
+print(peaks[1] - peaks[0])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the peak is read from /proc")
+def test_an_evaluation_needs_the_memory_that_is_asked_for(tmp_path):
+    """Peaks of a process: its study's cuboids, then 64 times as many."""
+    text = (ROOT / "data/studies/sedan.yaml").read_text().replace("../vehicles", str(ROOT / "data/vehicles"))
+    paths = [tmp_path / "coarse.yaml", tmp_path / "fine.yaml"]
+    for path, edges in zip(paths, ("[1, 0.5, 0.2]", "[0.25, 0.125, 0.05]"), strict=True):
+        path.write_text(text.replace("[1, 0.5, 0.2]", edges))
+    words = [sys.executable, "-c", PEAK, ROOT / "data/rigs/roof.yaml", *paths]
+    needed = int(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+    assert 0.6 < needed / (CUBOID_BYTES * 63 * 48_000) < 1.0
