@@ -1,13 +1,14 @@
 """numba for the loops of this project: with a place to keep what it compiles, and without what it need not compile."""
 
 import atexit
+import gc
 import os
 import shutil
 import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 # Compiled loops are kept beside the package or in the user's cache; where neither can be written, for this run only.
 # numba reads the variable when it is imported, so this comes first.
@@ -16,14 +17,15 @@ if not os.access(Path(__file__).parent, os.W_OK) and not os.access(Path.home(), 
     os.environ.setdefault("NUMBA_CACHE_DIR", _cache)
     atexit.register(shutil.rmtree, _cache, ignore_errors=True)
 
-from numba import njit as njit
+import numba
 from numba.core import event
 from numba.core.options import DefaultOptions
 
 from lidarcfg.compiling import compiling
 from lidarcfg.linking import link_late
 
-_njit: Any = njit  # some of its options are not in its signature
+P = ParamSpec("P")
+R = TypeVar("R")
 
 # An array that a loop takes out of a tuple is counted as a reference, and again when it is let go. Loops that make no
 # arrays need no counting, and some spend a sixth of their time on it. numba's option for that is not in its manual:
@@ -31,7 +33,27 @@ _njit: Any = njit  # some of its options are not in its signature
 UNCOUNTED = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 ALONE = {"cache": True, "nogil": True}
 
-outer = partial(_njit, **ALONE, **UNCOUNTED)  # for loops that make no arrays
+
+def njit(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """numba's; but a loop that is called with numbers is not compiled again for each of them."""
+    return partial(_loop, options=options)
+
+
+def _loop(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    compiler: Any = numba  # some of its options are not in its signature
+    loop = compiler.njit(**options)(function)
+    template = loop.get_call_template
+
+    def of_any_number(args: Any, kws: Any) -> Any:
+        return template([compiler.types.unliteral(one) for one in args], kws)
+
+    loop.get_call_template = of_any_number
+    return loop
+
+
+def outer(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """For loops that make no arrays."""
+    return njit(**ALONE, **UNCOUNTED, **options)
 
 
 def inner(*, makes_arrays: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -42,8 +64,8 @@ def inner(*, makes_arrays: bool = False, **options: Any) -> Callable[[Callable[.
 
 def _inner(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     if not link_late():
-        return _njit(cache=True, **options)(function)
-    loop = _njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+        return _loop(function, {"cache": True, **options})
+    loop = _loop(function, {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **options})
 
     def refuse(*_: Any, **__: Any) -> None:
         raise TypeError(f"{function.__module__}.{function.__name__} can be called by compiled loops only")
@@ -56,14 +78,22 @@ def _inner(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
 
 class _Watch(event.Listener):
-    """Tells of what numba compiles."""
+    """Tells of what numba compiles, which makes few cycles of garbage and much that is searched for them in vain."""
+
+    def __init__(self) -> None:
+        self._collects = False
 
     def on_start(self, event: Any) -> None:
+        if not compiling.loops:
+            self._collects = gc.isenabled()
+            gc.disable()
         loop = event.data["dispatcher"]
         compiling.begin(loop.__name__, len(_parts(loop, set())))
 
     def on_end(self, event: Any) -> None:
         compiling.end()
+        if self._collects and not compiling.loops:
+            gc.enable()
 
 
 event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types here

@@ -49,7 +49,7 @@ def test_numbas_own_record_of_the_time():
     """numba keeps the seconds of each compiled function in its metadata: as `clock` has it, within its own."""
     before = module.compiling.seconds, module.compiling.compiled, clock()
 
-    @njit
+    @njit()
     def squares(x):
         return sum([i * x for i in range(3)])
 
@@ -84,7 +84,7 @@ def test_an_inner_loop_is_part_of_others():
     def twice(x):
         return 2 * x
 
-    @njit
+    @njit()
     def four_times(x):
         return twice(twice(x))
 

@@ -24,7 +24,7 @@ from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.visibility_kernels import LIMITS
+from lidarcfg.placement.visibility_kernels import LIMITS, new_looks
 from lidarcfg.placement.zones import worth_m
 
 CACHE_BYTES = 256 * 2**20
@@ -180,7 +180,10 @@ class Evaluator:
         )
 
         def run(trials: Index) -> tuple[int, int, int]:
-            return kernels.try_out(trials, batch, self._grid, in_full, verdicts)
+            found: tuple[int, int, int] = kernels.try_out(
+                trials, batch, self._grid, in_full, kernels.scratch_for(self._grid, batch), verdicts
+            )
+            return found
 
         nx, ny, nz = self._region.shape
         evaluated, parts = 0, self._parts(len(poses))
@@ -243,7 +246,8 @@ class Evaluator:
         known = kernels.Sources(self._placed(self._poses), changed, self._links, stays, self._clear)
 
         def renew(part: Index) -> None:
-            kernels.renew(stale[part], known, self._grid)
+            work = rows.room(self._grid, 1, self._square.shape[1], new_looks(1, self._grid.included.size))
+            kernels.renew(stale[part], known, self._grid, work, np.zeros(1, np.int64))
 
         list(self._pool.map(renew, self._parts(len(stale))))
         self._linked[sources] = self._poses[sources]

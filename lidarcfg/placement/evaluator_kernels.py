@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, njit
+from lidarcfg.jit import inner, outer
 from lidarcfg.placement.cones import FIRST
 from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cuboid, keep, worst, worth
 from lidarcfg.placement.rows import Counts, Grid, Words, Work, link, put, put_links, room
-from lidarcfg.placement.visibility_kernels import ALL, FEW, NONE, Looks, Obstacles, Sight, new_looks
+from lidarcfg.placement.visibility_kernels import ALL, NONE, Looks, Obstacles, Sight
 
 WITNESSES = 12
 Flags = NDArray[np.bool_]
@@ -61,7 +61,7 @@ class Verdicts(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Scratch memory, and what is found of one trial; each thread has its own."""
+    """What is found of one trial."""
 
     links: Words  # (3, rows)
     own: Words  # (lidars, 3, rows) the links of LiDARs that moved, where there is more than one case
@@ -72,19 +72,31 @@ class Found(NamedTuple):
     stamp: Counts  # (1,) of the last flood
 
 
-@inner(makes_arrays=True)
-def _new_found(grid: Grid, batch: Batch) -> Found:
+class Scratch(NamedTuple):
+    """Working memory for the trials of a batch; each thread has its own."""
+
+    work: Work
+    floods: Floods
+    found: Found
+    cases: Counts  # (cases,) in the order of evaluation
+    moved: Counts  # (lidars,) numbers of LiDARs
+
+
+def scratch_for(grid: Grid, batch: Batch) -> Scratch:
     """Room for trials of a batch."""
     cases, lidars = batch.kept.shape
-    return Found(
+    floods = flood_room(grid, lidars)
+    found = Found(
         np.empty_like(grid.links),
         np.empty((lidars * (cases > 1), *grid.links.shape), np.uint64),
         np.empty((cases, grid.included.size), np.uint64),
-        np.empty(batch.witness.shape[1]),
-        np.empty(batch.witness.shape[1], np.int64),
+        np.empty(WITNESSES),
+        np.empty(WITNESSES, np.int64),
         np.empty(1, np.int64),
         np.zeros(1, np.int64),
     )
+    work = room(grid, lidars, batch.placed.cones.shape[2] - FIRST, floods.looks)
+    return Scratch(work, floods, found, np.zeros(cases, np.int64), np.zeros(lidars, np.int64))
 
 
 @inner()
@@ -103,24 +115,43 @@ def remind(looks: Looks, lidar: int, stays: bool, clear: Words, source: int, num
         looks.known[lidar, row] = ALL if stays else NONE
 
 
-@inner(makes_arrays=True)
+@inner()
+def _holds(order: Counts, count: int, case: int) -> bool:
+    """Whether a case is among the first `count` of some."""
+    found = False
+    for n in range(count):
+        found |= order[n] == case
+    return found
+
+
+@inner()
 def _order(witness: Counts, size: int, order: Counts) -> int:
     """Write the cases to order (cases,), first those of witnesses, as these stand; returns how many these are.
 
     A witness is a cuboid's number + `size` × the case's.
     """
     known = 0
-    order[:] = -1
     for w in witness:
-        if w >= 0 and not (order[:known] == w // size).any():
+        if w >= 0 and not _holds(order, known, w // size):
             order[known] = w // size
             known += 1
     last = known
     for case in range(order.size):
-        if not (order[:known] == case).any():
+        if not _holds(order, known, case):
             order[last] = case
             last += 1
     return known
+
+
+@inner()
+def _moved(trial: int, case: int, batch: Batch, out: Counts) -> int:
+    """Write to `out` which LiDARs of a case have moved, or of all cases if it is −1; returns how many."""
+    count = 0
+    for lidar in range(batch.moved.shape[1]):
+        if batch.moved[trial, lidar] and (case < 0 or batch.kept[case, lidar]):
+            out[count] = lidar
+            count += 1
+    return count
 
 
 @inner()
@@ -136,27 +167,31 @@ def _join(trial: int, case: int, batch: Batch, own: Words, out: Words) -> None:
             _keep_common(out, own[lidar])
 
 
-@inner(makes_arrays=True)
-def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods, found: Found) -> int:
-    """Flood the subspaces of a trial's witnesses, those of some cases, until one refutes it.
+@inner()
+def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) -> int:
+    """Flood the subspaces of a trial's witnesses, those of the first `known` cases, until one refutes it.
 
     Writes the refuter to found.refuter, or −1. Returns for how many rows the gaps of moved LiDARs were computed.
     """
-    size, to_beat, moved = grid.included.size << 6, batch.to_beat[trial], np.flatnonzero(batch.moved[trial])
-    sight, fixed = Sight(batch.placed.limits[trial], batch.placed.obstacles), found.links
+    floods, found, size, to_beat = scratch.floods, scratch.found, grid.included.size << 6, batch.to_beat[trial]
+    sight, fixed, cones = (
+        Sight(batch.placed.limits[trial], batch.placed.obstacles),
+        found.links,
+        batch.placed.cones[trial],
+    )
     found.refuter[0] = -1
     rows = 0
-    for number in range(cases.size):
-        case = int(cases[number])
+    for number in range(known):
+        case = scratch.cases[number]
         put_links(fixed, grid.links)
         put(floods.left, found.left[case])
         _join(trial, case, batch, found.own[:0], fixed)
-        walls = Walls(fixed, batch.placed.cones[trial], moved[batch.kept[case][moved]], sight)
+        walls = Walls(fixed, cones, scratch.moved[: _moved(trial, case, batch, scratch.moved)], sight)
         for w in batch.witness[trial]:
             cuboid = w - case * size
             if 0 <= cuboid < size and floods.left[cuboid >> 6] >> np.uint64(cuboid & 63) & np.uint64(1):
                 found.stamp[0] += 1
-                rows += flood(grid, walls, found.stamp[0], cuboid, floods)
+                rows += int(flood(grid, walls, found.stamp[0], cuboid, floods))
                 value = worth(grid, grid.edge, grid.weight.size > 0, floods)
                 if value >= to_beat:
                     found.refuter[0] = w
@@ -166,45 +201,37 @@ def _refute(trial: int, cases: Counts, batch: Batch, grid: Grid, floods: Floods,
     return rows
 
 
-@inner(makes_arrays=True)
-def _evaluate(trial: int, cases: Counts, batch: Batch, grid: Grid, work: Work, floods: Floods, found: Found) -> int:
+@inner()
+def _evaluate(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> int:
     """Find the worst subspaces of a trial in all cases, or until one is no less than what has to be beaten.
 
     Returns how many cases were evaluated.
     """
-    size, moved = grid.included.size << 6, np.flatnonzero(batch.moved[trial])
-    cones, sight, links = (
-        batch.placed.cones[trial],
-        Sight(batch.placed.limits[trial], batch.placed.obstacles),
-        found.links,
-    )
+    work, floods, found, cases = scratch.work, scratch.floods, scratch.found, scratch.cases
+    size, moved = grid.included.size << 6, scratch.moved[: _moved(trial, -1, batch, scratch.moved)]
+    cones, sight = batch.placed.cones[trial], Sight(batch.placed.limits[trial], batch.placed.obstacles)
+    links, to_beat = found.links, batch.to_beat[trial]
     for n in range(moved.size if cases.size > 1 else 0):
         link(grid, grid.links, cones, moved[n : n + 1], sight, work)
         put_links(found.own[moved[n]], work.links)
     for number in range(cases.size):
-        case = int(cases[number])
+        case = cases[number]
         put_links(links, grid.links)
         put(floods.left, found.left[case])
         _join(trial, case, batch, found.own, links)
         if cases.size == 1:
             link(grid, links, cones, moved, sight, work)
             links = work.links
-        worst(
-            grid,
-            Walls(links, cones, moved[:0], sight),
-            batch.to_beat[trial],
-            floods,
-            found.values,
-            found.cuboids,
-            case * size,
-        )
-        if found.values[0] >= batch.to_beat[trial]:
+        worst(grid, Walls(links, cones, moved[:0], sight), to_beat, floods, found.values, found.cuboids, case * size)
+        if found.values[0] >= to_beat:
             return number + 1
-    return cases.size
+    return int(cases.size)
 
 
-@njit(cache=True, nogil=True)
-def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: Verdicts) -> tuple[int, int, int]:
+@outer()
+def try_out(
+    trials: Counts, batch: Batch, grid: Grid, in_full: bool, scratch: Scratch, verdicts: Verdicts
+) -> tuple[int, int, int]:
     """Write the verdicts on some trials (t,) of a batch.
 
     First the subspaces of a trial's witnesses are flooded, and rows are compared with cones as the flood gets to them;
@@ -212,46 +239,49 @@ def try_out(trials: Counts, batch: Batch, grid: Grid, in_full: bool, verdicts: V
     for all cases, and only if `in_full`. Returns how many cases were evaluated in full, how many rows were compared for
     other trials, and how many segments were cast.
     """
-    lidars, beams = batch.placed.cones.shape[1], batch.placed.cones.shape[2] - FIRST
-    floods, cases = flood_room(grid, lidars), np.zeros(len(batch.kept), np.int64)
-    work, found = room(grid, lidars, beams, floods.looks), _new_found(grid, batch)
+    looks, found = scratch.floods.looks, scratch.found
     full = compared = 0
-    for number in range(trials.size):
-        t = int(trials[number])
+    for t in trials:
         if batch.placed.limits.shape[1] > 0:
-            for lidar in np.flatnonzero(batch.moved[t]):
-                remind(floods.looks, int(lidar), batch.stays[t, lidar], batch.clear, batch.source[t], int(lidar))
-        found.values[:], found.cuboids[:] = -1.0, -1
+            for lidar in range(batch.moved.shape[1]):
+                if batch.moved[t, lidar]:
+                    remind(looks, lidar, batch.stays[t, lidar], batch.clear, batch.source[t], lidar)
+        for n in range(found.values.size):
+            found.values[n], found.cuboids[n] = -1.0, -1
         for case in range(len(found.left)):
             put(found.left[case], grid.included)
-        witness = batch.witness[t] if batch.to_beat[t] < np.inf else batch.witness[t, :0]
-        known = _order(witness, grid.included.size << 6, cases)
-        rows = _refute(t, cases[:known], batch, grid, floods, found)
+        witnesses = batch.witness.shape[1] if batch.to_beat[t] < np.inf else 0
+        known = _order(batch.witness[t, :witnesses], grid.included.size << 6, scratch.cases)
+        rows = _refute(t, known, batch, grid, scratch)
         verdicts.cost[t], verdicts.refuter[t] = np.inf, found.refuter[0]
         if found.refuter[0] >= 0 or not in_full:
             verdicts.cost[t] = np.inf if found.refuter[0] >= 0 else np.nan
             compared += rows
             continue
-        full += _evaluate(t, cases, batch, grid, work, floods, found)
+        full += _evaluate(t, batch, grid, scratch)
         if found.values[0] < batch.to_beat[t]:
             verdicts.cost[t] = found.values[0]
             for n in range(found.cuboids.size):
                 verdicts.fresh[t, n] = found.cuboids[n]
         else:
             verdicts.refuter[t] = found.cuboids[0]
-    return full, compared, floods.looks.shadows.cast[0]
+    return full, compared, looks.shadows.cast[0]
 
 
-@njit(cache=True, nogil=True)
-def renew(rows: Counts, sources: Sources, grid: Grid) -> None:
-    """Compute links and clear for some food sources, of the LiDARs that have changed."""
+@outer()
+def renew(rows: Counts, sources: Sources, grid: Grid, work: Work, alone: Counts) -> None:
+    """Compute links and clear for some food sources, of the LiDARs that have changed.
+
+    work: of one LiDAR; `alone` (1,) is its number, 0.
+    """
     cones, limits, obstacles = sources.placed.cones, sources.placed.limits, sources.placed.obstacles
-    links, clear, looks = sources.links, sources.clear, new_looks(FEW[1], grid.included.size)
-    work, alone = room(grid, FEW[1], cones.shape[2] - FIRST, looks), np.zeros(1, np.int64)
+    links, clear, looks = sources.links, sources.clear, work.looks
     for row in rows:
-        for lidar in np.flatnonzero(sources.changed[row]):
+        for lidar in range(cones.shape[1]):
+            if not sources.changed[row, lidar]:
+                continue
             if limits.shape[1]:
-                remind(looks, FEW[0], sources.stays[row, lidar], clear, row, int(lidar))
+                remind(looks, 0, sources.stays[row, lidar], clear, row, lidar)
             sight = Sight(limits[row, lidar : lidar + 1], obstacles)
             link(grid, grid.links, cones[row, lidar : lidar + 1], alone, sight, work)
             put_links(links[row, lidar], work.links)
@@ -259,7 +289,7 @@ def renew(rows: Counts, sources: Sources, grid: Grid) -> None:
                 put(clear[row, lidar], looks.clear[0])
 
 
-@njit(cache=True, nogil=True)
+@outer()
 def remember(witness: Counts, source: Counts, refuter: Counts) -> None:
     """Move what refuted a trial, in the order of trials, to the front of its source's witnesses (sources, …)."""
     for t in range(source.size):

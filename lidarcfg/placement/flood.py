@@ -1,6 +1,7 @@
 """Subspaces by flooding the links of rows.py, a row of bits at a time; their faces are counted by counting bits."""
 
 # mypy: disallow-untyped-decorators=False
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, njit
+from lidarcfg.jit import inner, njit, outer
 from lidarcfg.placement.cones import FIRST, Lidar, beam_gap, cone_rows
 from lidarcfg.placement.rows import (
     ALL,
@@ -24,13 +25,12 @@ from lidarcfg.placement.rows import (
     Work,
     at_or_above,
     link,
-    put,
     room,
     row_of,
     square_up,
     steps,
 )
-from lidarcfg.placement.visibility_kernels import FEW, Looks, Sight, new_looks, seen_of_row
+from lidarcfg.placement.visibility_kernels import Looks, Sight, new_looks, seen_of_row
 
 Labels = NDArray[np.int32]
 
@@ -59,7 +59,6 @@ class Floods(NamedTuple):
     need: Counts  # (9,) see links_needed
 
 
-@njit(cache=True, nogil=True)
 def flood_room(grid: Grid, lidars: int) -> Floods:
     """Scratch memory for floods of a grid with up to so many LiDARs."""
     rows = grid.included.size
@@ -191,7 +190,7 @@ def _beside(side: int, row: int, bits: np.uint64, links: Words, step_y: int, ste
     return row + 1, bits >> np.uint64(63) & links[0, row + 1]
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> int:
     """Flood the subspace of a cuboid: remove it from floods.left and count it in floods.counts.
 
@@ -261,7 +260,7 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
     return computed
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def inner_cuboid(floods: Floods) -> int:
     """A cuboid of the last flood, halfway along its fullest row."""
     fullest = floods.counts[5]
@@ -292,7 +291,7 @@ def _weight(grid: Grid, floods: Floods) -> float:
     return float(weight[-1])
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: Floods) -> float:
     """Volume to surface of the last flood; times its weight, where cuboids are weighted."""
     value: float = vsr(floods.counts, edge)
@@ -301,7 +300,7 @@ def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: 
     return value
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _at_least(one: np.uint64, other: np.uint64, all_of_them: np.uint64, number: int) -> np.uint64:
     """The bits set in at least `number` of two words, 0 … 2."""
     return all_of_them if number == 0 else (one | other if number == 1 else one & other)
@@ -323,7 +322,7 @@ def links_needed(least: float, edge: tuple[float, float, float], need: Counts) -
             need[3 * z + y] = x
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words, links: Words) -> np.uint64:
     """The cuboids of a row with enough links; see links_needed."""
     all_of_them = included[row]
@@ -338,7 +337,7 @@ def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words,
     return word
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
     """Insert a subspace into the worst ones, values (n,) descending, if it belongs there."""
     place = values.size
@@ -353,9 +352,7 @@ def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
 
 
 @inner()
-def worst(
-    grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts, first: int = 0
-) -> None:
+def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts, first: int) -> None:
     """The worst subspaces: values (n,) their V / S, descending, and a cuboid in each; both may hold some already.
 
     V / S is taken times the weight of a subspace, where cuboids have weights. walls: without moved LiDARs. `first` is
@@ -381,16 +378,14 @@ def worst(
                 word &= promising(row, step_y, step_z, need, included, links)
 
 
-@njit(cache=True, nogil=True)
-def _label(grid: Grid, walls: Walls, label: Labels) -> tuple[Counts, Counts, Counts]:
-    """Write the number of each cuboid's component to label (nx, ny, nz): see `components`."""
+@outer()
+def _label(
+    grid: Grid, walls: Walls, floods: Floods, label: Labels, first: Counts, cuboids: Counts, internal: Counts
+) -> int:
+    """Write what `components` returns, for as many as there are; label (nx, ny, nz) of −1 and floods are new."""
     nx, ny, nz = label.shape
     step_y, step_z = steps(grid)
-    floods = flood_room(grid, FEW[0])
-    most = nx * ny * nz
-    first, cuboids, internal = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.int64)
     total = 0
-    label[:] = -1
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
@@ -409,7 +404,7 @@ def _label(grid: Grid, walls: Walls, label: Labels) -> tuple[Counts, Counts, Cou
                 for axis in range(3):
                     internal[total, axis] = floods.counts[1 + axis]
                 total += 1
-    return first[:total].copy(), cuboids[:total].copy(), internal[:total].copy()
+    return total
 
 
 def joined(links: Words) -> Walls:
@@ -423,19 +418,18 @@ def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[L
     Returns label (nx, ny, nz), the number of each cuboid's component, −1 where excluded; cuboids (n,) in each;
     internal (n, 3), the faces inside each across x, y and z; and first (n,), its first cuboid as a flat index.
     """
-    out = np.empty(shape, np.int32)
-    first, cuboids, internal = _label(grid, joined(links), out)
-    return out, cuboids, internal, first
+    out, most = np.full(shape, -1, np.int32), math.prod(shape)
+    first, cuboids, internal = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.int64)
+    total = _label(grid, joined(links), flood_room(grid, 0), out, first, cuboids, internal)
+    return out, cuboids[:total].copy(), internal[:total].copy(), first[:total].copy()
 
 
-@njit(cache=True, nogil=True)
-def _max_vsr(grid: Grid, cones: Array, sight: Sight, walls: Walls, work: Work, floods: Floods) -> float:
-    values, cuboids = np.full(1, -1.0), np.empty(1, np.int64)
-    put(floods.left, grid.included)
-    work.looks.clear[:], work.looks.known[:] = NONE, NONE
-    link(grid, grid.links, cones, np.arange(cones.shape[0]), sight, work)
-    worst(grid, walls, np.inf, floods, values, cuboids)
-    return float(values[0])
+@outer()
+def _worst(
+    grid: Grid, cones: Array, moved: Counts, sight: Sight, work: Work, floods: Floods, values: Array, cuboids: Counts
+) -> None:
+    link(grid, grid.links, cones, moved, sight, work)
+    worst(grid, Walls(work.links, cones, moved[:0], sight), np.inf, floods, values, cuboids, 0)
 
 
 def scratch_for(grid: Grid, lidars: int, beams: int) -> tuple[Work, Floods]:
@@ -450,4 +444,7 @@ def max_vsr(
     """The largest V / S, in metres. `scratch`: room for as many LiDARs and beams, to be used again."""
     cones = cone_rows(lidars)
     work, floods = scratch or scratch_for(grid, len(cones), cones.shape[1] - FIRST)
-    return float(_max_vsr(grid, cones, sight, joined(work.links), work, floods))
+    floods.left[:], work.looks.clear[:], work.looks.known[:] = grid.included, 0, 0
+    worst_m = np.full(1, -1.0)
+    _worst(grid, cones, np.arange(len(cones)), sight, work, floods, worst_m, np.empty(1, np.int64))
+    return float(worst_m[0])

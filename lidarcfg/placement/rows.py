@@ -151,7 +151,6 @@ def check_room(grid: Grid, lidars: int, beams: int, threads: int = 1) -> None:
     check_memory(what, needed, "use larger cuboids or fewer beams")
 
 
-@njit(cache=True, nogil=True)
 def room(grid: Grid, lidars: int, beams: int, looks: Looks) -> Work:
     """Work on a grid, for up to so many LiDARs of so many beams."""
     rows = grid.included.size
@@ -165,14 +164,14 @@ def room(grid: Grid, lidars: int, beams: int, looks: Looks) -> Work:
     )
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def steps(grid: Grid) -> tuple[int, int]:
     """From a row to the next along y, and along z."""
     words = grid.x.size // 64
     return words, words * (grid.y.size + 2)
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def row_of(grid: Grid, row: int) -> tuple[int, float, float]:
     """Where a row is: the index in grid.x of its first centre, and its y and z."""
     step_y, step_z = steps(grid)

@@ -20,11 +20,12 @@ from lidarcfg.placement.visibility_kernels import (
     WITHIN,
     Obstacles,
     Sight,
+    new_looks,
     seen_points,
 )
 from lidarcfg.world.bvh import EMPTY
 from lidarcfg.world.scene import Scene
-from lidarcfg.world.shadow_kernels import boxes_of
+from lidarcfg.world.shadow_kernels import ROW, boxes_of
 from lidarcfg.world.vehicle import obstacles
 
 ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
@@ -97,5 +98,6 @@ class Visibility:
         """(N,): which points (N, 3) a LiDAR sees."""
         out = np.empty(len(points_m), np.bool_)
         points = np.ascontiguousarray(np.asarray(points_m, np.float64).T)
-        seen_points(points, cone_rows([lidar]), self.sight([lidar]), out)
+        looks = new_looks(1, len(out))
+        seen_points(points, cone_rows([lidar]), self.sight([lidar]), looks, np.empty(ROW), out)
         return out

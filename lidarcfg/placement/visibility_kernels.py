@@ -15,7 +15,6 @@ LIMITS = 9  # columns of Sight.limits
 ANY, WITHIN, BEYOND = 0.0, 1.0, 2.0  # kinds of fields of view: all around; up to half a turn; more
 Words = NDArray[np.uint64]
 NONE, ALL = np.uint64(0), ~np.uint64(0)
-FEW = np.arange(2)  # 0 and 1 as numbers of any loop: literals would have callees compiled for themselves alone
 
 
 class Obstacles(NamedTuple):
@@ -42,7 +41,6 @@ class Looks(NamedTuple):
     shadows: Shadows
 
 
-@njit(cache=True, nogil=True)
 def new_looks(lidars: int, rows: int) -> Looks:
     """Nothing known yet."""
     return Looks(np.zeros((lidars, rows), np.uint64), np.zeros((lidars, rows), np.uint64), new_shadows())
@@ -134,16 +132,24 @@ def seen_of_row(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks):
 
 
 @njit(cache=True, nogil=True)
-def seen_points(points: Array, cones: Array, sight: Sight, out: NDArray[np.bool_]) -> None:
-    """Write to out (N,) which of points (3, N) a LiDAR, the first of some, sees."""
-    looks, xs, one, zero = new_looks(FEW[1], len(out)), np.empty(ROW), np.uint64(1), FEW[0]
-    start(zero, cones, sight.obstacles, looks)
+def seen_points(points: Array, cones: Array, sight: Sight, looks: Looks, xs: Array, out: NDArray[np.bool_]) -> None:
+    """Write to out (N,) which of points (3, N) a LiDAR, the first of some, sees.
+
+    looks: new ones, of one LiDAR and N rows; xs (64,) is scratch memory.
+    """
+    one = np.uint64(1)
+    start(0, cones, sight.obstacles, looks)
     for n in range(len(out)):
-        xs[:] = points[0, n]
-        clear_up(zero, n, xs, zero, 1.0, points[1, n], points[2, n], one, cones, sight, looks)
-    settle(zero, sight, looks)
+        _fill(xs, points[0, n])
+        clear_up(0, n, xs, 0, 1.0, points[1, n], points[2, n], one, cones, sight, looks)
+    settle(0, sight, looks)
     for n in range(len(out)):
-        xs[:] = points[0, n]
-        out[n] = (
-            looks.clear[0, n] & in_field(xs, zero, points[1, n], points[2, n], cones, sight.limits, zero) & one != NONE
-        )
+        _fill(xs, points[0, n])
+        seen = looks.clear[0, n] & in_field(xs, 0, points[1, n], points[2, n], cones, sight.limits, 0)
+        out[n] = seen & one != NONE
+
+
+@inner()
+def _fill(xs, x):
+    for i in range(ROW):
+        xs[i] = x

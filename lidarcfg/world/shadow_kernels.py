@@ -51,8 +51,7 @@ class Shadows(NamedTuple):
     cast: NDArray[np.int64]  # (1,) how many were cast
 
 
-@inner(makes_arrays=True)
-def new_shadows():
+def new_shadows() -> Shadows:
     """Working memory."""
     return Shadows(
         new_packet(0),
