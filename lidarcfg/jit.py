@@ -91,9 +91,10 @@ class _Watch(event.Listener):
         compiling.begin(loop.__name__, len(_parts(loop, set())))
 
     def on_end(self, event: Any) -> None:
-        compiling.end()
-        if self._collects and not compiling.loops:
+        if self._collects and len(compiling.loops) == 1:
+            gc.collect(0)  # what would follow at once, in somebody's budget
             gc.enable()
+        compiling.end()
 
 
 event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types here
