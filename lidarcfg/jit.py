@@ -92,7 +92,7 @@ class _Watch(event.Listener):
 
     def on_end(self, event: Any) -> None:
         if self._collects and len(compiling.loops) == 1:
-            gc.collect(0)  # what would follow at once, in somebody's budget
+            gc.collect(1)  # what would follow soon, in the budget of a search
             gc.enable()
         compiling.end()
 
