@@ -9,7 +9,9 @@ import shutil
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 try:
     import fcntl
@@ -77,12 +79,21 @@ def opened(path: Path) -> Iterator[int]:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Swap two folders in one step; False where the system cannot (all but Linux, and some file systems)."""
+    """Swap two files or folders in one step; False where that cannot be: not on Linux, or one is not there.
+
+    Microseconds: a rename that replaces a file takes milliseconds, in which the system frees what the old one held.
+    """
+    swap = _renameat2()
+    return bool(swap and swap(AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), RENAME_EXCHANGE) == 0)
+
+
+@cache
+def _renameat2() -> Any:
+    """The system's, or None."""
     try:
-        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
+        return ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError, TypeError):
-        return False
-    return bool(renameat2(AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), RENAME_EXCHANGE) == 0)
+        return None
 
 
 @contextmanager

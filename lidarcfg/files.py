@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
-from lidarcfg.aside import hold, locked, name_beside, remove_leftovers
+from lidarcfg.aside import exchange, hold, locked, name_beside, remove_leftovers
 
 
 def shipped(folder: str) -> Path:
@@ -38,14 +38,35 @@ class Whole:
     temporary: Path
     path: Path
     rest: ExitStack  # removes what is left of it after it took its place, or did not
+    inode: int  # its own, by which it is known wherever it is
 
     def check(self) -> None:
         """Raises OSError unless it may take that place."""
         check_replaceable(self.path)
 
     def take_place(self) -> None:
-        """Raises FileNotFoundError if it has done so already."""
+        """What was there is in its place then. Does nothing a second time."""
+        there = self.path.exists()
+        if there and self.path.stat().st_ino == self.inode:
+            return
+        if not (there and exchange(self.temporary, self.path)):
+            self.move()
+
+    def move(self) -> None:
+        """Take the place where the system cannot swap, or nothing is there."""
         os.replace(self.temporary, self.path)
+
+
+@dataclass(frozen=True)
+class _Old:
+    """What is removed: first moved aside, which is quick."""
+
+    temporary: Path
+    path: Path
+
+    def take_place(self) -> None:
+        with suppress(FileNotFoundError):
+            os.replace(self.path, self.temporary)
 
 
 @dataclass(frozen=True)
@@ -98,7 +119,7 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
             rest.callback(_remove, temporary)
             with file:
                 yield file
-            place(Whole(temporary, path, rest.pop_all()))
+            place(Whole(temporary, path, rest.pop_all(), temporary.stat().st_ino))
     except BaseException as error:
         _remove(temporary)
         if isinstance(error, OSError) and error.filename in (None, str(temporary)):  # a full disk names no file
@@ -141,20 +162,21 @@ def together(gone: Iterable[Path] = ()) -> Iterator[None]:
         for whole in waiting:
             whole.check()
         with locked(whole.path.parent for whole in waiting):
-            old = list(chain.from_iterable(group.gone))
-            for path in old:
-                check_replaceable(path)
+            old = [_Old(name_beside(path), path) for path in chain.from_iterable(group.gone)]
+            for one in old:
+                check_replaceable(one.path)
+                remove_leftovers(one.path)
+            steps: list[_Old | Whole] = [*old, *waiting]
             try:
-                for path in old:
-                    remove_leftovers(path)
-                    path.unlink(missing_ok=True)
-                for whole in waiting:
-                    whole.take_place()
+                for step in steps:
+                    step.take_place()
             except KeyboardInterrupt:  # not between two files
-                for whole in waiting:
-                    with suppress(FileNotFoundError):  # it has taken its place
-                        whole.take_place()
+                for step in steps:
+                    step.take_place()
                 raise
+            finally:
+                for one in old:
+                    _remove(one.temporary)
     finally:
         _TOGETHER.reset(token)
         for whole in waiting:

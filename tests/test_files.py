@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import lidarcfg
+from lidarcfg import files
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing, shipped, together
 from lidarcfg.formats.folder import replacing_folder
@@ -167,7 +168,7 @@ def test_a_folder_of_a_killed_run_is_removed_and_one_that_it_was_replacing_comes
 def test_a_folder_is_replaced_whole(tmp_path, monkeypatch, swaps):
     """In one step, or in two where the system has no such step."""
     if not swaps:
-        monkeypatch.setattr("lidarcfg.formats.folder.exchange", lambda one, other: False)
+        monkeypatch.setattr("lidarcfg.files.exchange", lambda one, other: False)
     for text in ("old", "new"):
         with replacing_folder(tmp_path / "bag", "*.yaml") as folder:
             folder.mkdir()
@@ -217,7 +218,7 @@ def test_what_belongs_together_within_what_does(tmp_path):
 def test_a_folder_and_a_file_take_their_places_together(tmp_path, monkeypatch, swaps):
     """A drive in a folder and the record beside it: on an error neither; an interrupt between the two waits."""
     if not swaps:
-        monkeypatch.setattr("lidarcfg.formats.folder.exchange", lambda one, other: False)
+        monkeypatch.setattr("lidarcfg.files.exchange", lambda one, other: False)
 
     def write(text, error):
         with together():
@@ -241,12 +242,12 @@ def test_a_folder_and_a_file_take_their_places_together(tmp_path, monkeypatch, s
 
     def interrupted(one, other):
         if other.name == "bag.yaml":
-            monkeypatch.setattr(os, "replace", rename)
+            monkeypatch.setattr("lidarcfg.files.exchange", swap)
             raise KeyboardInterrupt
-        rename(one, other)
+        return swap(one, other)
 
-    rename = os.replace
-    monkeypatch.setattr(os, "replace", interrupted)
+    swap = files.exchange
+    monkeypatch.setattr("lidarcfg.files.exchange", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write("newest", False)
     assert (tmp_path / "bag/data").read_text() == (tmp_path / "bag.yaml").read_text() == "newest"

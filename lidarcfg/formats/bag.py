@@ -81,7 +81,7 @@ def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
     check_replaceable(path)
     with ExitStack() as rest:
         count, written = write(rest.enter_context(beside(path)))
-        place(Whole(written, Path(os.path.realpath(target(path))), rest.pop_all()))
+        place(Whole(written, Path(os.path.realpath(target(path))), rest.pop_all(), written.stat().st_ino))
     return count
 
 

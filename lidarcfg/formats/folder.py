@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
-from lidarcfg.aside import exchange, hold, name_beside, old_name, opened, remove_leftovers
+from lidarcfg.aside import hold, name_beside, old_name, opened, remove_leftovers
 from lidarcfg.errors import ConversionError
 from lidarcfg.files import Whole, alone, check_not_read_only, make_parent, place, target
 
@@ -63,15 +63,11 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
 class _WholeFolder(Whole):
     """A folder that is written and waits to take its place."""
 
-    inode: int  # its own, by which it is known wherever it is
-
     def check(self) -> None:
         pass  # as it was checked before it was written
 
-    def take_place(self) -> None:
+    def move(self) -> None:
         new, whole, old = self.temporary, self.path, self.temporary.with_name(old_name(self.path))
-        if whole.exists() and (whole.stat().st_ino == self.inode or exchange(new, whole)):
-            return
         try:
             if whole.exists():
                 whole.rename(old)
