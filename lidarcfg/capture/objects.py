@@ -46,6 +46,8 @@ class GroundTruth:
             raise CloudError(f"{path}: is not a ground-truth file: it has no {', '.join(lacking)}")
         if any(record[key].dtype.kind not in "iu" for key in COLUMNS):
             raise CloudError(f"{path}: is not a ground-truth file: its columns are not integers")
+        if any(record[key].dtype.kind != "U" or record[key].ndim != 1 for key in NAMES):
+            raise CloudError(f"{path}: is not a ground-truth file: its names are not lists of texts")
         sensors, names = (tuple(record.pop(key).tolist()) for key in NAMES)
         if len({column.shape for column in record.values()}) != 1 or record["time_ns"].ndim != 1:
             raise CloudError(f"{path}: the fields are not of one length")

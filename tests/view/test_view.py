@@ -231,6 +231,8 @@ def test_a_truth_of_another_capture_is_refused(tmp_path):
         ({"sensor": [-1]}, "sensor holds a number outside 0 to 0"),
         ({"object": [1]}, "object holds a number outside -1 to 0"),
         ({"object": [0.5]}, "is not a ground-truth file: its columns are not integers"),
+        ({"sensor_names": 3.0}, "is not a ground-truth file: its names are not lists of texts"),
+        ({"object_names": [[b"a"]]}, "is not a ground-truth file: its names are not lists of texts"),
         ({"time_ns": [5, 6]}, "the fields are not of one length"),
         ({"time_ns": None}, "is not a ground-truth file: it has no time_ns"),
     ],
@@ -238,7 +240,7 @@ def test_a_truth_of_another_capture_is_refused(tmp_path):
 def test_ground_truth_that_lies(tmp_path, other, message):
     fields = {"sensor": [0], "time_ns": [5], "laser": [0], "return_type": [0], "object": [0]} | other
     arrays = {key: np.array(values) for key, values in fields.items() if values is not None}
-    np.savez(tmp_path / "t.npz", sensor_names=["lidar_0"], object_names=["wall"], **arrays)
+    np.savez(tmp_path / "t.npz", **{"sensor_names": ["lidar_0"], "object_names": ["wall"]} | arrays)
     with pytest.raises(CloudError, match=message):
         load_objects(tmp_path / "t.npz", cloud([[1, 2, 3]], ("lidar_0",)), tilted_rig())
 
