@@ -8,7 +8,8 @@ XYZLut are one thread, fill the same frame again and again, and give a place to 
 columns of what returned: of a revolution at a time; of a quarter, whose columns stay in a core's cache; and of
 revolutions on all cores. What memory allows is timed by adding up the packets' words and filling columns of those sizes
 with a constant. Medians of several runs in turns, and the spread of their ratios. Files are read by
-ouster-sdk's open_source and by decode_pcap. The tracer casts the same rays in the same order.
+ouster-sdk's open_source and by decode_pcap, which gives as much at a time; and with everything kept, as a list of
+ouster-sdk's frames and their points, or as decode's one cloud. The tracer casts the same rays in the same order.
 """
 
 import argparse
@@ -16,7 +17,7 @@ import os
 import platform
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -143,9 +144,21 @@ class Capture:
 
     def sdk_reads(self, path: Path) -> None:
         """The same with ouster-sdk."""
+        for _ in self._sdk_frames(path):
+            pass
+
+    def read_whole(self, path: Path) -> None:
+        """Read it as one cloud."""
+        lidarcfg.decode(path)
+
+    def sdk_reads_whole(self, path: Path) -> None:
+        """Read it with ouster-sdk and keep everything."""
+        list(self._sdk_frames(path))
+
+    def _sdk_frames(self, path: Path) -> Iterator[Any]:
         for found in open_source(str(path), meta=[str(path.with_suffix(".json"))]):
             for frame in found.valid_frames():
-                self._lut(frame)
+                yield frame, self._lut(frame), self._lut(frame.field("RANGE2")) if self._dual else None
 
 
 def _packet(form: Any, octets: Octets) -> Any:
@@ -209,16 +222,22 @@ def cores() -> None:
 
 
 def files(folder: Path, mount: Mount, scene: Scene) -> None:
-    """The table of reading from a file, on all cores."""
-    names = "ouster-sdk | lidarcfg | ouster-sdk, of the processor | lidarcfg"
-    print(f"\n| from a file of {IN_FILE} revolutions, ms | {names} |\n|{'---|' * 5}")
-    for profile in ("RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8"):
+    """The table of reading from a file: ouster-sdk on one thread, ours on all cores."""
+    names = "ouster-sdk, ms | lidarcfg | times ouster-sdk | of the processor: ouster-sdk | lidarcfg | times ouster-sdk"
+    print(f"\n| from a file of {IN_FILE} revolutions | {names} |\n|{'---|' * 7}")
+    for profile in PROFILES:
         capture, path = Capture(mount, scene, profile, IN_FILE), folder / "long.pcap"
         capture.write(path)
-        work = partial(capture.sdk_reads, path), partial(capture.read, path)
+        work = [partial(one, path) for one in (capture.sdk_reads, capture.read)]
+        work += [partial(one, path) for one in (capture.sdk_reads_whole, capture.read_whole)]
         rows = 1000 * np.array([[seconds(one) for one in work] for _ in range(RUNS + 1)])[1:]
-        said = " | ".join(middle(rows[:, i, by], 0) for by in (0, 1) for i in (0, 1))
-        print(f"| {profile} | {said} |", flush=True)
+        for at, what in ((0, ""), (2, ", all kept")):
+            sdk, ours = rows[:, at], rows[:, at + 1]
+            said = [
+                f"{np.median(sdk[:, i]):.0f} | {np.median(ours[:, i]):.0f} | {middle(sdk[:, i] / ours[:, i])}"
+                for i in (0, 1)
+            ]
+            print(f"| {profile}{what} | {' | '.join(said)} |", flush=True)
 
 
 def exports(folder: Path, rig: Rig, scene: Scene, simulated_s: float) -> None:
