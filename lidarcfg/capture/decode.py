@@ -26,10 +26,7 @@ from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
 CHUNK_PACKETS = 1024
-CHUNK_BYTES, KEPT_BYTES = (
-    1 << 21,
-    1 << 23,
-)  # of packets in a chunk, and where all are kept: less new memory in large ones
+CHUNK_BYTES = 1 << 21  # of packets
 RETURNED_BYTES = (1 << 25) - (1 << 13)  # of memory: just what glibc takes into account
 COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
 CLAIMED_BY = 3  # packets of a source at most that tell whose they are
@@ -91,7 +88,7 @@ def decode(
     """
     if isinstance(rig, str | Path):
         rig = load_rig(rig)
-    return concatenate(list(Capture(path, on_warning, rig).clouds(chunk_bytes=KEPT_BYTES)))
+    return concatenate(list(decode_pcap(path, on_warning, rig)))
 
 
 def _keep_memory() -> None:
@@ -149,10 +146,10 @@ class Capture:
         """In the order of their appearance."""
         return [stream for stream in self._streams.values() if stream]
 
-    def clouds(self, chunk_packets: int = CHUNK_PACKETS, chunk_bytes: int = CHUNK_BYTES) -> Iterator[PointCloud]:
-        """The points of at most about so many packets, and bytes of them, at a time."""
+    def clouds(self, chunk_packets: int = CHUNK_PACKETS) -> Iterator[PointCloud]:
+        """The points of at most about so many packets at a time, or of fewer large ones."""
         _keep_memory()
-        return _ahead(self._jobs(chunk_packets, chunk_bytes))
+        return _ahead(self._jobs(chunk_packets))
 
     def sources(self) -> list[Recorded]:
         """The sources, each with all of its packets in memory, in the order of their appearance.
@@ -178,19 +175,19 @@ class Capture:
             sensor = found.recognise(source, packets[:ENOUGH], known)
         return Recorded(_name(key) if index is None else self._names[index], source, sensor, packets, host_ns)
 
-    def _jobs(self, chunk_packets: int, chunk_bytes: int) -> Iterator[Job]:
+    def _jobs(self, chunk_packets: int) -> Iterator[Job]:
         """What is to be done of each so many packets. An error is raised in the place of its job, as the last."""
         try:
             waiting = octets = 0
             for batch in around(self._path, self._on_warning, self._window_ns):
                 left, keys = self._claimed(batch)
                 while len(left.size):
-                    enough = int(np.searchsorted(np.cumsum(left.size), chunk_bytes - octets)) + 1
+                    enough = int(np.searchsorted(np.cumsum(left.size), CHUNK_BYTES - octets)) + 1
                     count = min(chunk_packets - waiting, enough)
                     self._add(left[:count], keys[:count])
                     waiting, octets = waiting + len(keys[:count]), octets + int(left.size[:count].sum())
                     left, keys = left[count:], keys[count:]
-                    if waiting == chunk_packets or octets >= chunk_bytes:
+                    if waiting == chunk_packets or octets >= CHUNK_BYTES:
                         yield self._job(last=False)
                         waiting = octets = 0
             job = self._job(last=True)
