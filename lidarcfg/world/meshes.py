@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -102,13 +103,17 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 def read_mesh(path: Path) -> Mesh:
     """The mesh in a file. Raises SceneError if there is none or it is invalid."""
-    import open3d as o3d
-
     check_readable(path, FILE_MAX)
     if path.suffix.lower() in NO_MESHES:
         raise SceneError(f"{path}: {NO_MESHES[path.suffix.lower()]}")
     if path.suffix.lower() in SUFFIXES:
         check_nodes(path)
+    plain = _binary_ply(path) if path.suffix.lower() == ".ply" else None
+    if plain:
+        check_mesh(str(path), plain)
+        return plain
+    import open3d as o3d
+
     with silent(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)
@@ -118,6 +123,22 @@ def read_mesh(path: Path) -> Mesh:
         raise SceneError(f"{path}: no triangles that Open3D can read{cloud}")
     check_mesh(str(path), (vertices, triangles))
     return vertices, triangles
+
+
+def _binary_ply(path: Path) -> Mesh | None:
+    """The mesh in a binary PLY file of triangles, as most are; None of others, for which Open3D is worth its second."""
+    with path.open("rb") as file:
+        if not re.match(rb"ply\r?\nformat binary_", file.read(20)):
+            return None
+    import plyfile
+
+    try:
+        data = plyfile.PlyData.read(str(path), known_list_len={"face": {"vertex_indices": 3}})
+        vertices = np.stack([np.asarray(data["vertex"][axis], np.float64) for axis in "xyz"], axis=1)
+        triangles = np.array(data["face"]["vertex_indices"], np.int64)
+    except (plyfile.PlyParseError, LookupError, ValueError, OverflowError, MemoryError):
+        return None
+    return (vertices, triangles) if len(triangles) else None
 
 
 def check_mesh(what: str, mesh: Mesh) -> None:

@@ -5,6 +5,8 @@ import math
 from pathlib import Path
 
 import numpy as np
+import open3d as o3d
+import plyfile
 import pytest
 
 from lidarcfg.errors import ConfigError, SceneError
@@ -200,3 +202,24 @@ def test_the_largest_things(tmp_path):
 def test_no_file(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         load_scene(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("real", ["f4", "f8"])
+def test_a_binary_ply_is_read_as_open3d_reads_it(tmp_path, order, real):
+    rng = np.random.default_rng(3)
+    vertex = np.zeros(40, [("x", real), ("y", real), ("z", real), ("quality", "u1")])
+    for axis in "xyz":
+        vertex[axis] = rng.normal(size=40)
+    corners = rng.permuted(np.tile(np.arange(40), (30, 1)), axis=1)
+    for name, sizes in (("triangles", [3] * 30), ("some_quads", [3, 4] * 15)):
+        face = np.empty(30, [("vertex_indices", object)])
+        face["vertex_indices"] = [row[:size].astype("i4") for row, size in zip(corners, sizes, strict=True)]
+        elements = [plyfile.PlyElement.describe(vertex, "vertex"), plyfile.PlyElement.describe(face, "face")]
+        path = tmp_path / f"{name}.ply"
+        plyfile.PlyData(elements, byte_order=order).write(str(path))
+        mesh = o3d.io.read_triangle_mesh(str(path))
+        vertices, triangles = read_mesh(path)
+        assert np.array_equal(vertices, np.asarray(mesh.vertices))
+        assert np.array_equal(triangles, np.asarray(mesh.triangles))
+        assert len(triangles) == sum(sizes) - 2 * len(sizes)
