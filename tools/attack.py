@@ -47,7 +47,7 @@ GROUPS = (*WRITES, "bombs", "liars", "names", "corners", "server", "save")
 
 def rows(name: str, folder: Path, given: argparse.Namespace, done: set[str]) -> Iterator[Row]:
     """The rows of a group of attacks; of kills without those that are done."""
-    if name not in WRITES:
+    if given.quick or name not in WRITES:  # forks of a process that has loaded less are faster
         load_libraries()
     if name in WRITES:
         yield from merged(_written(name, folder, given, done))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from attack_commands import CHOICES, COMMANDS, MARKS, PLAN, STUDY, prepare
+from attack_commands import COMMANDS, MARKS, STUDY, prepare
 from attack_run import Ended, Row, run
 
 ENCODINGS = "ascii", "latin-1", "cp1252"
@@ -86,9 +86,8 @@ def checked(row: Row, what: str, ended: Ended, may_work: bool = True) -> None:
 
 def named(folder: Path) -> None:
     """Inputs with names that no small encoding has."""
-    for suffix, text in (("", STUDY), ("-choices", CHOICES), ("-plan", PLAN)):
-        (folder / f"{FIRST}{suffix}.yaml").write_text(text.format(f'"{NAME}"', 0))
-    rig = f'name: "{NAME}"\nsensors:\n  - {{name: "{NAME}", model: vlp-16, position_m: [0, 0, 1.8]}}\n'
+    (folder / f"{FIRST}.yaml").write_text(STUDY.format(FIRST, 0).replace("name: box", f'name: "{NAME}"'))
+    rig = f'name: "{NAME}"\nsensors:\n  - {{name: {FIRST}, model: vlp-16, position_m: [0, 0, 1.8]}}\n'
     (folder / f"{FIRST}-rig.yaml").write_text(rig)
 
 
@@ -108,7 +107,7 @@ def terminals(folder: Path, quick: bool) -> Row:
 def decodes(said: bytes, encoding: str) -> bool:
     """Whether it is text in that encoding, and not that of another: these have no control characters above 127."""
     try:
-        text = said.decode(encoding)
+        text = said.decode("utf-8" if encoding == "ascii" else encoding)  # click takes ASCII for a mistake
     except UnicodeDecodeError:
         return False
     return not any(0x80 <= ord(letter) < 0xA0 for letter in text)

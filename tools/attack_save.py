@@ -1,5 +1,6 @@
 """Attacks on the page's `/save`, which writes the rig's file: foreign pages, odd requests, kills, full disks."""
 
+import http.client
 import json
 import os
 import random
@@ -313,7 +314,7 @@ def kills(path: Path, times: int, rng: random.Random) -> Row:
             before = page.heights_m()
 
             def save(z_m: float, page: Page = page) -> None:
-                with suppress(OSError, ValueError):
+                with suppress(OSError, http.client.HTTPException):
                     while page.save(body(z_m))[0] == 200:
                         pass
 
