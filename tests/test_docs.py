@@ -35,7 +35,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.glob("*.md")])
 EXAMPLES = sorted((DOCS / "examples").glob("*.py"))
 # What others' commands are given in the text.
-OTHERS_OPTIONS = {"--long", "--help", "--no-deps", "--packets", "--times"}
+OTHERS_OPTIONS = {"--long", "--help", "--no-deps", "--packets", "--times", "--cluster", "--seeds"}
 COMMANDS = {
     f"{prefix}{name}": command
     for prefix, group in (("", cli), ("sensors ", cli.commands["sensors"]))
