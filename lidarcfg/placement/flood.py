@@ -190,7 +190,7 @@ def _beside(side: int, row: int, bits: np.uint64, links: Words, step_y: int, ste
     return row + 1, bits >> np.uint64(63) & links[0, row + 1]
 
 
-@inner(forceinline=True)
+@njit(inline="always")
 def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> int:
     """Flood the subspace of a cuboid: remove it from floods.left and count it in floods.counts.
 
@@ -260,7 +260,7 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
     return computed
 
 
-@inner(forceinline=True)
+@njit(inline="always")
 def inner_cuboid(floods: Floods) -> int:
     """A cuboid of the last flood, halfway along its fullest row."""
     fullest = floods.counts[5]
@@ -291,7 +291,7 @@ def _weight(grid: Grid, floods: Floods) -> float:
     return float(weight[-1])
 
 
-@inner(forceinline=True)
+@njit(inline="always")
 def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: Floods) -> float:
     """Volume to surface of the last flood; times its weight, where cuboids are weighted."""
     value: float = vsr(floods.counts, edge)
@@ -300,7 +300,7 @@ def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: 
     return value
 
 
-@inner(forceinline=True)
+@njit(inline="always")
 def _at_least(one: np.uint64, other: np.uint64, all_of_them: np.uint64, number: int) -> np.uint64:
     """The bits set in at least `number` of two words, 0 … 2."""
     return all_of_them if number == 0 else (one | other if number == 1 else one & other)
@@ -322,7 +322,7 @@ def links_needed(least: float, edge: tuple[float, float, float], need: Counts) -
             need[3 * z + y] = x
 
 
-@inner(forceinline=True)
+@njit(inline="always")
 def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words, links: Words) -> np.uint64:
     """The cuboids of a row with enough links; see links_needed."""
     all_of_them = included[row]
@@ -337,7 +337,7 @@ def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words,
     return word
 
 
-@inner(forceinline=True)
+@njit(inline="always")
 def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
     """Insert a subspace into the worst ones, values (n,) descending, if it belongs there."""
     place = values.size
