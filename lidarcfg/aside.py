@@ -23,11 +23,21 @@ DIGITS = 8  # hexadecimal, in the name
 _HEXADECIMAL = set("0123456789abcdef")
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's fcntl.h and fs.h
 COMMIT_S, AGAIN_S = 5.0, 0.01  # another run's renames take microseconds
+_OWN: dict[Path, Path] = {}  # this process's names, and what they are beside
 
 
 def name_beside(path: Path) -> Path:
     """A new hidden name in the folder of `path`, by which `remove_leftovers` knows it."""
-    return path.with_name(f".{path.name}.{os.urandom(DIGITS // 2).hex()}{SUFFIX}")
+    aside = path.with_name(f".{path.name}.{os.urandom(DIGITS // 2).hex()}{SUFFIX}")
+    _OWN[aside] = path
+    return aside
+
+
+def remove_own() -> None:
+    """Remove what this process leaves, at its end: an interrupt may come between a `with` and its first statement."""
+    for aside, path in list(_OWN.items()):
+        with suppress(OSError):
+            _remove(aside, path)
 
 
 def hold(handle: int) -> int | None:
@@ -52,15 +62,18 @@ def remove_leftovers(path: Path) -> None:
 
 def _remove_if_left(aside: Path, path: Path) -> None:
     with suppress(OSError), opened(aside) as handle:
-        if not _lock(handle, wait=False):
-            return
-        if not aside.is_dir():
-            aside.unlink()
-            return
-        old = aside / old_name(path)
-        if old.exists() and not path.exists():  # killed between the two renames of a folder
-            old.rename(path)
-        shutil.rmtree(aside, ignore_errors=True)
+        if _lock(handle, wait=False):
+            _remove(aside, path)
+
+
+def _remove(aside: Path, path: Path) -> None:
+    if not aside.is_dir():
+        aside.unlink()
+        return
+    old = aside / old_name(path)
+    if old.exists() and not path.exists():  # killed between the two renames of a folder
+        old.rename(path)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def old_name(path: Path) -> str:

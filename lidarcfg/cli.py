@@ -12,6 +12,7 @@ import click
 import cloup
 
 import lidarcfg
+from lidarcfg.aside import remove_own
 from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
@@ -58,6 +59,7 @@ def main() -> None:
             raise
         _fail(f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)")
     except (click.Abort, KeyboardInterrupt):
+        remove_own()
         click.echo("interrupted", err=True)
         sys.stdout.flush()
         os._exit(130)  # without waiting for threads that still cast

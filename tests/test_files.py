@@ -11,6 +11,7 @@ import pytest
 
 import lidarcfg
 from lidarcfg import files
+from lidarcfg.aside import remove_own
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing, shipped, together
 from lidarcfg.formats.folder import replacing_folder
@@ -268,6 +269,17 @@ def test_an_interrupt_between_two_files_waits_for_the_second(tmp_path, monkeypat
                 file.write("new")
         monkeypatch.setattr(os, "replace", interrupted)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+
+
+def test_what_an_interrupt_leaves_is_removed_as_the_command_ends(tmp_path):
+    """It may come when a file has been made and the `with` that removes it has not begun."""
+    (tmp_path / "b").mkdir()
+    unfinished = replacing(tmp_path / "a"), replacing_folder(tmp_path / "b")
+    for one in unfinished:
+        one.__enter__()
+    assert len(names(tmp_path)) == 3
+    remove_own()
+    assert names(tmp_path) == ["b"]
 
 
 def test_a_run_does_not_wait_for_itself(tmp_path, monkeypatch):

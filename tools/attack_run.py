@@ -99,7 +99,9 @@ def start(
         main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 1
-    except BaseException:  # a child reports whatever ends it, also an interrupt
+    except KeyboardInterrupt:  # before the command set its handlers, or after it was done, as Python ends then
+        code = 130
+    except BaseException:  # a child reports whatever ends it
         traceback.print_exc()
     finally:  # nothing of the parent is to be ended here
         with suppress(OSError):

@@ -1,5 +1,6 @@
 """LAS 1.4 and LAZ, by laspy: point format 6 with extra dimensions for ring, sensor and return type."""
 
+import errno
 import json
 from collections.abc import Callable
 from datetime import date, timedelta
@@ -38,10 +39,10 @@ def save_las(path: str | Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
     """Write the cloud as .las or .laz, whole or not at all, `chunk` points at a time.
 
     Coordinates are kept to 0.05 mm, times to 30 ns. Raises CloudError for a cloud that is not finite or too
-    wide, ConversionError without laspy.
+    wide, ConversionError without laspy, OSError for a full disk.
     """
     path = Path(path)
-    laspy, _ = libraries()
+    laspy, lazrs = libraries()
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, STEP_M), _offsets(path, cloud.xyz)
     header.add_extra_dims(
@@ -58,20 +59,23 @@ def save_las(path: str | Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
     header.vlrs.append(laspy.VLR(VLR_USER, VLR_RECORD, "names of the sensors", names))
     # One thread: lazrs's parallel backend is no faster here, and leaves its thread pool open.
     compression = {"do_compress": path.suffix.lower() == ".laz", "laz_backend": laspy.LazBackend.Lazrs}
-    with (
-        replacing(path, "wb") as file,
-        laspy.open(file, "w", header=header, closefd=False, **compression) as writer,
-    ):
-        for first in range(0, len(cloud.xyz), chunk):
-            part = slice(first, first + chunk)
-            rows = laspy.ScaleAwarePointRecord.zeros(len(cloud.xyz[part]), header=header)
-            rows.x, rows.y, rows.z = cloud.xyz[part].T
-            rows.intensity = cloud.intensity[part].astype(np.uint16) * INTENSITY_STEP
-            rows.gps_time = gps_seconds(cloud.time_ns[part])
-            rows.return_number = rows.number_of_returns = np.ones(len(rows), np.uint8)
-            for name in EXTRA:
-                rows[name] = getattr(cloud, name)[part]
-            writer.write_points(rows)
+    try:
+        with (
+            replacing(path, "wb") as file,
+            laspy.open(file, "w", header=header, closefd=False, **compression) as writer,
+        ):
+            for first in range(0, len(cloud.xyz), chunk):
+                part = slice(first, first + chunk)
+                rows = laspy.ScaleAwarePointRecord.zeros(len(cloud.xyz[part]), header=header)
+                rows.x, rows.y, rows.z = cloud.xyz[part].T
+                rows.intensity = cloud.intensity[part].astype(np.uint16) * INTENSITY_STEP
+                rows.gps_time = gps_seconds(cloud.time_ns[part])
+                rows.return_number = rows.number_of_returns = np.ones(len(rows), np.uint8)
+                for name in EXTRA:
+                    rows[name] = getattr(cloud, name)[part]
+                writer.write_points(rows)
+    except lazrs.LazrsError:  # which does not say why
+        raise OSError(errno.EIO, "Not all of it could be written", str(path)) from None
 
 
 def _offsets(path: Path, xyz: Array) -> Array:

@@ -1,5 +1,6 @@
 """Clouds through LAS, LAZ and KITTI: read by laspy, Open3D and numpy, and what is refused or told of."""
 
+import subprocess
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -177,6 +178,23 @@ def test_every_way_between_clouds(tmp_path):
                     np.testing.assert_array_equal(getattr(back, key), getattr(ours, key))
                 assert abs(back.time_ns - ours.time_ns).max() <= (30 if kinds & {".las", ".laz"} else 0)
                 assert back.sensor_names == ours.sensor_names
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_a_full_disk_is_one_line(tmp_path, suffix):
+    """As the system has it: no file may grow beyond a size. lazrs raises an error of its own for that."""
+    save_clouds(tmp_path / "a.ply", [timed(5000)])
+    code = (
+        "import resource, signal, sys; from lidarcfg.cli import main\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
+        f"sys.argv = ['lidarcfg', 'convert', 'a.ply', '-o', 'a.{suffix}']\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert f"a.{suffix}" in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply"]
 
 
 def test_open3d_reads_what_came_from_laz(tmp_path):
