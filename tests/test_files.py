@@ -180,6 +180,19 @@ def test_a_folder_is_replaced_whole(tmp_path, monkeypatch, swaps):
         ]
 
 
+def test_a_folder_with_a_read_only_file_stays(tmp_path):
+    deep = tmp_path / "a/sequences/00/poses.txt"
+    deep.parent.mkdir(parents=True)
+    deep.write_text("old")
+    deep.chmod(0o444)
+    with (
+        pytest.raises(OSError, match=r"poses\.txt"),
+        replacing_folder(tmp_path / "a", "sequences") as folder,
+    ):
+        folder.mkdir()
+    assert (names(tmp_path), deep.read_text()) == (["a"], "old")
+
+
 def test_files_that_belong_together_take_their_places_together(tmp_path):
     for name in ("a", "b", "gone"):
         (tmp_path / name).write_text("old")

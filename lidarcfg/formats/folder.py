@@ -40,7 +40,7 @@ def beside(path: Path) -> Iterator[Path]:
 def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
     """Where to make the folder that becomes `path`; nothing of it remains if anything goes wrong.
 
-    An existing folder is replaced if all its files have names like `contents` and may be written; otherwise
+    An existing folder is replaced if what is in it is called like `contents` and all may be written; otherwise
     ConversionError or OSError is raised. It is replaced in one step on Linux; elsewhere there is a moment without it.
     Within `together` it is replaced at the end of that.
     """
@@ -50,7 +50,8 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
     for item in whole.iterdir() if whole.exists() else ():
         if not any(fnmatch(item.name, pattern) for pattern in contents):
             raise ConversionError(f"{path}: holds {item.name!r}; only a folder of {', '.join(contents)} is replaced")
-        check_not_read_only(item)
+        for each in (item, *item.rglob("*")):
+            check_not_read_only(each)
     with ExitStack() as rest:
         aside = rest.enter_context(beside(path))
         new = aside / whole.name
