@@ -75,7 +75,7 @@ def full_disk(warm: Warm, times: int, rng: random.Random) -> list[Row]:
             clear(folder, command)
         before = contents(folder, command)
         ended = warm.run(MARKS[1], small_files(rng.randrange(MESSAGE, largest)))
-        some = (command.progress or command.resumes) and not wrong(folder, command, known)
+        some = (command.progress or command.resumes or not ended.code) and not wrong(folder, command, known)
         kept = some or contents(folder, command) == before
         odd = "" if kept else f"{command.name}: the old files are gone"
         row.add((ended.code and ended.not_refused) or odd or leftovers(folder))
