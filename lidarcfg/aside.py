@@ -16,7 +16,7 @@ from typing import Any
 try:
     import fcntl
 except ImportError:  # Windows: nothing is locked, and what a killed run has left stays
-    fcntl = None  # type: ignore[assignment]
+    fcntl = None  # type: ignore[assignment]  # mypy checks it as on Linux
 
 SUFFIX = ".part"
 DIGITS = 8  # hexadecimal, in the name

@@ -12,7 +12,6 @@ import click
 import cloup
 
 import lidarcfg
-from lidarcfg.aside import remove_own
 from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
@@ -59,6 +58,8 @@ def main() -> None:
             raise
         _fail(f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)")
     except (click.Abort, KeyboardInterrupt):
+        from lidarcfg.aside import remove_own
+
         remove_own()
         click.echo("interrupted", err=True)
         sys.stdout.flush()

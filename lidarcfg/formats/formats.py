@@ -34,6 +34,11 @@ class Format:
 
 
 POSES_ALONE = "beams, network, speed or return mode"
+DATASETS = {  # folders of drives, and what they cannot hold
+    "kitti-odometry": "ring, time of each point or return type",
+    "kitti-object": "ring, time of each point, objects of points or return type",
+    "nuscenes": "time of each point, objects of points or return type",
+}
 FORMATS = (
     Format("urdf", "rig", ".urdf", POSES_ALONE),
     Format("launch", "rig", ".py", POSES_ALONE),
@@ -49,9 +54,7 @@ FORMATS = (
     Format("rosbag2-mcap", "capture", "", "return type"),
     Format("mcap", "capture", ".mcap", "return type"),
     Format("rosbag1", "capture", ".bag", "return type"),
-    Format("kitti-odometry", "capture", "", "ring, time of each point or return type"),
-    Format("kitti-object", "capture", "", "ring, time of each point, objects of points or return type"),
-    Format("nuscenes", "capture", "", "time of each point, objects of points or return type"),
+    *(Format(name, "capture", "", lost) for name, lost in DATASETS.items()),
     Format("firings", "capture", ".npz"),
     Format("pcap", "firings", ".pcap"),
     Format("pcapng", "firings", ".pcapng"),
@@ -62,9 +65,7 @@ FORMATS = (
     Format("rosbag2", "drive", ""),
     Format("rosbag2-mcap", "drive", ""),
     Format("rosbag1", "drive", ".bag"),
-    Format("kitti-odometry", "drive", "", "ring, time of each point or return type"),
-    Format("kitti-object", "drive", "", "ring, time of each point, objects of points or return type"),
-    Format("nuscenes", "drive", "", "time of each point, objects of points or return type"),
+    *(Format(name, "drive", "", lost) for name, lost in DATASETS.items()),
 )
 CLOUDS = ("ply", "npz", "pcd")
 FOLDERS = {  # what stands in those of a drive

@@ -36,15 +36,15 @@ from lidarcfg.world.tracer_kernels import (
     RANGE,
     SIZE,
     SLOT,
-    _shear,
-    _test_round,
-    _test_triangle,
     alike,
     facing,
     load,
     new_packet,
     normal_at,
     row,
+    shear,
+    test_round,
+    test_triangle,
 )
 from lidarcfg.world.world_kernels import GROUND, hit, hit_dynamic, keep_normals, swept
 
@@ -179,13 +179,13 @@ def _test(ground_m, static, packet, shapes, count, axis, origins, directions, li
         rays[RANGE + n] = down if ground else limit_m
         rays[SLOT + n] = GROUND if ground else NONE
     if count:
-        _shear(rays)
+        shear(rays)
     for i in range(count):
         s = shapes[i]
         if static.kind[s] == TRIANGLE:
-            _test_triangle(static.shapes, s, axis, rays, 0.0)
+            test_triangle(static.shapes, s, axis, rays, 0.0)
         else:
-            _test_round(static.shapes, static.kind, s, axis, rays, 0.0)
+            test_round(static.shapes, static.kind, s, axis, rays, 0.0)
 
 
 @inner()

@@ -121,7 +121,7 @@ def load(rays, slabs, origins, directions, first, count, face):
 
 
 @inner(fastmath=FAST, error_model="numpy")
-def _shear(rays):
+def shear(rays):
     """What turns each ray of a packet into an axis; only rays that come to a leaf need it."""
     for n in range(SIZE):
         rays[SX + n] = rays[DX + n] / rays[DZ + n]
@@ -165,7 +165,7 @@ def _enter(boxes, node, slabs, face, width):
 
 
 @inner(fastmath=FAST, error_model="numpy")
-def _test_triangle(shapes, s, face, rays, after):
+def test_triangle(shapes, s, face, rays, after):
     """Keep triangle s where it is hit first, beyond `after`; of two at the same range, the first in the tree."""
     k = face & 3
     i, j = (k + 1) % 3, (k + 2) % 3
@@ -221,7 +221,7 @@ def ray_of(rays, n, face):
 
 
 @inner()
-def _test_round(shapes, kind, s, face, rays, after):
+def test_round(shapes, kind, s, face, rays, after):
     """Keep a sphere or a cylinder where it is hit first."""
     found = False
     for n in range(SIZE):
@@ -261,16 +261,16 @@ def trace(tree, packet, face, any_hit):
         else:
             leaf, found = ~code, False
             if not sheared_yet:
-                _shear(rays)
+                shear(rays)
                 sheared_yet = True
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
                 if kind[s] == TRIANGLE:
-                    found |= _test_triangle(shapes, s, face, rays, after)
+                    found |= test_triangle(shapes, s, face, rays, after)
                 elif kind[s] == INSTANCE:
                     instances[0] += 1
                     instances[instances[0]] = tree.number[s]
                 else:
-                    found |= _test_round(shapes, kind, s, face, rays, after)
+                    found |= test_round(shapes, kind, s, face, rays, after)
             if found:
                 for n in range(SIZE if any_hit else 0):
                     rays[RANGE + n] = -1.0 if rays[SLOT + n] >= 0 else rays[RANGE + n]
@@ -364,8 +364,8 @@ def normal_at(shapes, kind, s, x, y, z, dx, dy, dz, range_m):
 def blocked_by(tree, packet, face, s):
     """Whether triangle s blocks a packet's segments, as `trace` with any_hit would find out; how many are blocked."""
     rays = packet.rays
-    _shear(rays)
-    _test_triangle(tree.shapes, s, face, rays, ENDS)
+    shear(rays)
+    test_triangle(tree.shapes, s, face, rays, ENDS)
     count = 0
     for n in range(SIZE):
         hit = rays[SLOT + n] >= 0
