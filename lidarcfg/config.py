@@ -24,7 +24,7 @@ from yaml.scanner import Scanner
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.inputs import read_any, too_large
-from lidarcfg.kinds import kind_of
+from lidarcfg.kinds import OTHERS, kind_of
 
 Key = tuple[str | int, ...]  # a path in the file: ("sensors", 0, "model")
 Vec3 = tuple[float, float, float]
@@ -297,6 +297,8 @@ def load(path: str | Path, model: type[M], own: bool = False) -> M:
 
     Raises ConfigError with file, line, column and key.
     """
+    if what := OTHERS.get(Path(path).suffix.lower()):
+        raise ConfigError(f"{path}: {what}")
     return loads(_read(path), model, str(path), own)
 
 

@@ -1,4 +1,4 @@
-"""The kinds of our YAML files, told apart by their keys."""
+"""The kinds of our YAML files, told apart by their keys, and files of other programs that are given in their place."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,6 +13,17 @@ MARKS = {  # the keys that only one kind has, the first that fits
     "trajectory": MOTIONS,
     "scene": {"ground", "weather", "geo_origin", "height_fields", "models", "surfels"},
     "vehicle": {"allow_inside"},
+}
+
+_POINTS = "points, no YAML; a scene names them under surfels, with a radius"
+_MESH = "a mesh, no YAML; a scene or a vehicle names it under meshes"
+OTHERS = {  # by suffix, what a file of another program is, and where it belongs
+    ".xodr": "an OpenDRIVE map, no YAML; export a mesh of it, as an OBJ with libOpenDRIVE, and name it under meshes",
+    **dict.fromkeys((".pcd", ".las", ".laz", ".xyz", ".pts", ".e57"), _POINTS),
+    **dict.fromkeys((".obj", ".stl", ".off"), _MESH),
+    **dict.fromkeys((".glb", ".gltf"), "a glTF file, no YAML; a scene names it under models"),
+    ".ply": "no YAML; a scene names a mesh under meshes, and points under surfels, with a radius",
+    **dict.fromkeys((".pcap", ".pcapng"), "a capture, no YAML; decode, convert and view read it"),
 }
 
 

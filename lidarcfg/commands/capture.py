@@ -123,10 +123,12 @@ def export(
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
-        from lidarcfg.world.vehicle import NONE, carried
+        from lidarcfg.world.vehicle import NONE, carried, check_outside
 
         mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
         bodies = carried(mounted, vehicle)
+        if bodies:
+            check_outside(bodies, mounted.mounts, rig)
     warn_of(bodies)
     start_ns = nanoseconds(start) if start else START_NS
     moved = load_trajectory(trajectory, at, start_ns)

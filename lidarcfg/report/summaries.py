@@ -22,7 +22,7 @@ from lidarcfg.rig import Mount, load_rig
 from lidarcfg.sensor import Sensor, load_sensor
 from lidarcfg.world.motion import load_path
 from lidarcfg.world.scene import Scene, load_scene
-from lidarcfg.world.vehicle import Vehicle, load_vehicle, rig_vehicle
+from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_vehicle
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ def summary(path: str | Path) -> Summary:
 def _study(path: Path) -> tuple[str, Iterable[str]]:
     study = load_study(path, pattern)
     free, solver = int(study.free.sum()), study.solver
-    budget = ", ".join(f"{getattr(solver, key):,} {key}" for key in sorted(BUDGETS) if getattr(solver, key) is not None)
+    limits = {key: getattr(solver, key) for key in sorted(BUDGETS)}
+    budget = ", ".join(f"{limit:,} {key}".replace(".0 ", " ") for key, limit in limits.items() if limit is not None)
     search = f"{solver.method} searches {free} free coordinates for {budget}" if free else "nothing is free to move"
     sensors = _models(slot.model for slot in study.slots)
     if study.to_choose:
@@ -62,7 +63,7 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
     what += " by zones" * bool(study.zones) + ", with failures or mounting errors" * bool(study.robust)
     text = (
         f"{int(study.region.included.sum()):,} cuboids, {sensors}, "
-        f"{len(study.detection)} objects; {search}, to minimise {what}"
+        f"{_objects(len(study.detection))}; {search}, to minimise {what}"
     )
     vehicle = study.vehicle.warnings if study.vehicle else ()
     return text, (*vehicle, *study_warnings(path, study))
@@ -76,6 +77,8 @@ def _plan(path: Path) -> tuple[str, Iterable[str]]:
 def _rig(path: Path) -> tuple[str, Iterable[str]]:
     rig = load_rig(path)
     vehicle = rig_vehicle(rig)
+    if vehicle:
+        check_outside(vehicle, rig.mounts, path)
     silent = [mount.name for mount in rig.mounts if not _sends(mount)]
     export = f"{', '.join(silent)} exported as points: no packets" if silent else "can be exported"
     bodies = _bodies(vehicle) if vehicle else "no vehicle"
@@ -94,7 +97,7 @@ def _sends(mount: Mount) -> bool:
 def _scene(path: Path) -> tuple[str, Iterable[str]]:
     scene = load_scene(path)
     dynamic = sum(motion is not None for motion in scene.motions)
-    return f"{len(scene.names)} objects, {dynamic} of them dynamic; {_triangles(scene)}", ()
+    return f"{_objects(len(scene.names))}, {dynamic} of them dynamic; {_triangles(scene)}", ()
 
 
 def _sensor(path: Path) -> tuple[str, Iterable[str]]:
@@ -137,8 +140,13 @@ def _models(models: Iterable[str | None]) -> str:
     return ", ".join(f"{count} × {name}" for name, count in counts.items())
 
 
+def _objects(count: int) -> str:
+    return f"{count} object{'s' * (count != 1)}"
+
+
 def _bodies(vehicle: Vehicle) -> str:
-    return f"a vehicle of {len(vehicle.scene.names)} bodies with {_triangles(vehicle.scene)}"
+    count = len(vehicle.scene.names)
+    return f"a vehicle of {count} {'body' if count == 1 else 'bodies'} with {_triangles(vehicle.scene)}"
 
 
 def _triangles(scene: Scene) -> str:

@@ -17,6 +17,7 @@ from lidarcfg.config import Key, Model, Position, Section, error_at, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
+from lidarcfg.kinds import OTHERS
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import Byte
 from lidarcfg.world.bvh import NO_TREE, Tree, build
@@ -209,7 +210,7 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     """The vehicle that stands in a file under a key. Raises ConfigError for a bad mesh, and to exclude an open one."""
     began = time.perf_counter()
     scene = built(SceneFile(name="vehicle", **{kind: getattr(file, kind) for kind in KINDS}), path, at)
-    closed, warnings = {}, []
+    closed, warnings = dict[str, Mesh](), list[str]()
     for kind in ("boxes", "planes", "meshes"):
         for i, item in enumerate(getattr(file, kind)):
             mesh = mesh_of(scene, scene.names.index(item.name))
@@ -222,14 +223,14 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 )
             elif kind == "meshes":
                 solid = sum(not len(open_edges(part)) for part in parts(mesh))
-                warnings.append(f"{_open(item, edges)}; {solid} closed parts; beams are blocked all the same")
+                what = f"{_open(item, edges)}; {solid} closed parts; beams are blocked all the same"
+                warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
-                warnings += _oddities(item, mesh)
+                warnings += [_warning(path, (*at, kind, i, "file"), what) for what in _oddities(item, mesh)]
     if len(scene.triangles) > MANY:
         seconds = time.perf_counter() - began
-        warnings.append(
-            f"{path}: the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
-        )
+        what = f"the vehicle has {len(scene.triangles):,} triangles; reading them took {seconds:.1f} s"
+        warnings.append(_warning(path, at, what))
     excluded = tuple(item.name for kind in KINDS for item in getattr(file, kind) if item.exclude)
     meshes = (mesh.model_copy(update={"file": os.path.realpath(path.parent / mesh.file)}) for mesh in file.meshes)
     whole = file.model_copy(update={"meshes": tuple(meshes)})
@@ -279,6 +280,13 @@ def _open(item: SceneObject, edges: Array) -> str:
         f"{item.name!r}{source} is not closed, so that nothing is inside: {len(edges)} of its edges bound an odd "
         f"number of triangles, the first from {shown}"
     )
+
+
+def _warning(path: Path, key: Key, what: str) -> str:
+    """A warning at a key of a vehicle's file, or at the mesh that is the file; without a place if made in Python."""
+    if not path.name:
+        return what
+    return f"{path}: {what}" if path.suffix.lower() in OTHERS else str(error_at(path, key, what))
 
 
 def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:

@@ -27,6 +27,7 @@ from lidarcfg.sensor import load_sensor
 from lidarcfg.templates import KINDS as TEMPLATES
 from lidarcfg.templates import vehicles, write_template
 from lidarcfg.world.meshes import read_mesh
+from lidarcfg.world.scene import load_scene
 from tests.command_line import lidarcfg
 
 ROOT = Path(__file__).parents[2]
@@ -90,7 +91,7 @@ def test_a_schema_finds_what_our_reader_refuses(validators, file, change):
 @pytest.mark.parametrize("kind", TEMPLATES)
 def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
     (path,) = write_template(kind, tmp_path / "folder" / f"my-{kind}.yaml")
-    assert summary(path).kind == kind
+    assert (summary(path).kind, summary(path).warnings) == (kind, ())
     text = path.read_text()
     assert str(path) in text.splitlines()[0] + text.splitlines()[1]  # the command that takes it
     optional = re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", text, flags=re.M)
@@ -165,7 +166,7 @@ def test_files_are_summed_up(tmp_path):
         r"odd.yaml: is none of our files; allowed: plan, record of a capture, rig, scene, sensor, study, trajectory",
         done.stderr,
     )
-    assert re.search(r"arc.yaml: trajectory: an arc\n.*body.yaml: vehicle: a vehicle of 1 bodies with 12", done.stdout)
+    assert re.search(r"arc.yaml: trajectory: an arc\n.*body.yaml: vehicle: a vehicle of 1 body with 12", done.stdout)
     assert lidarcfg("init", "rig", "--vehicle", "truck", "-o", tmp_path / "r.yaml", code=2).stderr.startswith(
         "lidarcfg: --vehicle is for a study, not for a rig"
     )
@@ -271,6 +272,32 @@ def test_a_slow_objective_is_said_with_what_it_costs(tmp_path, monkeypatch):
     assert re.search(r":6:1: objective: one evaluation takes 1 s, 1000 times that of max_vsr; coarser", line)
 
 
+def test_mounting_errors_cost_as_many_evaluations_as_they_draw(tmp_path, monkeypatch):
+    """300 draws of 2 s each, though max VSR is all that is minimised; 101 of 1 s are the fewest that are slow."""
+    for samples, own_s, slow in ((300, 2, 600), (101, 1, 101), (100, 1, None)):
+        path = study(tmp_path, constraints=f"robust: {{position_sigma_m: 0.01, samples: {samples}}}")
+        ticks = iter([0, 1, 2, 3, 10, 11, 20, 20 + own_s])
+        monkeypatch.setattr("lidarcfg.placement.checks.time", SimpleNamespace(perf_counter=lambda t=ticks: next(t)))
+        found = list(study_warnings(path, load_study(path)))
+        assert len(found) == (slow is not None)
+        for line in found:
+            assert f":6:1: robust: one evaluation takes {samples * own_s} s, {slow} times that of max_vsr; " in line
+            assert line.endswith("or fewer samples cost less")
+
+
+def test_a_sensor_inside_the_body_that_its_rig_names_is_an_error_at_its_line(tmp_path):
+    """It could not be exported: half the height of a box above its middle is its top."""
+    path = tmp_path / "rig.yaml"
+    text = "name: one\nvehicle: {boxes: [{name: body, center_m: [0, 0, 1], size_m: [4, 2, 1]}]}\nsensors:\n"
+    path.write_text(text + "  - {name: a, model: vlp-16, position_m: [0, 0, 1.501]}\n")
+    assert summary(path).text == "1 × vlp-16, a vehicle of 1 body with 12 triangles; can be exported"
+    path.write_text(text + "  - {name: a, model: vlp-16, position_m: [0, 0, 1.499]}\n")
+    scene = ROOT / "data/scenes/street.yaml"
+    for words in (("validate", path), ("export", path, "--scene", scene, "--duration", 1, "-o", tmp_path / "a.pcap")):
+        line = lidarcfg(*words, code=2).stderr
+        assert line.startswith(f"lidarcfg: {path}:4:5: sensors[0]: a is inside the vehicle's 'body'; move it"), line
+
+
 @pytest.mark.parametrize(
     ("changes", "constraints", "what"),
     [
@@ -328,6 +355,10 @@ def test_maps_that_are_no_meshes_are_refused_by_name(tmp_path):
         (tmp_path / name).write_text("x")
         with pytest.raises(SceneError, match=f"{name}: an? .*{what}"[:40]):
             read_mesh(tmp_path / name)
+        with pytest.raises(ConfigError, match=f"{name}: .*, no YAML; .* under (meshes|surfels)"):
+            load_scene(tmp_path / name)
+        with pytest.raises(ConfigError, match=f"{name}: .*, no YAML; "):
+            summary(tmp_path / name)
     (tmp_path / "points.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 1\n"
     )

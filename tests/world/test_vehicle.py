@@ -1,6 +1,7 @@
 """Meshes that users bring, in every format: read, closed or not, of a size that says its unit; by Open3D and by hand."""
 
 import json
+import re
 import struct
 from pathlib import Path
 
@@ -120,8 +121,9 @@ def test_open_edges_by_hand(tmp_path):
     found = load_vehicle(tmp_path / "v.yaml")
     assert found.closed == {}
     (message,) = found.warnings
+    where = f"{tmp_path / 'v.yaml'}:1:{vehicle_text('box.ply').index('{name') + 1}: meshes[0]: "
     assert message == (
-        "'body' of box.ply is not closed, so that nothing is inside: 4 of its edges bound an odd number of triangles, "
+        f"{where}'body' of box.ply is not closed, so that nothing is inside: 4 of its edges bound an odd number of triangles, "
         f"the first from {message.partition('first from ')[2]}"
     )
     assert message.endswith("; 0 closed parts; beams are blocked all the same")
@@ -158,7 +160,10 @@ def test_a_mesh_in_another_unit_is_told_by_its_size(tmp_path, factor, scale, uni
     save(body, tmp_path / "body.stl")
     (message,) = load_vehicle(tmp_path / "body.stl").warnings
     size = " × ".join(f"{value * factor:.4g}" for value in (4.7998, 2.0552, 1.5))
-    assert message == f"'body' of body.stl is {size} m large; if its unit is the {unit}, say scale: {scale:g}"
+    assert (
+        message
+        == f"{tmp_path / 'body.stl'}: 'body' of body.stl is {size} m large; if its unit is the {unit}, say scale: {scale:g}"
+    )
     (tmp_path / "v.yaml").write_text(vehicle_text("body.stl", f", scale: {scale}"))
     assert load_vehicle(tmp_path / "v.yaml").warnings == ()
 
@@ -166,6 +171,7 @@ def test_a_mesh_in_another_unit_is_told_by_its_size(tmp_path, factor, scale, uni
 def test_a_mesh_in_metres_that_is_scaled_down_is_told(tmp_path):
     (tmp_path / "v.yaml").write_text(vehicle_text(SEDAN, ", scale: 0.001"))
     (message,) = load_vehicle(tmp_path / "v.yaml").warnings
+    assert re.match(rf"{tmp_path}/v.yaml:1:\d+: meshes\[0\].file: 'body' of ", message)
     assert message.endswith("is 0.0048 × 0.002055 × 0.0015 m large; if its unit is the metre, say scale: 1")
 
 
@@ -225,11 +231,21 @@ def test_commands_warn_of_a_vehicle(tmp_path):
     )
     (tmp_path / "rig.yaml").write_text("name: r\nsensors: [{name: s, model: vlp-16, position_m: [0, 0, 2]}]\n")
     (tmp_path / "scene.yaml").write_text("name: s\nground: {reflectivity: 9}\n")
-    for words in (
-        ("evaluate", "study.yaml", "rig.yaml"),
-        ("export", "rig.yaml", "--vehicle", "mm.stl", "--scene", "scene.yaml", "--duration", "0.01", "-o", "c.pcap"),
+    export = (
+        "export",
+        "rig.yaml",
+        "--scene",
+        "scene.yaml",
+        "--duration",
+        "0.01",
+        "-o",
+        "c.pcap",
+        "--vehicle",
+        "mm.stl",
+    )
+    for words, place in (
+        (("evaluate", "study.yaml", "rig.yaml"), f"study.yaml:{text.count(chr(10)) + 1}:33: vehicle.meshes[0].file"),
+        (export, "mm.stl"),
     ):
-        assert (
-            "lidarcfg: warning: 'body' of mm.stl is 4800 × 2055 × 1500 m large"
-            in lidarcfg(*words, "--quiet", cwd=tmp_path).stderr
-        )
+        said = lidarcfg(*words, "--quiet", cwd=tmp_path).stderr
+        assert f"lidarcfg: warning: {place}: 'body' of mm.stl is 4800 × 2055 × 1500 m large" in said
