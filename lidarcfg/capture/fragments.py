@@ -43,6 +43,7 @@ class Reassembly:
         self._pending: dict[bytes, _Datagram] = {}  # the oldest first
         self._settled: dict[bytes, dict[int, bytes] | None] = {}  # the last, the oldest first: parts; none: damaged
         self._dropped, self._from_ns = 0, from_ns
+        self.cut = 0  # datagrams that never came whole: of which the capture has the beginning only
 
     @property
     def incomplete(self) -> int:

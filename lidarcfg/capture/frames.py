@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from lidarcfg.capture.fragments import DATAGRAM_MAX, TIMEOUT_NS, Fragment, Reassembly
 from lidarcfg.packets.codec import Octets, Payloads, Times
 
-ETHERNET, LINUX_COOKED, RAW_IP, RAW_IP_FILE = 1, 113, 12, 101  # link types, as tcpdump.org lists them
-LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # bytes before the IP header, and where its kind stands
+ETHERNET = 1
+LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # by tcpdump.org's list: bytes before IP's; where its kind stands
     ETHERNET: (14, 12),
-    LINUX_COOKED: (16, 14),
-    RAW_IP: (0, None),
-    RAW_IP_FILE: (0, None),
+    113: (16, 14),  # Linux cooked
+    276: (20, 0),  # its second version, as `tcpdump -i any` writes it
+    12: (0, None),  # raw IP
+    101: (0, None),
+    228: (0, None),
+    0: (4, None),  # a BSD's loopback
+    108: (4, None),
 }
 VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
 TAGS_MAX = 4  # VLAN tags in a frame: two are in use
@@ -168,6 +172,7 @@ class IpPackets(NamedTuple):
     end: NDArray[np.int64]  # (N,) bytes from the header to where the packet ends, as far as they are there
     whole: NDArray[np.bool_]  # (N,) whether it holds a UDP datagram
     part: NDArray[np.bool_]  # (N,) whether it holds a fragment of one
+    cut: int  # how many others hold a datagram's beginning only, as the capture keeps no more bytes of a frame
 
 
 def ip_packets(piece: Piece) -> IpPackets:
@@ -196,12 +201,15 @@ def ip_packets(piece: Piece) -> IpPackets:
     end = np.where(head["length"] > 0, np.minimum(head["length"], left), left)
     part = head["flags"] & (MORE_FRAGMENTS | FRAGMENT_OFFSET) != 0
     whole = good & ~part & (left >= length + UDP.itemsize)
-    return IpPackets(which, ip, head, length, end, whole, part & good & (end > length))
+    cut = whole.copy()  # by UDP's length, as IP's is wrong in position packets of 2014
+    cut[whole] = gathered(data, (ip + length)[whole], UDP)["length"] > (left - length)[whole]
+    return IpPackets(which, ip, head, length, end, whole & ~cut, part & good & (end > length), int(cut.sum()))
 
 
 def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
     """The UDP datagrams in the frames. One that came in fragments stands where its last one came."""
-    which, ip, head, length, end, whole, part = ip_packets(piece)
+    which, ip, head, length, end, whole, part, cut = ip_packets(piece)
+    reassembly.cut += cut
     found = _whole(piece, which[whole], ip[whole], head[whole], length[whole], end[whole])
     if not part.any():
         return found

@@ -1,11 +1,10 @@
-"""Capture files: classic pcap, read and written here; pcapng, which dpkt reads."""
+"""Capture files: classic pcap, read and written here, and pcapng."""
 
 import itertools
 import socket
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from decimal import Decimal
 from io import BufferedReader, BytesIO, FileIO
 from pathlib import Path
 from typing import IO, Any
@@ -15,15 +14,15 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.fragments import Reassembly
 from lidarcfg.capture.frames import ETHERNET, LINK_HEADERS, RECORD, Datagrams, Frames, Piece, datagrams, gathered
+from lidarcfg.capture.pcapng import Frame, read_frames
 from lidarcfg.errors import PacketError
 from lidarcfg.files import replacing
 from lidarcfg.inputs import check_regular
-from lidarcfg.packets.codec import Times
+from lidarcfg.packets.codec import Octets, Times
 from lidarcfg.units import SECOND_NS
 
 SNAPLEN = 65535
 TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC
-LATEST_NS = 4_600_000_000 * SECOND_NS  # of a pcapng, in 2115; beyond are damaged ones
 RECORD_MAX = 262144  # bytes; libpcap allows no longer record
 PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
     struct.pack(order + "I", magic): (order, unit_ns)
@@ -31,8 +30,6 @@ PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
     for magic, unit_ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
 }
 HEADER = 24  # bytes of a classic pcap before its records
-PCAPNG, PCAPNG_LITTLE = b"\x0a\x0d\x0d\x0a", b"\x4d\x3c\x2b\x1a"  # the first block's type, and its byte order
-PCAPNG_HEAD = 28  # bytes of a block before its frame
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 22  # bytes of a pcap, read at once
 SCANNED = 1 << 26  # bytes of a pcap whose headers are looked at together
@@ -99,7 +96,7 @@ def read_batches(
             if magic in PCAP_MAGIC:
                 pieces = _pcap_pieces(file, str(path), on_warning, from_ns, buffer)
             else:
-                pieces = _other_pieces(file, str(path), on_warning)
+                pieces = _pcapng_pieces(file, str(path), on_warning)
             early = None
             for piece in pieces:
                 if from_ns is None or (piece.time_ns >= from_ns).any():
@@ -111,6 +108,8 @@ def read_batches(
                 yield datagrams(early, reassembly)
     except OSError as error:
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    if reassembly.cut:
+        on_warning(f"{path}: {reassembly.cut} datagrams passed over: the capture has only their beginnings")
     if reassembly.incomplete:
         on_warning(f"{path}: {reassembly.incomplete} datagrams passed over: fragments of theirs are missing or damaged")
 
@@ -205,95 +204,43 @@ def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
     return heads["seconds"].astype(np.int64) * SECOND_NS + heads["microseconds"].astype(np.int64) * unit_ns
 
 
-def whole_capture(data: bytes, name: str) -> Piece:
+def whole_capture(data: bytes, name: str) -> Iterator[Piece]:
     """All frames of a capture that is in memory, in the order of the file. Raises PacketError."""
+    octets = np.frombuffer(data, np.uint8)
     if data[:4] not in PCAP_MAGIC or len(data) < HEADER:
-        return _other_capture(data, name)
+        yield from _pcapng_pieces(BytesIO(data), name, lambda warning: None, octets)
+        return
     order, unit_ns = PCAP_MAGIC[data[:4]]
     link = _checked_link(struct.unpack_from(order + "I", data, 20)[0] & 0xFFFF, name)
     record = RECORD if order == "<" else RECORD.newbyteorder()
-    octets = np.frombuffer(data, np.uint8)
     start = _records(octets[HEADER:], record)[0] + HEADER
     heads = gathered(octets, start, record)
-    return Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), octets)
+    yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), octets)
 
 
-class _File:
-    """A file that remembers whether the last read came out short, and refuses absurd ones."""
+def _pcapng_pieces(
+    file: IO[bytes], name: str, on_warning: Callable[[str], None], whole: Octets | None = None
+) -> Iterator[Piece]:
+    """The frames of a pcapng, some that follow each other on one kind of link at a time; in `whole`, if that is given.
 
-    def __init__(self, file: IO[bytes], name: str) -> None:
-        self.short = False
-        self.seek = file.seek
-        self._file, self._name = file, name
-
-    def read(self, size: int) -> bytes:
-        _check_size(size, self._name)
-        data = self._file.read(size)
-        self.short = len(data) < size
-        return data
-
-
-def _other_pieces(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Piece]:
-    """The frames of what dpkt knows besides, which is pcapng above all."""
-    link, records = _other_records(file, name, on_warning)
-    while some := list(itertools.islice(records, RECORDS)):
-        sizes = np.array([len(frame) for _, frame in some], np.int64)
-        times_ns = np.array([time_ns for time_ns, _ in some], np.int64)
-        data = np.frombuffer(b"".join(frame for _, frame in some), np.uint8)
-        yield Piece(link, times_ns, np.cumsum(sizes) - sizes, sizes, data)
+    Those of other links than are known are passed over, unless all are.
+    """
+    frames, links = read_frames(file, name, on_warning), set[int]()
+    while some := list(itertools.islice(frames, RECORDS)):
+        for link, alike in itertools.groupby(some, lambda frame: frame.link):
+            links.add(link)
+            if link in LINK_HEADERS:
+                yield _piece(link, list(alike), whole)
+    if links and not links & LINK_HEADERS.keys():
+        _checked_link(min(links), name)
 
 
-def _other_capture(data: bytes, name: str) -> Piece:
-    """The same of a file in memory; where in it each frame is, the ends of dpkt's reads say."""
-    file = BytesIO(data)
-    link, records = _other_records(file, name, lambda warning: None)
-    order = "<" if data[8:12] == PCAPNG_LITTLE else ">"
-    found = []
-    for time_ns, frame in records:
-        end = file.tell()
-        if data[:4] == PCAPNG:  # blocks end in their length
-            start = end - struct.unpack_from(order + "I", data, end - 4)[0] + PCAPNG_HEAD
-        else:
-            start = end - len(frame)
-        if data[start : start + len(frame)] == frame:
-            found.append((time_ns, start, len(frame)))
-    places = np.array(found, np.int64).reshape(-1, 3)
-    return Piece(link, places[:, 0], places[:, 1], places[:, 2], np.frombuffer(data, np.uint8))
-
-
-def _other_records(
-    file: IO[bytes], name: str, on_warning: Callable[[str], None]
-) -> tuple[int, Iterator[tuple[int, bytes]]]:
-    """The kind of link, and time and frame of each record."""
-    import dpkt
-
-    damage = dpkt.Error, ValueError, struct.error  # what it raises on bytes that make no sense
-    watched = _File(file, name)
-    try:
-        reader = dpkt.pcap.UniversalReader(watched)
-    except (*damage, PacketError):
-        raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng") from None
-    link = _checked_link(reader.datalink(), name)
-    return link, _whole_records(reader, damage, watched, name, on_warning)
-
-
-def _whole_records(
-    reader: Any, damage: tuple[type[Exception], ...], watched: _File, name: str, on_warning: Callable[[str], None]
-) -> Iterator[tuple[int, bytes]]:
-    """Time and frame of each record up to the first that is not whole."""
-    records = iter(reader)
-    for count in itertools.count():
-        try:
-            time_s, frame = next(records)
-            whole = not watched.short
-        except StopIteration:
-            return
-        except damage:
-            whole = False
-        if not whole:
-            on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
-            return
-        yield _nanoseconds(time_s), frame
+def _piece(link: int, frames: list[Frame], whole: Octets | None) -> Piece:
+    time_ns, start, size = np.array([(one.time_ns, one.at, len(one.octets)) for one in frames], np.int64).T
+    if whole is None:
+        whole = np.frombuffer(b"".join(one.octets for one in frames), np.uint8)
+        start = np.cumsum(size) - size
+    return Piece(link, time_ns, start, size, whole)
 
 
 def _check_size(size: int, name: str) -> None:
@@ -303,11 +250,5 @@ def _check_size(size: int, name: str) -> None:
 
 def _checked_link(link: int, name: str) -> int:
     if link not in LINK_HEADERS:
-        raise PacketError(f"{name}: link type {link} is not known; allowed: Ethernet, Linux cooked, raw IP")
+        raise PacketError(f"{name}: link type {link} is not known; allowed: Ethernet, Linux cooked, raw IP, loopback")
     return link
-
-
-def _nanoseconds(time_s: float | Decimal) -> int:
-    """dpkt gives whole microseconds as a float, nanoseconds as a Decimal; of damaged files any number."""
-    time_ns = int(time_s * 10**9) if isinstance(time_s, Decimal) else round(time_s * 1e6) * 1000
-    return min(max(time_ns, 0), LATEST_NS)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.decode import Capture
-from lidarcfg.capture.pcap import PCAPNG
+from lidarcfg.capture.pcapng import SECTION
 from lidarcfg.cloud import read_arrays
 from lidarcfg.config import COORDINATE_MAX_M, loads
 from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
@@ -123,7 +123,7 @@ def save_capture(path: Path, firings: Path) -> int:
     names = [f"{i}/{key}" for i, one in enumerate(said) for key in (*COLUMNS, *(f"more/{key}" for key in one["more"]))]
     columns = read_arrays(firings, (*FILE_COLUMNS, *names))
     records = {key: _checked(firings, columns, key, kind) for key, kind in FILE_COLUMNS.items()}
-    suffix = ".pcapng" if records["raw"][:4].tobytes() == PCAPNG else ".pcap"
+    suffix = ".pcapng" if records["raw"][:4].tobytes() == SECTION else ".pcap"
     if path.suffix.lower() != suffix:
         raise ConversionError(f"{firings}: holds a {suffix[1:]}; the output's suffix must be {suffix}")
     parts = []

@@ -118,15 +118,10 @@ def read_records(path: Path) -> Records:
         data = read_regular(path, SIZE_MAX)
     except OSError as error:
         raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
-    piece = whole_capture(data, str(path))
-    found = ip_packets(piece)
-    keep = found.whole | found.part
-    columns = (found.which, found.ip, found.length, found.end, found.part)
-    rows = zip(*(column[keep].tolist() for column in columns), found.head[keep], strict=True)
     reassembly, waiting = Reassembly(), defaultdict[bytes, list[_Found]](list)
     datagrams = defaultdict[Endpoint, list[Datagram]](list)
-    for which, ip, length, end, part, head in rows:
-        time_ns, start = int(piece.time_ns[which]), ip + length
+    for time_ns, ip, length, end, part, head in _rows(data, str(path)):
+        start = ip + length
         body, host = data[start : ip + end], ".".join(map(str, head["source"]))
         found_here = [_Found(start, 0, length, body)]
         if part:
@@ -140,6 +135,15 @@ def read_records(path: Path) -> Records:
             name = f"{host}:{int.from_bytes(body[2:4])}"
             datagrams[name, len(body) - UDP.itemsize].append(_datagram(data, time_ns, body, found_here))
     return Records(data, datagrams)
+
+
+def _rows(data: bytes, name: str) -> Iterator[tuple[int, int, int, int, bool, Any]]:
+    """Host time and `IpPackets`' columns of each UDP datagram, or fragment of one."""
+    for piece in whole_capture(data, name):
+        found = ip_packets(piece)
+        keep = found.whole | found.part
+        columns = (piece.time_ns[found.which], found.ip, found.length, found.end, found.part)
+        yield from zip(*(column[keep].tolist() for column in columns), found.head[keep], strict=True)
 
 
 class _Found(NamedTuple):

@@ -215,21 +215,94 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert (tmp_path / "a.pcap").read_bytes() == b"old"
 
 
+FRAME = bytes.fromhex("ffffffffffff60768800000008004500001d0000400040110000c0a80101c0a80102094009400009") + b"\0\0x"
+
+
+def block(order, kind, layout, *values, octets=b""):
+    """Of a pcapng."""
+    body = struct.pack(order + layout, *values) + octets
+    body += bytes(-len(body) % 4)
+    size = struct.pack(order + "I", len(body) + 12)
+    return struct.pack(order + "I", kind) + size + body + size
+
+
+def section(order="<"):
+    return block(order, 0x0A0D0D0A, "IHHq", 0x1A2B3C4D, 1, 0, -1)
+
+
+def interface(order, link, resolution=None, offset_s=None):
+    options = b"" if resolution is None else struct.pack(order + "HHB3x", 9, 1, resolution)
+    options += b"" if offset_s is None else struct.pack(order + "HHq", 14, 8, offset_s)
+    return block(order, 1, "HHI", link, 0, 0, octets=options + bytes(4) if options else b"")
+
+
+def packet(order, which, ticks, frame):
+    values = which, ticks >> 32, ticks & 0xFFFFFFFF, len(frame), len(frame)
+    return block(order, 6, "IIIII", *values, octets=frame)
+
+
 def pcapng(path, ticks, resolution):
     """A file of one datagram."""
+    path.write_bytes(section() + interface("<", 1, resolution) + packet("<", 0, ticks, FRAME))
 
-    def block(kind, body):
-        body += bytes(-len(body) % 4)
-        size = struct.pack("<I", len(body) + 12)
-        return struct.pack("<I", kind) + size + body + size
 
-    frame = bytes.fromhex("ffffffffffff60768800000008004500001d0000400040110000c0a80101c0a801020940094000090000") + b"x"
-    option = b"" if resolution is None else struct.pack("<HHB3xHH", 9, 1, resolution, 0, 0)
-    path.write_bytes(
-        block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
-        + block(1, struct.pack("<HHI", 1, 0, 0) + option)
-        + block(6, struct.pack("<IIIII", 0, ticks >> 32, ticks & 0xFFFFFFFF, len(frame), len(frame)) + frame)
-    )
+def test_interfaces_and_sections_of_a_pcapng(tmp_path):
+    """Each interface has its own kind of link and clock, each section its own interfaces and order of bytes."""
+    cooked, second = bytes(14) + FRAME[12:], 1_700_000_000
+    raw = section() + interface("<", 1) + interface("<", 113, 9) + interface("<", 195) + interface("<", 101, 138, 40)
+    raw += packet("<", 0, second * 10**6 + 7, FRAME) + packet("<", 1, second * 10**9 + 8001, cooked)
+    raw += packet("<", 2, 5, b"of a link that is not known") + packet("<", 3, (second - 40) * 1024 + 512, FRAME[14:])
+    raw += section(">") + interface(">", 1, 9) + packet(">", 0, second * 10**9 + 10**9 - 1, FRAME)
+    (tmp_path / "a.pcapng").write_bytes(raw)
+    found = list(read_datagrams(tmp_path / "a.pcapng", no_warning))
+    assert [one.time_ns - second * 10**9 for one in found] == [7000, 8001, 500_000_000, 999_999_999]
+    assert {content(one)[1:] for one in found} == {("192.168.1.1", 2368, 2368, b"x")}
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        (section() + block("<", 3, "I", len(FRAME), octets=FRAME), "has simple packet blocks, which say no time"),
+        (section() + interface("<", 195) + packet("<", 0, 5, FRAME), "link type 195 is not known"),
+        (section() + struct.pack("<III", 6, 1 << 25, 0), "a block of 33554432 bytes; allowed: at most 16777216"),
+    ],
+)
+def test_what_a_pcapng_must_not_hold(tmp_path, raw, message):
+    (tmp_path / "a.pcapng").write_bytes(raw)
+    with refused(message, r"a\.pcapng: ", PacketError):
+        list(read_datagrams(tmp_path / "a.pcapng", no_warning))
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        packet("<", 1, 5, FRAME),  # of an interface that is not there
+        packet("<", 0, 5, FRAME)[:-1] + b"\1",  # another length at its end
+        packet("<", 0, 5, FRAME)[:-9],
+        block("<", 6, "IIIII", 0, 0, 5, 99, 99, octets=FRAME),  # a frame that is longer than its block
+        block("<", 1, "HHI", 1, 0, 0, octets=struct.pack("<HHq", 9, 8, 6)),  # a unit of eight bytes
+        bytes(100),
+    ],
+)
+def test_a_damaged_block_ends_a_pcapng(tmp_path, damaged):
+    raw = section() + interface("<", 1) + packet("<", 0, 5, FRAME)
+    (tmp_path / "a.pcapng").write_bytes(raw + damaged + packet("<", 0, 6, FRAME))
+    warnings: list[str] = []
+    assert len(list(read_datagrams(tmp_path / "a.pcapng", warnings.append))) == 1
+    assert warnings == [f"{tmp_path}/a.pcapng: cut off or damaged after 1 records; what is whole was read"]
+
+
+def test_frames_of_which_the_beginning_was_kept_are_counted(tmp_path):
+    """As by `tcpdump -s 600`: no shorter packets, and no silence."""
+    write_pcap(tmp_path / "a.pcap", [data(), position(), data()])
+    whole = frames(tmp_path / "a.pcap")
+    with open(tmp_path / "b.pcap", "wb") as file:
+        writer = dpkt.pcap.Writer(file)
+        for frame in (*whole, whole[0]):
+            writer.writepkt(frame if frame is whole[2] else frame[:600], 5)
+    warnings: list[str] = []
+    assert [len(one.payload) for one in read_datagrams(tmp_path / "b.pcap", warnings.append)] == [512, 1206]
+    assert warnings == [f"{tmp_path}/b.pcap: 2 datagrams passed over: the capture has only their beginnings"]
 
 
 @pytest.mark.parametrize(

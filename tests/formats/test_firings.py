@@ -216,28 +216,32 @@ def test_pcapngs_come_back_whole(tmp_path, order, name):
         for key in ("0/range_m", "0/reflectivity", "0/laser"):
             assert np.array_equal(found[key], arrays[key])
     assert found["0/host_ns"][0] >= 1_700_000_000 * 10**9
-    assert ((np.diff(found["0/host_ns"]) + 2000) % 1_327_104 <= 4000).all()  # dpkt says microseconds
+    assert (np.diff(found["0/host_ns"]) % 1_327_104 == 0).all()
 
 
 LINKS = {  # kinds of link, and what stands before an IP header: RFC 894 with a tag of IEEE 802.1Q, tcpdump.org's lists
     "tagged": (1, bytes(12) + b"\x81\x00\x00\x05\x08\x00"),
     "cooked": (113, bytes(14) + b"\x08\x00"),
+    "cooked2": (276, b"\x08\x00" + bytes(18)),
     "raw": (101, b""),
+    "ipv4": (228, b""),
+    "loopback": (0, b"\x02\0\0\0"),
 }
 
 
 @pytest.mark.parametrize("name", LINKS)
 def test_other_links_come_back_whole(tmp_path, name):
-    """VLAN tags, Linux cooked and raw IP: the firings are those of Ethernet frames."""
+    """VLAN tags, Linux cooked of both versions, raw IP, a loopback: the firings are those of Ethernet frames."""
     path = recording("jerry_vlp16.pcap")
     link, before = LINKS[name]
-    frames = [before + frame[14:] for frame in frames_in(path)]
+    frames = [before + frame[14:] for frame in frames_in(path)[:40]]
     records = (struct.pack("<IIII", n, 0, len(frame), len(frame)) + frame for n, frame in enumerate(frames))
     data = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link) + b"".join(records)
     (tmp_path / "a.pcap").write_bytes(data)
     columns, back = there_and_back(tmp_path / "a.pcap", tmp_path)
     assert back.read_bytes() == data
-    known, _ = there_and_back(path, tmp_path)
+    write_datagrams(tmp_path / "c.pcap", datagrams_of(path)[:40])
+    known, _ = there_and_back(tmp_path / "c.pcap", tmp_path)
     for key in ("0/range_m", "0/reflectivity", "0/encoder_rad"):
         assert np.array_equal(columns[key], known[key])
 

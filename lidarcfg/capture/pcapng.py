@@ -1,0 +1,107 @@
+"""pcapng: the frames in its blocks, of any number of sections and interfaces (draft-ietf-opsawg-pcapng)."""
+
+import struct
+from collections.abc import Callable, Iterator
+from typing import IO, NamedTuple
+
+from lidarcfg.errors import PacketError
+from lidarcfg.units import SECOND_NS
+
+SECTION = b"\x0a\x0d\x0d\x0a"  # the first block's type, the same in either byte order
+ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}  # of bytes in a section, by its magic number
+INTERFACE, OLD_PACKET, SIMPLE_PACKET, PACKET = 1, 2, 3, 6  # types of blocks
+END, RESOLUTION, OFFSET = 0, 9, 14  # options of an interface
+HEAD, PACKET_HEAD, LENGTH = 8, 20, 4  # bytes before a block's body, in that before a frame, and after it
+BLOCK_MAX = 16 << 20  # bytes; libpcap allows no longer block
+LATEST_NS = 4_600_000_000 * SECOND_NS  # in 2115; beyond are damaged ones
+
+
+class Frame(NamedTuple):
+    """What a packet block holds."""
+
+    link: int
+    time_ns: int  # host time
+    at: int  # where in the file its octets are
+    octets: bytes
+
+
+class _Block(NamedTuple):
+    """A block of a section."""
+
+    order: str  # of its bytes
+    kind: int
+    at: int  # where in the file its body is
+    body: bytes
+
+    def unpack(self, layout: str, at: int = 0) -> tuple[int, ...]:
+        """Numbers at a place in the body. Raises struct.error."""
+        return struct.unpack_from(self.order + layout, self.body, at)
+
+
+class _Interface(NamedTuple):
+    """How an interface's packets are to be read."""
+
+    link: int
+    ticks: int = 10**6  # in a second
+    offset_s: int = 0
+
+    def time_ns(self, high: int, low: int) -> int:
+        ticks = (high << 32 | low) * SECOND_NS // self.ticks
+        return min(max(ticks + self.offset_s * SECOND_NS, 0), LATEST_NS)
+
+
+def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Frame]:
+    """The frames of a pcapng up to the first block that is not whole. Raises PacketError."""
+    count, interfaces = 0, list[_Interface]()
+    try:
+        for block in _blocks(file, name):
+            if block.kind == int.from_bytes(SECTION):
+                interfaces = []
+            elif block.kind == INTERFACE:
+                interfaces.append(_interface(block))
+            elif block.kind in (PACKET, OLD_PACKET):
+                (which,) = block.unpack("I" if block.kind == PACKET else "H")
+                high, low, size = block.unpack("III", 4)
+                link, octets = interfaces[which], block.body[PACKET_HEAD : PACKET_HEAD + size]
+                if len(octets) < size:
+                    raise ValueError
+                yield Frame(link.link, link.time_ns(high, low), block.at + PACKET_HEAD, octets)
+                count += 1
+            elif block.kind == SIMPLE_PACKET:
+                raise PacketError(f"{name}: has simple packet blocks, which say no time; allowed: enhanced ones")
+    except (ValueError, IndexError, struct.error):
+        on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
+
+
+def _blocks(file: IO[bytes], name: str) -> Iterator[_Block]:
+    """All blocks. Raises PacketError, and ValueError or struct.error at one that is not whole."""
+    order, at = "", 0
+    while head := file.read(HEAD + LENGTH):
+        if head[:4] == SECTION:
+            order = ORDERS.get(head[HEAD:], "")
+        if not order and not at:
+            raise PacketError(f"{name}: not a capture; allowed: pcap and pcapng")
+        kind, size = struct.unpack_from((order or "<") + "II", head)
+        if size > BLOCK_MAX:
+            raise PacketError(f"{name}: a block of {size} bytes; allowed: at most {BLOCK_MAX}")
+        octets = head + file.read(max(size - len(head), 0))
+        if not order or len(octets) != size or octets[-LENGTH:] != octets[4:HEAD]:
+            raise ValueError
+        yield _Block(order, kind, at + HEAD, octets[HEAD:-LENGTH])
+        at += size
+
+
+def _interface(block: _Block) -> _Interface:
+    found, at = _Interface(*block.unpack("H")), HEAD
+    while at < len(block.body):
+        code, size = block.unpack("HH", at)
+        value = block.body[at + 4 : at + 4 + size]
+        if code == END:
+            break
+        if code == RESOLUTION:
+            (exponent,) = value
+            found = found._replace(ticks=(2 if exponent & 0x80 else 10) ** (exponent & 0x7F))
+        elif code == OFFSET:
+            found = found._replace(offset_s=struct.unpack(block.order + "q", value)[0])
+        at += 4 + size + -size % 4
+    return found
