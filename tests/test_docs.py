@@ -421,7 +421,9 @@ def test_the_sensor_of_the_page_decodes_as_it_fired(project):
     Path("rig.yaml").write_text(f"name: rig\nsensors:\n  - {mount}\n")
     scene = "data/scenes/street.yaml"
     run(["export", "rig.yaml", "--scene", scene, "--duration", "0.1", "-o", "out/it.pcap", "--truth", "out/it.npz"])
-    run(["decode", "out/it.pcap", "--model", "mine.yaml", "-o", "out/cloud.npz"])  # in the sensor's own frame
+    run(
+        ["decode", "out/it.pcap", "--rig", "none", "--model", "mine.yaml", "-o", "out/cloud.npz"]
+    )  # in the sensor's own frame
     cloud, sensor = load_cloud("out/cloud.npz", print), lidarcfg.load_sensor("mine.yaml")
     with np.load("out/it.npz") as truth:
         order = np.lexsort((truth["laser"], truth["time_ns"]))

@@ -33,12 +33,13 @@ for name, rate in found.evaluation.detection.items():
 # %% What will it see?
 # A capture has the packets that the sensors would send; a .ply, a bag or nuScenes has points with ground truth.
 T_world_vehicle = pose((2.0, 0.0, 0.0), (0.0, 0.0, np.radians(10)))
-lidarcfg.export(found.rig, "data/scenes/street.yaml", out / "tour.pcap", duration_s=0.1, at=T_world_vehicle)
+# Files or what is loaded from them: either will do.
+lidarcfg.export(out / "tour.yaml", "data/scenes/street.yaml", out / "tour.pcap", duration_s=0.1, at=T_world_vehicle)
 lidarcfg.export(found.rig, "data/scenes/street.yaml", out / "tour.npz", duration_s=0.1, at=T_world_vehicle)
 
 # %% The points of the packets
-# Files or what is loaded from them: either will do.
-cloud = lidarcfg.decode(out / "tour.pcap", rig=out / "tour.yaml")
+# The record beside the capture names the rig.
+cloud = lidarcfg.decode(out / "tour.pcap")
 print(f"{len(cloud.xyz):,} points of {', '.join(cloud.sensor_names)}")
 assert set(cloud.sensor_names) == {mount.name for mount in found.rig.mounts}
 

@@ -5,7 +5,7 @@ import socket
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from glob import escape
 from pathlib import Path
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.frames import Datagrams
 from lidarcfg.capture.pcap import read_batches
+from lidarcfg.capture.record import load_record, record_path, rig_file
 from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window_ns
 from lidarcfg.capture.stream import ENOUGH, OnHeads, Place, SourceStats, Stream
 from lidarcfg.cloud import PointCloud, concatenate
@@ -80,15 +81,25 @@ def decode_pcap(
 
 
 def decode(
-    path: str | Path, rig: Rig | str | Path | None = None, on_warning: Callable[[str], None] = print
+    path: str | Path,
+    rig: Rig | str | Path | None = None,
+    on_warning: Callable[[str], None] = print,
+    deskew: bool = False,
 ) -> PointCloud:
-    """All points of a capture as one cloud: in the vehicle frame of a rig, or without one each in its sensor's.
+    """All points of a capture as one cloud: in the vehicle frame of the rig; deskewed by its record, in the world.
 
-    Raises PacketError, also for a capture without points, and ConfigError.
+    Without a rig it is the one that the capture's record names; without a record, or with "none" for a rig, each point
+    is in its sensor's own frame. Raises PacketError, also for a capture without points, and ConfigError.
     """
-    if isinstance(rig, str | Path):
-        rig = load_rig(rig)
-    return concatenate(list(decode_pcap(path, on_warning, rig)))
+    path = Path(path)
+    motion = load_record(path).motion(record_path(path)) if deskew else None
+    if not isinstance(rig, Rig):
+        file = rig_file(path, rig)
+        rig = load_rig(file) if file else None
+    if motion and not rig:
+        raise ConfigError(f"{path}: to deskew needs the rig, which says where the sensors are on the vehicle")
+    cloud = concatenate(list(decode_pcap(path, on_warning, rig)))
+    return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
 
 
 def _keep_memory() -> None:

@@ -1,8 +1,10 @@
 """What a capture was made of, in a file beside it, so that nothing has to be said again to decode it."""
 
 import hashlib
+import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -12,8 +14,13 @@ import lidarcfg
 from lidarcfg.config import Model, Positive, error_at, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
+from lidarcfg.geometry import Array, pose
 from lidarcfg.rig import ReturnMode, Rig
 from lidarcfg.sensor import catalogue
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.motion import STANDING, Trajectory, load_path, prepared
+from lidarcfg.world.scene import Scene, files_of
+from lidarcfg.world.vehicle import NONE, Vehicle
 
 SUFFIX = ".yaml"  # behind the capture's name: a rig may be called as the capture is
 READ = 1 << 20  # bytes of a file at once
@@ -78,19 +85,58 @@ class Record(Model):
                 raise error_at(record, ("models", name), what)
         return record.parent / given.file
 
+    def motion(self, record: Path) -> Trajectory:
+        """The vehicle's motion. Raises ConfigError as `path` does, and for a place or a time that is none."""
+        file = self.path("trajectory", record)
+        return Trajectory(place(self.at), load_path(file) if file else prepared(STANDING), time_ns(self.start))
+
+
+def place(at: str) -> Array:
+    """T_world_vehicle (4, 4) from X,Y,YAW_DEG. Raises ConfigError."""
+    try:
+        x, y, yaw_deg = map(float, at.split(","))
+        if not all(map(math.isfinite, (x, y, yaw_deg))):
+            raise ValueError
+    except ValueError:
+        raise ConfigError(f"{at!r} is not three numbers X,Y,YAW_DEG") from None
+    return pose((x, y, 0.0), (0.0, 0.0, math.radians(yaw_deg)))
+
+
+def time_ns(start: str) -> int:
+    """Nanoseconds since 1970 in UTC, from ISO 8601. Raises ConfigError."""
+    try:
+        time = datetime.fromisoformat(start)
+    except ValueError:
+        raise ConfigError(f"{start!r} is not a time such as 2026-01-01T00:00:00") from None
+    since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    if not 0 <= since.total_seconds() < 2**32:
+        raise ConfigError(f"{start!r} is outside a pcap's 1970 to 2106")
+    return (since.days * 86_400 + since.seconds) * SECOND_NS + since.microseconds * 1000
+
+
+def rig_file(capture: Path, given: str | Path | None) -> Path | None:
+    """The file of the rig that recorded a capture: the one given, unless it is called none, or what its export noted.
+
+    Raises ConfigError if that has changed since.
+    """
+    if given is not None:
+        return None if str(given) == NONE else Path(given)
+    beside = record_path(capture)
+    return load_record(capture).path("rig", beside, "name what fits it, or none: --rig") if beside.exists() else None
+
 
 def record_path(capture: Path) -> Path:
     """Where the record of a capture is."""
     return capture.with_name(capture.name + SUFFIX)
 
 
-def sensor_files(rig: Rig) -> list[Path]:
+def _sensor_files(rig: Rig) -> list[Path]:
     """The files of its sensors that are not the catalogue's."""
     known = catalogue()
     return [Path(mount.model) for mount in rig.mounts if mount.model and mount.model not in known]
 
 
-def models(rig: Rig) -> dict[str, str] | None:
+def _models(rig: Rig) -> dict[str, str] | None:
     """The catalogue's sensors in it, as a record has them."""
     known = catalogue()
     names = sorted({mount.model for mount in rig.mounts if mount.model and mount.model in known})
@@ -98,14 +144,22 @@ def models(rig: Rig) -> dict[str, str] | None:
 
 
 def save_record(
-    capture: Path, files: Mapping[str, Path | None], named: Mapping[str, Iterable[Path]], values: Mapping[str, Any]
+    capture: Path,
+    files: Mapping[str, Path | None],
+    rig: Rig,
+    scene: Scene,
+    vehicle: Vehicle | None,
+    values: Mapping[str, Any],
 ) -> None:
     """Write the record beside a capture: its input files, those that there are, and the other keys of `Record`.
 
-    `named` are the files that an input names.
+    Rig, scene and vehicle are what was read of the files: what they name is noted, too.
     """
     path = record_path(capture)
-    inputs = {}
+    named = {"rig": _sensor_files(rig), "scene": files_of(scene.file, example(files["scene"] or "").parent)}
+    owner = "vehicle" if files.get("vehicle") else "rig"
+    named[owner] = [*named.get(owner, ()), *(files_of(vehicle.file, Path()) if vehicle else ())]
+    inputs: dict[str, Any] = {"models": _models(rig)}
     for key, file in files.items():
         if file:
             others = dict.fromkeys(

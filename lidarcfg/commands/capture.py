@@ -119,7 +119,7 @@ def export(
         raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
-        from lidarcfg.capture.record import models, save_record
+        from lidarcfg.capture.record import save_record
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
@@ -136,11 +136,10 @@ def export(
     total = [0, 0]
     files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
     values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
-    values |= {"models": models(mounted), "vehicle": NONE if vehicle and not bodies else None}
-    named = _named(drive, scene, "vehicle" if vehicle else "rig")
+    values |= {"vehicle": NONE} if vehicle and not bodies else {}
 
     def record(path: Path) -> None:
-        save_record(path, files, named, values)
+        save_record(path, files, mounted, world, bodies, values)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:
@@ -155,17 +154,6 @@ def export(
     if stats:
         rays, hits = total
         click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
-
-
-def _named(drive: "Drive", scene: Path, owner: str) -> "dict[str, list[Path]]":
-    """The files that the scene at a path, the rig and the vehicle name; `owner` is which of those names the bodies."""
-    from lidarcfg.capture.record import sensor_files
-    from lidarcfg.files import example
-    from lidarcfg.world.scene import files_of
-
-    bodies = files_of(drive.vehicle.file, Path()) if drive.vehicle else []
-    named = {"rig": sensor_files(drive.rig), "scene": files_of(drive.scene.file, example(scene).parent)}
-    return named | {owner: [*named.get(owner, ()), *bodies]}
 
 
 @contextmanager
@@ -286,7 +274,12 @@ def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":
 @cloup.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
 @cloup.option_group(
     "Sensors",
-    cloup.option("--rig", type=FILE, help="Merge by this rig's poses; without it each sensor keeps its own frame."),
+    cloup.option(
+        "--rig",
+        type=FILE,
+        metavar="FILE|none",
+        help="Merge by this rig's poses, or keep each sensor's own frame.  [default: as its export noted, or none]",
+    ),
     model_option,
 )
 @cloup.option_group("Selection", from_option, to_option, sensor_option, help="Read only a part of the capture.")
@@ -328,16 +321,18 @@ def decode(
     from dataclasses import replace
 
     from lidarcfg.capture.decode import decode_pcap
-    from lidarcfg.capture.record import load_record, record_path
+    from lidarcfg.capture.record import load_record, record_path, rig_file
     from lidarcfg.capture.selection import Selection
     from lidarcfg.cloud import concatenate, save_clouds
     from lidarcfg.rig import load_rig
 
     if deskew:
         record = load_record(pcap)
-        rig = rig or record.path("rig", record_path(pcap))
         trajectory = trajectory or record.path("trajectory", record_path(pcap))
         at, start = at or record.at, start or record.start
+    rig = rig_file(pcap, rig)
+    if deskew and not rig:
+        raise click.UsageError("--deskew needs the rig, which says where the sensors are on the vehicle")
     if trajectory and not rig:
         raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")
     if truth and not rig:

@@ -4,20 +4,21 @@ import math
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import cloup
 from click.shell_completion import CompletionItem
 
 from lidarcfg.errors import one_line
-from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.geometry import Array
+    from collections.abc import Callable
+
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.vehicle import Vehicle
 
+T = TypeVar("T")
 FILE = click.Path(path_type=Path)
 START = "2026-01-01T00:00:00"
 START_HELP = f"ISO 8601; UTC unless it names a zone.  [default: {START}]"
@@ -131,36 +132,24 @@ def warn_of(vehicle: "Vehicle | None") -> None:
 
 def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
     """The vehicle's motion from X,Y,YAW_DEG on; without a file it stands there."""
+    from lidarcfg.capture.record import place
     from lidarcfg.world.motion import STANDING, Trajectory, load_path, prepared
 
-    return Trajectory(_vehicle_pose(at), load_path(path) if path else prepared(STANDING), start_ns)
-
-
-def _vehicle_pose(at: str) -> "Array":
-    """T_world_vehicle (4, 4) from X,Y,YAW_DEG."""
-    from lidarcfg.geometry import pose
-
-    try:
-        x, y, yaw_deg = map(float, at.split(","))
-        if not all(map(math.isfinite, (x, y, yaw_deg))):
-            raise ValueError
-    except ValueError:
-        raise click.BadParameter(f"{at!r} is not three numbers X,Y,YAW_DEG", param_hint="--at") from None
-    return pose((x, y, 0.0), (0.0, 0.0, math.radians(yaw_deg)))
+    return Trajectory(_parsed(place, at, "--at"), load_path(path) if path else prepared(STANDING), start_ns)
 
 
 def nanoseconds(start: str) -> int:
     """Nanoseconds since 1970 in UTC, from ISO 8601."""
-    from datetime import UTC, datetime
+    from lidarcfg.capture.record import time_ns
+
+    return _parsed(time_ns, start, "--start")
+
+
+def _parsed(read: "Callable[[str], T]", text: str, option: str) -> "T":
+    """What an option's text says, or click's error."""
+    from lidarcfg.errors import ConfigError
 
     try:
-        time = datetime.fromisoformat(start)
-    except ValueError:
-        what = f"{start!r} is not a time such as 2026-01-01T00:00:00"
-        raise click.BadParameter(what, param_hint="--start") from None
-    if time.tzinfo is None:
-        time = time.replace(tzinfo=UTC)
-    since = time - datetime(1970, 1, 1, tzinfo=UTC)
-    if not 0 <= since.total_seconds() < 2**32:
-        raise click.BadParameter(f"{start!r} is outside a pcap's 1970 to 2106", param_hint="--start")
-    return (since.days * 86_400 + since.seconds) * SECOND_NS + since.microseconds * 1000
+        return read(text)
+    except ConfigError as error:
+        raise click.BadParameter(str(error), param_hint=option) from None

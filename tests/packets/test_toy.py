@@ -60,7 +60,7 @@ def test_there_and_back(tmp_path, columns):
     assert (tmp_path / "a-left.toy.json").is_file()
     assert not (tmp_path / "a-right.toy.json").exists()
     run("decode", out, "--rig", rig, "-o", tmp_path / "rig.npz")
-    run("decode", out, "-o", tmp_path / "bare.npz")
+    run("decode", out, "--rig", "none", "-o", tmp_path / "bare.npz")
     cloud, bare = (load_cloud(tmp_path / f"{name}.npz", no_warning) for name in ("rig", "bare"))
     mount = load_rig(rig).mounts[0]
     mine, alone = cloud.sensor == 0, bare.sensor == bare.sensor_names.index("192.168.1.201:4000")
