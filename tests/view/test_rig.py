@@ -294,6 +294,9 @@ return places.map((at) => lidarcfg.stage.orbit.target.clone().set(...at).project
 """
 
 
+SIDES = "(({left, top, right, bottom}) => [left, top, right, bottom])(l.getBoundingClientRect())"
+
+
 def seen(driver, places):
     """How far from the middle of the picture the outermost of the places is: 1 at its edge."""
     settled(driver)
@@ -337,6 +340,13 @@ def test_guides_zones_and_keys(chromium, sides):
             assert different(picture(chromium), before) > 300, box
             if key == "c":
                 assert {"5 m", "10 m"} <= set(chromium.execute_script(labels))
+                low, high = np.split(
+                    np.array(chromium.execute_script(labels.replace("l.textContent", SIDES))), 2, axis=1
+                )
+                apart = (low[:, None] >= high).any(axis=2) | (low >= high[:, None]).any(axis=2)
+                assert len(low) > 6
+                assert apart.sum() == len(low) * (len(low) - 1)  # no label lies over another
+                assert low.min() >= 0
             body.send_keys(key)
             assert different(picture(chromium), before) < 100, box
         click(chromium, "#zones")

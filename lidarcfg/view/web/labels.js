@@ -1,6 +1,9 @@
-// Texts at places in the scene.
+// Texts at places in the scene. One that would lie over an earlier one stands above it.
 
 import { Vector3 } from "three";
+
+const LIFT = 0.9; // of its height, from its place up to its lower edge
+const GAP = 1; // px between two
 
 export class Labels {
   constructor(box) {
@@ -26,15 +29,31 @@ export class Labels {
 
   update(camera, width, height) {
     const at = new Vector3();
-    for (const { element, place } of this.labels) {
-      const found = place();
+    const boxes = [];
+    for (const label of this.labels) {
+      const { element } = label;
+      const found = label.place();
       if (found) at.copy(found).project(camera);
       const seen = found && at.z > -1 && at.z < 1 && Math.abs(at.x) < 1.1 && Math.abs(at.y) < 1.1;
       element.hidden = !seen;
       if (!seen) continue;
-      const x = ((at.x + 1) / 2) * width;
-      const y = ((1 - at.y) / 2) * height;
-      element.style.transform = `translate(${x}px, ${y}px) translate(-50%, -190%)`;
+      label.size ??= [element.offsetWidth, element.offsetHeight];
+      const [wide, high] = label.size;
+      const x = ((at.x + 1) / 2) * width - wide / 2;
+      const y = free(boxes, x, ((1 - at.y) / 2) * height - (1 + LIFT) * high, wide, high);
+      boxes.push([x, y, wide, high]);
+      element.style.transform = `translate(${x}px, ${y}px)`;
     }
   }
+}
+
+// The lowest place that is not below y and free of boxes; near the top of the picture, the highest one below them.
+function free(boxes, x, y, wide, high) {
+  const inWay = (at) => boxes.find(([left, top, w, h]) => left < x + wide && x < left + w && top < at + high && at < top + h);
+  let up = y;
+  for (let box = inWay(up); box; box = inWay(up)) up = box[1] - high - GAP;
+  if (up >= 0) return up;
+  let down = Math.max(y, 0);
+  for (let box = inWay(down); box; box = inWay(down)) down = box[1] + box[3] + GAP;
+  return down;
 }
