@@ -17,12 +17,12 @@ MODEL = "name: {0}\nbeams: {{elevation_deg: [-5, 5]}}\n"
 @pytest.mark.skipif(sys.platform != "linux", reason="forks, kills and limits as Linux has them")
 def test_attacks(tmp_path):
     """Exit 0 means that no attack had an effect."""
-    groups = ("kills", "full_disk", "read_only", "two_writers", "server", "save")
+    groups = ("kills", "signals", "full_disk", "read_only", "two_writers", "server", "save")
     words = [sys.executable, str(ROOT / "tools/attack.py"), *groups, "--quick"]
     done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line for line in done.stdout.splitlines() if ": " in line]
-    assert len(rows) == 18
+    assert len(rows) == 30
     assert all(" 0 failures; " in row for row in rows)
 
 

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +33,9 @@ import attack_names  # noqa: E402
 import attack_save  # noqa: E402
 import attack_server  # noqa: E402
 import attack_writes  # noqa: E402
-from attack_commands import COMMANDS, prepare  # noqa: E402
+from attack_commands import COMMANDS, Command, prepare  # noqa: E402
 from attack_run import Row, load_libraries  # noqa: E402
-from attack_warm import attacked  # noqa: E402
+from attack_warm import Warm, attacked  # noqa: E402
 
 PAGE = ROOT / "docs/reliability.md"
 BEGIN, END = "<!-- attacks: begin -->", "<!-- attacks: end -->"
@@ -45,13 +45,10 @@ QUICK = [command for command in COMMANDS if command.name in ("convert a rig to .
 GROUPS = (*WRITES, "bombs", "liars", "names", "corners", "server", "save")
 
 
-def rows(name: str, folder: Path, given: argparse.Namespace, done: set[str]) -> Iterator[Row]:
-    """The rows of a group of attacks; of kills without those that are done."""
-    if given.quick or name not in WRITES:  # forks of a process that has loaded less are faster
-        load_libraries()
-    if name in WRITES:
-        yield from merged(_written(name, folder, given, done))
-    elif name in ("bombs", "liars"):
+def rows(name: str, folder: Path, given: argparse.Namespace) -> Iterator[Row]:
+    """The rows of a group of attacks on what is read, or on the page."""
+    load_libraries()
+    if name in ("bombs", "liars"):
         yield from getattr(attack_inputs, name)(folder, given.quick)
     elif name == "names":
         yield from attack_names.attacks(folder)
@@ -63,39 +60,49 @@ def rows(name: str, folder: Path, given: argparse.Namespace, done: set[str]) -> 
         yield from attack_server.attacks(given.quick)
 
 
-def _written(name: str, folder: Path, given: argparse.Namespace, done: set[str]) -> Iterator[Row]:
-    """The rows of each command."""
+def written(names: list[str], folder: Path, given: argparse.Namespace, kept: "Kept") -> Iterator[list[Row]]:
+    """The rows of each command that writes, but for those that are there."""
+    if given.quick:  # otherwise not: forks of a process that has loaded less are faster
+        load_libraries()
     prepare(folder)
     times = 2 if given.quick else given.times
-    many = times if name == "kills" else max(times // 15, 1)
     for command in QUICK if given.quick else COMMANDS:
-        if name != "kills" or f"kill -9: {command.name}" not in done:
-            rng = random.Random(f"{SEED} {name} {command.name}")
-            attack = getattr(attack_writes, name)
-            yield from attacked(folder, command, lambda warm, attack=attack, rng=rng: attack(warm, many, rng))
+        missing = [name for name in names if (name, command.name) not in kept.done]
+
+        def attack(warm: Warm, missing: list[str] = missing, command: Command = command) -> list[Row]:
+            found = []
+            for name in missing:
+                rng = random.Random(f"{SEED} {name} {command.name}")
+                many = times if name == "kills" else max(times // 15, 1)
+                made = getattr(attack_writes, name)(warm, many, rng)
+                found += [replace(row, group=name, command=command.name) for row in made]
+            return found
+
+        if missing:
+            yield attacked(folder, command, attack)
 
 
-def merged(found: Iterable[Row]) -> Iterator[Row]:
-    """Rows that follow one another as they come, but those of one name, which many commands have, as one at the end."""
-    of: dict[str, Row] = {}
-    for row in found:
-        for failure in row.failures:
-            print(f"  {row.what}: {failure}", file=sys.stderr, flush=True)
-        if row.what.startswith("kill -9: "):
-            yield row
-        else:
-            known = of.setdefault(row.what, Row(row.what))
-            known.cases += row.cases
-            known.failures += row.failures
-    yield from of.values()
+def merged(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row for each attack, which many commands have."""
+    of: dict[str, dict[str, Any]] = {}
+    for row in sorted(found, key=lambda row: GROUPS.index(row["group"])):
+        if row["what"] not in of:
+            of[row["what"]] = row | {"commit": [row["commit"]], "failures": [*row["failures"]]}
+            continue
+        known = of[row["what"]]
+        known["cases"] += row["cases"]
+        known["failures"] += row["failures"]
+        known["commit"] += [row["commit"]] if row["commit"] not in known["commit"] else []
+    return list(of.values())
 
 
 def table(found: list[dict[str, Any]]) -> list[str]:
     """The rows as Markdown."""
     lines = ["| attack | cases | failures | commit | |", "| --- | ---: | ---: | --- | --- |"]
-    return lines + [
-        f"| {r['what']} | {r['cases']:,} | {len(r['failures']):,} | {r['commit']} | {r['seen']} |" for r in found
-    ]
+    for row in merged(found):
+        commit = ", ".join(row["commit"])
+        lines.append(f"| {row['what']} | {row['cases']:,} | {len(row['failures']):,} | {commit} | {row['seen']} |")
+    return lines
 
 
 def write_page(lines: list[str]) -> None:
@@ -115,19 +122,18 @@ class Kept:
         self._commit = subprocess.run(words, capture_output=True, text=True).stdout.strip()
 
     @property
-    def done(self) -> set[str]:
-        """What was attacked."""
-        return {row["what"] for row in self.rows} | {row["group"] for row in self.rows if row["group"] != "kills"}
+    def done(self) -> set[tuple[str, str]]:
+        """What was attacked: the group, and the command of those that write."""
+        return {(row["group"], row["command"]) for row in self.rows}
 
-    def add(self, group: str, found: Iterable[Row]) -> None:
-        """More rows of a group, which are there together or not at all."""
+    def add(self, found: Iterable[Row]) -> None:
+        """More rows, which are there together or not at all."""
         for row in found:
-            said = f"{row.what}: {row.cases:,} cases, {len(row.failures):,} failures; {row.seen}"
-            print(said, flush=True)
-            about = {"group": group, "commit": self._commit, "date": time.strftime("%Y-%m-%d")}
-            self.rows.append(about | asdict(row))
-            if self._path and group == "kills":
-                self._save()
+            of = f" ({row.command})" if row.command and row.command not in row.what else ""
+            print(f"{row.what}{of}: {row.cases:,} cases, {len(row.failures):,} failures; {row.seen}", flush=True)
+            for failure in row.failures if row.command else ():  # the others have said so
+                print(f"  {row.what}: {failure}", file=sys.stderr, flush=True)
+            self.rows.append({"commit": self._commit, "date": time.strftime("%Y-%m-%d")} | asdict(row))
         if self._path:
             self._save()
 
@@ -140,10 +146,10 @@ class Kept:
 
 def page(kept: Kept) -> list[str]:
     """What the page says of all rows that are there."""
-    found = sorted(kept.rows, key=lambda row: GROUPS.index(row["group"]))
+    found = kept.rows
     cases, failures = sum(row["cases"] for row in found), sum(len(row["failures"]) for row in found)
     where = f"Linux {platform.machine()}, Python {platform.python_version()}, {os.cpu_count()} cores, seed {SEED}"
-    dates = " to ".join(sorted({found[0]["date"], max(row["date"] for row in found)}))
+    dates = " to ".join(sorted({min(row["date"] for row in found), max(row["date"] for row in found)}))
     said = f"Measured on {dates}, {where}: {cases:,} attacks, {failures:,} failures."
     return [said, "", *table(found)]
 
@@ -160,10 +166,14 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown := set(given.names) - set(GROUPS):
         parser.error(f"no group is called {', '.join(sorted(unknown))}; allowed: {', '.join(GROUPS)}")
     kept, began = Kept(given.rows, given.quick), time.perf_counter()
-    for name in given.names or GROUPS:
-        if name not in kept.done:
+    names = given.names or GROUPS
+    with tempfile.TemporaryDirectory() as folder:
+        for found in written([name for name in names if name in WRITES], Path(folder), given, kept):
+            kept.add(found)
+    for name in names:
+        if name not in WRITES and (name, "") not in kept.done:
             with tempfile.TemporaryDirectory() as folder:
-                kept.add(name, rows(name, Path(folder), given, kept.done))
+                kept.add(replace(row, group=name) for row in rows(name, Path(folder), given))
     cases, failures = sum(row["cases"] for row in kept.rows), sum(len(row["failures"]) for row in kept.rows)
     print(f"{cases:,} attacks, {failures:,} failures, in {(time.perf_counter() - began) / 60:.0f} minutes")
     if not given.quick and (given.write or not given.names):

@@ -59,6 +59,16 @@ class Command:
     once: bool = False  # an output that is there already is refused
     resumes: bool = False  # goes on with what a killed one has left
 
+    @property
+    def stops(self) -> bool:
+        """Whether an interrupt leaves what it has so far."""
+        return bool(self.progress) or self.resumes
+
+    @property
+    def fixed(self) -> bool:
+        """Whether each name has outputs of its own."""
+        return self.once or self.resumes
+
     def typed(self, mark: str) -> list[str]:
         """Its words."""
         return self.words.format(mark, KINDS[MARKS.index(mark)]).split()

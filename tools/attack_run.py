@@ -28,6 +28,8 @@ class Row:
     cases: int = 0
     failures: list[str] = field(default_factory=list)
     seen: str = ""
+    group: str = ""
+    command: str = ""  # of the commands that write, this one
 
     def add(self, wrong: str) -> None:
         """One more case; empty if all was well."""
@@ -84,6 +86,7 @@ def start(
         return pid
     code = 1
     try:  # the child
+        os.setsid()  # so that its own processes are known by their group
         os.chdir(folder)
         for number, name in enumerate((os.devnull, ".out", ".errors")):
             os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
@@ -104,9 +107,18 @@ def start(
     except BaseException:  # a child reports whatever ends it
         traceback.print_exc()
     finally:  # nothing of the parent is to be ended here
-        with suppress(OSError):
-            sys.stdout.flush()
-            sys.stderr.flush()
+        while True:  # a signal comes at any time
+            with suppress(OSError, KeyboardInterrupt):
+                _leave(code)
+
+
+def _leave(code: int) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
         os._exit(code)
 
 
