@@ -2,7 +2,8 @@
 
 Rays from outside, all along the line of sight, find the surface: a base lies where the ray through its middle first
 hits the vehicle. The footprint is the base's disc as seen from that side, and rays through DISC find what is under it.
-It is on the surface if each of them hits the body, nowhere farther than a step from the base's plane.
+It is on the surface if each of them hits the body, nowhere farther than a step from the base's plane. So that nothing
+narrow stays between them, a gap or an aerial, the same holds for all that is under the disc of a fine grid, the relief.
 """
 
 import math
@@ -36,6 +37,9 @@ DISC = np.array(
 )
 ON_M = 1e-6  # how exactly a base lies on its surface, and its axis along the normal
 RIM = 33  # points of a rim that is drawn
+RELIEF = 12  # points of the fine grid to a base's radius, at least half a disc's samples apart
+RELIEF_MAX = 2_000_000  # points of a grid: on large surfaces they are farther apart
+BATCH = 512  # footprints compared with the grid at a time
 HALVES_MAX = 64  # of a patch's extent across the line of sight: so many places are on each side of the middle
 
 
@@ -116,6 +120,20 @@ class Surface:
         """Where bases may be on it."""
         return _patch(self)
 
+    @cached_property
+    def relief(self) -> "Relief":
+        """How far out the surface is at the points of a fine grid, wherever a base may cover it."""
+        edges = [
+            (max(self.low_m[i], self.body.low_m[i]), min(self.high_m[i], self.body.high_m[i])) for i in self.across
+        ]
+        edges = [(low - self.radius_m, max(low, high) + self.radius_m) for low, high in edges]
+        area = math.prod(high - low for low, high in edges)
+        pitch_m = max(self.radius_m / RELIEF, math.sqrt(area / RELIEF_MAX))
+        lines = [np.arange(low, high + 2 * pitch_m, pitch_m) for low, high in edges]
+        points = np.zeros((len(lines[0]), len(lines[1]), 3))
+        points[..., self.across[0]], points[..., self.across[1]] = lines[0][:, None], lines[1]
+        return Relief((float(lines[0][0]), float(lines[1][0])), pitch_m, self.radius_m, self.heights_m(points))
+
     def heights_m(self, points_m: Array) -> Array:
         """(…) how far out the line of sight through points (…, 3) first hits anything; NaN unless that is the body."""
         hits = self.seen(points_m.reshape(-1, 3))
@@ -164,7 +182,22 @@ class Surface:
         total += np.maximum(np.maximum(self.low_m - bases, bases - self.high_m) - ON_M, 0.0).sum(axis=1)
         if not self.upright:
             total += np.maximum(abs(mount - self._normals(heights)) - ON_M, 0.0).sum(axis=1)
+        fits = np.flatnonzero(total == 0.0)
+        for some in np.split(fits, range(BATCH, len(fits), BATCH)):
+            total[some] = self.roughness(poses[some])
         return total
+
+    def roughness(self, poses: Array) -> Array:
+        """(n,) by how much the relief under bases at poses (n, 6), all without a violation, leaves their planes."""
+        relief, mount, bases = self.relief, self._mount(poses), self.bases_m(poses)
+        points, away = zip(*(relief.under(bases[:, axis], i) for i, axis in enumerate(self.across)), strict=True)
+        heights = relief.heights_m[points[0][:, :, None], points[1][:, None, :]]
+        off = (heights - self.sign * bases[:, self.axis, None, None]) * (self.sign * mount[:, self.axis, None, None])
+        one, other = away[0][:, :, None], away[1][:, None, :]
+        off += mount[:, self.across[0], None, None] * one + mount[:, self.across[1], None, None] * other
+        beyond = np.clip(np.where(np.isnan(off), np.inf, abs(off)) - self.step_m, 0.0, self.radius_m)
+        out: Array = np.where(one**2 + other**2 <= self.radius_m**2, beyond, 0.0).mean(axis=(1, 2))
+        return out
 
     def rims_m(self, poses: Array) -> Array:
         """(n, RIM, 3) the rims of the bases of sensors at poses (n, 6)."""
@@ -209,6 +242,23 @@ class Surface:
                 normals[:, axis] -= rise[:, k] * (offset[k] / float(offset @ offset))
         normals /= np.sqrt(normals[:, 0] ** 2 + normals[:, 1] ** 2 + normals[:, 2] ** 2)[:, None]
         return normals
+
+
+@dataclass(frozen=True)
+class Relief:
+    """A surface on a fine grid across the line of sight."""
+
+    first_m: tuple[float, float]  # of the two axes
+    pitch_m: float
+    radius_m: float  # of the bases
+    heights_m: Array  # (a, b) how far out; NaN where the body is not what is seen
+
+    def under(self, middles_m: Array, axis: int) -> tuple[NDArray[np.int64], Array]:
+        """(n, k) the points' numbers around bases with middles (n,) along one of the axes, and how far they are."""
+        start = np.floor((middles_m - self.radius_m - self.first_m[axis]) / self.pitch_m).astype(np.int64)
+        numbers = start[:, None] + np.arange(int(2 * self.radius_m / self.pitch_m) + 3)
+        away = self.first_m[axis] + self.pitch_m * numbers - middles_m[:, None]
+        return numbers.clip(0, self.heights_m.shape[axis] - 1), away
 
 
 @dataclass(frozen=True)

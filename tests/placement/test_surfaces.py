@@ -85,6 +85,28 @@ def test_on_a_roof_by_hand(tmp_path):
     assert poses[fits, 0, 2] == pytest.approx(1.05)
 
 
+def test_nothing_narrow_stays_under_a_base(tmp_path):
+    """An aerial of 1 cm on a roof, and a roof with a gap of 12 mm: bases keep away from them by their radius."""
+    aerial = "{name: aerial, center_m: [1, 0, 2.2], size_m: [0.01, 0.01, 0.4]}"
+    vehicle = STEP.replace("yaw_deg: 0}\n", f"yaw_deg: 0}}\n    - {aerial}\n", 1)
+    gap = tmp_path / "gap.obj"
+    side = [(0, 1), (2, 1), (2, 2), (1.006, 2), (1.006, 1.8), (0.994, 1.8), (0.994, 2), (0, 2)]  # x and z
+    corners = [f"v {x} {y} {z}" for y in (1, -1) for x, z in side]
+    end = [(1, 6, 7), (1, 7, 8), (1, 2, 5), (1, 5, 6), (2, 3, 4), (2, 4, 5)]
+    walls = [(i, i + 8, i % 8 + 1) for i in range(1, 9)] + [(i % 8 + 1, i + 8, i % 8 + 9) for i in range(1, 9)]
+    faces = end + [(c + 8, b + 8, a + 8) for a, b, c in end] + walls
+    gap.write_text("\n".join([*corners, *("f {} {} {}".format(*face) for face in faces)]))
+    mesh = f"vehicle: {{meshes: [{{name: cab, file: {gap}}}]}}\n"
+    for bodies, away in ((vehicle, (0.005, 0.005)), (mesh, (0.006, 1.0))):
+        for upright in (True, False):
+            loaded = study(tmp_path, bodies, on("cab", "above", (0.9, -0.1, 1.5), (1.1, 0.1, 2.5), upright=upright))
+            poses = random(loaded, 400)
+            clear = np.linalg.norm(np.maximum(abs(poses[:, 0, :2] - (1, 0)) - away, 0), axis=1) - 0.05
+            fits, sure = loaded.violation(poses) == 0, abs(clear) > 0.05 / 12
+            assert ((clear > 0) == fits)[sure].all()
+            assert 0.2 < fits.mean() < 0.9
+
+
 @pytest.mark.parametrize("side", naive.OUT)
 @pytest.mark.parametrize("upright", [True, False])
 def test_on_a_car_as_plain_loops_have_it(tmp_path, side, upright):
