@@ -50,7 +50,10 @@ def count_lines(label: Labels, place: Counts, x: Lines, y: Lines, z: Lines) -> N
 
 @outer()
 def widen(label: Labels, gap: Counts, blind: int, x: Span, y: Span, z: Span) -> None:
-    """Widen the spans of the lines along x, y and z by the gaps (n, lidars) of what lies on them, but blind ones."""
+    """Widen the spans of the lines along x, y and z by the gaps (n, lidars) of what lies on them, but blind ones.
+
+    A cuboid of the same subspace as the one before it on a line has nothing to add to the line.
+    """
     for i in range(label.shape[0]):
         for j in range(label.shape[1]):
             k = 0
@@ -61,9 +64,16 @@ def widen(label: Labels, gap: Counts, blind: int, x: Span, y: Span, z: Span) -> 
                     if among != blind:
                         z.low[lidar, i, j] = min(z.low[lidar, i, j], among)
                         z.high[lidar, i, j] = max(z.high[lidar, i, j], among)
-                        for n in range(k, end):
-                            x.low[lidar, j, n] = min(x.low[lidar, j, n], among)
-                            x.high[lidar, j, n] = max(x.high[lidar, j, n], among)
-                            y.low[lidar, i, n] = min(y.low[lidar, i, n], among)
-                            y.high[lidar, i, n] = max(y.high[lidar, i, n], among)
+                for n in range(k, end if one >= 0 else k):
+                    new_x = i == 0 or label[i - 1, j, n] != one
+                    new_y = j == 0 or label[i, j - 1, n] != one
+                    if new_x or new_y:
+                        for lidar in range(gap.shape[1]):
+                            among = np.int32(gap[one, lidar])
+                            if new_x and among != blind:
+                                x.low[lidar, j, n] = min(x.low[lidar, j, n], among)
+                                x.high[lidar, j, n] = max(x.high[lidar, j, n], among)
+                            if new_y and among != blind:
+                                y.low[lidar, i, n] = min(y.low[lidar, i, n], among)
+                                y.high[lidar, i, n] = max(y.high[lidar, i, n], among)
                 k = end

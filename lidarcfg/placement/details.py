@@ -9,7 +9,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import analytic
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.coverage import Coverage, coverage
-from lidarcfg.placement.detection import Counts, DetectionObject, Rings, counted_places, detection_by_distance
+from lidarcfg.placement.detection import Counts, DetectionObject, Rings, detection_by_distance
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.hiding import Hiding, hiding
@@ -77,9 +77,6 @@ def details(
     found = replace(found, robustness=robustness(study, rig))
     subspaces, vehicle = found.subspaces, study.reference_m
     edges = ring_edges_m(study.region, vehicle)
-    counted = {
-        item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
-    }
     return Details(
         evaluation=found,
         midpoint_max_vsr_m=midpoint_max_vsr_m,
@@ -90,27 +87,27 @@ def details(
         rings={
             item.name: found.sightings[item.name].rings(vehicle, edges)
             if item.returns
-            else detection_by_distance(subspaces, item, vehicle, edges, counted.get(item.name))
+            else detection_by_distance(subspaces, item, vehicle, edges, found.counted.get(item.name))
             for item in study.detection
         },
-        places={item.name: places(found, item, counted.get(item.name)) for item in study.detection if not item.samples},
+        places={item.name: places(found, item) for item in study.detection if not item.samples},
         hiding={
             item.name: hidden
             for item in study.detection
-            if (hidden := hiding(subspaces, found.vsr_m, item, vehicle)) is not None
+            if (hidden := hiding(subspaces, found.vsr_m, item, vehicle, found.counted.get(item.name))) is not None
         },
     )
 
 
-def places(found: Evaluation, item: DetectionObject, counted: tuple[Counts, Counts] | None) -> Places:
-    """Where an object without `samples` is detected; counted: what `counted_places` says of one not by returns."""
-    if counted is None:
+def places(found: Evaluation, item: DetectionObject) -> Places:
+    """Where an object without `samples` is detected."""
+    if item.returns:
         seen = found.sightings[item.name]
         low, step_m = seen.sought.low_m, seen.sought.step_m
         found_at, can_be = seen.from_above(seen.probability), seen.from_above(np.ones(len(seen.probability)))
         return Places(found_at, can_be, low, low + step_m * np.array(seen.sought.grid))
     region = found.subspaces.region
-    detected, count = counted
+    detected, count, _ = found.counted[item.name]
     low = region.min_m[:2] + (np.array(region.shape[:2]) - detected.shape) / 2 * region.cuboid_m[:2]
     return Places(detected, count, low, low + detected.shape * region.cuboid_m[:2])
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +91,14 @@ class Detection:
     returns: Returns | None = None  # where it is detected by them
 
 
+class Counted(NamedTuple):
+    """The places of a box on the grid, by its lowest cuboid along x and y."""
+
+    detected: Counts  # (mx, my) where it is detected, over its heights
+    places: Counts  # (mx, my) where it can be
+    held: Flags  # (n,) the subspaces that hold it wholly somewhere
+
+
 @dataclass(frozen=True)
 class Rings:
     """How often an object is detected, by the horizontal distance of its centre from a point."""
@@ -118,30 +126,40 @@ def check_fits(item: DetectionObject, region: Region, size_m: tuple[float, ...] 
             )
 
 
-def detection(subspaces: Subspaces, item: DetectionObject) -> Detection:
-    """The fraction of an object's places where it is detected. Raises ConfigError if it has no place at all."""
+def detection(subspaces: Subspaces, item: DetectionObject, counted: Counted | None = None) -> Detection:
+    """The fraction of an object's places where it is detected; counted: what `counted_places` says, if that is known.
+
+    Raises ConfigError if it has no place at all.
+    """
     check_fits(item, subspaces.region)
-    found = _drawn(subspaces, item, item.samples) if item.samples else _counted(subspaces, item)
+    if item.samples:
+        found = _drawn(subspaces, item, item.samples)
+    else:
+        counted = counted or counted_places(subspaces, item)
+        detected, places = int(counted.detected.sum()), int(counted.places.sum())
+        found = Detection(detected / max(places, 1), places, 0.0)
     if found.places == 0:
         raise ConfigError(f"{item.name}: finds no free place in the region")
     return found
 
 
-def counted_places(subspaces: Subspaces, item: DetectionObject) -> tuple[Counts, Counts]:
-    """Where an object is detected, and where it can be: places, by its lowest cuboid along x and y, (mx, my) each.
+def counted_places(subspaces: Subspaces, item: DetectionObject) -> Counted:
+    """Where an object is detected, and where it can be.
 
-    Every place on the grid, wholly inside the region and free of exclusions, at all heights or on the ground.
+    Every place on the grid, wholly inside the region and free of exclusions, at all heights or on the ground. Raises
+    ConfigError where it is larger than the region.
     """
+    check_fits(item, subspaces.region)
     size = cuboids_needed(item.box_m, subspaces.region.cuboid_m)
     layers = 1 if item.on_ground else subspaces.region.shape[2]
-    return kernels.detected_positions(subspaces.label, size, item.threshold, layers, ALL, kernels.NOBODY)
+    return boxes_counted(subspaces, size, layers, item.threshold)
 
 
-def held_by(subspaces: Subspaces, size: tuple[int, int, int], layers: int) -> tuple[Flags, Flags]:
-    """Which subspaces hold boxes of so many cuboids (n,), and above which places of these, as `counted_places`."""
+def boxes_counted(subspaces: Subspaces, size: tuple[int, int, int], layers: int, threshold: int = 1) -> Counted:
+    """The same of boxes of so many cuboids, whose lowest layer is one of the first `layers`."""
     held = np.zeros(len(subspaces), np.bool_)
-    detected, places = kernels.detected_positions(subspaces.label, size, 1, layers, ALL, held)
-    return held, detected < places
+    detected, places = kernels.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
+    return Counted(detected, places, held)
 
 
 def free_places(region: Region, item: DetectionObject) -> list[int]:
@@ -151,7 +169,10 @@ def free_places(region: Region, item: DetectionObject) -> list[int]:
     none = np.empty(0, np.int64)
     one = Subspaces(region, label, none, none.reshape(0, 3), none.reshape(0, 0), none)
     if not item.samples:
-        return [int(counted_places(one, item)[1].sum())]
+        size = cuboids_needed(item.box_m, region.cuboid_m)
+        layers = 1 if item.on_ground else region.shape[2]
+        _, places = kernels.detected_positions(label, size, item.threshold, layers, ALL, kernels.NOBODY)
+        return [int(places.sum())]
     counts = [
         _detected_boxes(one, item, box)[1] for box in drawn_boxes(region, item.box_m, item.on_ground, item.samples)
     ]
@@ -194,7 +215,7 @@ def detection_by_distance(
     item: DetectionObject,
     middle_m: Array,
     edges_m: Array,
-    counted: tuple[Counts, Counts] | None = None,
+    counted: Counted | None = None,
 ) -> Rings:
     """The places of `detection`, by the distance of the object's middle from `middle_m` (2,), along the ground.
 
@@ -210,7 +231,7 @@ def detection_by_distance(
                 met = _detected_boxes(subspaces, item, box[at == i])
                 detected[i], places[i] = detected[i] + met[0], places[i] + met[1]
         return Rings(edges_m, detected, places)
-    found, free = counted or counted_places(subspaces, item)
+    found, free, _ = counted or counted_places(subspaces, item)
     size = cuboids_needed(item.box_m, region.cuboid_m)
     x, y = (region.min_m[a] + (np.arange(free.shape[a]) + size[a] / 2) * region.cuboid_m[a] for a in (0, 1))
     at = ring(x[:, None], y[None, :], middle_m, edges_m)
@@ -223,11 +244,6 @@ def ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
     """The ring of each point; as many as there are rings where it lies in none."""
     ring = np.searchsorted(edges_m, np.hypot(x_m - middle_m[0], y_m - middle_m[1]), side="right") - 1
     return np.where(ring < 0, len(edges_m) - 1, ring)
-
-
-def _counted(subspaces: Subspaces, item: DetectionObject) -> Detection:
-    detected, places = (int(count.sum()) for count in counted_places(subspaces, item))
-    return Detection(detected / max(places, 1), places, 0.0)
 
 
 def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detection:

@@ -10,7 +10,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
 from lidarcfg.placement.cones import Lidar, rig_lidars
-from lidarcfg.placement.detection import Detection, detection
+from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
 from lidarcfg.placement.sightings import Sightings, sightings
@@ -49,6 +49,7 @@ class Evaluation:
     extents: tuple[Extent, ...]  # of these
     sphere_m: float  # radius of the largest sphere inside any subspace
     detection: dict[str, Detection]  # by object
+    counted: dict[str, Counted]  # by object whose places on the grid are counted
     sightings: dict[str, Sightings]  # by object that is detected by returns
     blind: BlindSpots
     zones: tuple[ZoneVsr, ...]  # of studies that have some
@@ -96,22 +97,40 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
             )
         )
     seen = _sightings(study, rig)
-    rates = _rates(study, subspaces, seen)
+    counted = {
+        item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
+    }
+    rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
     zones, seconds = by_zone(study, subspaces), clock() - started
     return Evaluation(
-        subspaces, vsr, tuple(worst), tuple(where), spheres.largest()[0], rates, seen, blind, zones, converged, seconds
+        subspaces=subspaces,
+        vsr_m=vsr,
+        worst=tuple(worst),
+        extents=tuple(where),
+        sphere_m=spheres.largest()[0],
+        detection=rates,
+        counted=counted,
+        sightings=seen,
+        blind=blind,
+        zones=zones,
+        analytic=converged,
+        seconds=seconds,
     )
 
 
 def detection_rates(study: Study, rig: Rig, subspaces: Subspaces) -> dict[str, Detection]:
     """How often each of the study's objects is detected, by its name. Raises ConfigError."""
-    return _rates(study, subspaces, _sightings(study, rig))
+    return _rates(study, subspaces, _sightings(study, rig), {})
 
 
-def _rates(study: Study, subspaces: Subspaces, seen: dict[str, Sightings]) -> dict[str, Detection]:
+def _rates(
+    study: Study, subspaces: Subspaces, seen: dict[str, Sightings], counted: dict[str, Counted]
+) -> dict[str, Detection]:
     return {
-        item.name: seen[item.name].detection if item.name in seen else detection(subspaces, item)
+        item.name: seen[item.name].detection
+        if item.name in seen
+        else detection(subspaces, item, counted.get(item.name))
         for item in study.detection
     }
 

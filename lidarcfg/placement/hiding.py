@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.placement.detection import DetectionObject, held_by
+from lidarcfg.placement.detection import Counted, DetectionObject, boxes_counted
 from lidarcfg.placement.region import cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
 
@@ -23,8 +23,12 @@ class Hiding:
     nearest_at_m: tuple[float, float] | None  # that place
 
 
-def hiding(subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m: Array) -> Hiding | None:
+def hiding(
+    subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m: Array, counted: Counted | None = None
+) -> Hiding | None:
     """Where a box can hide, at its two headings along the axes; None for a mesh.
+
+    counted: what `counted_places` says of it, if that is known.
 
     A box that lies in a subspace touches cuboids of that subspace alone. It touches fewest where it stands on the
     grid, so all others follow from the places there.
@@ -37,9 +41,10 @@ def hiding(subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m:
         size = cuboids_needed(size_m, subspaces.region.cuboid_m)
         if any(need > have for need, have in zip(size, subspaces.region.shape, strict=True)):
             continue
-        held, above = held_by(subspaces, size, 1 if on_ground else subspaces.region.shape[2])
-        found |= set(np.flatnonzero(held).tolist())
-        corner = np.argwhere(above)
+        if counted is None or item.threshold != 1 or size_m != item.size_m:
+            counted = boxes_counted(subspaces, size, 1 if on_ground else subspaces.region.shape[2])
+        found |= set(np.flatnonzero(counted.held).tolist())
+        corner = np.argwhere(counted.detected < counted.places)
         places.append(subspaces.region.min_m[:2] + (corner + np.array(size[:2]) / 2) * subspaces.region.cuboid_m[:2])
     if not found:
         return Hiding(item.size_m, on_ground, False, 0, None, None, None)

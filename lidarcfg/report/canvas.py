@@ -145,19 +145,21 @@ def shade_excluded(axes: "Axes", region: Region, view: str) -> None:
 
 def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **style: Any) -> None:
     """Draw the edges of a mask (a, b), along its cells."""
-    from matplotlib.collections import LineCollection
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
 
     shown = list(VIEWS[view])
     low, edge = region.min_m[shown], region.cuboid_m[shown]
-    lines = []
+    lines = np.empty((0, 2, 2))
     for swapped in (False, True):  # edges across the first axis, then across the second
         cells = mask.T if swapped else mask
         walls = np.diff(np.pad(cells, ((1, 1), (0, 0))).astype(np.int8), axis=0) != 0
         ends = np.diff(np.pad(walls, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-        for (i, first), (_, last) in zip(np.argwhere(ends == 1), np.argwhere(ends == -1), strict=True):
-            line = np.array([[i, first], [i, last]], np.float64)
-            lines.append(low + (line[:, ::-1] if swapped else line) * edge)
-    axes.add_collection(LineCollection(lines, rasterized=len(lines) > 4000, **style))
+        found = np.stack([np.argwhere(ends == 1), np.argwhere(ends == -1)], axis=1)
+        lines = np.concatenate([lines, low + (found[..., ::-1] if swapped else found) * edge])
+    if len(lines):
+        path = Path(lines.reshape(-1, 2), np.tile([Path.MOVETO, Path.LINETO], len(lines)))
+        axes.add_patch(PathPatch(path, fill=False, rasterized=len(lines) > 4000, **style))
 
 
 def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float = 5) -> None:
