@@ -17,6 +17,9 @@ from lidarcfg.config import LARGE, Document, load
 from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.formats.kitti import load_kitti
 from lidarcfg.formats.las import load_las
+from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import RigFile
 from lidarcfg.sensor import Beams
 from lidarcfg.world.meshes import read_mesh
@@ -133,6 +136,22 @@ def test_longer_than_any_sensor_or_rig(tmp_path, text, kind, what):
     (path := tmp_path / "a.yaml").write_text(text)
     with pytest.raises(ConfigError, match=what):
         load(path, kind)
+
+
+def test_voxels_that_memory_does_not_hold(monkeypatch):
+    """Of a region, of the subspaces in it, and of a grid with two voxels at its ends."""
+    region = Region.from_boxes((0, 0, 0), (4, 4, 2), (1, 1, 1))
+    spaces = segment(region, [lidar((2.0, 2.0, 1.0), (0, 0, 0), np.array([0.0]))])
+    grid = region.voxel_grid([[0, 0, 0], [3, 3, 1]], np.ones((2, 3)))
+    assert Region.from_voxel_grid(grid).included.sum() == 2
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 32 * 11 - 1.0)
+    for make, what in (
+        (lambda: Region.from_voxel_grid(grid), "a region of 32 cuboids needs"),
+        (lambda: region.voxel_grid([[0, 0, 0], [3, 3, 1]], np.ones((2, 3))), "a grid of 2 voxels needs"),
+        (lambda: spaces.voxel_grid(np.ones(len(spaces))), "a grid of 32 voxels needs"),
+    ):
+        with pytest.raises(LidarcfgError, match=what):
+            make()
 
 
 def test_memory_is_what_the_machine_has():

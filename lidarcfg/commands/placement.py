@@ -184,7 +184,7 @@ def _baseline(study: "Study", path: Path | None, on_progress: OnProgress) -> "Ba
     on_progress(0.0, f"evaluating {path}")
     rig = load_rig(path)
     _check_rig(study, path, rig)
-    return report.Baseline(rig, str(path), details(study, rig, evaluation(study, rig)))
+    return report.Baseline(rig, str(path), details(study, rig, evaluation(study, rig)).without_cuboids())
 
 
 def _check_rig(study: "Study", path: Path, rig: "Rig") -> None:
@@ -321,8 +321,8 @@ def compare(
     with progress(quiet or as_json) as on_progress:
         for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
             on_progress(n / len(rigs), str(path))
-            found = evaluation(loaded, rig, tolerance)
-            named.append((str(path), rig, details(loaded, rig, found, cheap_cuboids=0)))
+            shown = details(loaded, rig, evaluation(loaded, rig, tolerance), cheap_cuboids=0).without_cuboids()
+            named.append((str(path), rig, shown))
     compared = report.contenders(named)
     if output:
         report.save_comparison(loaded, compared, output, report.Commands(command_line(), command_line()))

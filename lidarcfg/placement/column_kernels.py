@@ -11,6 +11,7 @@ from lidarcfg.placement.flood import Labels
 from lidarcfg.placement.rows import Counts
 
 Lines = NDArray[np.int32]
+Flags = NDArray[np.bool_]
 
 
 class Span(NamedTuple):
@@ -27,6 +28,17 @@ def _end(label: Labels, i: int, j: int, k: int) -> int:
     while k < label.shape[2] and label[i, j, k] == one:
         k += 1
     return k
+
+
+@outer()
+def mark(label: Labels, cells: Counts, found: Flags) -> None:
+    """Mark the subspaces that have a cuboid among cells (3, 2), from and to; the last is for excluded ones."""
+    for i in range(cells[0, 0], cells[0, 1]):
+        for j in range(cells[1, 0], cells[1, 1]):
+            k = cells[2, 0]
+            while k < cells[2, 1]:
+                found[label[i, j, k]] = True
+                k = _end(label, i, j, k)
 
 
 @outer()

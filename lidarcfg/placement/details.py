@@ -56,6 +56,11 @@ class Details:
     places: dict[str, Places]  # by object without `samples`
     hiding: dict[str, Hiding]  # by object that is a box
 
+    def without_cuboids(self) -> "Details":
+        """The same without what says which cuboid is of which subspace: for several rigs beside each other."""
+        found = replace(self.evaluation, subspaces=self.evaluation.subspaces.without_cuboids())
+        return replace(self, evaluation=found)
+
 
 def details(
     study: Study,

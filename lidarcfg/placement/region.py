@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
+VOXEL_BYTES = 300  # of memory for one of Open3D's, and to make it
 NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
@@ -155,13 +156,19 @@ class Region:
         """The region of an Open3D voxel grid: only its voxels count.
 
         Open3D's voxels are cubes. With `cuboid_m` (3,) the grid is taken for a copy in which every axis was
-        scaled so that the cuboids became its cubes, and is scaled back.
+        scaled so that the cuboids became its cubes, and is scaled back. Raises LidarcfgError where there is none, or
+        where memory does not hold all from the first to the last.
         """
         voxels = grid.get_voxels()
         if not voxels:
             raise ConfigError("the voxel grid has no voxels; at least one is needed")
-        index = np.array([voxel.grid_index for voxel in voxels])
+        index = np.array([voxel.grid_index for voxel in voxels], np.int64)
         first, last = index.min(axis=0), index.max(axis=0)
+        cuboids = math.prod((last - first + 1).tolist())
+        if cuboids > CUBOIDS_MAX:
+            what = f"the voxels span {cuboids:,} cuboids"
+            raise ConfigError(f"{what}; allowed: at most {CUBOIDS_MAX:,}")
+        check_memory(f"a region of {cuboids:,} cuboids", CUBOID_BYTES * cuboids, "use larger voxels")
         scale = np.ones(3) if cuboid_m is None else np.asarray(cuboid_m, np.float64) / grid.voxel_size
         included = np.zeros(last - first + 1, bool)
         included[tuple((index - first).T)] = True
@@ -197,8 +204,10 @@ class Region:
         """Cuboids (N, 3) by their indices as an Open3D voxel grid with colours (N, 3) in 0..1.
 
         Open3D's voxels are cubes: unless the cuboids are, the grid is a copy in which y and z are scaled so
-        that they become cubes of the cuboids' x edge. `from_voxel_grid` with `cuboid_m` undoes it.
+        that they become cubes of the cuboids' x edge. `from_voxel_grid` with `cuboid_m` undoes it. Raises LidarcfgError
+        where memory does not hold them.
         """
+        check_voxels(np.asarray(index).size // 3)
         import open3d as o3d
 
         edge = float(self.cuboid_m[0])
@@ -211,6 +220,11 @@ class Region:
         return o3d.geometry.VoxelGrid.create_from_point_cloud_within_bounds(
             cloud, edge, self.min_m * scale, self.max_m * scale
         )
+
+
+def check_voxels(count: int) -> None:
+    """Raises LidarcfgError where memory does not hold so many voxels of Open3D."""
+    check_memory(f"a grid of {count:,} voxels", VOXEL_BYTES * count, "use larger cuboids")
 
 
 def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int, int]:

@@ -11,7 +11,7 @@ from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import Subspaces
-from lidarcfg.placement.zones import with_the_rest
+from lidarcfg.placement.zones import ELSEWHERE, rest_max_vsr_m
 from lidarcfg.rig import Rig
 
 CUBOIDS_MAX = 100_000  # for larger regions it is omitted
@@ -74,8 +74,9 @@ def by_zone(study: Study, subspaces: Subspaces) -> tuple[ZoneVsr, ...]:
     if not study.zones:
         return ()
     vsr = vsr_m(subspaces)
-    zones = with_the_rest(study.zones, study.region)
-    return tuple(ZoneVsr(zone.name, zone.weight, zone.max_vsr_m(subspaces, vsr)) for zone in zones)
+    found = [ZoneVsr(zone.name, zone.weight, zone.max_vsr_m(subspaces, vsr)) for zone in study.zones]
+    rest = rest_max_vsr_m(study.zones, subspaces, vsr)
+    return (*found, ZoneVsr(ELSEWHERE, 1.0, rest)) if rest is not None else tuple(found)
 
 
 def robustness(study: Study, rig: Rig) -> Robustness | None:

@@ -32,6 +32,7 @@ from lidarcfg.world.solids import open_edges, welded
 
 STEP_M = 1.0
 HEADINGS_DEG = (0.0,)
+PLACES_MAX = 1_000_000
 FIT_M = 1e-9  # by which an object may reach over the region's side, for rounding
 
 
@@ -122,12 +123,14 @@ def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
     length, width, height = target.size_m.tolist()
     size = length, width, height
     if item.samples:
+        _check_count(item, item.samples)
         boxes = list(drawn_boxes(region, size, True, item.samples))
         part, grid, low = np.repeat(np.arange(len(boxes)), [len(some) for some in boxes]), (0, 0), region.min_m[:2]
         places = np.concatenate(boxes)
     else:
         step_m = item.step_m or STEP_M
         count = np.maximum(np.floor((region.max_m - region.min_m)[:2] / step_m + FIT_M), 1).astype(int)
+        _check_count(item, math.prod(count.tolist()) * len(item.headings_deg or HEADINGS_DEG))
         middle = (region.min_m + region.max_m)[:2] / 2
         x, y = (middle[a] + (np.arange(count[a]) - (count[a] - 1) / 2) * step_m for a in (0, 1))
         heading = np.radians(item.headings_deg or HEADINGS_DEG)
@@ -146,6 +149,12 @@ def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
         raise ConfigError(f"{item.name}: finds no free place in the region")
     return Sought(item, target, np.ascontiguousarray(places[which]), part[which], low, grid)
+
+
+def _check_count(item: DetectionObject, places: int) -> None:
+    if places > PLACES_MAX:
+        advice = "fewer samples" if item.samples else "a larger step_m, fewer headings_deg, or samples"
+        raise ConfigError(f"{item.name}: {places:,} places; allowed: at most {PLACES_MAX:,}; give {advice}")
 
 
 def sightings(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles) -> Sightings:

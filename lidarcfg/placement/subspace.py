@@ -1,7 +1,7 @@
 """Non-detectable subspaces: what the beams' cones cut the region into (paper, section III-B and III-C)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +11,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement import flood, rows
 from lidarcfg.placement.cones import Lidar, beam_gap_table, cone_rows
-from lidarcfg.placement.region import Region
+from lidarcfg.placement.region import Region, check_voxels
 
 if TYPE_CHECKING:
     import open3d
@@ -45,11 +45,16 @@ class Subspaces:
         count: NDArray[np.integer] = self.region.included * np.array(lidars, np.min_scalar_type(lidars))
         return count
 
+    def without_cuboids(self) -> "Subspaces":
+        """The same without what says where they are: `label` has no cuboids, and `seen` is unknown."""
+        return replace(self, label=np.empty((0, 0, 0), np.int32), seen=None)
+
     def voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
         """All cuboids as an Open3D voxel grid, coloured by a value (n,) of their subspace, blue to red.
 
-        See Region.voxel_grid for cuboids that are not cubes.
+        See Region.voxel_grid for cuboids that are not cubes. Raises LidarcfgError where memory does not hold them.
         """
+        check_voxels(int(self.cuboids.sum()))
         index = np.argwhere(self.label >= 0)
         span = np.ptp(value) or 1.0
         level = ((value - value.min()) / span)[self.label[tuple(index.T)]]

@@ -5,7 +5,7 @@ the zone's max VSR. What is minimised is the largest product of a subspace's VSR
 in no zone has weight 1. Zones cut no subspace: these stay those of the whole region.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -15,12 +15,15 @@ from pydantic import Field
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
+from lidarcfg.placement.column_kernels import mark
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import BoxFile, Region
 from lidarcfg.placement.subspace import Subspaces
 
 Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
 ELSEWHERE = "elsewhere"  # what lies in no zone
+WEIGHT_BYTES = 32  # of memory for a cuboid's weight, and for ordering them
 
 
 class ZoneFile(BoxFile):
@@ -36,39 +39,68 @@ class Zone:
 
     name: str
     weight: float
-    inside: NDArray[np.bool_]  # (nx, ny, nz) its cuboids, of those that count
-    box_m: tuple[Array, Array] | None = None  # (3,) each, the lower and the upper corner; None: no box
+    box_m: tuple[Array, Array]  # (3,) each, the lower and the upper corner
+
+    def cells(self, region: Region) -> tuple[slice, slice, slice]:
+        """The cuboids whose centres are in it."""
+        x, y, z = (
+            slice(*np.searchsorted(centre, ends).tolist())
+            for centre, *ends in zip(region.centres(), *self.box_m, strict=True)
+        )
+        return x, y, z
 
     def max_vsr_m(self, subspaces: Subspaces, vsr: Array) -> float:
         """The largest of the VSRs (n,) of subspaces that have a cuboid in it."""
-        return float(vsr[subspaces.label[self.inside]].max())
+        found = np.zeros(len(vsr) + 1, np.bool_)  # the last is for excluded cuboids, of label −1
+        x, y, z = self.cells(subspaces.region)
+        mark(subspaces.label, np.array([[x.start, x.stop], [y.start, y.stop], [z.start, z.stop]]), found)
+        return float(vsr[found[:-1]].max())
 
 
 def zone(file: ZoneFile, region: Region) -> Zone:
     """The zone that a file describes. Raises ConfigError where no cuboid that counts has its centre in it."""
-    box = Region.from_boxes(region.min_m, region.max_m, region.cuboid_m, ((file.min_m, file.max_m),))
-    inside, low, high = ~box.included, np.array(file.min_m), np.array(file.max_m)
+    found = Zone(file.name, file.weight, (np.array(file.min_m), np.array(file.max_m)))
+    low, high = found.box_m
     if (low >= region.max_m).any() or (high <= region.min_m).any():
         raise ConfigError(f"{file.name!r} is outside the region")
-    if not (inside & region.included).any():
-        why = "all cuboids in it are excluded" if inside.any() else "no cuboid's centre is in it"
+    inside = region.included[found.cells(region)]
+    if not inside.any():
+        why = "all cuboids in it are excluded" if inside.size else "no cuboid's centre is in it"
         raise ConfigError(f"{file.name!r} holds nothing of the region: {why}")
-    return Zone(file.name, file.weight, inside & region.included, (low, high))
+    return found
 
 
-def with_the_rest(zones: Sequence[Zone], region: Region) -> tuple[Zone, ...]:
-    """Zones, and what lies in none of them, of weight 1, if there is any."""
-    rest = region.included & ~np.any([one.inside for one in zones], axis=0)
-    return (*zones, Zone(ELSEWHERE, 1.0, rest)) if rest.any() else tuple(zones)
+def the_rest(zones: Sequence[Zone], region: Region) -> Iterator[NDArray[np.bool_]]:
+    """Which cuboids that count lie in no zone, by layer along x: (ny, nz) each."""
+    cells = [one.cells(region) for one in zones]
+    for i, included in enumerate(region.included):
+        rest = included.copy()
+        for x, y, z in cells:
+            if x.start <= i < x.stop:
+                rest[y, z] = False
+        yield rest
+
+
+def rest_max_vsr_m(zones: Sequence[Zone], subspaces: Subspaces, vsr: Array) -> float | None:
+    """The largest of the VSRs (n,) of subspaces that have a cuboid in no zone; None where there is none."""
+    found = np.zeros(len(vsr), np.bool_)
+    for label, rest in zip(subspaces.label, the_rest(zones, subspaces.region), strict=True):
+        found[label[rest]] = True
+    return float(vsr[found].max()) if found.any() else None
 
 
 def weights(zones: Sequence[Zone], region: Region) -> Array | None:
-    """(nx, ny, nz) by cuboid, the greatest weight of its zones; None without zones."""
+    """(nx, ny, nz) by cuboid, the greatest weight of its zones, 1 in none; None without zones. Raises LidarcfgError."""
     if not zones:
         return None
+    cuboids = region.included.size
+    check_memory(f"weighing {cuboids:,} cuboids by their zones", WEIGHT_BYTES * cuboids, "use larger cuboids")
     out = np.zeros(region.shape)
-    for one in with_the_rest(zones, region):
-        out[one.inside] = np.maximum(out[one.inside], one.weight)
+    for one in zones:
+        part = out[one.cells(region)]
+        np.maximum(part, one.weight, out=part)
+    for layer, rest, included in zip(out, the_rest(zones, region), region.included, strict=True):
+        layer[rest], layer[~included] = 1.0, 0.0
     return out
 
 

@@ -163,11 +163,10 @@ def _draw_zones(axes: "Axes", view: str, study: Study) -> None:
     """The study's zones as dashed boxes with their names."""
     across, up = VIEWS[view]
     for zone in study.zones:
-        if zone.box_m:
-            (left, bottom), (right, top) = (corner[[across, up]] for corner in zone.box_m)
-            axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "k--", lw=0.9)
-            if view == "top":
-                axes.text(left, top, f" {label(zone.name)}", ha="left", va="top", fontsize=7, clip_on=True)
+        (left, bottom), (right, top) = (corner[[across, up]] for corner in zone.box_m)
+        axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "k--", lw=0.9)
+        if view == "top":
+            axes.text(left, top, f" {label(zone.name)}", ha="left", va="top", fontsize=7, clip_on=True)
 
 
 def draw_worst(study: Study, rig: Rig, found: Evaluation) -> Markup:

@@ -1,5 +1,6 @@
 """Bodies of cuboids as merged faces: the worst subspaces of a rig, and what the region excludes."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -95,31 +96,36 @@ def _blind(spaces: Subspaces) -> Blind:
 
 def faces(region: Region, inside: NDArray[np.bool_]) -> Array:
     """(F, 4, 3) the outer faces of the cuboids (nx, ny, nz) that are inside; those in a row are one face."""
-    found = []
+    found = [np.empty((0, 4, 3), np.int64)]
     for axis in range(3):
         along = 1 if axis == 0 else 0  # faces are merged along x, or along y if they look along x
-        pad = [(int(a == axis), int(a == axis)) for a in range(3)]
-        outer = np.diff(np.pad(inside, pad).astype(np.int8), axis=axis) != 0
-        rows = np.moveaxis(outer, along, -1)
-        edge = np.diff(np.pad(rows, ((0, 0), (0, 0), (1, 1))).astype(np.int8), axis=-1)
-        first, last = np.argwhere(edge == 1), np.argwhere(edge == -1)  # in the same order: by row, then along it
-        low, high = (_back(index, along) for index in (first, last))
-        across = ({0, 1, 2} - {axis, along}).pop()
-        high[:, across] += 1
-        quad = np.repeat(low[:, None, :], 4, axis=1)
-        quad[:, 1:3, along] = high[:, None, along]
-        quad[:, 2:4, across] = high[:, None, across]
-        found.append(quad)
+        layer, row = (other for other in range(3) if other != along)
+        for number, outer in enumerate(_outer(inside, axis, layer)):
+            edge = np.diff(np.pad(outer, ((0, 0), (1, 1))).astype(np.int8), axis=-1)
+            first, last = np.argwhere(edge == 1), np.argwhere(edge == -1)  # in the same order: by row, then along it
+            quad = np.empty((len(first), 4, 3), np.int64)
+            quad[..., layer], quad[..., row], quad[..., along] = number, first[:, :1], first[:, 1:]
+            quad[:, 1:3, along] = last[:, 1:]
+            quad[:, 2:4, 3 - axis - along] += 1
+            found.append(quad)
     corners: Array = region.min_m + np.concatenate(found) * region.cuboid_m
     return corners
 
 
-def _back(index: NDArray[np.intp], along: int) -> NDArray[np.intp]:
-    """Indices (n, 3) into an array with axis `along` moved to the end, back in the order of its own axes."""
-    order = [axis for axis in range(3) if axis != along]
-    out = np.empty_like(index)
-    out[:, [*order, along]] = index
-    return out
+def _outer(inside: NDArray[np.bool_], axis: int, layer: int) -> Iterator[NDArray[np.bool_]]:
+    """Which faces across an axis have one side inside, in layers along another; y, or else x, comes last in each."""
+    along = 1 if axis == 0 else 0
+    order = (layer, 3 - layer - along, along)
+    layers = np.transpose(inside, order)
+    if axis == layer:
+        before = np.zeros_like(layers[0])
+        for here in layers:
+            yield here != before
+            before = here
+        yield before
+        return
+    for here in layers:
+        yield np.diff(np.pad(here, ((1, 1), (0, 0))), axis=0)
 
 
 def seats_m(study: Study) -> Array:

@@ -280,7 +280,6 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
         "zones": [
             {"name": zone.name, "weight": zone.weight, "min_m": zone.box_m[0].tolist(), "max_m": zone.box_m[1].tolist()}
             for zone in study.zones
-            if zone.box_m
         ],
         "detects": len(study.detection) > 0,
     }

@@ -218,17 +218,14 @@ def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
     if not stage.study:
         return 0
     region, seen = stage.study.region, 0
-    boxes = [(region.min_m, region.max_m, EXCLUDED), *((*zone.box_m, ZONE) for zone in stage.study.zones if zone.box_m)]
+    boxes = [(region.min_m, region.max_m, EXCLUDED), *((*zone.box_m, ZONE) for zone in stage.study.zones)]
     for low, high, code in boxes:
         seen += _draw_lines(axes, _edges(low, high), camera, width, height, colors=code, linewidths=0.8)
     for zone in stage.study.zones:
-        if zone.box_m:
-            top = np.array([*np.mean(zone.box_m, axis=0)[:2], zone.box_m[1][2]])
-            x, y, depth = camera.project(top[None], width, height)
-            if depth[0] >= NEAR_M and 0 <= x[0] <= width and 0 <= y[0] <= height:
-                axes.annotate(
-                    zone.name, (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False
-                )
+        top = np.array([*np.mean(zone.box_m, axis=0)[:2], zone.box_m[1][2]])
+        x, y, depth = camera.project(top[None], width, height)
+        if depth[0] >= NEAR_M and 0 <= x[0] <= width and 0 <= y[0] <= height:
+            axes.annotate(zone.name, (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False)
     return seen
 
 

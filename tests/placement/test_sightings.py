@@ -197,6 +197,8 @@ FAULTS = [
     ),
     (("size_m: [0.6, 0.4, 0.3], r", "mesh: empty.ply, r"), "empty.ply: no triangles that Open3D can read"),
     (("size_m: [0.6, 0.4, 0.3], r", "size_m: [18, 12, 0.3], samples: 99, r"), "stands beside samples"),
+    (("step_m: 1.5", "step_m: 0.01"), "crate: 4,320,000 places; allowed: at most 1,000,000; give a larger step_m"),
+    (("samples: 200", "samples: 4000000"), "child: 4,000,000 places; allowed: at most 1,000,000; give fewer samples"),
     (("model: SENSOR", "elevation_deg: [-1, 1]"), "sensors[0]: lidar_0: sensor 'custom' has no codec"),
     (("model: SENSOR", "model: fan-4"), "sensors[0]: lidar_0: sensor 'fan-4' has no codec, which would say where"),
 ]
