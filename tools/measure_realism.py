@@ -16,6 +16,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from lidarcfg.capture.decode import Capture
+from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import Array, directions
 from lidarcfg.packets.codec import Measurements, codec
 from lidarcfg.sensor import Sensor
@@ -205,7 +206,7 @@ def measure(all_shots: Shots) -> Figures:
         dark_noise_mm=1000 * sigma(_steep(dark)),
         laser_error_mm=1000 * float(of_laser.std()) if len(of_laser) > 1 else NAN,
         laser_error_max_mm=1000 * float(abs(of_laser).max(initial=0)) if len(of_laser) > 1 else NAN,
-        dropout_percent=100 * float(np.concatenate(lost).mean()),
+        dropout_percent=100 * _fraction(np.concatenate(lost)),
         intensity_levels=sigma(_steep(light)),
         **_pairs(all_shots),
     )
@@ -241,17 +242,16 @@ def _pairs(some: Shots) -> dict[str, float]:
     two, one_m = both & (first != last), np.where(np.isfinite(last), last, np.where(there, first, NAN))
     edge = there & _firing_edges(one_m)
     laser_edge = there & _laser_edges(one_m, some.elevation_rad[0][order]) & ~edge
-    count, others = there.sum(), there & ~edge & ~laser_edge
     found = (
-        *(two.sum() / count, edge.sum() / count, _fraction(two, edge), laser_edge.sum() / count),
-        *(_fraction(two, laser_edge), _fraction(two, others)),
-        *((there & ~np.isfinite(one)).sum() / count for one in (first, last)),
+        *(_fraction(two[there]), _fraction(edge[there]), _fraction(two[edge]), _fraction(laser_edge[there])),
+        *(_fraction(two[laser_edge]), _fraction(two[there & ~edge & ~laser_edge])),
+        *(_fraction(~np.isfinite(one[there])) for one in (first, last)),
     )
-    return {name: 100 * float(value) for name, value in zip(PAIRS, found, strict=True)}
+    return {name: 100 * value for name, value in zip(PAIRS, found, strict=True)}
 
 
-def _fraction(two: NDArray[np.bool_], where: NDArray[np.bool_]) -> float:
-    return float((two & where).sum() / max(where.sum(), 1))
+def _fraction(flags: NDArray[np.bool_]) -> float:
+    return float(flags.mean()) if len(flags) else NAN
 
 
 def _firing_edges(range_m: Array) -> NDArray[np.bool_]:
@@ -287,6 +287,8 @@ def draw(columns: dict[str, Figures], path: Path) -> None:
 
     named = {field.name: [getattr(one, field.name) for one in columns.values()] for field in fields(Figures)}
     named = {name: values for name, values in named.items() if np.isfinite(values).any()}
+    if not named:
+        raise SystemExit(f"{path}: there is nothing to draw: nothing could be measured")
     figure = new_figure(15, 5.5)
     charts = figure.subplots(2, -(-len(named) // 2)).ravel()
     for axes, (name, values) in zip(charts, named.items(), strict=False):
@@ -307,7 +309,10 @@ def main() -> None:
     parser.add_argument("--png", type=Path, help="draw them side by side")
     parser.add_argument("--model", help="whose packets they are, if they say another's")
     given = parser.parse_args()
-    found = [item for path in given.captures for item in read(path, given.model).items()]
+    try:
+        found = [item for path in given.captures for item in read(path, given.model).items()]
+    except LidarcfgError as error:
+        parser.error(str(error))
     columns = {name: measure(one) for name, one in found}
     print(" " * WIDE + "".join(f"{name[-24:]:>26}" for name in columns))
     for field in fields(Figures):

@@ -181,7 +181,8 @@ def test_what_is_not_allowed(tmp_path, model, said, message):
 
 def test_every_preset_says_where_it_is_from():
     measured = [name for name in catalogue() if load_sensor(name).realism]
-    known = ["hdl-32e", "helios-32", "os2-128", "pandar-xt32", "vlp-16", "vlp-32c", "vls-128", "vls-128-2020"]
+    known = ["hdl-32e", "helios-32", "os0-128", "os0-32", "os2-128", "pandar-xt16", "pandar-xt32", "vlp-16", "vlp-32c"]
+    known += ["vls-128", "vls-128-2020"]
     assert measured == known
     assert all("measure_realism.py" in load_sensor(name).realism.source for name in measured)
 
@@ -189,6 +190,29 @@ def test_every_preset_says_where_it_is_from():
 def test_lasers_that_take_turns_are_not_measured(tool):
     with pytest.raises(SystemExit, match="qt128: its lasers take turns"):
         tool.read(recording("hesai/nebula_qt128.pcap"), None)
+
+
+def test_what_a_capture_does_not_say_is_no_figure(tool, tmp_path, monkeypatch, capsys):
+    """Nothing but sky, and ten points on a far ball: no zeros, no warning, no picture; a file that is none is one line."""
+    for text in (
+        "{name: far, center_m: [300, 0, 2], radius_m: 9}",
+        "{name: ball, center_m: [20, 0, 2], radius_m: 0.2}",
+    ):
+        one = replace(mount(), return_mode="dual", realism=Realism(range_noise_m=0.01))
+        stage = scene(tmp_path, f"spheres: [{text[:-1]}, reflectivity: 40}}]")
+        write_pcap(tmp_path / "a.pcap", in_time_order(export(Rig("r", (one,)), stage, np.eye(4), SECOND_NS // 4)))
+        found = measured(tool, tmp_path / "a.pcap")
+        said = {name for name, value in vars(found).items() if np.isfinite(value)}
+        assert "two_at_edges_percent" not in said
+        assert "two_at_laser_edges_percent" not in said
+        assert said <= ({"two_distances_percent", "two_elsewhere_percent", *tool.PAIRS} if "ball" in text else set())
+    with pytest.raises(SystemExit, match=r"o.png: there is nothing to draw: nothing could be measured"):
+        tool.draw({"a": replace(found, **dict.fromkeys(vars(found), np.nan))}, tmp_path / "o.png")
+    monkeypatch.setattr("sys.argv", ["measure_realism.py", str(tmp_path / "scene.yaml")])
+    with pytest.raises(SystemExit) as ended:
+        tool.main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.endswith("scene.yaml: not a capture; allowed: pcap and pcapng\n")
 
 
 def test_exports_keep_what_is_reported_and_placement_what_is_promised(tmp_path):
