@@ -89,11 +89,12 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
     counted = Counted(0, 0, 0)
     for recorded in Capture(capture, on_warning, model=model).sources():
         mine, maker = records.of(recorded.name, recorded.packets.shape[1]), codec(recorded.sensor)
-        modes = maker.return_modes(mine.packets)
-        for rows in [np.flatnonzero(modes == mode) for mode in dict.fromkeys(modes.tolist())]:
+        modes = maker.return_modes(recorded.source, mine.packets)
+        for mode in dict.fromkeys(modes.tolist()):
+            rows = np.flatnonzero(modes == mode)
             packets = mine.packets[rows]
             try:
-                found = maker.measurements(recorded.source, packets, mine.host_ns[rows])
+                found = maker.measurements(recorded.source, packets, mine.host_ns[rows], mode)
             except (ConfigError, PacketError) as error:
                 kept.append(f"{recorded.name}: {len(rows)} packets: {error}")
                 continue

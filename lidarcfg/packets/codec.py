@@ -272,12 +272,12 @@ class Codec(Timing, Protocol):
         Raises PacketError.
         """
 
-    def return_modes(self, packets: Octets) -> Times:
-        """(P,) numbers: packets (P, size) with the same one are of one return mode, as `measurements` takes them."""
+    def return_modes(self, source: Source, packets: Octets) -> Times:
+        """(P,) numbers: packets (P, size) of a source with the same one are of one return mode."""
         return np.zeros(len(packets), np.int64)
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
-        """The firings of packets (P, size) of one source and mode: of them `encode` makes such packets again.
+    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
+        """The firings of packets (P, size) of one source and number of a mode: `encode` makes them of these again.
 
         Raises PacketError; ConfigError if the family has no such way back.
         """

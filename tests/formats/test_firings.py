@@ -13,6 +13,7 @@ from lidarcfg.cli import cli
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.formats.firings import save_capture, save_firings
+from lidarcfg.packets.robosense.layout import DIFOP
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.export import START_NS, export, in_time_order
@@ -306,6 +307,37 @@ def test_several_modes_in_one_stream(tmp_path):
             ]
             for key in ("range_m", "reflectivity", "laser", "host_ns"):
                 assert np.array_equal(alone[f"{i}/{key}"], together[f"{same}/{key}"])
+
+
+@pytest.mark.parametrize("model", ["helios-32", "helios-16p"])
+@pytest.mark.parametrize("late", [False, True])
+def test_a_helios_that_changes_its_mode(tmp_path, model, late):
+    """DIFOP packets say when; where they come late, dual returns are still told from single ones by their layout."""
+    modes = {"dual": 0, "strongest": 30_000_000, "last": 60_000_000}
+    street, streams, counts = load_scene(STREET), [], {}
+    for mode, begin_ns in modes.items():
+        sensor = f"{{name: s, model: {model}, position_m: [0, 0, 2], return_mode: {mode}}}"
+        (tmp_path / "rig.yaml").write_text(f"name: r\nsensors: [{sensor}]\n")
+        frames = export(load_rig(tmp_path / "rig.yaml"), street, np.eye(4), 20_000_000, START_NS + begin_ns)
+        write_pcap(path := tmp_path / f"{mode}.pcap", in_time_order(frames))
+        datagrams = datagrams_of(path)
+        difop = next(one for one in datagrams if one.payload.startswith(bytes.fromhex("a5ff005a")))
+        datagrams.remove(difop)
+        counts[mode] = len(datagrams)
+        if late and mode == "strongest":
+            payload = np.frombuffer(difop.payload, DIFOP).copy()
+            payload["microseconds"] += 15_000
+            difop = replace(difop, payload=payload.tobytes())
+        streams += [difop, *datagrams]
+    write_datagrams(tmp_path / "a.pcap", streams)
+    together, back = there_and_back(tmp_path / "a.pcap", tmp_path)
+    assert back.read_bytes() == (tmp_path / "a.pcap").read_bytes()
+    sources = json.loads(str(together["sources"]))["sources"]
+    assert {one["return_mode"]: one["packets"] for one in sources} == counts
+    for i, one in enumerate(sources):
+        alone, _ = there_and_back(tmp_path / f"{one['return_mode']}.pcap", tmp_path)
+        for key in ("range_m", "reflectivity", "laser", "encoder_rad", "rest"):
+            assert np.array_equal(alone[f"0/{key}"], together[f"{i}/{key}"])
 
 
 def test_packets_of_a_mode_that_is_not_known_are_kept(tmp_path):

@@ -99,13 +99,13 @@ class Hesai(Codec):
 
         return corrections.written(self.unit, mount)
 
-    def return_modes(self, packets: Octets) -> Times:
+    def return_modes(self, source: Source, packets: Octets) -> Times:
         """See `Codec`."""
         from lidarcfg.packets.hesai.firings import return_modes
 
         return return_modes(self.unit, packets)
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
+    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
         """See `Codec`."""
         from lidarcfg.packets.hesai.firings import measurements
 

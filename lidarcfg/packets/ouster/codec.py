@@ -100,7 +100,7 @@ class Ouster(Codec):
         """The metadata."""
         return {SUFFIX: written(self.unit, mode(self.unit.sensor, mount), mount)}
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
+    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
         """See `Codec`; the layout is the metadata's."""
         from lidarcfg.packets.ouster.firings import measurements
 

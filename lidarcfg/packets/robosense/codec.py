@@ -79,14 +79,24 @@ class Robosense(Spinning):
 
         return difop_payloads(self.unit, mount, start_ns, duration_ns)
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
-        """See `Codec`; the return mode is the DIFOP's."""
+    def return_modes(self, source: Source, packets: Octets) -> Times:
+        """See `Codec`: what DIFOP packets say."""
         from lidarcfg.packets.robosense.decode import reading
         from lidarcfg.packets.robosense.difop import find
-        from lidarcfg.packets.robosense.firings import measurements
+        from lidarcfg.packets.robosense.modes import return_modes
 
+        found = return_modes(self.unit, source, packets)
+        if found is not None:
+            return found
         read = reading(self.unit, source, undamaged(packets_of(packets)), find(source))
-        return measurements(self.unit, packets, host_ns, read.return_mode)
+        return np.full(len(packets), MODES[read.return_mode], np.int64)
+
+    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
+        """See `Codec`."""
+        from lidarcfg.packets.robosense.firings import measurements
+        from lidarcfg.packets.robosense.modes import NAMES
+
+        return measurements(self.unit, packets, host_ns, NAMES[mode])
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:

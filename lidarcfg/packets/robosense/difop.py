@@ -115,6 +115,16 @@ def find(source: Source) -> Difop | None:
     return _read(together[:1]) if alone else None
 
 
+def every(source: Source) -> Packets:
+    """All that a source's host says of it in a capture, in their order: see `find`."""
+    found = [octets[(octets[:, :8] == list(DIFOP_ID)).all(axis=1)] for octets in source.payloads(None, SIZE)]
+    said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
+    mine: Packets = said[said["msop_port"][:, 0] == source.port]
+    if len(mine):
+        return mine
+    return said if len(np.unique(said["serial"], axis=0)) == 1 else said[:0]
+
+
 def _read(packet: Packets) -> Difop:
     """What one (1,) says."""
     vertical, horizontal = packet["vertical"][0], packet["horizontal"][0]

@@ -9,7 +9,7 @@ from lidarcfg.packets.robosense.slots import places
 
 
 def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -> Measurements:
-    """All firings of successive packets (P, size), whose DIFOP says the return mode: see `Codec.measurements`."""
+    """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
     dual = return_mode == "dual"
     packets, spin = packets_of(octets), unit.spin(dual)
     azimuth = packets["blocks"]["azimuth"]

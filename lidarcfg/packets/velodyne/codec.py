@@ -82,13 +82,13 @@ class Velodyne(Spinning):
 
         return position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
 
-    def return_modes(self, packets: Octets) -> Times:
+    def return_modes(self, source: Source, packets: Octets) -> Times:
         """See `Codec`."""
         from lidarcfg.packets.velodyne.firings import return_modes
 
         return return_modes(self.unit, packets_of(packets))
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times) -> Measurements:
+    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
         """See `Codec`."""
         from lidarcfg.packets.velodyne.firings import measurements
 
