@@ -1,6 +1,6 @@
 """The report of a rig as one HTML file: the task, the result, its accuracy, and how to repeat it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -75,7 +75,7 @@ def report(
         "report.html",
         title=f"Report: {rig.name}",
         about=f"{rig_in_words(rig)}; {what} by lidarcfg {__version__} on {date()}",
-        summary=figures_beside(_summary(details), _summary(baseline.details)) if baseline else _summary(details),
+        summary=figures_beside(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
         baseline=baseline,
         baseline_yaml=as_yaml(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
@@ -142,6 +142,11 @@ def _drawings(
         "blind": draw_blind_spots(found.subspaces, rig, found.blind) if found.blind.contours else None,
         "coverage": drawings.draw_coverage(region, rig, details.coverage),
     }
+
+
+def _of_baseline(baseline: Baseline) -> list[Figure]:
+    """Its figures in a summary: the midpoint of the bounds is the study's, whatever the rig."""
+    return _summary(replace(baseline.details, midpoint_max_vsr_m=None))
 
 
 def _summary(details: Details) -> list[Figure]:

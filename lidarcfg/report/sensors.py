@@ -16,7 +16,7 @@ TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offs
 
 def print_sensors(sensors: Sequence[Sensor]) -> None:
     """Print one line per model."""
-    table = Table("name", "beams", "elevation (°)", "range (m)", "simulated", "description", box=SIMPLE)
+    table = Table("name", "beams", "elevation (°)", "range (m)", "exported", "description", box=SIMPLE)
     for sensor in sensors:
         low, high = min(sensor.beams.elevation_deg), max(sensor.beams.elevation_deg)
         table.add_row(
@@ -24,7 +24,7 @@ def print_sensors(sensors: Sequence[Sensor]) -> None:
             str(sensor.count),
             f"{low:g} to {high:g}",
             f"{sensor.range.min_m:g} to {sensor.range.max_m:g}" if sensor.range else "–",
-            sensor.codec or "no",
+            sensor.codec or ("as points" if sensor.range else "–"),
             sensor.description,
         )
     terminal().print(table)

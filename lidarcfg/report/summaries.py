@@ -80,7 +80,10 @@ def _rig(path: Path) -> tuple[str, Iterable[str]]:
     if vehicle:
         check_outside(vehicle, rig.mounts, path)
     silent = [mount.name for mount in rig.mounts if not _sends(mount)]
+    short = [mount.name for mount in rig.mounts if not (mount.sensor.range or mount.range_m)]
     export = f"{', '.join(silent)} exported as points: no packets" if silent else "can be exported"
+    if short:
+        export = f"cannot be exported: no range of {', '.join(short)}"
     bodies = _bodies(vehicle) if vehicle else "no vehicle"
     text = f"{_models(mount.model for mount in rig.mounts)}, {bodies}; {export}"
     return text, (*(vehicle.warnings if vehicle else ()), *rig_warnings(path))
@@ -109,7 +112,7 @@ def _sensor(path: Path) -> tuple[str, Iterable[str]]:
 
 def _packets(sensor: Sensor) -> str:
     if sensor.codec is None:
-        return "no packets: exported as points"
+        return "no packets: exported as points" if sensor.range else "for placement: no range, no packets"
     codec(sensor)
     return f"packets of {sensor.codec}"
 

@@ -299,6 +299,37 @@ def test_a_sensor_inside_the_body_that_its_rig_names_is_an_error_at_its_line(tmp
 
 
 @pytest.mark.parametrize(
+    ("model", "more", "said", "code"),
+    [
+        ("jt128", "", "cannot be exported: no range of a", 2),
+        ("jt128", ", range_m: [1, 50]", "a exported as points: no packets", 0),
+        ("ot128", "", "a exported as points: no packets", 0),
+    ],
+)
+def test_a_sensor_without_packets_is_exported_if_its_range_is_known(tmp_path, model, more, said, code):
+    """As validate says, export does; so does the catalogue's list."""
+    (tmp_path / "rig.yaml").write_text(
+        f"name: r\nsensors: [{{name: a, model: {model}, position_m: [0, 0, 2]{more}}}]\n"
+    )
+    assert summary(tmp_path / "rig.yaml").text.endswith(f"; {said}")
+    scene = ROOT / "data/scenes/room.yaml"
+    words = (
+        "export",
+        tmp_path / "rig.yaml",
+        "--scene",
+        scene,
+        "--duration",
+        0.002,
+        "-o",
+        tmp_path / "a.ply",
+        "--quiet",
+    )
+    lidarcfg(*words, code=code)
+    listed = next(line for line in lidarcfg("sensors", "list").stdout.splitlines() if line.split()[:1] == [model])
+    assert ("as points" in listed) == (model == "ot128")
+
+
+@pytest.mark.parametrize(
     ("changes", "constraints", "what"),
     [
         ([("[2.1, 0, 1], rpy_deg: [0, 0, 0]", "[2.1, 0, 1], rpy_deg: [5, 3, 0]")], "{max_tilt_deg: 5}", r"6:15: constraints.max_tilt_deg: 5 is impossible: sensors\[1\] tilts by 5.829 or more"),

@@ -66,6 +66,8 @@ def test_beside_a_search_and_an_evaluation(folder):
     assert "the rig in hand.yaml" in page.words
     assert page.words.count("below each row, the baseline's") == 9  # all but that of a LiDAR lost: it has one
     assert f"{base['max_vsr_m']:.6f} m" in page.words
+    assert f"the baseline: {base['max_vsr_m']:.6f} m" in page.words
+    assert f"the baseline: {result['midpoint_max_vsr_m']:.6f} m" not in page.words  # it is the study's, of no rig
     assert f"{base['max_vsr_m']:.6f}" in done.stdout
     again = lidarcfg("evaluate", "s.yaml", "out/rig.yaml", "--baseline", "hand.yaml", "--json", cwd=folder)
     values = json.loads(again.stdout)
