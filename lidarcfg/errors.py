@@ -23,6 +23,10 @@ class ConfigError(LidarcfgError):
 
     at: tuple[str, tuple[str | int, ...], str] | None = None
 
+    def of(self, name: str) -> "ConfigError":
+        """The same of a sensor of this name, unless it says already where in a file it is."""
+        return self if self.at else ConfigError(f"{name}: {self}")
+
 
 class SceneError(LidarcfgError):
     """A scene cannot be built, for example because it is empty."""

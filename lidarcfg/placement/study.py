@@ -197,7 +197,7 @@ class Study:
             try:
                 found.append(scanner(mount, self.patterns))
             except ConfigError as error:
-                raise ConfigError(f"{mount.name}: {error}") from None
+                raise error.of(mount.name) from None
         return scans(found)
 
     @property

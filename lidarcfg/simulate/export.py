@@ -74,7 +74,7 @@ def check_exportable(mount: Mount, duration_ns: int) -> None:
         codec(sensor)
     except ConfigError as error:
         hint = "" if sensor.codec else "; write points instead: .ply, .pcd, .npz, .mcap or a folder"
-        raise ConfigError(f"{mount.name}: {error}{hint}") from None
+        raise error if error.at else ConfigError(f"{mount.name}: {error}{hint}") from None
     for key in ("rotation", "range"):
         if getattr(sensor, key) is None:
             raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")

@@ -112,7 +112,7 @@ def checked_timing(mount: Mount, duration_ns: int) -> Timing:
         found = timing(sensor)
         found.check(mount)
     except ConfigError as error:
-        raise ConfigError(f"{mount.name}: {error}") from None
+        raise error.of(mount.name) from None
     if sensor.range is None:
         what = f"sensor {sensor.name!r} has no range; give its file range: {{max_m: ...}}, or the rig range_m"
         raise ConfigError(f"{mount.name}: {what}")

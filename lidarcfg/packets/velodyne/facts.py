@@ -1,11 +1,11 @@
 """What a sensor's file says under `velodyne`, and what a rig's file says there of a mount."""
 
 from functools import lru_cache
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from lidarcfg.config import Model, Positive, fault
@@ -168,6 +168,13 @@ class Settings(Model):
 
     pps: PpsState = "locked"  # what position packets and status bytes say of the GPS receiver's pulse
     fix_rate_hz: Literal[1, 2, 4, 5, 10, 20] = 1  # of the receiver: its sentences say hundredths of a second
+
+    @field_validator("fix_rate_hz", mode="before")
+    @classmethod
+    def _check(cls, value: Any) -> Any:
+        if value is True:  # which Python takes for 1
+            raise fault("true is not a whole number")
+        return value
 
 
 class Unit(AnyUnit[Facts]):

@@ -25,6 +25,7 @@ from lidarcfg.units import SECOND_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 from tests.naive import capture as naive
 from tests.packets.velodyne.shaped import encode, facts, firings, packet_period_ns, sent_returns, with_facts
+from tests.refusals import refused
 
 VLP16 = load_sensor("vlp-16")
 MODELS = ["vlp-16", "puck-lite", "puck-hi-res", "vlp-32c", "hdl-32e", "vls-128", "hdl-64e-s2", "hdl-64e-s3"]
@@ -245,13 +246,22 @@ def test_states_of_the_pulse_in_status_bytes(tmp_path, name, pps, value):
     assert {len(payload) for payload in sent} == {1206}
 
 
-def test_states_of_the_pulse_are_named(tmp_path):
-    text = "name: r\nsensors: [{name: s, model: vlp-16, position_m: [0, 0, 2], velodyne: {pps: lost}}]"
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("pps: lost", "pps: 'lost' is not allowed; allowed: 'absent', 'synchronising', 'locked' or 'error'"),
+        ("fix_rate_hz: 3", "fix_rate_hz: 3 is not allowed; allowed: 1, 2, 4, 5, 10 or 20"),
+        ("fix_rate_hz: '1'", "fix_rate_hz: '1' is not allowed; allowed: 1, 2, 4, 5, 10 or 20"),
+        ("fix_rate_hz: true", "fix_rate_hz: true is not a whole number"),
+    ],
+)
+def test_what_a_receiver_cannot_be(tmp_path, said, message):
+    """One line that begins with the place in the file."""
+    text = f"name: r\nsensors: [{{name: s, model: vlp-16, position_m: [0, 0, 2], velodyne: {{{said}}}}}]"
     (tmp_path / "rig.yaml").write_text(text)
-    (lidar,) = load_rig(tmp_path / "rig.yaml").mounts
-    where = r"rig\.yaml:2:\d+: sensors\[0\]\.velodyne\.pps: .*'absent', 'synchronising', 'locked' or 'error'"
-    with pytest.raises(ConfigError, match=where):
-        codec(lidar.sensor).check(lidar)
+    stage = scene(tmp_path, "ground: {reflectivity: 9}")
+    with refused(message, rf"^{tmp_path}/rig\.yaml:2:\d+: sensors\[0\]\.velodyne\.", ConfigError):
+        export(load_rig(tmp_path / "rig.yaml"), stage, np.eye(4), SECOND_NS)
 
 
 @given(
