@@ -113,7 +113,7 @@ def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]
         "detection": _detection(study, found),
         "rings": _rings(details.rings),
         "zones": zones_table(found.zones) if found.zones else None,
-        "lost": lost_table(robust, not study.objective.is_max_vsr) if robust and robust.without else None,
+        "lost": lost_table(robust, study) if robust and robust.without else None,
         "sensitivity": sensitivity_table(rig, robust) if robust else None,
         "volumes": volumes_table(found.blind),
         "contours": contours_table(found.blind) if found.blind.contours else None,

@@ -128,7 +128,7 @@ def draw_history(study: Study, found: Placement) -> Markup:
         if study.is_max_vsr:
             midpoint = found.midpoint_max_vsr_m
             axes.axhline(midpoint, color="0.4", ls=":", lw=1, label="midpoint of the bounds")
-        value = "max VSR (m)" if study.is_max_vsr else "objective (weighted mean)"
+        value = "max VSR (m)" if study.is_max_vsr else "objective"
         axes.set(xlabel="evaluations", ylabel=value, ylim=(0, history_top(study, found)))
         axes.grid(True)
         axes.legend(loc="best")

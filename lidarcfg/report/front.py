@@ -25,7 +25,7 @@ from lidarcfg.report.front_plot import draw_front, front_svg
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
-from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, solver_in_words, versions
+from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, price, solver_in_words, versions
 
 STUDY = "study.yaml"
 POINT = (STUDY, *RESULTS)  # the files of a point
@@ -171,8 +171,8 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
         about=f"{counted(len(found.points), 'rig')} on the front of price and objective, of "
         f"{counted(len(found.candidates), 'combination')} of sensors; by lidarcfg {__version__} on {date()}",
         summary=[
-            Figure("The cheapest rig", f"{cheapest.combination.price:,g}", _what(cheapest)),
-            Figure("The best rig", f"{best.combination.price:,g}", _what(best)),
+            Figure("The cheapest rig", price(cheapest.combination.price), _what(cheapest)),
+            Figure("The best rig", price(best.combination.price), _what(best)),
             Figure("Evaluations", f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
         ],
         objective=objective_in_words(study),
@@ -212,7 +212,7 @@ def _points_table(study: Study, found: Front) -> Table:
         link = Markup('<a href="points/{}/report.html">{}</a>').format(quote(name), name)
         rows.append(
             [
-                f"{point.combination.price:,g}",
+                price(point.combination.price),
                 f"{point.placement.objective:.6f}",
                 point.combination.sensors,
                 f"{evaluation.max_vsr_m:.6f}",
@@ -228,7 +228,7 @@ def _points_table(study: Study, found: Front) -> Table:
 def _candidates_table(found: Front) -> Table:
     rows = [
         [
-            f"{one.combination.price:,g}",
+            price(one.combination.price),
             one.combination.sensors,
             f"{one.objective:.6f}" if math.isfinite(one.objective) else "–",
             f"{one.evaluations:,}",
@@ -247,4 +247,4 @@ def _standing(found: Front, one: Candidate) -> str:
     if not math.isfinite(one.objective):
         return "no rig keeps the constraints" if one.evaluations else "not tried"
     better = [point for point in found.points if point.combination.price <= one.combination.price][-1]
-    return f"dominated by {better.combination.sensors}, {better.combination.price:,g}"
+    return f"dominated by {better.combination.sensors}, {price(better.combination.price)}"

@@ -11,6 +11,7 @@ from lidarcfg.placement.front import Front, Point
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
 from lidarcfg.report.plots import CUT_OFF, new_figure
+from lidarcfg.report.words import price
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +65,7 @@ def _draw(figure: "Figure", study: Study, found: Front) -> None:
         axes = figure.add_subplot(grid[0, place])
         _draw_rig(axes, study, point, models)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[], aspect="equal")
-        axes.set_title(f"{point.combination.price:,g}", fontsize=7, loc="center")
+        axes.set_title(price(point.combination.price), fontsize=7, loc="center")
         for spine in axes.spines.values():
             spine.set(visible=True, color="0.85")
         at = (point.combination.price, point.placement.objective)
@@ -85,7 +86,7 @@ def _draw_plot(axes: "Axes", study: Study, found: Front) -> None:
     right = max([*prices, *shown[:, 0].tolist()]) * 1.05
     axes.plot([*prices, right], [*best, best[-1]], drawstyle="steps-post", color=colour(0), zorder=2)
     axes.plot(prices, best, "o", color=colour(0), ms=6, label="front", zorder=3)
-    value = "max VSR (m)" if study.objective.is_max_vsr else "objective"
+    value = "max VSR (m)" if study.is_max_vsr else "objective"
     axes.set(xlabel="price", ylabel=value, xlim=(0, right), ylim=(0, None))
     axes.xaxis.set_major_formatter("{x:,.0f}" if right > 10 else "{x:g}")
     axes.grid(True)

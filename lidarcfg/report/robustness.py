@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Left, Robustness, ZoneVsr
+from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
@@ -34,8 +35,9 @@ def zones_table(zones: Sequence[ZoneVsr]) -> Table:
     return Table("Max VSR by zone", ("zone", "weight", "max VSR (m)", "weighted (m)"), rows)
 
 
-def lost_table(found: Robustness, with_objective: bool) -> Table:
+def lost_table(found: Robustness, study: Study) -> Table:
     """What is left with each LiDAR lost: max VSR, that of the zones, and the study's objective if it is another."""
+    with_objective = bool(study.zones) or not study.objective.is_max_vsr
 
     def row(left: Left) -> list[str]:
         more = left.max_vsr_m / found.whole.max_vsr_m - 1

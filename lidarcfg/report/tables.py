@@ -15,7 +15,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.report.comparison import Contender, rows
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.terminal import terminal
-from lidarcfg.report.words import returns_in_words
+from lidarcfg.report.words import counted, price, returns_in_words
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def print_front(study: Study, found: "Front") -> None:
     for point in found.points:
         evaluation = point.placement.evaluation
         table.add_row(
-            f"{point.combination.price:,g}",
+            price(point.combination.price),
             f"{point.placement.objective:.4f}",
             f"{evaluation.max_vsr_m:.4f}",
             *(f"{evaluation.detection[name].rate:.4f}" for name in objects),
@@ -53,7 +53,8 @@ def print_front(study: Study, found: "Front") -> None:
     console = terminal()
     console.print(table)
     tried = sum(one.evaluations > 0 for one in found.candidates)
-    console.print(f"{len(found.points)} rigs on the front, of {tried} combinations tried of {len(found.candidates)}")
+    all_of_them = counted(len(found.candidates), "combination")
+    console.print(f"{counted(len(found.points), 'rig')} on the front; {tried} of {all_of_them} tried")
     console.print(
         f"{found.evaluations:,} evaluations, {found.dominated_evaluations:,} of them of combinations not on the front; "
         f"{found.seconds:.1f} s"

@@ -56,6 +56,11 @@ def counted(number: int, what: str) -> str:
     return f"{number:,} {what}" if number == 1 else f"{number:,} {what}s"
 
 
+def price(value: float) -> str:
+    """A price with all its figures."""
+    return f"{value:,.15g}"
+
+
 def vector(values: Sequence[float] | Array, form: str = "g") -> str:
     """Numbers with commas between them, without negative zeros."""
     return ", ".join(f"{value:z{form}}" for value in values)

@@ -13,6 +13,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.sensitivity import changes_m, robustness
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.report.robustness import lost_table
 from tests.naive import placement as naive_placement
 from tests.naive import robust as naive
 from tests.refusals import refused
@@ -134,6 +135,17 @@ def test_a_zone_of_weight_one_is_no_zone(tmp_path):
     assert [(c.best, c.mean) for c in zoned.history] == [(c.best, c.mean) for c in plain.history]
 
 
+@pytest.mark.parametrize(("more", "own"), [("", False), ("robust: {lost: 1}\n", False), (ZONES, True)])
+def test_the_table_of_failures_has_the_objective_where_it_is_another(tmp_path, more, own):
+    loaded = study(tmp_path, more)
+    found = robustness(loaded, loaded.rig(loaded.midpoint))
+    table = lost_table(found, loaded)
+    assert ("objective" in table.head) == own
+    for row, left in zip(table.rows, (found.whole, *found.without), strict=True):
+        worth = max((zone.weight * zone.max_vsr_m for zone in left.zones), default=left.max_vsr_m)
+        assert row[-1] == f"{worth:.6f}" if own else left.objective == worth
+
+
 @pytest.mark.parametrize("more", ["", ZONES + OBJECTS + "objective: {detection: {box: 1}}\n"])
 def test_what_failures_and_mounting_errors_do(tmp_path, more):
     """Rigs evaluated one by one, by loops over all cuboids."""
@@ -166,7 +178,7 @@ def test_a_rig_of_one_lidar_and_a_large_region(tmp_path):
     rig = loaded.rig(random_poses(loaded, 1, 4)[0])
     alone = robustness(loaded, replace(rig, mounts=rig.mounts[:1]))
     assert (alone.without, alone.worst) == ((), None)
-    fine = study(tmp_path, text=STUDY.replace("[1, 0.5, 0.25]", "[0.1, 0.1, 0.1]"))
+    fine = study(tmp_path, text=STUDY.replace("[1, 0.5, 0.25]", "[0.05, 0.05, 0.05]"))
     assert robustness(fine, rig) is None
 
 

@@ -13,6 +13,7 @@ from lidarcfg.placement.front import front
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report import load_front_logs, save_front_log
 from lidarcfg.report.front_plot import draw_front
+from lidarcfg.report.words import price
 from lidarcfg.rig import load_rig
 from tests.command_line import lidarcfg
 
@@ -86,8 +87,8 @@ def test_the_page_and_the_table(folder):
         assert (folder / "out" / link).is_file()
     for point in said["points"]:
         assert page.count(f'href="{point["folder"]}/report.html"') == 1
-        price, objective = f"{point['price']:,g}", point["objective"]
-        assert re.search(rf"^ +{price} +{objective:.4f} .*{point['sensors']}", printed, re.MULTILINE)
+        cost, objective = f"{point['price']:,g}", point["objective"]
+        assert re.search(rf"^ +{cost} +{objective:.4f} .*{point['sensors']}", printed, re.MULTILINE)
         assert f"{objective:.6f}" in page
     assert page.count("<svg") == 1
     assert (folder / "out/front.png").read_bytes().startswith(b"\x89PNG")
@@ -134,3 +135,18 @@ def test_the_cheapest_are_tried_first(tmp_path):
     assert not any(legend.get_window_extent().overlaps(axes.get_window_extent()) for axes in figure.axes)
     assert [one.combination.price for one in search.candidates if one.evaluations] == [100, 200]
     assert len(search.candidates) == 5
+    plain = STUDY.replace("objective: {max_vsr: 1, detection: {box: 0.5}}\n", "")
+    zones, lost = "zones: [{name: near, min_m: [0, 0, 0], max_m: [4, 6, 3]}]\n", "robust: {position_sigma_m: 0.1}\n"
+    for text, named in ((plain, "max VSR (m)"), *((t, "objective") for t in (plain + zones, plain + lost, STUDY))):
+        (tmp_path / "study.yaml").write_text(text)
+        axes = draw_front(load_study(tmp_path / "study.yaml"), search).axes
+        assert [one.get_ylabel() for one in axes if one.get_ylabel()] == [named]
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(1234567.0, "1,234,567"), (0.1 + 0.2, "0.3"), (9999.99, "9,999.99"), (4e12, "4,000,000,000,000")],
+)
+def test_prices_have_all_their_figures(value, said):
+    """A rig's price in yen has seven figures; what dozens of cents add up to has no rounding errors."""
+    assert price(value) == said
