@@ -26,11 +26,13 @@ def test_attacks(tmp_path):
     assert all(" 0 failures; " in row for row in rows)
 
 
-@pytest.mark.parametrize("name", ["\x1b[31mred\x07", "\x9b31m", "\u202egnp.exe\u2066", "a\u2028b", "a\rb"])
+@pytest.mark.parametrize(
+    "name", ["\x1b[31mred\x07", "\x9b31m", "\u202egnp.exe\u2066", "a\u2028b", "a\rb", "a\nlidarcfg: b"]
+)
 def test_names_do_not_control_the_terminal(tmp_path, name):
     (tmp_path / "model.yaml").write_text(MODEL.format(json.dumps(name)))
     shown = lidarcfg("sensors", "show", tmp_path / "model.yaml").stdout
-    assert repr(name[0])[1:-1] in shown
+    assert "".join(c if c.isprintable() else repr(c)[1:-1] for c in name) in shown
     assert all(letter.isprintable() for letter in shown.replace("\n", ""))
     text = to_json({"name": name})
     assert json.loads(text) == {"name": name}

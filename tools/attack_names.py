@@ -1,14 +1,18 @@
 """Attacks by names: HTML, terminal escapes, newlines and bidirectional controls in whatever can be called something."""
 
+import ast
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
-from attack_run import Row, run
+from attack_run import Row, run, warm_up
 
 NAMES = {
+    "a name": "name",
     "a script": "<script>alert(1)</script>",
     "an attribute": "\"' onmouseover=alert(1) x='\"",
     "an image": '"><img src=x onerror=alert(1)>',
@@ -16,6 +20,8 @@ NAMES = {
     "a terminal escape": "\x1b[31;1mred\x1b]0;title\x07\x1b[2J",
     "the same in one byte": "\x9b31mred",
     "lines": "one\r\ntwo\x0b\x0c\u2028three",
+    "one more line": "one\nlidarcfg: two",
+    "the end of a text": "\\",
     "bidirectional controls": "\u202egnp.exe\u2066\u200f",
     "markup of tables": "[bold]b[/bold] $x^2$ {{ 7*7 }} %(a)s",
 }
@@ -47,11 +53,28 @@ COMMANDS = (
     "view cloud.npz rig.yaml --html w.html",
     "convert cloud.npz -o z.las",
     "convert rig.yaml -o r.urdf",
+    "convert rig.yaml -o r.launch.py",
+    "convert rig.yaml -o r.json",
     "sensors show model.yaml",
     "evaluate study.yaml model-rig.yaml",
     "evaluate {name} rig.yaml",
     "view {name}",
 )
+
+
+FORMS: dict[str, Callable[[str], list[Any]]] = {  # what stays of a file whatever names are in it
+    "r.urdf": lambda text: [(one.tag, sorted(one.attrib)) for one in ElementTree.fromstring(text).iter()],
+    "r.launch.py": lambda text: [type(node) for node in ast.walk(ast.parse(text))],
+    "r.json": lambda text: sorted(json.loads(text)),
+}
+
+
+def form(path: Path) -> list[Any]:
+    """What a file for another tool has, apart from names; nothing if that tool cannot read it."""
+    try:
+        return FORMS[path.name](path.read_text())
+    except (SyntaxError, ElementTree.ParseError, ValueError):
+        return []
 
 
 def cloud(name: str) -> dict[str, np.ndarray]:
@@ -80,7 +103,11 @@ class Page(HTMLParser):
 
 def attacks(folder: Path) -> Iterator[Row]:
     """Each name everywhere at once, through every command that shows names."""
-    pages, terminal = Row("HTML in names: reports and pages"), Row("escapes, lines, controls in names: what is printed")
+    tools, pages, terminal = (
+        Row("names in files for other tools: URDF, Python, JSON"),
+        Row("HTML in names: reports and pages"),
+        Row("escapes, lines, controls in names: what is printed"),
+    )
     for what, name in NAMES.items():
         place = folder / what.replace(" ", "-")
         place.mkdir()
@@ -92,16 +119,22 @@ def attacks(folder: Path) -> Iterator[Row]:
         called = place / f"{name.replace('/', '_')}.yaml"  # a study is called as its file
         called.write_text((place / "study.yaml").read_text())
         np.savez(place / "cloud.npz", **cloud(name))
+        if what == "a name":
+            warm_up([words for words in COMMANDS if "{" not in words], place)
         for words in COMMANDS:
             typed = [name if word == "{name}" else called.name if word == "{file}" else word for word in words.split()]
             ended = run(typed, place)
             odd = "" if ended.code == 0 else ended.not_refused
             printed = (place / ".out").read_bytes().decode() + ended.errors
-            found = sorted(set(printed) & CONTROLS)
+            found = sorted(set(printed) & CONTROLS) or ([name] if "\n" in name and name in printed else [])
             terminal.add((odd and f"{what}, {words}: {odd}") or (f"{what}, {words}: prints {found}" if found else ""))
         for page in place.rglob("*.html"):
             parser = Page()
             parser.feed(page.read_text())
             pages.add(f"{what}: {page.name} has {parser.acts}" if parser.acts else "")
+        for file in FORMS:
+            same = form(place / file) == form(folder / "a-name" / file) != []
+            tools.add("" if same else f"{what}: {file} has another form")
     yield pages
     yield terminal
+    yield tools

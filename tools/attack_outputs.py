@@ -17,7 +17,7 @@ from pathlib import Path
 from attack_commands import MARKS, Command
 
 SECONDS = re.compile(rb'(?<="seconds": )[-+\d.e]+|(?<=seconds</th><td>)[-+\d.e]+')  # of JSON and of reports
-OWN = {".out", ".errors"}  # what the attacks write beside the outputs
+OWN = {".out", ".errors", ".opened"}  # what the attacks write beside the outputs
 Files = dict[str, bytes]
 
 

@@ -4,16 +4,17 @@ import os
 import resource
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 SECONDS, MEGABYTES = 10.0, 1000.0  # of a processor and of memory: a bad input is refused, or used, within these
-HANGS_S = 100.0  # however busy the machine is
+HANGS_S, BUSY_S = 600, 60  # by the clock and of a processor: one that takes longer is ended
 LIBRARIES = "numba scipy.ndimage scipy.spatial.transform matplotlib.figure open3d jinja2 lidarcfg.cli lidarcfg.report "
 LIBRARIES += (
     "lidarcfg.view.page lidarcfg.view.still lidarcfg.simulate.export lidarcfg.formats.bag lidarcfg.placement.details"
@@ -76,6 +77,24 @@ def load_libraries() -> None:
         importlib.import_module(name)
 
 
+def warm_up(commands: Sequence[str], folder: Path) -> None:
+    """Run commands in this process, so that its forks have their compiled loops, too."""
+    from lidarcfg.cli import main
+
+    handled = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE
+    handlers, here, words = [signal.getsignal(number) for number in handled], os.getcwd(), sys.argv
+    os.chdir(folder)
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        for command in commands:
+            sys.argv = ["lidarcfg", *command.split()]
+            with suppress(SystemExit):
+                main()
+    os.chdir(here)
+    sys.argv = words
+    for number, handler in zip(handled, handlers, strict=True):
+        signal.signal(number, handler)
+
+
 def start(
     words: Sequence[object], folder: Path, limit: Callable[[], None] = lambda: None, encoding: str | None = None
 ) -> int:
@@ -95,7 +114,8 @@ def start(
         signal.signal(signal.SIGINT, signal.default_int_handler)
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
             signal.signal(number, signal.SIG_DFL)
-        signal.alarm(int(HANGS_S))
+        signal.alarm(HANGS_S)
+        resource.setrlimit(resource.RLIMIT_CPU, (BUSY_S, BUSY_S))
         limit()
         from lidarcfg.cli import main
 
@@ -136,6 +156,33 @@ def run(
     """A command to its end."""
     began = time.monotonic()
     return wait(start(words, folder, limit, encoding), folder, began)
+
+
+def run_in_terminal(words: Sequence[object], folder: Path, encoding: str) -> Ended:
+    """A command to its end, in a terminal; what it writes there is in .out."""
+    leader, follower = os.openpty()
+    said = bytearray()
+
+    def attach() -> None:
+        os.environ["TERM"] = "xterm-256color"
+        for number in (1, 2):
+            os.dup2(follower, number)
+
+    def read() -> None:
+        with suppress(OSError):  # at its end
+            while part := os.read(leader, 1 << 16):
+                said.extend(part)
+
+    began = time.monotonic()
+    pid = start(words, folder, attach, encoding)
+    os.close(follower)
+    reader = threading.Thread(target=read)
+    reader.start()
+    ended = wait(pid, folder, began)
+    reader.join()
+    os.close(leader)
+    (folder / ".out").write_bytes(said)
+    return ended
 
 
 def small_files(most: int) -> Callable[[], None]:

@@ -86,15 +86,15 @@ class Steps:
         """None so far."""
         struct.pack_into(SEEN, self._seen, 0, 0.0, 0, 0)
 
-    def watch(self, last: int = 0) -> Callable[[], None]:
-        """For a fork: count them; die at the last, if there is to be one."""
+    def watch(self, last: int = 0, number: int = signal.SIGKILL) -> Callable[[], None]:
+        """For a fork: count them; die at the last, if there is to be one, or stand still."""
 
         def step(frame: FrameType, event: str, of: object) -> None:
             if frame.f_code.co_filename.endswith(WRITERS):
                 first_s, count, _ = struct.unpack_from(SEEN, self._seen)
                 struct.pack_into(SEEN, self._seen, 0, first_s, count + 1, count + 1 == last and _is_within(frame))
                 if count + 1 == last:
-                    os.kill(os.getpid(), signal.SIGKILL)
+                    os.kill(os.getpid(), number)
 
         def hook(event: str, given: tuple[Any, ...]) -> None:
             if event in ("open", "os.mkdir") and not self.first_s and str(given[0]).endswith(".part"):

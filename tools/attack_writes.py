@@ -3,9 +3,11 @@
 import os
 import random
 import signal
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from attack_commands import MARKS
 from attack_outputs import clear, contents, leftovers, strangers, wrong
@@ -44,10 +46,31 @@ def kills(warm: Warm, times: int, rng: random.Random) -> list[Row]:
         ended = warm.run(mark)
         known.seconds = known.seconds if command.resumes else ended.seconds  # the machine may be busier by now
         row.add(odd or _not_done(warm, ended) or _after(warm, mark))
-    row.seen = f"{early} had not ended, {begun} of them had begun a file" + f", {between} lay between two" * (
-        between > 0
-    )
+    row.add(_in_place(warm))
+    row.seen = f"{early} had not ended, {begun} had begun a file, {between} of them were between two"
     return [row, *([_worker_kills(warm, max(times // 3, 1), rng)] if command.resumes else [])]
+
+
+def _in_place(warm: Warm) -> str:
+    """Which outputs a run writes in their place, and not aside: a kill seldom falls into so short a moment."""
+    log = warm.folder / ".opened"
+
+    def watch() -> None:
+        handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+
+        def hook(event: str, given: tuple[Any, ...]) -> None:
+            if event == "open" and isinstance(given[0], str | Path) and given[2] & (os.O_WRONLY | os.O_RDWR):
+                path = Path(os.path.abspath(given[0]))
+                if path.is_relative_to(warm.folder) and ".part" not in path.as_posix() and not path.is_dir():
+                    os.write(handle, f"{path.name} ".encode())
+
+        sys.addaudithook(hook)
+
+    _afresh(warm)
+    ended = warm.run(MARKS[0], watch)
+    found = log.read_text()
+    log.unlink()
+    return _not_done(warm, ended) or (f"{warm.command.name}: writes in place: {found}" if found else "")
 
 
 def _afresh(warm: Warm) -> None:
@@ -211,7 +234,8 @@ def read_only(warm: Warm, times: int, rng: random.Random) -> list[Row]:
 def two_writers(warm: Warm, times: int, rng: random.Random) -> list[Row]:
     """Two runs of one output at once: both end well, and what is there is all of one of them.
 
-    Where an output that is there is refused, so is the later run.
+    Every other time the first stands still at a step of its writing while the second begins. Where an output that is
+    there is refused, so is the later run.
     """
     command, row = warm.command, Row("two writers of one output")
     for number in range(times):
@@ -219,8 +243,14 @@ def two_writers(warm: Warm, times: int, rng: random.Random) -> list[Row]:
         started = []
         marks = (MARKS[number % 2],) * 2 if command.fixed else MARKS
         for mark in marks:
-            started.append((warm.start(mark), time.monotonic()))
-            time.sleep(rng.uniform(0, 0.5 * warm.known.seconds))
+            stops = number % 2 and not started
+            pause = warm.steps.watch(rng.randint(1, warm.known.steps), signal.SIGSTOP) if stops else lambda: None
+            started.append((warm.start(mark, pause), time.monotonic()))
+            if stops:
+                os.waitid(os.P_PID, started[0][0], os.WEXITED | os.WSTOPPED | os.WNOWAIT)
+            time.sleep(rng.uniform(0, (1.0 if number % 2 else 0.5) * warm.known.seconds) * (not stops))
+        with suppress(ProcessLookupError):
+            os.kill(started[0][0], signal.SIGCONT)
         codes = [wait(pid, warm.folder, began).code for pid, began in started]
         fits = codes == [0, 0] or (command.once and sorted(codes) == [0, 2])
         odd = "" if fits else f"{command.name}: exits {codes}: {(warm.folder / '.errors').read_text()[-200:]}"

@@ -1,22 +1,20 @@
 """Where results are printed."""
 
 import sys
-from collections.abc import Iterable
+from typing import Any
 
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
+from rich.console import Console
+from rich.text import Text
 
 from lidarcfg.errors import one_line
 
 
 class Terminal(Console):
-    """A console that writes the control characters of names as escapes."""
+    """A console that writes the control characters of names as escapes, and their line ends too."""
 
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """The pieces of text."""
-        for piece in super().render(renderable, options):
-            lines = map(one_line, piece.text.split("\n"))
-            yield piece if piece.control else Segment("\n".join(lines), piece.style)
+    def render_str(self, text: str, **options: Any) -> Text:
+        """A text, or a table's cell."""
+        return super().render_str(one_line(text), **options)
 
 
 def terminal() -> Console:
