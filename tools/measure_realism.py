@@ -15,7 +15,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import Capture
+from lidarcfg.capture.decode import Capture, Recorded
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import Array, directions
 from lidarcfg.packets.codec import Measurements, codec
@@ -118,12 +118,20 @@ def shots(sensor: Sensor, found: Measurements) -> Shots:
     )
 
 
+def measurements(one: Recorded) -> Measurements:
+    """Of the packets of the return mode that most of a source's are of."""
+    maker = codec(one.sensor)
+    modes = maker.return_modes(one.source, one.packets)
+    mode = int(np.argmax(np.bincount(modes)))
+    return maker.measurements(one.source, one.packets[modes == mode], one.host_ns[modes == mode], mode)
+
+
 def read(path: Path, model: str | None) -> dict[str, Shots]:
     """The sources of a capture, called as the file or, if there are more, as the file and the source."""
     sources = Capture(path, lambda warning: None, model=model).sources()
     return {
         path.stem if len(sources) == 1 else f"{path.stem} {one.name.removesuffix(':2368')}": shots(
-            one.sensor, codec(one.sensor).measurements(one.source, one.packets, one.host_ns)
+            one.sensor, measurements(one)
         )
         for one in sources
     }

@@ -13,6 +13,7 @@ INTERFACE, OLD_PACKET, SIMPLE_PACKET, PACKET = 1, 2, 3, 6  # types of blocks
 END, RESOLUTION, OFFSET = 0, 9, 14  # options of an interface
 HEAD, PACKET_HEAD, LENGTH = 8, 20, 4  # bytes before a block's body, in that before a frame, and after it
 BLOCK_MAX = 16 << 20  # bytes; libpcap allows no longer block
+INTERFACES_MAX = 1 << 16  # of a section; more are damage, and memory
 LATEST_NS = 4_600_000_000 * SECOND_NS  # in 2115; beyond are damaged ones
 
 
@@ -59,6 +60,8 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
                 interfaces = []
             elif block.kind == INTERFACE:
                 interfaces.append(_interface(block))
+                if len(interfaces) > INTERFACES_MAX:
+                    raise ValueError
             elif block.kind in (PACKET, OLD_PACKET):
                 (which,) = block.unpack("I" if block.kind == PACKET else "H")
                 high, low, size = block.unpack("III", 4)

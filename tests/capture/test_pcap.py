@@ -282,6 +282,7 @@ def test_what_a_pcapng_must_not_hold(tmp_path, raw, message):
         block("<", 6, "IIIII", 0, 0, 5, 99, 99, octets=FRAME),  # a frame that is longer than its block
         block("<", 1, "HHI", 1, 0, 0, octets=struct.pack("<HHq", 9, 8, 6)),  # a unit of eight bytes
         bytes(100),
+        interface("<", 1) * 65536,
     ],
 )
 def test_a_damaged_block_ends_a_pcapng(tmp_path, damaged):
