@@ -11,11 +11,13 @@ from lidarcfg.config import error_at
 from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import Choices
 from lidarcfg.placement.cones import Lidar, sensor_lidar
-from lidarcfg.placement.study_file import GroupFile, StudyFile
+from lidarcfg.placement.study_file import NONE, GroupFile, StudyFile
 from lidarcfg.placement.surfaces import Surface, on_surface
 from lidarcfg.rig import HOSTS, resolve_sensor
 from lidarcfg.sensor import Sensor
 from lidarcfg.world.vehicle import Vehicle
+
+BETWEEN_DEG = 10.0  # by so much a sensor may tilt less between the places of its surface that were tried
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,11 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
     lower, upper, mirror, member = [], [], [], []
     for i, (group, models) in enumerate(zip(file.sensors, choices, strict=True)):
         offered = tuple(
-            choice and replace(choice, surface=_surface(group, bodies, choice.sensor, path, i)) for choice in models
+            choice and replace(choice, surface=_surface(file, bodies, choice.sensor, path, i)) for choice in models
         )
         one = next((choice for choice in offered if choice), None)
         sensor, model = (one.sensor, one.model) if one else resolve_sensor(path, i, group.model, group.elevation_deg)
-        surface = one.surface if one else _surface(group, bodies, sensor, path, i)
+        surface = one.surface if one else _surface(file, bodies, sensor, path, i)
         for choice in filter(None, offered):
             _fov_deg(choice.sensor, group, path, i)
         fov_deg = _fov_deg(sensor, group, path, i)
@@ -78,11 +80,17 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
     return Slots(tuple(found), tuple(member), low, high, plane)
 
 
-def _surface(group: GroupFile, bodies: Vehicle | None, sensor: Sensor, path: Path, i: int) -> Surface | None:
-    """What a sensor of the group sits on, if on anything."""
+def _surface(file: StudyFile, bodies: Vehicle | None, sensor: Sensor, path: Path, i: int) -> Surface | None:
+    """What a sensor of group i sits on, if on anything. Raises ConfigError, also if it tilts too much everywhere."""
+    group = file.sensors[i]
     if not (group.on and bodies):
         return None
-    return on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
+    surface = on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
+    limit_deg, least_deg = file.constraints.max_tilt_deg, math.degrees(surface.patch.least_tilt_rad)
+    if not group.on.upright and NONE not in (group.choose or ()) and least_deg > limit_deg + BETWEEN_DEG:
+        what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more wherever its base was tried"
+        raise error_at(path, ("constraints", "max_tilt_deg"), what)
+    return surface
 
 
 def _fov_deg(sensor: Sensor, group: GroupFile, path: Path, i: int) -> tuple[float, float] | None:

@@ -268,6 +268,7 @@ class Patch:
     bases_m: Array  # (a, b, 3) where there is no surface, in the middle of the box
     hit: NDArray[np.bool_]  # (a, b) whether there is a surface in the box
     fits: NDArray[np.bool_]  # (a, b) whether a base is wholly on it
+    least_tilt_rad: float  # of the axes of sensors whose bases fit; inf: none does
 
     @property
     def cells_m(self) -> Array:
@@ -307,7 +308,8 @@ def _patch(surface: Surface) -> Patch:
         fits = violation([one for one, _ in pair], np.stack([at for _, at in pair], axis=1)) == 0.0
     hit = ~np.isnan(surface.heights_m(grid)) & (bases >= low - ON_M).all(axis=1) & (bases <= high + ON_M).all(axis=1)
     shape = tuple(len(lines[axis]) for axis in surface.across)
-    return Patch(bases.reshape(*shape, 3), hit.reshape(shape), fits.reshape(shape))
+    tilts = np.arccos(np.clip(up(poses[fits, 3:])[:, 2], -1.0, 1.0))
+    return Patch(bases.reshape(*shape, 3), hit.reshape(shape), fits.reshape(shape), float(tilts.min(initial=np.inf)))
 
 
 def mirrored(poses: Array, y_m: Array | float) -> Array:

@@ -154,6 +154,19 @@ def test_along_the_normal_of_a_slope(tmp_path):
     assert (poses[:, 0, :3] - (0, 0, 1)) @ normal == pytest.approx(0.5 + 0.05, abs=1e-12)
 
 
+def test_a_tilt_that_a_surface_does_not_allow_is_refused_at_once(tmp_path):
+    """A wall's normal is level, 90° from the vertical."""
+    box = "vehicle: {boxes: [{name: box, center_m: [0, 0, 1], size_m: [2, 1, 2], yaw_deg: 30}]}\n"
+    wall = ("box", "left", (-0.5, 0, 0.5), (0.5, 1, 1.5))
+    with pytest.raises(
+        ConfigError, match=r"constraints.max_tilt_deg: 79 is impossible: sensors\[0\] tilts by 90 or more"
+    ):
+        study(tmp_path, box, on(*wall, upright=False), more="constraints: {max_tilt_deg: 79}\n")
+    for limit_deg, kept in ((90.001, True), (81, False)):  # within 10° of it the search decides
+        loaded = study(tmp_path, box, on(*wall, upright=False), more=f"constraints: {{max_tilt_deg: {limit_deg}}}\n")
+        assert ((loaded.violation(random(loaded, 20)) == 0) == kept).all()
+
+
 def test_a_pair_sits_on_both_sides(tmp_path):
     """Each on its own side of the car, whose halves differ by a millimetre; on a box, exact images."""
     group = on("body", "left", (1.2, 0.5, 0.5), (2.1, 1.1, 0.8)) + ", count: 2, mirror_y_m: 0, yaw_deg: [0, 90]"
