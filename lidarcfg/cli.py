@@ -22,6 +22,7 @@ from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.sweep import sweep
 from lidarcfg.commands.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line
+from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
 
 EPOCH_DIGITS = 11  # of the seconds since 1970, to the year 5138
 
@@ -49,14 +50,8 @@ def main() -> None:
         _fail(f"{message} (see {_command_path(error)} --help)")
     except LidarcfgError as error:
         _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename}: {(error.strerror or str(error)).lower()}" if error.filename else str(error))
-    except MemoryError:
-        _fail("out of memory; a coarser grid, fewer samples or a shorter capture need less")
-    except ImportError as error:
-        if ".so" not in str(error):
-            raise
-        _fail(f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)")
+    except (OSError, MemoryError, ImportError, RuntimeError) as error:
+        _fail(_of_the_system(error, interrupts.doing))
     except (click.Abort, KeyboardInterrupt):
         from lidarcfg.aside import remove_own
 
@@ -68,10 +63,23 @@ def main() -> None:
 
 
 def _check_environment() -> None:
-    """Raises ConfigError for what libraries would raise ValueError for, as they are imported."""
+    """Raises LidarcfgError for what libraries would raise ValueError for, or hang, as they are imported."""
+    if not {"-h", "--help", "--version"} & set(sys.argv):
+        check_memory("any command", 0.0, reserved=LIBRARIES_BYTES)
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not epoch.isdecimal() or len(epoch) > EPOCH_DIGITS:
         raise ConfigError(f"SOURCE_DATE_EPOCH: {epoch[:40]!r} is not a number of seconds since 1970")
+
+
+def _of_the_system(error: Exception, doing: str) -> str:
+    """What is said of an error of files, memory or libraries. Raises any other."""
+    if is_out_of_memory(error):
+        return str(out_of_memory(error, doing or " ".join(sys.argv[1:2])))
+    if isinstance(error, OSError):
+        return f"{error.filename}: {(error.strerror or str(error)).lower()}" if error.filename else str(error)
+    if isinstance(error, ImportError) and ".so" in str(error):
+        return f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)"
+    raise error
 
 
 def _command_path(error: click.ClickException) -> str:

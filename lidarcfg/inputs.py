@@ -1,6 +1,7 @@
 """Files that are read: regular ones, of a size that memory holds. What is not is refused before it is read."""
 
 import errno
+import math
 import os
 import stat
 import time
@@ -12,6 +13,9 @@ from lidarcfg.errors import LidarcfgError
 WRITER_S, AGAIN_S = 3.0, 0.02  # a pipe that nobody opens to write is waited for
 PIPE_BYTES = 1 << 16
 CGROUP = Path("/sys/fs/cgroup")
+NO_MEMORY = ("can't start new thread", "failed to map segment", "annot allocate memory")  # what libraries say
+LIBRARIES_BYTES = 600e6  # with less that can be reserved they do not load, or hang
+LESS = "larger cuboids, fewer samples, fewer threads or a shorter capture need less"
 
 
 def check_regular(path: str | Path, most: int | None = None) -> int:
@@ -64,9 +68,20 @@ def _first(pipe: int, path: str | Path) -> bytes:
     return first
 
 
+def address_bytes() -> float:
+    """What `ulimit -v` leaves of the memory that this process may reserve, whether it is used or not."""
+    with suppress(ImportError, OSError):
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if limit != resource.RLIM_INFINITY:
+            return limit - int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    return math.inf
+
+
 def memory_bytes() -> float:
     """The memory that this process may still take: what the machine, its container and its limits leave."""
-    left = [float("inf")]
+    left = [address_bytes()]
     with suppress(OSError, ValueError, AttributeError):
         left.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     with suppress(OSError, ValueError, StopIteration):
@@ -74,18 +89,33 @@ def memory_bytes() -> float:
         left.append(1024 * float(next(line for line in lines if line.startswith("MemAvailable")).split()[1]))
     with suppress(OSError, ValueError):  # "max" is no number: no limit
         left.append(float((CGROUP / "memory.max").read_text()) - float((CGROUP / "memory.current").read_text()))
-    with suppress(ImportError, OSError):
-        import resource
-
-        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-        if limit != resource.RLIM_INFINITY:
-            pages = int(Path("/proc/self/statm").read_text().split()[0])
-            left.append(limit - pages * resource.getpagesize())
     return min(left)
 
 
-def check_memory(what: str, needed: float, advice: str = "") -> None:
-    """Raises LidarcfgError if what needs so many bytes of memory cannot have them."""
-    if needed > (left := memory_bytes()):
+def check_memory(what: str, needed: float, advice: str = "", reserved: float = 0.0) -> None:
+    """Raises LidarcfgError if what needs so many bytes of memory cannot have them, or cannot reserve so many."""
+    sizes = ""
+    if reserved > (left := address_bytes()):
+        sizes = f"to reserve {reserved / 1e9:,.1f} GB of memory; ulimit -v leaves {max(left, 0) / 1e9:,.1f} GB"
+    elif needed > (left := memory_bytes()):
         sizes = f"{needed / 1e9:,.1f} GB of memory; {max(left, 0) / 1e9:,.1f} GB are free"
+    if sizes:
         raise LidarcfgError(f"{what} needs {sizes}{'; ' * bool(advice)}{advice}")
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that the system had no memory left: for arrays, threads, libraries or files."""
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+        return True
+    said = str(error)
+    if isinstance(error, RuntimeError | ImportError) and any(words in said for words in NO_MEMORY):
+        return True
+    return isinstance(error, ImportError | OSError) and "shared object" in said and address_bytes() < LIBRARIES_BYTES
+
+
+def out_of_memory(error: BaseException, doing: str) -> LidarcfgError:
+    """What is said then: what was being done, and, where that is known, how much was asked for."""
+    shape, dtype = getattr(error, "shape", None), getattr(error, "dtype", None)  # of numpy's
+    asked = f"{math.prod(shape) * dtype.itemsize / 1e6:,.1f} MB more were asked for, " if shape and dtype else ""
+    left = f"{max(memory_bytes(), 0) / 1e6:,.0f} MB are free"
+    return LidarcfgError(f"out of memory at: {doing}; {asked}{left}; {LESS}")

@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 import threading
 import time
 import zipfile
@@ -152,6 +154,55 @@ def test_voxels_that_memory_does_not_hold(monkeypatch):
     ):
         with pytest.raises(LidarcfgError, match=what):
             make()
+
+
+def test_what_the_system_has_no_memory_for_is_one_line_that_says_what():
+    """numpy's error says the bytes; threads, libraries and files say it in words of their own."""
+    with pytest.raises(MemoryError) as raised:
+        np.empty((10**9, 10**6))
+    said = str(inputs.out_of_memory(raised.value, "evaluating a.yaml"))
+    assert re.match(
+        r"out of memory at: evaluating a\.yaml; 8,000,000,000\.0 MB more were asked for, [\d,]+ MB are free; ", said
+    )
+    for error in (
+        MemoryError("std::bad_alloc"),
+        RuntimeError("can't start new thread"),
+        ImportError("libblas.so.3: failed to map segment from shared object"),
+        OSError(12, "Cannot allocate memory"),
+    ):
+        assert inputs.is_out_of_memory(error)
+        assert "asked" not in str(inputs.out_of_memory(error, ""))
+    for error in (RuntimeError("a bug"), ImportError("no module"), OSError(2, "no such file"), ValueError()):
+        assert not inputs.is_out_of_memory(error)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits as Linux has them")
+@pytest.mark.parametrize(
+    ("megabytes", "words", "what"),
+    [
+        (
+            3000,
+            "evaluate large.yaml rig.yaml",
+            r"a region of 40,000,000 cuboids needs to reserve 4\.4 GB of memory; ulimit",
+        ),
+        (
+            450,
+            "evaluate study.yaml rig.yaml -o o",
+            r"any command needs to reserve 0\.6 GB of memory; ulimit -v leaves 0\.[34] GB$",
+        ),
+    ],
+)
+def test_a_limit_of_addresses(tmp_path, megabytes, words, what):
+    """Under `ulimit -v`: by what a region reserves, measured, and by what libraries do."""
+    (tmp_path / "rig.yaml").write_text("name: r\nsensors:\n  - {name: a, model: vlp-16, position_m: [0, 0, 1.8]}\n")
+    (tmp_path / "study.yaml").write_text(SMALL_STUDY)
+    (tmp_path / "large.yaml").write_text(SMALL_STUDY.replace("[1, 1, 1]", "[0.01, 0.008, 0.01]"))
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({megabytes * 10**6},) * 2)"
+    code = f"{limit}; import sys; sys.argv[1:] = {words.split()!r}; from lidarcfg.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+    assert re.match(f"lidarcfg: {what}", done.stderr)
+    assert not list(tmp_path.glob("o/*"))
 
 
 def test_memory_is_what_the_machine_has():

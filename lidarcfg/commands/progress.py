@@ -31,6 +31,7 @@ class Interrupts:
 
     def __init__(self) -> None:
         self._came, self.screen = Event(), Screen()
+        self.doing = ""  # by the latest progress
 
     def handle(self, number: int, frame: FrameType | None) -> None:
         """The signal handler."""
@@ -42,8 +43,9 @@ class Interrupts:
             return
         raise KeyboardInterrupt
 
-    def check(self) -> None:
-        """Raise KeyboardInterrupt if a signal came."""
+    def check(self, doing: str) -> None:
+        """Raise KeyboardInterrupt if a signal came before this is being done."""
+        self.doing = doing
         if self._came.is_set():
             raise KeyboardInterrupt
 
@@ -136,7 +138,7 @@ def progress(
     """
     interrupts = interrupts or click.get_current_context().ensure_object(Interrupts)
     if quiet:
-        yield lambda fraction, text: interrupts.check()
+        yield lambda fraction, text: interrupts.check(text)
     elif sys.stderr.isatty():
         yield from _bar(interrupts, mean_over_s, keep)
     else:
@@ -150,7 +152,7 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal task
-        interrupts.check()
+        interrupts.check(text)
         bar = screen.bar()
         screen.work()
         if task is None:
@@ -171,7 +173,7 @@ def _lines(interrupts: Interrupts, keep: bool) -> Iterator[Callable[[float, str]
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal last, told
-        interrupts.check()
+        interrupts.check(text)
         last = f"{fraction:4.0%}  {one_line(text)}"
         if time.monotonic() - told > LINE_S:
             click.echo(last, err=True)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
+CUBOID_ADDRESSES = 110  # of bytes that are reserved for one, most of which are never used
 VOXEL_BYTES = 300  # of memory for one of Open3D's, and to make it
 NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
@@ -135,7 +136,8 @@ class Region:
         """The region that a study file describes. Raises LidarcfgError where memory does not hold its evaluation."""
         boxes = tuple((box.min_m, box.max_m) for box in file.exclude)
         cuboids = math.prod(round((file.max_m[axis] - file.min_m[axis]) / file.cuboid_m[axis]) for axis in range(3))
-        check_memory(f"a region of {cuboids:,} cuboids", CUBOID_BYTES * cuboids, "use larger cuboids")
+        reserved = CUBOID_ADDRESSES * cuboids
+        check_memory(f"a region of {cuboids:,} cuboids", CUBOID_BYTES * cuboids, "use larger cuboids", reserved)
         return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
 
     def without(self, bodies: "Vehicle") -> "Region":

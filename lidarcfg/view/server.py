@@ -15,6 +15,7 @@ import numpy as np
 from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import out_of_memory
 from lidarcfg.placement.evaluation import WORST
 from lidarcfg.rig import Rig, rig_text
 from lidarcfg.view.evaluation import evaluation, moved, rates
@@ -96,6 +97,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.BAD_REQUEST, f"{error.filename}: {(error.strerror or str(error)).lower()}")
         except LidarcfgError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+        except MemoryError as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(out_of_memory(error, "evaluating the rig")))
 
     def _answer(self, request: dict[str, Any], poses: Array) -> tuple[str, bytes]:
         """The kind and the body of an answer; both empty if there is none. Raises ConfigError, OSError."""
