@@ -4,6 +4,7 @@ Columns that stand for a source's packets are encoded again; what they do not sa
 """
 
 import json
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets, codec
 from lidarcfg.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount
 from lidarcfg.sensor import Reported, Sensor
 
-VERSION = 2
+VERSION = 3
 COLUMNS = {  # of a source, and their types; N firings in P packets, R returns of each
     "time_ns": "<i8",  # (N,) device time
     "laser": "|u1",  # (N,)
@@ -36,7 +37,7 @@ COLUMNS = {  # of a source, and their types; N firings in P packets, R returns o
     "rest": "|u1",  # (K,) and what they are
 }
 FILE_COLUMNS = CUTS | {"raw": "|u1"}  # where the file has the packets, and all else in it
-KEYS = "name", "sensor", "return_mode", "firings", "packets", "size", "more"  # what is said of a source
+KEYS = "name", "sensor", "return_mode", "firings", "order", "packets", "size", "more"  # what is said of a source
 ANY_RANGE = Reported(source="as recorded", min_m=0, max_m=COORDINATE_MAX_M)
 
 OnWarning = Callable[[str], None]
@@ -169,6 +170,7 @@ def _said(one: Source, size: int) -> dict[str, Any]:
         "sensor": one.sensor.model_dump(mode="json", exclude_none=True),
         "return_mode": one.found.return_mode,
         "firings": len(one.found.range_m),
+        "order": zlib.crc32(one.found.batch.firings.laser.tobytes()),
         "packets": len(one.found.batch.number),
         "size": size,
         "more": {key: [value.dtype.str, value.shape] for key, value in one.found.more.items()},
@@ -235,6 +237,9 @@ def _packets(
         if len(wrong):
             value = columns[key].ravel()[wrong[0]]
             raise CloudError(f"{path}: {number}/{key}[{wrong[0]}]: {value} is not allowed; allowed: {low} to {high}")
+    if zlib.crc32(columns["laser"].tobytes()) != said["order"]:
+        what = "not the lasers as recorded; firings stay in the order of the packets"
+        raise CloudError(f"{path}: {number}/laser: {what}; allowed: other times, angles, ranges, reflectivities")
     if len(columns["rest"]) != len(columns["rest_at"]) or columns["range_m"].shape != columns["reflectivity"].shape:
         raise CloudError(f"{path}: {number}: columns that belong together are of different lengths")
     if columns["range_m"].shape[1] != 1 + (said["return_mode"] not in SINGLE):

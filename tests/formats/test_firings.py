@@ -480,6 +480,10 @@ def test_checksums_are_made_right(tmp_path):
         ),
         (lambda c: c["0/range_m"].__setitem__((3, 0), np.nan), "0/range_m[3]: nan is not allowed; allowed: 0 to inf"),
         (lambda c: c["0/laser"].__setitem__(7, 16), "0/laser[7]: 16 is not allowed; allowed: 0 to 15"),
+        (
+            lambda c: c["0/laser"].__setitem__(slice(2), [1, 0]),
+            "0/laser: not the lasers as recorded; firings stay in the order",
+        ),
         (lambda c: c["0/rest_at"].__setitem__(0, 10**9), "0/rest_at[0]: 1000000000 is not allowed"),
         (lambda c: c.update({"sources": np.array("{}")}), "sources: not what a recording as firings says"),
         (lambda c: c.update({"source": c["source"][:-1]}), "its records do not belong together"),
