@@ -75,7 +75,7 @@ class Record(Model):
             try:
                 same = _sha256(path) == part.sha256
             except OSError as error:
-                raise error_at(record, at, f"{path}: {(error.strerror or str(error)).lower()}") from None
+                raise error_at(record, at, f"{path}: {(error.strerror or str(error)).lower()}; {hint}") from None
             if not same:
                 raise error_at(record, at, f"{path} has changed since the export; {hint}")
         known = catalogue()
@@ -122,7 +122,13 @@ def rig_file(capture: Path, given: str | Path | None) -> Path | None:
     if given is not None:
         return None if str(given) == NONE else Path(given)
     beside = record_path(capture)
-    return load_record(capture).path("rig", beside, "name what fits it, or none: --rig") if beside.exists() else None
+    return (
+        load_record(capture).path(
+            "rig", beside, "name what fits it, or none, which leaves points in their sensors' frames: --rig"
+        )
+        if beside.exists()
+        else None
+    )
 
 
 def record_path(capture: Path) -> Path:

@@ -59,6 +59,16 @@ def test_a_record_of_a_drive_says_all_that_reading_it_needs(tmp_path):
         lidarcfg.decode(out, "none", deskew=True)
 
 
+def test_a_capture_whose_rig_is_gone_says_what_to_do(tmp_path):
+    (tmp_path / "rig.yaml").write_text("name: r\nsensors: [{name: a, model: vlp-16, position_m: [0, 0, 2]}]\n")
+    lidarcfg.export(tmp_path / "rig.yaml", STREET, tmp_path / "a.pcap", duration_s=0.002)
+    (tmp_path / "rig.yaml").unlink()
+    done = command_line.lidarcfg("decode", tmp_path / "a.pcap", "-o", tmp_path / "a.ply", code=2)
+    assert "a.pcap.yaml:3:3: rig.file: " in done.stderr
+    assert "no such file or directory; name what fits it, or none, which leaves points in" in done.stderr
+    command_line.lidarcfg("decode", tmp_path / "a.pcap", "--rig", "none", "-o", tmp_path / "a.ply")
+
+
 def test_no_record_of_another_export_stays_beside(tmp_path):
     """A pose that X,Y,YAW_DEG cannot say, what was loaded, and a trajectory have none."""
     out, record = tmp_path / "a.pcap", tmp_path / "a.pcap.yaml"
