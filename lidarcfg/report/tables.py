@@ -67,7 +67,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)
-        poses.add_row(mount.name, *(f"{v:.3f}" for v in mount.position_m), *(f"{v:.2f}" for v in angles))
+        poses.add_row(mount.name, *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
     console.print(poses)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     if found.analytic:
@@ -94,7 +94,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
             f"{space.vsr_m:.4f}",
             f"{space.volume_m3:.2f}",
             f"{space.inscribed_radius_m:.3f}",
-            ", ".join(f"{v:.2f}" for v in space.centroid_m),
+            ", ".join(f"{v:z.2f}" for v in space.centroid_m),
             "  ".join(_between(low, high) for low, high in space.between_deg),
         )
     console.print("the worst subspaces:")

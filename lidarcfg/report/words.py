@@ -258,8 +258,8 @@ def mounts_table(rig: Rig) -> Table:
                 mount.sensor.name,
                 f"{mount.sensor.count}",
                 f"{low:g} … {high:g}",
-                *(f"{v:.3f}" for v in mount.position_m),
-                *(f"{v:.2f}" for v in angles),
+                *(f"{v:z.3f}" for v in mount.position_m),
+                *(f"{v:z.2f}" for v in angles),
                 f"{tilt:.2f}",
             ]
         )

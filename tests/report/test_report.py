@@ -15,7 +15,8 @@ from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
-from lidarcfg.report.words import bounds_table, constraints_in_words, date
+from lidarcfg.report.tables import print_evaluation
+from lidarcfg.report.words import bounds_table, constraints_in_words, date, mounts_table
 from lidarcfg.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
@@ -310,6 +311,18 @@ def test_in_a_browser(runs):
         assert driver.execute_script(outside) == []
         drawn = driver.execute_script("return document.querySelectorAll('figure svg').length")
         assert drawn == 8
+
+
+def test_no_angle_is_minus_nothing(tmp_path, capsys):
+    """The mirror image of an angle of 0 is -0, and a hair below 0 is 0 in two digits."""
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(
+        "name: r\nsensors: [{name: a, model: vlp-16, position_m: [-1e-6, 1, 2], rpy_deg: [-1, -0.001, -0.0]}]\n"
+    )
+    assert mounts_table(load_rig(rig)).rows[0][4:9] == ["0.000", "1.000", "2.000", "-1.00", "0.00"]
+    study = make(tmp_path, STUDY)
+    print_evaluation(load_rig(rig), evaluate(study, load_rig(rig)))
+    assert " -0.00" not in capsys.readouterr().out
 
 
 def test_mount_surfaces_are_said_and_drawn(tmp_path):
