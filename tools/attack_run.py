@@ -109,7 +109,6 @@ def start(
         os.chdir(folder)
         for number, name in enumerate((os.devnull, ".out", ".errors")):
             os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
-        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False, encoding=encoding) for number in (1, 2))
         sys.argv = ["lidarcfg", *map(str, words)]
         signal.signal(signal.SIGINT, signal.default_int_handler)
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
@@ -117,6 +116,7 @@ def start(
         signal.alarm(HANGS_S)
         resource.setrlimit(resource.RLIMIT_CPU, (BUSY_S, BUSY_S))
         limit()
+        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False, encoding=encoding) for number in (1, 2))
         from lidarcfg.cli import main
 
         main()

@@ -44,7 +44,7 @@ PATHS = ("/..%2f..%2fetc/passwd", "/page/../server.py", "/page/%2e%2e/server.py"
 
 
 def ask(port: int, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> tuple[int, bytes]:
-    """A status and a body."""
+    """A status and a body; 0 and what went wrong without an answer."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
     try:
         connection.putrequest(method, path, skip_host="Host" in headers)
@@ -55,6 +55,8 @@ def ask(port: int, method: str, path: str, body: bytes | None, headers: dict[str
         connection.endheaders(body)
         answer = connection.getresponse()
         return answer.status, answer.read()
+    except (OSError, http.client.HTTPException) as error:
+        return 0, repr(error).encode()
     finally:
         connection.close()
 
@@ -80,6 +82,13 @@ def attacks(quick: bool) -> Iterator[Row]:
         server.shutdown()
 
 
+def valid(port: int) -> bytes:
+    """A request that the server answers."""
+    said = json.loads(ask(port, "GET", "/about.json", None, {})[1])
+    count = len(said["rigs"][0]["mounts"]) if "rigs" in said else 2
+    return json.dumps({"worst": 1, "poses": [[0, 0, 2, 0, 0, 0]] * count}).encode()
+
+
 def foreign(port: int) -> Row:
     """Pages from elsewhere."""
     row = Row("the page's server: a foreign Host or Origin")
@@ -97,6 +106,8 @@ def nonsense(port: int) -> Row:
         for path in ("/evaluate", "/rig.yaml", "/rates", "/place", "/save", "/none"):
             status, _ = ask(port, "POST", path, body, {})
             row.add("" if status in (400, 404) else f"{body[:40]!r} to {path}: {status}")
+    status, _ = ask(port, "POST", "/evaluate", valid(port).ljust(2**20 + 1), {})
+    row.add("" if status in (0, 400) else f"a body above 1 MiB: {status}")  # it need not be read to its end
     for size in ("-1", "1e3", str(2**20 + 1), "9" * 400, "", "x", "\u0663".encode().decode("latin-1")):
         status, _ = ask(port, "POST", "/evaluate", b"", {"Content-Length": size})
         row.add("" if status == 400 else f"Content-Length {size[:20]!r}: {status}")
@@ -131,19 +142,13 @@ def _answers(port: int) -> bool:
 
 def many(port: int) -> Row:
     """Connections at once, that ask and evaluate."""
-    row, poses = Row(f"the page's server: {CONNECTIONS} connections at once"), {"worst": 1}
-    said = ask(port, "GET", "/about.json", None, {})[1]
-    count = len(json.loads(said)["rigs"][0]["mounts"]) if "rigs" in json.loads(said) else 2
-    body = json.dumps(poses | {"poses": [[0, 0, 2, 0, 0, 0]] * count}).encode()
+    row, body = Row(f"the page's server: {CONNECTIONS} connections at once"), valid(port)
     found: list[str] = []
 
     def one(i: int) -> None:
-        try:
-            what = ("POST", "/evaluate", body) if i % 10 == 0 else ("GET", "/about.json", None)
-            status = ask(port, *what, {})[0]
-            found.append("" if status == 200 else f"{what[1]}: {status}")
-        except OSError as error:
-            found.append(repr(error))
+        what = ("POST", "/evaluate", body) if i % 10 == 0 else ("GET", "/about.json", None)
+        status, said = ask(port, *what, {})
+        found.append("" if status == 200 else f"{what[1]}: {status} {said[:100]!r}")
 
     threads = [threading.Thread(target=one, args=(i,)) for i in range(CONNECTIONS)]
     for thread in threads:
