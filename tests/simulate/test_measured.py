@@ -10,6 +10,7 @@ import yaml
 
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
+from lidarcfg.formats.firings import ANY_RANGE
 from lidarcfg.placement.cones import sensor_lidar
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig, load_rig, save_rig
@@ -19,7 +20,7 @@ from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.noise import laser_errors_m, roughen, separate
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
-from tests.capture_fixtures import decoded, mount, recording, scene
+from tests.capture_fixtures import datagrams_of, decoded, mount, recording, scene
 from tests.refusals import refused
 
 ROOT = Path(__file__).parents[2]
@@ -231,6 +232,42 @@ def test_exports_keep_what_is_reported_and_placement_what_is_promised(tmp_path):
         assert cloud.xyz[near, 0] == pytest.approx(at_m, abs=0.01)
         found |= {at_m} if near.any() else set()
     assert found == {0.3, 0.9, 103.0}
+
+
+WIRE = {  # where returns begin in a packet; blocks, their bytes, and those before returns; returns, their bytes; unit
+    "vlp-32c": ("<u2", 0, (12, 100, 4), (32, 3), 0.004),
+    "hdl-32e": ("<u2", 0, (12, 100, 4), (32, 3), 0.002),
+    "pandar-xt16": ("<u2", 12, (8, 66, 2), (16, 4), 0.004),
+    "helios-32": (">u2", 42, (12, 100, 4), (32, 3), 0.0025),
+}
+
+
+@pytest.mark.parametrize("model", WIRE)
+def test_nothing_beyond_what_is_reported_is_on_the_wire(tmp_path, model):
+    """Flat ground, from a few millimetres off to beyond every range; without the limits there would be more of it."""
+    kind, begin, (blocks, size, head), (returns, width), unit_m = WIRE[model]
+    sensor, stage = load_sensor(model), scene(tmp_path, "ground: {reflectivity: 50}")
+    limitless = sensor.range.model_copy(update={"reported": ANY_RANGE})
+    found = []
+    for one in (sensor, sensor.model_copy(update={"range": limitless})):
+        range_m = []
+        for height_m in (0.002, 0.1, 2.6, 3.7):
+            placed = replace(mount(position_m=(0.0, 0.0, height_m)), sensor=one, model=model, data_port=6699)
+            streams = export(Rig("r", (placed,)), stage, np.eye(4), SECOND_NS // 200)
+            write_pcap(tmp_path / "a.pcap", in_time_order(streams))
+            for packet in (one.payload for one in datagrams_of(tmp_path / "a.pcap") if one.port == 6699):
+                octets = np.frombuffer(packet, np.uint8)[begin : begin + blocks * size].reshape(blocks, size)[:, head:]
+                pairs = octets[:, : returns * width].reshape(-1, width)[:, :2]
+                range_m.append(np.ascontiguousarray(pairs).view(kind)[:, 0] * unit_m)
+        found.append(np.concatenate(range_m))
+    kept, everything = (values[values > 0] for values in found)
+    least_m, most_m = sensor.range.reported_m
+    assert len(kept) > 1000
+    assert least_m - unit_m / 2 <= kept.min() < kept.max() <= most_m + unit_m / 2
+    assert everything.min() < least_m or model == "helios-32"
+    assert everything.max() > most_m
+    inside = (everything >= least_m - unit_m / 2) & (everything <= most_m + unit_m / 2)
+    assert np.array_equal(np.unique(everything[inside]), np.unique(kept))
 
 
 def test_edges_from_laser_to_laser_are_where_a_surface_ends(tool):
