@@ -191,7 +191,7 @@ class Document:
         return value
 
     def replaced(self, key: Key, other: "Document", other_key: Key) -> "Document":
-        """The document with another's value at `key`; errors in it are at their place in the other.
+        """The document with another's value at `key`, without that key if it is null; errors are at their place there.
 
         Raises LookupError where a map or a list above `key` has no such place; missing maps are made.
         """
@@ -276,11 +276,13 @@ class Document:
 
 
 def _with(values: Any, key: Key, value: Any) -> Any:
-    """The values with another at `key`."""
+    """The values with another at `key`; with None as if that key was not there."""
     if not key:
         return value
     first, below = key[0], key[1:]
     if isinstance(first, str) and isinstance(values, dict):
+        if value is None and (not below or values.get(first) is None):
+            return {name: kept for name, kept in values.items() if name != first}
         return values | {first: _with({} if values.get(first) is None and below else values.get(first), below, value)}
     if isinstance(first, int) and isinstance(values, tuple) and first < len(values):
         return *values[:first], _with(values[first], below, value), *values[first + 1 :]

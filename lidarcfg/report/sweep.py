@@ -2,6 +2,7 @@
 
 import csv
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ class SweepFolder:
         self._failed: dict[int, Row] = {}  # of runs that are worth another try
         known = folder / PLAN
         self._about = to_json({"study": plan.study, "varied": sorted(plan.varied)}) + "\n"
-        if known.exists() and known.read_text() != self._about:
+        if known.exists() and known.read_bytes() != self._about.encode():
             raise ConfigError(f"{known}: of another plan, with another study or other keys; give another folder")
         self._plain = {path for path in plan.varied if _is_plain([run.values[path] for run in plan.runs])}
 
@@ -40,11 +41,11 @@ class SweepFolder:
 
     def row(self, run: Run) -> Row | None:
         """A run's row of the table, if it is there."""
-        try:
+        with suppress(OSError, ValueError):
             found = json.loads((self._at(run) / "result.json").read_text())
-        except (OSError, ValueError):
-            return self._failed.get(run.number)
-        return self._row(run, found)
+            if isinstance(found, dict):
+                return self._row(run, found)
+        return self._failed.get(run.number)
 
     def save(self, run: Run, outcome: Outcome) -> None:
         """Keep what came of a run, unless it is worth another try."""

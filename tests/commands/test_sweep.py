@@ -21,11 +21,13 @@ import yaml
 from distributed import Client
 
 import lidarcfg
+from lidarcfg.errors import ConfigError
 from lidarcfg.placement import plan as plans
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.sweep import sweep
-from lidarcfg.placement.workers import Processes, WorkerDiedError
+from lidarcfg.placement.workers import Cluster, Processes, WorkerDiedError
+from lidarcfg.report import SweepFolder
 from tests.command_line import lidarcfg as command
 
 BIN = Path(sys.executable).parent
@@ -132,6 +134,12 @@ def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
     assert [row["cost"] == "" for row in found] == [False] * 3 + [True] * 3
     assert all("found no rig that keeps the constraints" in row["error"] for row in found[3:])
     assert command("sweep", tmp_path / "plan.yaml", "-o", tmp_path / "out").stdout.startswith("6 runs, 6 of them done")
+    again = load_plan(tmp_path / "plan.yaml", lidarcfg.pattern)
+    folder, run = SweepFolder(tmp_path / "out", again), again.runs[0]
+    assert folder.row(run)["run"] == 1
+    for damaged in ("", "null", "[1]", '{"cost": 1'):
+        (tmp_path / "out/runs" / run.digest / "result.json").write_text(damaged)
+        assert folder.row(run) is None
 
 
 class Dead:
@@ -169,6 +177,8 @@ def test_folders_and_addresses_that_are_wrong(plan, serial, tmp_path):
     assert "scheduler 'here': is not an address such as tcp://" in one_line(
         "sweep", plan, "--scheduler", "here", "--quiet"
     )
+    with pytest.raises(ConfigError, match=r"scheduler tls://127.0.0.1:9: Dask's configuration names no certificates"):
+        Cluster("tls://127.0.0.1:9")
     words = "sweep", plan, "--scheduler", "tcp://127.0.0.1:9", "--workers", "2", "--quiet"
     assert "--workers are local" in one_line(*words)
 

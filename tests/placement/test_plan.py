@@ -58,6 +58,9 @@ def test_each_study_is_that_of_a_file_with_the_value_in_it(asks, tmp_path):
         "sensors[0].count": 2,
         "sensors[1].min.position_m[1]": -0.5,
         "solver.limit": None,
+        "detection": None,
+        "zones": None,
+        "robust.lost": None,
         "solver.seed": 9,
         "vehicle": {"boxes": [{"name": "body", "center_m": [0, 0, 0.5], "size_m": [1, 1, 1]}]},
         "constraints.max_tilt_deg": 15.5,
@@ -65,7 +68,7 @@ def test_each_study_is_that_of_a_file_with_the_value_in_it(asks, tmp_path):
     (run,) = (plan := asks(yaml.safe_dump({"study": "study.yaml", "vary": {k: [v] for k, v in values.items()}}))).runs
     by_hand = yaml.safe_load(STUDY)
     by_hand["sensors"][0]["count"], by_hand["sensors"][1]["min"]["position_m"][1] = 2, -0.5
-    del by_hand["solver"]["limit"]
+    del by_hand["solver"]["limit"], by_hand["detection"]
     by_hand["solver"]["seed"], by_hand["vehicle"] = 9, values["vehicle"]
     by_hand["constraints"] = {"max_tilt_deg": 15.5}
     (tmp_path / "by_hand.yaml").write_text(yaml.safe_dump(by_hand))
