@@ -42,14 +42,14 @@ def draw_sweep(plan: Plan, costs: Sequence[float | None], is_max_vsr: bool) -> "
         place = [values[path].index(value) for path, value in zip(others, line, strict=True)]
         colour, ls = COLOURS[place[-1] % len(COLOURS)] if place else COLOURS[0], dashes(sum(place[:-1]))
         name = ", ".join(_name(path, value, values[path]) for path, value in zip(others, line, strict=True))
-        axes.plot(x, [median(at[v]) for v in x], marker="o", ms=4, color=colour, ls=ls, label=label(name, 60))
+        axes.plot(x, [median(at[v]) for v in x], marker="o", ms=4, color=colour, ls=ls, label=label(name, 40))
         axes.fill_between(x, [min(at[v]) for v in x], [max(at[v]) for v in x], color=colour, alpha=0.15, lw=0)
     ticks = {"xticks": values[across]} if len(values[across]) <= 12 else {}
     axes.set(xlabel=across, ylabel="max VSR (m)" if is_max_vsr else "cost", ylim=(0, None), **ticks)
     axes.set_title(f"{plan.path.stem}: {drawn} runs; median, least to greatest", parse_math=False)
     axes.grid(alpha=0.3)
     if others:
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, handlelength=3.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))  # beside all lines
     return figure
 
 

@@ -44,6 +44,8 @@ def test_medians_by_hand(drawn):
     spread = axes.collections[1].get_paths()[0].vertices
     assert {(x, y) for x, y in spread.tolist()} >= {(1, 7), (1, 9), (2, 2)}
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("sensors[0].count", "max VSR (m)")
+    axes.figure.draw_without_rendering()
+    assert not axes.get_legend().get_window_extent().overlaps(axes.get_window_extent())
 
 
 def test_a_body_and_none_have_names(drawn):
