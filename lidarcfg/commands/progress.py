@@ -126,6 +126,13 @@ def shown(screen: Screen) -> Iterator[None]:
         compiling.on_change = before
 
 
+def duration(seconds: float) -> str:
+    """A duration in words, to two figures or so."""
+    if seconds < 100:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 100 * 60 else f"{seconds / 3600:.1f} h"
+
+
 @contextmanager
 def progress(
     quiet: bool, interrupts: Interrupts | None = None, mean_over_s: float = 30.0, keep: bool = True
@@ -133,8 +140,9 @@ def progress(
     """A bar on stderr, and the function that updates it with the fraction done and a text.
 
     The bar appears at the first update; its time left is by the updates of the last `mean_over_s` seconds, and its last
-    state stays on the screen if it is to `keep`. In a log it is a line from time to time. An update raises
-    KeyboardInterrupt if an interrupt was lost; the interrupts are those of the running command unless given.
+    state stays on the screen if it is to `keep`. In a log it is a line from time to time, with the time left by all
+    updates. An update raises KeyboardInterrupt if an interrupt was lost; the interrupts are those of the running
+    command unless given.
     """
     interrupts = interrupts or click.get_current_context().ensure_object(Interrupts)
     if quiet:
@@ -170,14 +178,18 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
 
 def _lines(interrupts: Interrupts, keep: bool) -> Iterator[Callable[[float, str], None]]:
     last, told = "", time.monotonic()
+    first: tuple[float, float] | None = None  # update: when, and the fraction
 
     def on_progress(fraction: float, text: str) -> None:
-        nonlocal last, told
+        nonlocal last, told, first
         interrupts.check(text)
-        last = f"{fraction:4.0%}  {one_line(text)}"
-        if time.monotonic() - told > LINE_S:
-            click.echo(last, err=True)
-            last, told = "", time.monotonic()
+        last, now = f"{fraction:4.0%}  {one_line(text)}", time.monotonic()
+        first = first or (now, fraction)
+        if now - told > LINE_S:
+            done, spent = fraction - first[1], now - first[0]
+            left = f"  about {duration(spent * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
+            click.echo(last + left, err=True)
+            last, told = "", now
 
     yield on_progress
     if last and keep:

@@ -11,7 +11,7 @@ import click
 import cloup
 
 from lidarcfg.commands.options import FILE, quiet_option, warn
-from lidarcfg.commands.progress import progress
+from lidarcfg.commands.progress import duration, progress
 from lidarcfg.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -147,14 +147,7 @@ def _estimate(plan: "Plan", runs: list["Run"], where: Where, quiet: bool) -> Non
                     paces[key] = None
             if found := paces[key]:
                 seconds.append(found.seconds(run.file.solver))
-    took = _time(max(sum(seconds) / count, *seconds))
+    took = duration(max(sum(seconds) / count, *seconds))
     click.echo(f"about {took} with {count} workers, by {TRIALS} evaluations of each of {len(paces)} sizes")
     if unknown := len(runs) - len(seconds) + 1:
         click.echo(f"without {unknown} runs for which those find no rig")
-
-
-def _time(seconds: float) -> str:
-    """A duration in words, to two figures or so."""
-    if seconds < 100:
-        return f"{max(seconds, 1):.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 100 * 60 else f"{seconds / 3600:.1f} h"

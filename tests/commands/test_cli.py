@@ -9,11 +9,13 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from lidarcfg import __version__
+from lidarcfg.commands import progress as module
 from lidarcfg.commands.progress import AGAIN_S, Interrupts, progress
 from tests.command_line import lidarcfg
 
@@ -263,6 +265,17 @@ def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet):
             interrupts.handle(signal.SIGTERM, None)
         with pytest.raises(KeyboardInterrupt):
             on_progress(0.2, "")
+
+
+def test_a_log_says_how_much_time_is_left(monkeypatch, capsys):
+    """Two fifths were done before; a fifth more takes 100 s, so the last two take 200 s more."""
+    now = [0.0]
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with progress(False, Interrupts()) as on_progress:
+        for now[0], fraction in ((0.0, 0.4), (5.0, 0.4), (50.0, 0.4), (100.0, 0.6), (101.0, 0.7), (300.0, 1.0)):
+            on_progress(fraction, "4 of 10 runs")
+    lines = [" 40%  4 of 10 runs", " 60%  4 of 10 runs  about 3 min left", "100%  4 of 10 runs"]
+    assert capsys.readouterr().err.splitlines() == lines
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
