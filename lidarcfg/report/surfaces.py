@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 FITS = "#2a9d5c"
 MARGIN_M = 0.15
-HALO = {"linewidth": 2.5, "foreground": "w"}  # around numbers, which may lie on green
+HALO_PT = 2.5  # around numbers, which may lie on green
 PIXELS = 500  # along the longer edge of the picture of a body
 FROM_BEHIND = ("left", "rear")  # from where the axis that is drawn across points to the left
 LABELS_IN, TITLE_IN = 0.9, 0.55  # beside a panel, and above and below it
@@ -89,7 +89,13 @@ def _draw_side(axes: "Axes", seats: list[tuple[int, Surface]], rig: Rig, study: 
         axes.fill(*rim.T, facecolor=colour(number), edgecolor="w", lw=0.8)
         x, y = surface.bases_m(pose)[0, shown]
         text = axes.annotate(str(number + 1), (x, y), (9, 7), textcoords="offset points")
-        text.set(color=colour(number), weight="bold", ha="center", va="center", path_effects=[withStroke(**HALO)])
+        text.set(
+            color=colour(number),
+            weight="bold",
+            ha="center",
+            va="center",
+            path_effects=[withStroke(linewidth=HALO_PT, foreground="w")],
+        )
     axes.set(xlim=extent[:2], ylim=extent[2:], xlabel=f"{'xyz'[shown[0]]} (m)", ylabel=f"{'xyz'[shown[1]]} (m)")
     if first.side in FROM_BEHIND:
         axes.invert_xaxis()
