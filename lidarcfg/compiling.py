@@ -1,7 +1,9 @@
 """What numba is compiling, and how long it has: time that no budget and no rate counts."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from threading import Lock
 
 
 class Compiling:
@@ -11,8 +13,10 @@ class Compiling:
         self.loops: list[str] = []  # being compiled; each is needed by the one before
         self.compiled = 0  # how many are done
         self.expected = 0  # about how many will be, of these and of those that the current ones need
+        self.may_be_left = False  # it waits for what another process compiles, and nothing breaks if it no longer does
         self.on_change: Callable[[], None] | None = None
-        self._spent, self._since = 0.0, 0.0
+        self.others: Callable[[], None] | None = None  # waits until no other process compiles for this one
+        self._spent, self._since, self._lock = 0.0, 0.0, Lock()
 
     @property
     def seconds(self) -> float:
@@ -22,7 +26,9 @@ class Compiling:
     def begin(self, loop: str, parts: int) -> None:
         """A loop is being compiled, with so many loops in all."""
         if not self.loops:
-            self._since, self.expected = time.perf_counter(), self.compiled + parts
+            self._since = time.perf_counter()
+            with self._lock:
+                self.expected = max(self.expected, self.compiled + parts)
         self.loops = [*self.loops, loop]
         self._changed()
 
@@ -30,8 +36,37 @@ class Compiling:
         """The last one is done."""
         if len(self.loops) == 1:
             self._spent = self.seconds
-        self.loops, self.compiled = self.loops[:-1], self.compiled + 1
+        self.loops = self.loops[:-1]
+        self.count(0, 1)
+
+    @contextmanager
+    def loading(self, loop: str) -> Iterator[None]:
+        """While what was compiled before is loaded; nothing is shown."""
+        if self.loops:
+            yield
+            return
+        self._since, self.loops = time.perf_counter(), [loop]
+        try:
+            yield
+        finally:
+            self._spent, self.loops = self.seconds, []
+
+    def count(self, expected: int, compiled: int) -> None:
+        """So many more will be compiled, and are, here or elsewhere."""
+        with self._lock:
+            self.expected, self.compiled = self.expected + expected, self.compiled + compiled
         self._changed()
+
+    @contextmanager
+    def elsewhere(self, loop: str) -> Iterator[None]:
+        """While another process compiles a loop that this one waits for."""
+        self.may_be_left = not self.loops
+        self.begin(loop, 1)
+        try:
+            yield
+        finally:
+            self.may_be_left = False
+            self.end()
 
     def _changed(self) -> None:
         if self.on_change:
@@ -42,5 +77,8 @@ compiling = Compiling()  # numba has one compiler in a process
 
 
 def clock() -> float:
-    """Seconds since some moment, those spent on compiling aside."""
+    """Seconds since some moment, those spent on compiling aside, here or in processes that compile for this one."""
+    others, compiling.others = compiling.others, None
+    if others:
+        others()
     return time.perf_counter() - compiling.seconds

@@ -23,6 +23,7 @@ from numba.core.options import DefaultOptions
 
 from lidarcfg.compiling import compiling
 from lidarcfg.linking import link_late
+from lidarcfg.loop_cache import LoopCache
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -41,7 +42,11 @@ def njit(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 def _loop(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     compiler: Any = numba  # some of its options are not in its signature
-    loop = compiler.njit(**options)(function)
+    loop = compiler.njit(**options | {"cache": False})(function)
+    if not hasattr(loop, "py_func"):  # NUMBA_DISABLE_JIT is set
+        return loop
+    if options.get("cache"):
+        loop._cache = LoopCache(function)
     template = loop.get_call_template
 
     def of_any_number(args: Any, kws: Any) -> Any:
@@ -95,6 +100,8 @@ class _Watch(event.Listener):
             gc.collect(1)  # what would follow soon, in the budget of a search
             gc.enable()
         compiling.end()
+        if event.is_failed and isinstance(event.data["dispatcher"]._cache, LoopCache):
+            event.data["dispatcher"]._cache.give_up()
 
 
 event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types here

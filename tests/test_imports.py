@@ -20,6 +20,7 @@ GROUND = {
     "compiling",
     "jit",
     "linking",
+    "loop_cache",
     "realism",
 }
 # What each part may import besides itself and the ground: docs and commands stand on all of it.

@@ -96,10 +96,12 @@ def optimize(
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg import report
+        from lidarcfg.helpers import prepare
         from lidarcfg.packets.codec import pattern
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import load_study, with_solver
 
+        prepare("search", "evaluation")
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study, pattern), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))
@@ -250,6 +252,7 @@ def evaluate(
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg import report
+        from lidarcfg.helpers import prepare
         from lidarcfg.packets.codec import pattern
         from lidarcfg.placement.details import details
         from lidarcfg.placement.evaluation import evaluate as evaluation
@@ -257,6 +260,7 @@ def evaluate(
         from lidarcfg.placement.study import load_study
         from lidarcfg.rig import load_rig
 
+        prepare("search", "evaluation")
         loaded, mounted = load_study(study, pattern), load_rig(rig)
     warn_of(loaded.vehicle)
     _check_rig(loaded, rig, mounted)

@@ -36,7 +36,7 @@ class Interrupts:
     def handle(self, number: int, frame: FrameType | None) -> None:
         """The signal handler."""
         self._came.set()
-        if _within("numba", frame):
+        if _within("numba", frame) and not compiling.may_be_left:
             again = Timer(AGAIN_S, signal.raise_signal, (number,))
             again.daemon = True
             again.start()

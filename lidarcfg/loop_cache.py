@@ -1,0 +1,98 @@
+"""numba's cache of compiled loops, for several processes: what one of them compiles, the others wait for and load.
+
+The process that compiles a loop holds a lock on an octet of a file beside the cache, by the loop's name. The lock ends
+with the process. Where there are no such locks, each compiles for itself, as numba has it.
+"""
+
+import os
+import time
+import zlib
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any
+
+from lidarcfg.compiling import compiling
+
+FunctionCache: Any = import_module("numba.core.caching").FunctionCache  # numba has no types
+fcntl: Any = import_module("fcntl") if os.name == "posix" else None
+AGAIN_S, PATIENCE_S = 0.02, 90.0
+_files: dict[Path, IO[bytes] | None] = {}  # of locks, by folder: closing one would give up all locks in it
+
+
+class LoopCache(FunctionCache):  # type: ignore[misc]
+    """The cache of one loop."""
+
+    on_missing: Callable[[], None] | None = None  # of all loops; is told once that one has to be compiled
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._loop, self._held = function.__name__, False
+        self._octet = zlib.crc32(f"{function.__module__}.{function.__qualname__}".encode())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """As numba's, or what another process compiles, once it has; what is missing then this process may compile."""
+        found = self._load(sig, target_context)
+        if found is not None or not self._enabled:
+            return found
+        missing, LoopCache.on_missing = LoopCache.on_missing, None
+        if missing:
+            missing()
+        self._take()
+        found = self._load(sig, target_context)
+        if found is not None:
+            self.give_up()
+        return found
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
+        with compiling.loading(self._loop):
+            return super().load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """As numba's."""
+        try:
+            super().save_overload(sig, data)
+        finally:
+            self.give_up()
+
+    def give_up(self) -> None:
+        """Let others compile the loop."""
+        if self._held:
+            self._lock(fcntl.LOCK_UN)
+            self._held = False
+
+    def _take(self) -> None:
+        """Wait until no other process compiles the loop, or for long: the other one may have been stopped."""
+        if self._held or self._try():
+            return
+        until = time.monotonic() + PATIENCE_S
+        with compiling.elsewhere(self._loop):
+            while time.monotonic() < until and not self._try():
+                time.sleep(AGAIN_S)
+
+    def _try(self) -> bool:
+        """Whether no other process compiles the loop, as far as can be known."""
+        try:
+            self._held = fcntl is not None and self._lock(fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks; or two processes would wait for one another
+            pass
+        return True
+
+    def _lock(self, kind: int) -> bool:
+        """Lock or unlock the loop's octet. Returns False where there is no file for it."""
+        file = _lock_file(Path(self._cache_path), self._impl.locator.ensure_cache_path)
+        if file:
+            fcntl.lockf(file, kind, 1, self._octet)
+        return file is not None
+
+
+def _lock_file(folder: Path, make_folder: Callable[[], None]) -> IO[bytes] | None:
+    if folder not in _files:
+        try:
+            make_folder()
+            _files[folder] = (folder / "lidarcfg-loops.lock").open("ab")
+        except OSError:
+            _files[folder] = None
+    return _files[folder]

@@ -1,0 +1,125 @@
+"""Processes that compile beside a command: when they start, what they compile, and that they end with it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
+
+from lidarcfg import helpers
+from lidarcfg.commands import progress
+from lidarcfg.compiling import clock, compiling
+from lidarcfg.loop_cache import LoopCache
+
+ROOT = Path(__file__).parents[1]
+COMMAND = """
+import time
+from lidarcfg.helpers import Helper
+print(Helper("search", 0).process.pid, flush=True)
+time.sleep(600)
+"""
+SIGNATURES = """
+import sys
+from lidarcfg import load_rig, load_study
+from lidarcfg.commands import rehearsals
+from lidarcfg.placement.details import details
+from lidarcfg.placement.evaluation import evaluate
+
+def compiled():
+    modules = [module for name, module in sys.modules.items() if name.startswith("lidarcfg.")]
+    loops = {loop for module in modules for loop in vars(module).values() if hasattr(loop, "py_func")}
+    return {f"{loop.__module__}.{loop.__name__}": len(loop.signatures) for loop in loops if loop.signatures}
+
+rehearsals.search()
+rehearsals.evaluation()
+before = compiled()
+study, rig = load_study("data/studies/sedan.yaml"), load_rig("data/rigs/roof.yaml")
+details(study, rig, evaluate(study, rig))
+after = compiled()
+print(len(before), [name for name in before if after[name] > before[name]])
+print(*sorted(after.keys() - before.keys()))
+"""
+
+
+def ended(pid, seconds=60.0):
+    """Whether a process ends within that time."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_helpers_start_when_a_loop_is_missing(monkeypatch):
+    started = []
+    monkeypatch.setattr(helpers, "_start", started.append)
+    monkeypatch.setattr(LoopCache, "on_missing", None)
+    for processors, expected in ((1, []), (2, [("search", "evaluation")])):
+        monkeypatch.setattr(helpers, "_processors", lambda processors=processors: processors)
+        helpers.prepare("search", "evaluation")
+        assert started == []
+        if LoopCache.on_missing:
+            LoopCache.on_missing()
+        assert started == expected
+
+
+def test_rehearsals_compile_what_a_real_study_needs():
+    """A rig of a study with a body, after the rehearsals: of the loops they used, none is compiled for other types.
+
+    What is left is what the body needs: its tree, what of the region is inside it, and the blind spots around it.
+    """
+    done = subprocess.run([sys.executable, "-c", SIGNATURES], cwd=ROOT, capture_output=True, text=True, check=True)
+    counted, left = done.stdout.splitlines()
+    count, again = counted.split(maxsplit=1)
+    assert int(count) >= 15
+    assert again == "[]"
+    assert "try_out" not in left
+    assert {name.rpartition(".")[0] for name in left.split()} <= {
+        "lidarcfg.world.bvh", "lidarcfg.world.solids", "lidarcfg.world.tracer_kernels",
+        "lidarcfg.placement.boundary_kernels", "lidarcfg.placement.blind_spots",
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_a_helper_ends_when_the_command_is_killed():
+    command = subprocess.Popen([sys.executable, "-c", COMMAND], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    helper = int(command.stdout.readline())
+    command.send_signal(signal.SIGKILL)
+    command.communicate()
+    assert ended(helper)
+
+
+def test_budgets_wait_for_what_others_compile(monkeypatch):
+    began, spent, counted = time.perf_counter(), compiling.seconds, compiling.compiled
+
+    def others():
+        with compiling.elsewhere("loop"):
+            time.sleep(0.3)
+
+    before = clock()
+    monkeypatch.setattr(compiling, "others", others)
+    after = clock()
+    assert compiling.seconds - spent >= 0.3
+    assert after - before <= time.perf_counter() - began - 0.3
+    assert (compiling.compiled - counted, compiling.others) == (1, None)
+
+
+def test_an_interrupt_does_not_wait_for_what_others_compile(monkeypatch):
+    """Within numba it is raised only where numba does nothing but wait for another process."""
+    monkeypatch.setattr(progress, "_within", lambda *_: True)
+    monkeypatch.setattr(progress, "Timer", Mock())
+    handle = progress.Interrupts().handle
+    handle(signal.SIGINT, None)
+    with pytest.raises(KeyboardInterrupt), compiling.elsewhere("loop"):
+        handle(signal.SIGINT, None)
+    compiling.begin("caller", 1)
+    with compiling.elsewhere("loop"):
+        handle(signal.SIGINT, None)
+    compiling.end()

@@ -1,0 +1,107 @@
+"""The cache of compiled loops, among processes: by what numba's own events say that each of them compiled."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import lidarcfg
+
+pytest.importorskip("fcntl")
+LOOPS = """
+from lidarcfg.jit import njit
+
+@njit(cache=True)
+def inside(x):
+    return 2 * x
+
+@njit(cache=True)
+def outside(x):
+    return inside(x) + 1
+
+@njit(cache=True)
+def other(x):
+    return inside(x) - 1
+
+@njit(cache=True)
+def wrong(x):
+    return x.no_such_attribute
+"""
+RUN = """
+import sys, time
+from numba.core import event
+
+class Watch(event.Listener):
+    def on_start(self, event):
+        if event.data["dispatcher"] is not loops.wrong:
+            print(event.data["dispatcher"].__name__, flush=True)
+            time.sleep(float(sys.argv[1]))
+
+    def on_end(self, event):
+        pass
+
+event.register("numba:compile", Watch())
+import loops
+from lidarcfg import loop_cache
+loop_cache.PATIENCE_S = float(sys.argv[2])
+try:
+    loops.wrong(1)
+except Exception:
+    pass
+for name in sys.argv[3:]:
+    assert getattr(loops, name)(3) == {"outside": 7, "other": 5}[name]
+"""
+
+
+@pytest.fixture
+def start(tmp_path, monkeypatch):
+    """A function that starts a process which calls loops, and whose compiling takes so many seconds more a loop.
+
+    patience: for how many seconds it waits for another.
+    """
+    (tmp_path / "loops.py").write_text(LOOPS)
+    (tmp_path / "run.py").write_text(RUN)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(Path(lidarcfg.__file__).parents[1]))
+
+    def run(seconds, *names, patience=100):
+        words = (sys.executable, tmp_path / "run.py", str(seconds), str(patience), *names)
+        return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+
+    return run
+
+
+def done(process):
+    """The loops that it compiled; it has failed to compile one before."""
+    out = process.communicate(timeout=300)[0].split()
+    assert process.returncode == 0
+    return out
+
+
+def test_each_loop_is_compiled_once(start):
+    one, two = start(0.5, "outside", "other"), start(0.5, "other", "outside")
+    assert sorted(done(one) + done(two)) == ["inside", "other", "outside"]
+    assert done(start(0, "outside", "other")) == []
+
+
+@pytest.mark.parametrize(("stop", "patience"), [(signal.SIGKILL, 100), (signal.SIGSTOP, 2)])
+def test_what_a_stopped_process_was_compiling_is_compiled_by_the_next(start, stop, patience):
+    one = start(600, "outside")
+    assert one.stdout.readline() == "outside\n"
+    two = start(0, "outside", patience=patience)
+    time.sleep(1.5)
+    one.send_signal(stop)
+    assert done(two) == ["outside", "inside"]
+    one.kill()
+    one.communicate()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_without_a_file_for_locks_each_compiles(start, tmp_path):
+    (tmp_path / "__pycache__").mkdir()
+    (tmp_path / "__pycache__/lidarcfg-loops.lock").touch(mode=0o000)
+    assert sorted(done(start(0, "outside"))) == ["inside", "outside"]
