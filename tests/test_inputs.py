@@ -19,8 +19,11 @@ from lidarcfg.config import LARGE, Document, load
 from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.formats.kitti import load_kitti
 from lidarcfg.formats.las import load_las
+from lidarcfg.placement import rows
 from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
 from lidarcfg.rig import RigFile
 from lidarcfg.sensor import Beams
@@ -115,6 +118,7 @@ def test_what_memory_does_not_hold_is_refused_with_what_it_needs(tmp_path, monke
     [
         ("view rig.yaml --png a.png", r"a picture of 1920 x 1080 pixels needs 0\.2 GB of memory; 0\.0 GB are free"),
         ("evaluate study.yaml rig.yaml", r"comparing 1,536 cuboids with 16 beams on 1 threads needs .* fewer beams"),
+        ("evaluate study.yaml rig.yaml --tolerance 0.1", r"tolerance, of 256 cuboids, needs 0\.0 GB .* no tolerance"),
         ("optimize study.yaml -o o", r"comparing 1,536 cuboids with 16 beams on \d+ threads needs .* fewer beams"),
     ],
 )
@@ -138,6 +142,16 @@ def test_longer_than_any_sensor_or_rig(tmp_path, text, kind, what):
     (path := tmp_path / "a.yaml").write_text(text)
     with pytest.raises(ConfigError, match=what):
         load(path, kind)
+
+
+def test_a_search_that_numbers_cuboids(tmp_path, monkeypatch):
+    """For the largest sphere, as for detection, each thread has a number for every cuboid, and for every LiDAR lost."""
+    (tmp_path / "study.yaml").write_text(SMALL_STUDY + "objective: {inscribed_radius: 1}\n")
+    study = load_study(tmp_path / "study.yaml")
+    monkeypatch.setattr(rows, "check_room", lambda *_: None)
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 6 * 32 * 3 - 1.0)
+    with pytest.raises(LidarcfgError, match="numbering 32 cuboids in 1 rigs on 3 threads needs"):
+        Evaluator(study.region, study.lidars(study.lower), 3, criterion=study.criterion())
 
 
 def test_voxels_that_memory_does_not_hold(monkeypatch):

@@ -25,6 +25,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory, memory_bytes
 from lidarcfg.placement.analytic_kernels import LINES, Counts, Sheaf, Sums, sweep
 from lidarcfg.placement.boundaries import Boundaries, axes_from
 from lidarcfg.placement.boundary_kernels import Lattice
@@ -35,6 +36,7 @@ from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
 
 CUBOIDS_MAX = 50_000_000  # in the finest grid tried
+CUBOID_BYTES = 30  # of memory for one of it
 
 
 class Seen(NamedTuple):
@@ -151,6 +153,8 @@ def analytic(
             f"a tolerance wants half the region's edges, and {8 * region.included.size:,} cuboids; "
             f"allowed: at most {cuboids_max:,}"
         )
+    finer = f"the first grid for a tolerance, of {8 * region.included.size:,} cuboids,"
+    check_memory(finer, CUBOID_BYTES * 8 * region.included.size, "use larger cuboids, or no tolerance")
     started, limited = time.perf_counter(), bool(visibility or region.cut)
     coarse = level(region, lidars, visibility)
     while True:
@@ -164,7 +168,8 @@ def analytic(
             region.included.size,
             time.perf_counter() - started,
         )
-        if found.reached or 8 * region.included.size > cuboids_max:
+        finer_bytes = CUBOID_BYTES * 8 * region.included.size
+        if found.reached or 8 * region.included.size > cuboids_max or finer_bytes > memory_bytes():
             return found
         coarse = fine
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, level, up
+from lidarcfg.inputs import check_memory
 from lidarcfg.placement import evaluator_kernels as kernels
 from lidarcfg.placement import rows
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
@@ -28,6 +29,7 @@ from lidarcfg.placement.visibility_kernels import LIMITS, new_looks
 from lidarcfg.placement.zones import worth_m
 
 CACHE_BYTES = 256 * 2**20
+LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
 RESTS = 10  # so many batches go without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -65,6 +67,10 @@ class Evaluator:
         lidar_count, beams = self._square.shape
         rows.check_room(self._grid, lidar_count, beams, self._threads)
         self._kept = criterion.kept if criterion and len(criterion.kept) else np.ones((1, len(lidars)), bool)
+        if criterion and not criterion.is_max_vsr:
+            what = f"numbering {region.included.size:,} cuboids in {len(self._kept)} rigs on {self._threads} threads"
+            needed = LABEL_BYTES * region.included.size * len(self._kept) * self._threads
+            check_memory(what, needed, "use larger cuboids or fewer threads")
         self._witnesses = kernels.WITNESSES
         self._poses = np.empty((0, len(lidars), 6))  # of the food sources, for _witness
         self._linked = self._poses  # and for _links
