@@ -66,6 +66,9 @@ def _check_environment() -> None:
     """Raises LidarcfgError for what libraries would raise ValueError for, or hang, as they are imported."""
     if not {"-h", "--help", "--version"} & set(sys.argv):
         check_memory("any command", 0.0, reserved=LIBRARIES_BYTES)
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        raise ConfigError("NUMBA_DISABLE_JIT: is set, and nothing works without compiled loops; unset it")
+    os.environ["MPLBACKEND"] = "agg"  # of all commands; matplotlib would refuse what it does not know
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not epoch.isdecimal() or len(epoch) > EPOCH_DIGITS:
         raise ConfigError(f"SOURCE_DATE_EPOCH: {epoch[:40]!r} is not a number of seconds since 1970")

@@ -29,6 +29,8 @@ from lidarcfg.kinds import OTHERS, kind_of
 Key = tuple[str | int, ...]  # a path in the file: ("sensors", 0, "model")
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
+NAME_MAX = 200  # characters: longer ones fit in no picture, and in no file's name
+Name = Annotated[str, Field(min_length=1, max_length=NAME_MAX)]
 COORDINATE_MAX_M = 1e8  # metres; UTM reaches 1e7
 ANGLE_MAX = 1e8  # radians or degrees
 Metres = Annotated[float, Field(ge=-COORDINATE_MAX_M, le=COORDINATE_MAX_M)]
@@ -70,6 +72,7 @@ SENTENCES = {  # by pydantic's error type, with the limits of its context
     "less_than": "{got} is too large; allowed: below {lt}",
     "less_than_equal": "{got} is too large; allowed: at most {le}",
     "string_too_short": "{got} is too short; allowed: at least {min_length} characters",
+    "string_too_long": "{got}… is too long; allowed: at most {max_length} characters",
     "string_pattern_mismatch": "{got} is not allowed; allowed: a text that matches {pattern}",
 }
 

@@ -12,7 +12,7 @@ from typing import Any, ParamSpec, TypeVar
 
 # Compiled loops are kept beside the package or in the user's cache; where neither can be written, for this run only.
 # numba reads the variable when it is imported, so this comes first.
-if not os.access(Path(__file__).parent, os.W_OK) and not os.access(Path.home(), os.W_OK):
+if not os.access(Path(__file__).parent, os.W_OK) and not os.access(os.path.expanduser("~"), os.W_OK):
     _cache = tempfile.mkdtemp(prefix="lidarcfg-")
     os.environ.setdefault("NUMBA_CACHE_DIR", _cache)
     atexit.register(shutil.rmtree, _cache, ignore_errors=True)

@@ -13,8 +13,10 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from lidarcfg.config import (
     COORDINATE_MAX_M,
+    NAME_MAX,
     Angles,
     Model,
+    Name,
     Position,
     Positive,
     Section,
@@ -33,7 +35,9 @@ from lidarcfg.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catal
 
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 SENSORS_MAX = 1000
-MountName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]  # it becomes part of file names
+MountName = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=NAME_MAX)
+]  # it becomes part of file names
 ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
 SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
@@ -100,7 +104,7 @@ class RigFile(Model):
     """A rig, as its file says it."""
 
     kind: ClassVar[str] = "rig"
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     sensors: Annotated[tuple[MountFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
     vehicle: dict[str, Any] | None = None  # the keys of world/vehicle.py's VehicleFile
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Positive, Section, fault, load, unknown_key
+from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Name, Positive, Section, fault, load, unknown_key
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
 from lidarcfg.geometry import Array
@@ -176,7 +176,7 @@ class Sensor(Model):
         key: f"{key} under velodyne, and codec: velodyne says so" for key in ("packet", "position_packet", "headers")
     }
     kind: ClassVar[str] = "sensor"
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     maker: str = ""
     description: str = ""
     beams: Beams

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Model, Positive, fault
+from lidarcfg.config import COORDINATE_MAX_M, Model, Name, Positive, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement import detection_kernels as kernels
@@ -35,7 +35,7 @@ class DetectionObject(Model):
     Without `samples`, every place on a grid of `step_m` counts once at each of `headings_deg`.
     """
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     size_m: tuple[Positive, Positive, Positive] | None = None
     mesh: Annotated[str, Field(min_length=1)] | None = None  # relative to the study's file
     threshold: Annotated[int, Field(ge=0, le=1000)] = 1

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from lidarcfg.config import Name
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
@@ -29,7 +30,7 @@ WEIGHT_BYTES = 32  # of memory for a cuboid's weight, and for ordering them
 class ZoneFile(BoxFile):
     """A box of the region, and how much max VSR weighs there."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     weight: Weight = 1.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Key, Metres, Model, Position, Positive, Vec3, error_at, fault, load
+from lidarcfg.config import COORDINATE_MAX_M, Key, Metres, Model, Name, Position, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
@@ -42,7 +42,7 @@ class Ground(Model):
 class SceneObject(Model):
     """An object of any kind."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     reflectivity: Byte
     category: Category | None = None
     motion: Motion | None = None  # from its place at time 0, in the world's axes; it rotates about its place
@@ -142,7 +142,7 @@ class SceneFile(Model):
     """A scene file."""
 
     kind: ClassVar[str] = "scene"
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     ground: Ground | None = None
     boxes: tuple[Box, ...] = ()
     spheres: tuple[Sphere, ...] = ()

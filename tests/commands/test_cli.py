@@ -413,3 +413,30 @@ def test_a_name_that_is_no_unicode(tmp_path):
 def test_a_picture_is_a_png(tmp_path):
     assert "a.gif' does not end in .png" in one_line("view", "data/rigs/roof.yaml", "--png", tmp_path / "a.gif")
     assert "a.jpg' does not end in .png" in one_line("sensors", "show", "vlp-16", "--png", tmp_path / "a.jpg")
+
+
+def test_odd_environments(monkeypatch):
+    """matplotlib refuses to load where it does not know the backend, as one of another program's may be."""
+    load = "import sys; from lidarcfg.cli import main\ntry: main()\nexcept SystemExit: import matplotlib"
+    words = [sys.executable, "-c", load, "completion", "bash"]
+    done = subprocess.run(words, env=os.environ | {"MPLBACKEND": "foo"}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    alone = subprocess.run(
+        [sys.executable, "-c", "import matplotlib"], env=os.environ | {"MPLBACKEND": "foo"}, capture_output=True
+    )
+    assert alone.returncode == 1
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert "NUMBA_DISABLE_JIT: is set" in run("sensors", "list", code=2).stderr
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    assert run("sensors", "list").stdout
+
+
+def test_names_of_a_million_characters(tmp_path):
+    """Drawing one takes minutes, and tables of it nobody reads."""
+    rig = "name: {}\nsensors: [{{name: {}, model: vlp-16, position_m: [0, 0, 1]}}]\n"
+    (tmp_path / "a.yaml").write_text(rig.format("n" * 10**6, "a"))
+    (tmp_path / "b.yaml").write_text(rig.format("n" * 200, "n" * 201))
+    for name in ("a.yaml", "b.yaml"):
+        said = run("validate", tmp_path / name, code=2).stderr
+        assert "… is too long; allowed: at most 200 characters" in said
+        assert len(said) < 400
