@@ -50,15 +50,15 @@ def main() -> None:
         _fail(f"{message} (see {_command_path(error)} --help)")
     except LidarcfgError as error:
         _fail(str(error))
-    except (OSError, MemoryError, ImportError, RuntimeError) as error:
-        _fail(_of_the_system(error, interrupts.doing))
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt):  # before RuntimeError, which click's is
         from lidarcfg.aside import remove_own
 
         remove_own()
         click.echo("interrupted", err=True)
         sys.stdout.flush()
         os._exit(130)  # without waiting for threads that still cast
+    except (OSError, MemoryError, ImportError, RuntimeError) as error:
+        _fail(_of_the_system(error, interrupts.doing))
     sys.exit(code or 0)
 
 
