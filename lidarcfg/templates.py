@@ -29,12 +29,12 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     if body and vehicle not in known and not body.suffix:
         raise ConfigError(f"no vehicle is called {vehicle!r}; allowed: {', '.join(known)}, or a mesh file")
     copied = path.parent / f"{vehicle}.ply" if vehicle in known else None
-    bounds = _bounds(body) if body else CAR
+    low, high, scale, unit = _bounds(body) if body else (*CAR, 1.0, "metre")
     template = Environment(undefined=StrictUndefined, keep_trailing_newline=True).from_string(
         (shipped("data") / "templates" / f"{kind}.yaml.j2").read_text("utf-8")
     )
     name = None if body is None else copied.name if copied else os.path.relpath(body, path.parent)
-    text = template.render(file=path, body=name, **_study(*bounds))
+    text = template.render(file=path, body=name, scale=scale, unit=unit, **_study(low, high))
     for file in (path, copied):
         if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
             raise ConfigError(f"{file}: exists already; name another file, or remove it")
@@ -47,15 +47,20 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     return [path, copied] if copied else [path]
 
 
-def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The bounds of a mesh in metres."""
+def _bounds(body: Path) -> tuple[tuple[float, ...], tuple[float, ...], float, str]:
+    """The bounds of a mesh in metres, the scale that makes them so, and the unit of the file by its size."""
+    import numpy as np
+
     from lidarcfg.world.meshes import read_mesh
+    from lidarcfg.world.vehicle import UNITS, likely_scale
 
     try:
         vertices = read_mesh(body)[0]
     except SceneError as error:
         raise ConfigError(str(error)) from None
-    return tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())
+    scale = likely_scale(np.ptp(vertices, axis=0))
+    low, high = (tuple((scale * corner).tolist()) for corner in (vertices.min(axis=0), vertices.max(axis=0)))
+    return low, high, scale, UNITS[scale]
 
 
 def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[float]]:

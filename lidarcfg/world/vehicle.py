@@ -289,13 +289,17 @@ def _warning(path: Path, key: Key, what: str) -> str:
     return f"{path}: {what}" if path.suffix.lower() in OTHERS else str(error_at(path, key, what))
 
 
+def likely_scale(size: Array) -> float:
+    """Which of the UNITS a vehicle's mesh of a size (3,) is in, as its scale."""
+    if LEAST_M <= size.max() <= MOST_M or size.max() == 0:
+        return 1.0
+    return min(UNITS, key=lambda one: abs(math.log(float(size.max()) * one / TYPICAL_M)))
+
+
 def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
     """What looks wrong with the size of a vehicle's mesh: the unit of its file may be another one."""
     size_m = np.ptp(mesh[0], axis=0)
-    if LEAST_M <= size_m.max() <= MOST_M or size_m.max() == 0:
-        return []
-    scale = min(UNITS, key=lambda one: abs(math.log(size_m.max() / item.scale * one / TYPICAL_M)))
-    if scale == item.scale:
+    if LEAST_M <= size_m.max() <= MOST_M or (scale := likely_scale(size_m / item.scale)) == item.scale:
         return []
     size = " × ".join(f"{value:.4g}" for value in size_m)
     return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, say scale: {scale:g}"]

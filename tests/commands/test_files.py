@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
+import open3d as o3d
 import pytest
 import trimesh
 from PIL import Image
@@ -131,6 +132,19 @@ def test_a_study_begins_with_a_vehicle_and_can_be_searched(tmp_path, name):
     assert (loaded.region.min_m < loaded.vehicle.scene.vertices_m.min(axis=0) + 1e-9).all()
     (own,) = write_template("study", tmp_path / "deep/er/study.yaml", str(body))
     assert np.array_equal(load_study(own).upper, loaded.upper)
+
+
+def test_a_mesh_in_millimetres_makes_the_study_of_the_mesh_in_metres(tmp_path):
+    """As CAD has it; but for a comment and the scale, the text is the same."""
+    body = o3d.io.read_triangle_mesh(str(ROOT / "data/vehicles/truck.ply"))
+    o3d.io.write_triangle_mesh(str(tmp_path / "mm.ply"), body.scale(1000, np.zeros(3)))
+    (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "mm.ply"))
+    (usual,) = write_template("study", tmp_path / "usual.yaml", str(ROOT / "data/vehicles/truck.ply"))
+    assert "#     By its size the file's unit is the millimetre; scale makes it metres\n" in study.read_text()
+    own, known = load_study(study), load_study(usual)
+    assert own.vehicle.warnings == ()
+    assert np.array_equal(own.upper, known.upper)
+    assert own.region.included.sum() == known.region.included.sum() == 47_630
 
 
 def test_a_template_replaces_nothing(tmp_path):
