@@ -87,7 +87,7 @@ class Steps:
         struct.pack_into(SEEN, self._seen, 0, 0.0, 0, 0)
 
     def watch(self, last: int = 0, number: int = signal.SIGKILL) -> Callable[[], None]:
-        """For a fork: count them; die at the last, if there is to be one, or stand still."""
+        """For a fork: count them; die at the last, if there is to be one, or pause."""
 
         def step(frame: FrameType, event: str, of: object) -> None:
             if frame.f_code.co_filename.endswith(WRITERS):

@@ -234,7 +234,7 @@ def read_only(warm: Warm, times: int, rng: random.Random) -> list[Row]:
 def two_writers(warm: Warm, times: int, rng: random.Random) -> list[Row]:
     """Two runs of one output at once: both end well, and what is there is all of one of them.
 
-    Every other time the first stands still at a step of its writing while the second begins. Where an output that is
+    Every other time the first pauses at a step of its writing while the second begins. Where an output that is
     there is refused, so is the later run.
     """
     command, row = warm.command, Row("two writers of one output")
