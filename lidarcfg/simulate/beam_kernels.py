@@ -1,12 +1,13 @@
-"""The rays of wide beams: those of a packet of firings are tested against the few shapes that the beams may hit.
+"""The rays of wide beams: those of a packet of firings go through the tree together, behind their beams' middle rays.
 
-The middle rays are traced as thin beams are. Then one walk through the tree, with bounds of all rays' origins and
-directions, lists the shapes whose boxes any ray may enter, up to a little beyond what the middle rays hit. The other
-rays are tested against these alone, by the operations of every other ray, and are traced in full where that settles
-nothing: where one hits nothing so near, the list is full, or dynamic objects are near. So no result depends on a list.
+A node is looked into where a middle ray enters its box, widened by as much as the other rays may be beside it there.
+For a triangle, the middle rays tell which beams may hit it: in the plane across a beam, the triangle is bounded by lines,
+and each ray is within a small angle of the middle one. The rays of these beams are tested, by the operations of every
+other ray; where all of them are inside for sure, only the distance is left to be found. So no result depends on it.
 """
 
 # mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,60 +27,78 @@ from lidarcfg.simulate.simulator_kernels import (
     swept_in,
     turned,
 )
-from lidarcfg.world.bvh import TRIANGLE
-from lidarcfg.world.shapes import FAST
+from lidarcfg.world.bvh import CYLINDER, INSTANCE, TRIANGLE
+from lidarcfg.world.shapes import FAST, inside, normal, on_plane, sheared
 from lidarcfg.world.tracer_kernels import (
     DX,
+    DY,
+    DZ,
+    EDGES,
+    FAR,
     FARTHEST,
+    INSIDE,
     NONE,
+    ORIGIN,
     OX,
+    OY,
+    OZ,
+    PAD,
     RANGE,
     SIZE,
     SLOT,
+    SX,
+    SY,
+    WIDER,
     alike,
+    entered,
     facing,
     load,
     new_packet,
     normal_at,
+    round_at,
     row,
     shear,
-    test_round,
-    test_triangle,
 )
-from lidarcfg.world.world_kernels import GROUND, hit, hit_dynamic, keep_normals, swept
+from lidarcfg.world.world_kernels import GROUND, keep, keep_normals, swept, test_instance
 
-BEYOND, BEYOND_M = 1.02, 0.3  # how much farther than what the middle rays hit the list of shapes goes
-PAD, WIDER = 1e-6, 1e-6  # m, and a part of a coordinate, by which boxes are larger
-SLACK = 1 + 1e-9  # of distances along rays
-FULL = -1  # instead of a list's length
-# Rows of a cone, an axis each: the sign that turns most of its directions so that they are positive; so turned, lowest
-# and highest origin; 1 / the highest component of directions, and 1 / the lowest, or 0 and UNBOUND if that is below 0.
-SIGN, LOW, HIGH, LEAST, MOST, FREE = range(6)
-UNBOUND = 1e30
-OTHER = -5.0  # no slot
+FAN = 9  # rays of a beam, at most
+# Rows of a fan, as those of a packet, and more. Numbers without a sign, for what numba does about negative ones is not
+# vectorised.
+OXS, OYS, OZS, DXS, DYS, DZS, SXS, SYS, SZS, RANGES, SLOTS, INSIDES, ACROSS, ABOVE, AXIS, COSINES = (
+    np.uint64(row * FAN * SIZE) for row in range(16)
+)
+MIDDLE_DX, MIDDLE_INSIDE, ONE = np.uint64(DX), np.uint64(INSIDE), np.uint64(1)
+OUT, MAYBE, SURE = -1.0, 0.0, 1.0  # whether the rays of a beam hit a shape
+STEEP = 1.4143  # more than the root of 2
+ROUNDING = 1e-12  # of a product of coordinates
+NORMALS = 64  # that are kept
+UNKNOWN = -5.0  # no slot
 
 
-class Beams(NamedTuple):
-    """Working memory: what the rays of a packet of beams may hit, and what some of them do."""
+class Fan(NamedTuple):
+    """Working memory: the rays of a packet of beams, beam by beam."""
 
-    cone: Array  # (6, 3) bounds of the rays
-    box: NDArray[np.float32]  # (6,) of a shape
-    shapes: NDArray[np.int32]  # that the rays may hit
-    range_m: Array  # (SIZE,) of what the rays hit, where they are not tested all at once
-    slot: Array  # (SIZE,)
-    cosine: Array  # (SIZE,)
-    normal: Array  # (3, SIZE) of the shapes last hit by the rays of each beam
-    of: Array  # (SIZE,) the slots of these shapes
+    rays: Array  # (16 FAN SIZE,) rows as those of a packet, and more
+    slack: Array  # (SIZE,) how far, in the plane across the largest component at distance 1, rays are from the middle
+    sheared: NDArray[np.bool_]  # (1,) whether their shear is known
+    mixed: NDArray[np.bool_]  # (1,) whether they face different ways
+    normals: Array  # (3, NORMALS) of triangles
+    of: Array  # (NORMALS,) their slots
 
 
 @inner(makes_arrays=True)
-def _new_beams(most):
-    """Working memory for lists of so many shapes."""
-    return Beams(
-        np.empty((6, 3)), np.empty(6, np.float32), np.empty(most, np.int32),
-        np.empty(SIZE), np.empty(SIZE), np.empty(SIZE),
-        np.zeros((3, SIZE)), np.full(SIZE, OTHER),
+def _new_fan():
+    """Working memory."""
+    return Fan(
+        np.zeros(16 * FAN * SIZE), np.empty(SIZE), np.zeros(1, np.bool_), np.zeros(1, np.bool_),
+        np.empty((3, NORMALS)), np.full(NORMALS, UNKNOWN),
     )  # fmt: skip
+
+
+@inner()
+def _row(axis, component):
+    """Where a fan's rows have a component, if the one that is called `axis` is last: as `row` says of a packet's."""
+    return np.uint64(FAN * row(axis, component))
 
 
 @inner()
@@ -91,235 +110,391 @@ def _widest(lasers):
     return widest
 
 
-@inner(error_model="numpy")
-def _bound(origins, directions, count, wider, cone):
-    """Write the cone of rays (3, count), wider by so much; returns which axes may be the largest of a ray, as bits."""
-    axes, sure = 0, 0.0
-    for axis in range(3):
-        low, high, back, ahead = 1e300, -1e300, 1e300, -1e300
-        for n in range(count):
-            low, high = min(low, origins[axis, n]), max(high, origins[axis, n])
-            back, ahead = min(back, directions[axis, n]), max(ahead, directions[axis, n])
-        sign = 1.0
-        if back + ahead < 0:
-            sign, low, high, back, ahead = -1.0, -high, -low, -ahead, -back
-        back, ahead = back - wider, ahead + wider
-        cone[SIGN, axis], cone[LOW, axis], cone[HIGH, axis], cone[LEAST, axis] = sign, low - PAD, high + PAD, 1 / ahead
-        cone[MOST, axis], cone[FREE, axis] = (1 / back, 0.0) if back > 0 else (0.0, UNBOUND)
-        sure = max(sure, back)  # the largest component is at least this
-    for axis in range(3):
-        axes |= (sure * cone[LEAST, axis] <= SLACK) << axis
+@inner(fastmath=FAST, error_model="numpy")
+def _spread(rays, aim, right, middle, first, count, width, axis):
+    """Write origins and directions of the rays of beams `first` to `first` + count, whose middle rays are (3, SIZE)."""
+    R, axes = aim.R, aim.axes
+    i, j, k = (axis + 1) % 3, (axis + 2) % 3, axis
+    for n in range(count):
+        b = first + n
+        ax, ay, az, u, v = axes[0, b], axes[1, b], axes[2, b], right[0, b], right[1, b]
+        up, vp, wp = v * az, u * az, u * ay - v * ax  # above is right times the axis
+        ox, oy, oz = aim.origins[i, b], aim.origins[j, b], aim.origins[k, b]
+        ix, iy, iz = R[3 * i, b], R[3 * i + 1, b], R[3 * i + 2, b]
+        jx, jy, jz = R[3 * j, b], R[3 * j + 1, b], R[3 * j + 2, b]
+        kx, ky, kz = R[3 * k, b], R[3 * k + 1, b], R[3 * k + 2, b]
+        begin = np.uint64(n * width)
+        for at in range(begin, begin + np.uint64(width)):
+            across, above = rays[ACROSS + at], rays[ABOVE + at]
+            x, y, z = ax + across * u + above * up, ay + across * v - above * vp, az + above * wp
+            length = math.sqrt(x * x + y * y + z * z)
+            x, y, z = x / length, y / length, z / length
+            rays[DXS + at] = ix * x + iy * y + iz * z
+            rays[DYS + at] = jx * x + jy * y + jz * z
+            rays[DZS + at] = kx * x + ky * y + kz * z
+            rays[OXS + at], rays[OYS + at], rays[OZS + at] = ox, oy, oz
+        at = begin + np.uint64(width // 2)
+        rays[DXS + at], rays[DYS + at], rays[DZS + at] = middle[i, b], middle[j, b], middle[k, b]
+    for n in range(np.uint64(count * width)):
+        rays[SZS + n] = 1 / rays[DZS + n]
+
+
+@inner(fastmath=FAST, error_model="numpy")
+def _shear(rays, count):
+    """As `shear` does."""
+    for n in range(np.uint64(count)):
+        rays[SXS + n] = rays[DXS + n] / rays[DZS + n]
+        rays[SYS + n] = rays[DYS + n] / rays[DZS + n]
+
+
+@inner()
+def _axes(fan, packet, face, count, width, widest):
+    """Which components may be the largest of a ray, as bits; and the slack of each beam."""
+    rays, middle, mixed = fan.rays, packet.rays, False
+    for n in range(SIZE):
+        x, y, z = abs(middle[DX + n]), abs(middle[DY + n]), abs(middle[DZ + n])
+        fan.slack[n] = STEEP * widest / (z - widest) if z > 1.1 * widest else 1e30
+        mixed |= z - max(x, y) < 2.1 * widest
+    fan.mixed[0] = mixed
+    if not mixed:
+        return 1 << (face & 3)
+    axes, x, y, z = 0, _row(face, 0), _row(face, 1), _row(face, 2)
+    for n in range(np.uint64(count * width)):
+        axis = facing(rays[DXS + x + n], rays[DXS + y + n], rays[DXS + z + n]) & 3
+        rays[AXIS + n] = axis
+        axes |= 1 << axis
     return axes
 
 
+@inner(fastmath=FAST, error_model="numpy")
+def _hit_ground(ground_m, rays, face, count, limit_m):
+    """Have rays hit the ground, or nothing, as `hit` does."""
+    z = _row(face, 2)
+    for n in range(np.uint64(count)):
+        far = (ground_m - rays[OXS + z + n]) / rays[DXS + z + n]
+        ground = (far > 0) & (far <= limit_m) & (far < FARTHEST)
+        rays[RANGES + n] = far if ground else limit_m
+        rays[SLOTS + n] = GROUND if ground else NONE
+
+
 @inner(fastmath=FAST)
-def _entered(boxes, at, cone, far):
-    """Whether any of the rays in a cone may enter a box before `far`."""
-    near, end = 0.0, far
-    for axis in range(3):
-        one, other = cone[SIGN, axis] * boxes[at + axis], cone[SIGN, axis] * boxes[at + 3 + axis]
-        low, high = min(one, other), max(one, other)
-        near = max(near, (low - abs(low) * WIDER - cone[HIGH, axis]) * cone[LEAST, axis])
-        end = min(end, (high + abs(high) * WIDER - cone[LOW, axis]) * cone[MOST, axis] + cone[FREE, axis])
-    return near <= end * SLACK
+def _limit(rays, slabs, first, end, width):
+    """Have the boxes tested up to the nearest hits of beams `first` to `end`; returns the farthest of all beams."""
+    for n in range(first, end):
+        far = -1.0
+        begin = np.uint64(n * width)
+        for at in range(begin, begin + np.uint64(width)):
+            far = max(far, rays[RANGES + at])
+        slabs[FAR + n] = min(far, 1e38) * (1 + 4e-7)
+    most = slabs[FAR]
+    for n in range(SIZE):
+        most = max(most, slabs[FAR + n])
+    return most
+
+
+@inner(fastmath=FAST)
+def _enter(boxes, node, slabs, face, width, widest):
+    """From where on the middle rays may be in each child of a node, widened by how far other rays are beside there."""
+    for c in range(12):
+        slabs[EDGES + c] = boxes[12 * node + c] - slabs[ORIGIN + c]
+    reach = np.float32(0)
+    for c in range(EDGES, EDGES + 3):
+        one, other = max(abs(slabs[c]), abs(slabs[c + 3])), max(abs(slabs[c + 6]), abs(slabs[c + 9]))
+        reach += max(one, other)
+    pad = widest * reach + PAD
+    for c in range(12):
+        edge = slabs[EDGES + c]
+        wider = abs(edge) * WIDER + pad
+        slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
+    return entered(slabs, face, width)
+
+
+@inner(fastmath=FAST, error_model="numpy")
+def _across(shapes, s, face, middle, slack):
+    """Find out which beams hit triangle s: the edges as the middle rays see them, and how much others may differ."""
+    k = face & 3
+    i, j = (k + 1) % 3, (k + 2) % 3
+    a, b, c = 9 * s, 9 * s + 3, 9 * s + 6
+    ax, ay, az = shapes[a + i], shapes[a + j], shapes[a + k]
+    bx, by, bz = shapes[b + i], shapes[b + j], shapes[b + k]
+    cx, cy, cz = shapes[c + i], shapes[c + j], shapes[c + k]
+    most = max(max(max(abs(ax), abs(ay)), max(abs(az), abs(bx))), max(max(abs(by), abs(bz)), max(abs(cx), abs(cy))))
+    most = max(most, abs(cz)) + abs(middle[OX]) + abs(middle[OY]) + abs(middle[OZ])
+    least = ROUNDING * most * most
+    for n in range(SIZE):
+        ox, oy, oz, sx, sy = middle[OX + n], middle[OY + n], middle[OZ + n], middle[SX + n], middle[SY + n]
+        ux, uy, uz = sheared(ax, ay, az, ox, oy, oz, sx, sy)
+        vx, vy, vz = sheared(bx, by, bz, ox, oy, oz, sx, sy)
+        wx, wy, wz = sheared(cx, cy, cz, ox, oy, oz, sx, sy)
+        u, v, w = wx * vy - wy * vx, ux * wy - uy * wx, vx * uy - vy * ux
+        p = slack[n] * (abs(wz * vy - vz * wy) + abs(wz * vx - vz * wx)) + least
+        q = slack[n] * (abs(uz * wy - wz * uy) + abs(uz * wx - wz * ux)) + least
+        r = slack[n] * (abs(vz * uy - uz * vy) + abs(vz * ux - uz * vx)) + least
+        positive, negative = min(min(u - p, v - q), w - r) > 0, max(max(u + p, v + q), w + r) < 0
+        out = (max(max(u - p, v - q), w - r) > 0) & (min(min(u + p, v + q), w + r) < 0)
+        middle[INSIDE + n] = OUT if out else SURE if positive | negative else MAYBE
+
+
+@inner(fastmath=FAST)
+def _beside(shapes, kind, s, face, middle, widest):
+    """Find out which beams may hit a round shape."""
+    radius = shapes[9 * s + 3]
+    px, py, pz = shapes[9 * s], shapes[9 * s + 1], shapes[9 * s + 2]
+    height = shapes[9 * s + 4] if kind[s] == CYLINDER else 0.0
+    upright = 1.0 if kind[s] == CYLINDER else 0.0
+    a, b, c = np.uint64(row(face, 0)), np.uint64(row(face, 1)), np.uint64(row(face, 2))
+    for n in range(np.uint64(SIZE)):
+        x, y, z = px - middle[a + n], py - middle[b + n], pz - middle[c + n]
+        dx, dy, dz = middle[MIDDLE_DX + a + n], middle[MIDDLE_DX + b + n], middle[MIDDLE_DX + c + n]
+        lx, ly, lz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+        wide = radius + widest * (abs(x) + abs(y) + abs(z) + 2 * radius + height)
+        wide *= wide * (1 + 1e-9)
+        off = lz * lz + (1 - upright) * (lx * lx + ly * ly)
+        middle[MIDDLE_INSIDE + n] = OUT if off > wide * (1 - upright * dz * dz) + 1e-12 else MAYBE
 
 
 @inner()
-def _may_hit_shape(tree, s, cone, far, box):
-    """Whether any of the rays in a cone may hit shape s before `far`."""
-    if tree.kind[s] != TRIANGLE:
-        return True
-    for axis in range(3):
-        a, b, c = tree.shapes[9 * s + axis], tree.shapes[9 * s + 3 + axis], tree.shapes[9 * s + 6 + axis]
-        box[axis], box[3 + axis] = min(a, b, c), max(a, b, c)
-    return _entered(box, 0, cone, far)
+def _which(middle, count):
+    """The first and the end of the beams that may hit a shape, and how many hit it for sure."""
+    first, end, sure = count, 0, 0
+    for n in range(count):
+        if middle[INSIDE + n] != OUT:
+            first, end = min(first, n), n + 1
+            sure += middle[INSIDE + n] == SURE
+    return first, end, sure
+
+
+@inner(fastmath=FAST, error_model="numpy")
+def _test_triangle(shapes, s, axis, fan, first, end, sure, count):
+    """Keep triangle s where rays `first` to `end` hit it first, as `test_triangle` does."""
+    rays = fan.rays
+    i, j, k = (axis + 1) % 3, (axis + 2) % 3, axis
+    a, b, c = 9 * s, 9 * s + 3, 9 * s + 6
+    ax, ay, az = shapes[a + i], shapes[a + j], shapes[a + k]
+    bx, by, bz = shapes[b + i], shapes[b + j], shapes[b + k]
+    cx, cy, cz = shapes[c + i], shapes[c + j], shapes[c + k]
+    if sure:
+        for n in range(first, end):
+            rays[INSIDES + n] = SURE
+    else:
+        if not fan.sheared[0]:
+            _shear(rays, count)
+            fan.sheared[0] = True
+        within = False
+        for n in range(first, end):
+            ox, oy, oz = rays[OXS + n], rays[OYS + n], rays[OZS + n]
+            sx, sy = rays[SXS + n], rays[SYS + n]
+            ux, uy, _ = sheared(ax, ay, az, ox, oy, oz, sx, sy)
+            vx, vy, _ = sheared(bx, by, bz, ox, oy, oz, sx, sy)
+            wx, wy, _ = sheared(cx, cy, cz, ox, oy, oz, sx, sy)
+            rays[INSIDES + n] = inside(ux, uy, vx, vy, wx, wy)
+            within |= rays[INSIDES + n] >= 0
+        if not within:
+            return False
+    if fan.mixed[0]:
+        for n in range(first, end):
+            rays[INSIDES + n] = rays[INSIDES + n] if rays[AXIS + n] == axis else OUT
+    nx, ny, nz = normal(ax, ay, az, bx, by, bz, cx, cy, cz)
+    found = False
+    for n in range(first, end):
+        ox, oy, oz, sz = rays[OXS + n], rays[OYS + n], rays[OZS + n], rays[SZS + n]
+        far = on_plane(
+            nx, ny, nz, ax - ox, ay - oy, az - oz,
+            rays[DXS + n], rays[DYS + n], rays[DZS + n],
+            (az - oz) * sz, (bz - oz) * sz, (cz - oz) * sz,
+        )  # fmt: skip
+        nearest = rays[RANGES + n]
+        nearer = (far < nearest) | ((far == nearest) & (s < rays[SLOTS + n]))
+        nearer &= (rays[INSIDES + n] >= 0) & (far > 0)
+        found |= nearer
+        rays[RANGES + n] = far if nearer else nearest
+        rays[SLOTS + n] = float(s) if nearer else rays[SLOTS + n]
+    return found
 
 
 @inner()
-def _listed(tree, codes, cone, far, box, out):
-    """Write the shapes of a tree that rays in a cone may hit before `far`; how many, or FULL: too many."""
-    code, waiting, count = tree.root, 0, 0
+def _test_round(shapes, kind, s, axis, rays, first, end):
+    """Keep a sphere or a cylinder where rays `first` to `end` hit it first."""
+    x, y, z = _row(axis, 0), _row(axis, 1), _row(axis, 2)
+    found = False
+    for n in range(first, end):
+        far = round_at(
+            shapes, kind, s,
+            rays[OXS + x + n], rays[OXS + y + n], rays[OXS + z + n],
+            rays[DXS + x + n], rays[DXS + y + n], rays[DXS + z + n],
+        )  # fmt: skip
+        nearest = rays[RANGES + n]
+        if far > 0 and (far < nearest or (far == nearest and s < rays[SLOTS + n])):
+            rays[RANGES + n], rays[SLOTS + n], found = far, s, True
+    return found
+
+
+@inner(fastmath=FAST)
+def _trace(tree, packet, fan, face, axis, count, width, widest):
+    """Keep what the rays of beams hit first of a tree: those whose largest component is `axis`. As `trace` does."""
+    rays, middle, slabs, codes, enter = fan.rays, packet.rays, packet.slabs, packet.codes, packet.enter
+    boxes, children, shapes, kind, instances = tree.boxes, tree.children, tree.shapes, tree.kind, packet.instances
+    lanes, wide = len(slabs) // 7, np.float32(widest * 1.00001)
+    for n in range(SIZE):
+        slabs[FAR + n] = -1.0
+    most = _limit(rays, slabs, 0, count, width)
+    code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            first, second = _entered(tree.boxes, 12 * code, cone, far), _entered(tree.boxes, 12 * code + 6, cone, far)
-            one, other = tree.children[2 * code], tree.children[2 * code + 1]
-            if first and second:
-                codes[waiting] = other
+            near, far = _enter(boxes, code, slabs, face, lanes, wide)
+            first, second = children[2 * code], children[2 * code + 1]
+            if far < near:
+                near, far, first, second = far, near, second, first
+            if far < FARTHEST:
+                codes[waiting], enter[waiting] = second, far
                 waiting += 1
-            if first or second:
-                code = one if first else other
+            if near < FARTHEST:
+                code = first
                 continue
         else:
             leaf = ~code
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
-                if _may_hit_shape(tree, s, cone, far, box):
-                    if count == len(out):
-                        return FULL
-                    out[count] = s
-                    count += 1
+                if kind[s] == TRIANGLE:
+                    _across(shapes, s, face, middle, fan.slack)
+                else:
+                    _beside(shapes, kind, s, face, middle, widest)
+                begin, end, sure = _which(middle, count)
+                if begin >= end:
+                    continue
+                if kind[s] == TRIANGLE:
+                    found = _test_triangle(
+                        shapes, s, axis, fan, np.uint64(begin * width), np.uint64(end * width), sure == end - begin,
+                        count * width,
+                    )  # fmt: skip
+                elif kind[s] == INSTANCE:
+                    instances[0] += 1
+                    instances[instances[0]] = tree.number[s]
+                    found = False
+                else:
+                    found = _test_round(shapes, kind, s, axis, rays, np.uint64(begin * width), np.uint64(end * width))
+                if found:
+                    most = _limit(rays, slabs, begin, end, width)
+        while waiting and enter[waiting - 1] > most:
+            waiting -= 1
         if not waiting:
-            return count
+            return
         waiting -= 1
         code = codes[waiting]
 
 
 @inner(fastmath=FAST, error_model="numpy")
-def _test(ground_m, static, packet, shapes, count, axis, origins, directions, limit_m):
-    """Find what rays (3, SIZE), the largest component of whose directions is `axis`, hit of ground and shapes."""
-    rays, width = packet.rays, origins.shape[1]
-    for k in range(3):
-        start, way = OX + row(axis, k), DX + row(axis, k)
-        for n in range(width):  # a loop each, for the compiler knows of no distance between the rows
-            rays[start + n] = origins[k, n]
-        for n in range(width):
-            rays[way + n] = directions[k, n]
-    for n in range(width):
-        down = (ground_m - origins[2, n]) / directions[2, n]
-        ground = (down > 0) & (down <= limit_m) & (down < FARTHEST)
-        rays[RANGE + n] = down if ground else limit_m
-        rays[SLOT + n] = GROUND if ground else NONE
-    if count:
-        shear(rays)
-    for i in range(count):
-        s = shapes[i]
-        if static.kind[s] == TRIANGLE:
-            test_triangle(static.shapes, s, axis, rays, 0.0)
+def _cosines(static, fan, axis, count):
+    """Find the cosines of the angles between rays and what they hit of static objects."""
+    rays, of, normals, kind, first = fan.rays, fan.of, fan.normals, static.kind, np.uint64(0)
+    x, y, z, count = _row(axis, 0), _row(axis, 1), _row(axis, 2), np.uint64(count)
+    while first < count:
+        slot, end = rays[SLOTS + first], first + ONE
+        s, nx, ny, nz = int(slot), 0.0, 0.0, 1.0
+        if 0 <= s < len(kind) and kind[s] != TRIANGLE:
+            nx, ny, nz = normal_at(
+                static.shapes, kind, s,
+                rays[OXS + x + first], rays[OXS + y + first], rays[OXS + z + first],
+                rays[DXS + x + first], rays[DXS + y + first], rays[DXS + z + first],
+                rays[RANGES + first],
+            )  # fmt: skip
         else:
-            test_round(static.shapes, static.kind, s, axis, rays, 0.0)
-
-
-@inner()
-def _take(rays, beams, first, count):
-    """Take over what a packet's rays hit, from `first` on; returns the highest slot."""
-    most = NONE
-    for n in range(count):
-        beams.range_m[first + n], beams.slot[first + n] = rays[RANGE + n], rays[SLOT + n]
-        most = max(most, rays[SLOT + n])
-    return most
-
-
-@inner()
-def _give(rays, beams):
-    """Have a packet hit what was taken over."""
-    for n in range(len(beams.slot)):
-        rays[RANGE + n], rays[SLOT + n] = beams.range_m[n], beams.slot[n]
-
-
-@inner()
-def _settled(ground_m, static, packet, beams, some, axes, origins, directions, count, limit_m, far):
-    """Test rays (3, count) against the list of shapes; whether what they hit is nearer than `far`."""
-    rays, beyond = packet.rays, 0
-    for axis in range(3):
-        if axes >> axis & 1:
-            _test(ground_m, static, packet, beams.shapes, some, axis, origins, directions, limit_m)
-            if axes != 1 << axis:
-                for n in range(count):
-                    if facing(directions[0, n], directions[1, n], directions[2, n]) & 3 == axis:
-                        beams.range_m[n], beams.slot[n] = rays[RANGE + n], rays[SLOT + n]
-    if axes & (axes - 1):
-        _give(rays, beams)
-    for n in range(count):
-        beyond += rays[RANGE + n] > far
-    return beyond == 0 or far >= limit_m
-
-
-@inner(fastmath=FAST, error_model="numpy")
-def _cosines(static, rays, beams, origins, directions, count):
-    """Find the cosines of the angles between rays (3, count) and what they hit of static objects."""
-    kind, normal, of = static.kind, beams.normal, beams.of
-    for n in range(count):
-        if rays[SLOT + n] != of[n] or (of[n] >= 0 and kind[int(of[n])] != TRIANGLE):
-            of[n] = rays[SLOT + n]
-            s, nx, ny, nz = int(of[n]), 0.0, 0.0, 1.0
+            while end < count and rays[SLOTS + end] == slot:
+                end += ONE
             if 0 <= s < len(kind):
-                nx, ny, nz = normal_at(
-                    static.shapes, kind, s, origins[0, n], origins[1, n], origins[2, n],
-                    directions[0, n], directions[1, n], directions[2, n], rays[RANGE + n],
-                )  # fmt: skip
-            normal[0, n], normal[1, n], normal[2, n] = nx, ny, nz
-            if s >= len(kind):
-                of[n] = OTHER
-    for n in range(directions.shape[1]):
-        along = normal[0, n] * directions[0, n] + normal[1, n] * directions[1, n] + normal[2, n] * directions[2, n]
-        beams.cosine[n] = abs(along) if rays[SLOT + n] != NONE else 1.0
+                at = s % NORMALS
+                if of[at] != slot:
+                    of[at] = slot
+                    normals[0, at], normals[1, at], normals[2, at] = normal_at(
+                        static.shapes, kind, s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    )
+                nx, ny, nz = normals[0, at], normals[1, at], normals[2, at]
+        for n in range(first, end):
+            along = nx * rays[DXS + x + n] + ny * rays[DXS + y + n] + nz * rays[DXS + z + n]
+            rays[COSINES + n] = abs(along) if slot != NONE else 1.0
+        first = end
 
 
 @inner()
-def _keep(rays, beams, rows, count, slots, found):
-    """Write what rays hit to rows (count,); the cosines, where there are rows, but of dynamic objects."""
+def _keep(rays, which, count, width, found):
+    """Write what rays hit to the rows of beams `which` (count,)."""
     range_m, slot, cosine, cosines = found.range_m, found.slot, found.cosine, len(found.cosine) > 0
     for n in range(count):
-        at, one = rows[n], rays[SLOT + n]
-        slot[at], range_m[at] = int(one), rays[RANGE + n] if one != NONE else np.inf
-        if cosines and one < slots:
-            cosine[at] = beams.cosine[n]
+        at, ray = np.uint64(which[n] * width), np.uint64(n * width)
+        for m in range(np.uint64(width)):
+            one = rays[SLOTS + ray + m]
+            slot[at + m], range_m[at + m] = np.int32(one), rays[RANGES + ray + m] if one != NONE else np.inf
+        if cosines:
+            for m in range(np.uint64(width)):
+                cosine[at + m] = rays[COSINES + ray + m]
 
 
-@inner()
-def _beyond(rays, count, limit_m):
-    """A little farther than what rays hit."""
-    far = 0.0
-    for n in range(count):
-        far = max(far, rays[RANGE + n])
-    return min(far * BEYOND + BEYOND_M, limit_m)
-
-
-@inner()
-def _list(static, moving, packet, beams, far, limit_m):
-    """List what the rays of a cone may hit; how many shapes, or FULL: too many, or also dynamic objects."""
-    if len(moving.kind) and _listed(moving, packet.codes, beams.cone, limit_m, beams.box, beams.shapes) != 0:
-        return FULL
-    return _listed(static, packet.codes, beams.cone, far, beams.box, beams.shapes)
+@inner(makes_arrays=True)
+def _hit_dynamic(world, moving, packet, fan, aim, which, first, count, width, face, axis, widest, found):
+    """Have rays hit dynamic objects, where they are nearer than what is written."""
+    dynamic, slots, rays, one, rows = world.dynamic, len(world.static.kind), fan.rays, packet.rays, aim.rows
+    packet.instances[0] = 0
+    _trace(moving, packet, fan, face, axis, count, width, widest)
+    for m in range(width if packet.instances[0] else 0):
+        for n in range(count):
+            at = np.uint64(n * width + m)
+            for k in range(3):
+                one[OX + k * SIZE + n] = rays[OXS + _row(axis, k) + at]
+                one[DX + k * SIZE + n] = rays[DXS + _row(axis, k) + at]
+            one[RANGE + n], one[SLOT + n] = rays[RANGES + at], rays[SLOTS + at]
+            rows[first + n] = which[first + n] * width + m
+        for i in range(packet.instances[0]):
+            p = packet.instances[1 + i]
+            test_instance(dynamic, p, packet, aim.placed, aim.seconds, first, count, 2, slots)
+        keep(one, rows, first, count, found.range_m, found.slot)
+        if len(found.cosine):
+            keep_normals(world, packet, aim.placed, aim.seconds, first, count, 2, rows, found)
 
 
 @njit(cache=True, nogil=True)
-def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, most_listed, found):
-    """As `trace_firings` does, for beams of several rays; up to so many shapes are listed for a packet of beams."""
+def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, found):
+    """As `trace_firings` does, for beams of several rays, at most FAN, the middle one of which is the axis."""
     time_ns, laser, _ = firings
     static, dynamic, ground_m, cosines = world.static, world.dynamic, world.ground_m, len(found.cosine) > 0
-    dynamics, slots, rays, wider = len(dynamic.roots), len(static.kind), len(lasers.across), _widest(lasers)
+    dynamics, slots, width, widest = len(dynamic.roots), len(static.kind), len(lasers.across), _widest(lasers)
     group, order, cuts = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
-    packet, aim, own, block, beams = new_packet(dynamics), new_aim(frames), new_own(frames), -1, _new_beams(most_listed)
-    seconds, placed, axes, starts, origins, rows = aim.seconds, aim.placed, aim.axes, aim.starts, aim.origins, aim.rows
+    packet, aim, own, block, fan = new_packet(dynamics), new_aim(frames), new_own(frames), -1, _new_fan()
+    axes, origins, rows, rays = aim.axes, aim.origins, aim.rows, fan.rays
     right, lights, directions = np.empty((2, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
     bodies, own_slots, moving = len(frames.bodies.kind), slots + len(dynamic.trees.kind), swept(dynamic, 0.0, 0.0)
+    for n in range(SIZE * width):
+        rays[ACROSS + np.uint64(n)], rays[ABOVE + np.uint64(n)] = lasers.across[n % width], lasers.above[n % width]
     for p in range(len(cuts) - 1):
         which = order[cuts[p] : cuts[p + 1]]
-        here, count = group[which[0]], len(which)
+        here, count, done = group[which[0]], len(which), 0
         if dynamics and here // len(lasers.left_m) != block:
             block = here // len(lasers.left_m)
             moving = swept_in(dynamic, time_ns, block, zero_ns)
         aimed(aim, lasers, frames, firings, zero_ns, which, here % len(lasers.left_m))
         sideways(axes, right)
-        some, largest, far = FULL, 0, limit_m
-        for k in range(rays):
-            ray = (rays // 2 + k) % rays
-            spread(axes, right, lasers.across[ray], lasers.above[ray], lights)
-            turned(aim.R, lights, directions)
-            for n in range(count):
-                rows[n] = which[n] * rays + ray
-            done = 0
-            if some != FULL and _settled(
-                ground_m, static, packet, beams, some, largest, origins, directions, count, limit_m, far
-            ):
-                done = count
-            while done < count:
-                part, face = alike(directions, done, count)
-                load(packet.rays, packet.slabs, origins, directions, done, part, face)
-                hit(ground_m, static, packet, face, limit_m)
-                if dynamics:
-                    hit_dynamic(dynamic, moving, packet, placed, seconds, done, part, face, slots)
-                if _take(packet.rays, beams, done, part) >= slots and cosines:
-                    keep_normals(world, packet, placed, seconds, done, part, face, rows, found)
-                done += part
-                if done == count:
-                    _give(packet.rays, beams)
+        turned(aim.R, axes, directions)
+        while done < count:
+            part, face = alike(directions, done, count)
+            load(packet.rays, packet.slabs, origins, directions, done, part, face)
+            shear(packet.rays)
+            axis = face & 3
+            _spread(rays, aim, right, directions, done, part, width, axis)
+            some = _axes(fan, packet, face, part, width, widest)
+            _hit_ground(ground_m, rays, face, part * width, limit_m)
+            for k in range(3):
+                if some >> k & 1:
+                    if axis != k:
+                        axis = k
+                        _spread(rays, aim, right, directions, done, part, width, axis)
+                    fan.sheared[0] = False
+                    _trace(static, packet, fan, face, axis, part, width, widest)
             if cosines:
-                _cosines(static, packet.rays, beams, origins, directions, count)
-            _keep(packet.rays, beams, rows, count, slots, found)
-            if k == 0 and most_listed:
-                far = _beyond(packet.rays, count, limit_m)
-                largest = _bound(origins, directions, count, wider, beams.cone)
-                some = _list(static, moving, packet, beams, far, limit_m)
-            if bodies:
-                hit_bodies(own, packet, starts, lights, rows, count, limit_m, own_slots, found)
+                _cosines(static, fan, axis, part * width)
+            _keep(rays, which[done:], part, width, found)
+            if dynamics:
+                _hit_dynamic(world, moving, packet, fan, aim, which, done, part, width, face, axis, widest, found)
+            done += part
+        for m in range(width if bodies else 0):
+            spread(axes, right, lasers.across[m], lasers.above[m], lights)
+            for n in range(count):
+                rows[n] = which[n] * width + m
+            hit_bodies(own, packet, aim.starts, lights, rows, count, limit_m, own_slots, found)

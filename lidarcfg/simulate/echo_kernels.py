@@ -12,6 +12,7 @@ SEPARATION_M = 1.0  # closer echoes merge (VLP-16 and VLS-128 manuals: dual retu
 FAINTEST = 1e-30  # power of an echo from a black or edge-on surface: detected unless there is a detection limit
 NOTHING = -1  # an object
 ALBEDO = np.arange(256) / 100  # of a reflectivity
+NO_RAY = np.uint64(99)
 TOTAL, MEAN, SHINE, BEST, OWNER = range(5)  # rows of the echoes of a beam
 
 
@@ -36,21 +37,11 @@ def _slant(range_m, cosine, step_rad):
 
 
 @inner()
-def _begin(echoes, c):
-    """Let echo c be empty."""
-    for k in range(5):
-        echoes[k, c] = 0.0
-    echoes[OWNER, c] = NOTHING
-
-
-@inner()
-def _add(echoes, c, range_m, power, shine, thing):
-    """Have a ray be a part of echo c."""
-    echoes[TOTAL, c] += power
-    echoes[MEAN, c] += power * range_m
-    echoes[SHINE, c] += shine
-    if power > echoes[BEST, c]:
-        echoes[BEST, c], echoes[OWNER, c] = power, thing
+def _end(echoes, c, total, mean, shine, best, owner):
+    """Write echo c."""
+    echoes[TOTAL, c], echoes[MEAN, c], echoes[SHINE, c], echoes[BEST, c], echoes[OWNER, c] = (
+        total, mean, shine, best, owner,
+    )  # fmt: skip
 
 
 @inner(error_model="numpy")
@@ -85,37 +76,42 @@ def _merge(hits, laser, weights, limits, drops, fade, out, orders, echoes):
     out_m, out_byte, out_object = out
     most_m, step_rad, least = limits
     for n in range(len(range_m)):
-        order, found, before = orders[laser[n]], 0, -1
-        _sort(range_m[n], order)
-        _begin(echoes, 0)
-        nearest_m = range_m[n, order[0]]
+        order, found, before, before_m = orders[laser[n]], 0, NO_RAY, 0.0
+        total, mean, shine, best, owner = 0.0, 0.0, 0.0, 0.0, NOTHING
+        ranges, bytes_, things, steeps = range_m[n], reflectivity[n], objects[n], cosine[n]
+        _sort(ranges, order)
+        nearest_m = ranges[order[0]]
         if len(drops) and drops[n, 0] < (nearest_m if nearest_m <= most_m else math.inf):
-            far_m, albedo = drops[n, 0], drops[n, 1]
-            power = max(albedo * fade[n, len(order)] / (far_m * far_m), FAINTEST)
-            _add(echoes, 0, far_m, power, 100 * albedo, NOTHING)
-            found = 1
+            before_m, albedo = drops[n, 0], drops[n, 1]
+            total = max(albedo * fade[n, len(order)] / (before_m * before_m), FAINTEST)
+            mean, shine, best, found = total * before_m, 100 * albedo, total, 1
         for i in range(len(order)):
             k = order[i]
-            far_m, steep, byte = range_m[n, k], cosine[n, k], reflectivity[n, k]
+            far_m, steep, byte, thing = ranges[k], steeps[k], bytes_[k], things[k]
             if not far_m <= most_m:
                 break
             apart = found == 0
             if found:
-                apart_m = far_m - (range_m[n, before] if before >= 0 else drops[n, 0])
+                apart_m = far_m - before_m
                 apart = not apart_m <= SEPARATION_M
-                if apart and before >= 0 and objects[n, k] == objects[n, before]:
-                    slack_m = _slant(range_m[n, before], cosine[n, before], step_rad)
+                if apart and before != NO_RAY and thing == things[before]:
+                    slack_m = _slant(before_m, steeps[before], step_rad)
                     slack_m = max(_slant(far_m, steep, step_rad), slack_m)
                     apart = not apart_m <= SEPARATION_M + slack_m
             if apart:
-                _begin(echoes, found)
+                if found:
+                    _end(echoes, found - 1, total, mean, shine, best, owner)
+                total, mean, shine, best, owner = 0.0, 0.0, 0.0, 0.0, NOTHING
                 found += 1
             light = weights[k] * (ALBEDO[byte] if byte > DIFFUSE_MAX else ALBEDO[byte] * steep)
             if len(fade):
                 light *= fade[n, k]
             power = max(light / (far_m * far_m), FAINTEST)
-            _add(echoes, found - 1, far_m, power, weights[k] * float(byte), objects[n, k])
-            before = k
+            total, mean, shine = total + power, mean + power * far_m, shine + weights[k] * float(byte)
+            if power > best:
+                best, owner = power, thing
+            before, before_m = k, far_m
+        _end(echoes, max(found - 1, 0), total, mean, shine, best, owner)
         _pick(echoes, found, least, out_m[n], out_byte[n], out_object[n])
 
 
@@ -132,6 +128,7 @@ def merged(hits, laser, weights, limits, drops, fade, out):
     width, lasers = len(weights), 0
     for n in range(len(laser)):
         lasers = max(lasers, laser[n] + 1)
-    orders, echoes = np.empty((lasers, width), np.int64), np.empty((5, width + 1))
-    orders[:] = np.arange(width)
+    orders, echoes = np.empty((lasers, width), np.uint64), np.empty((5, width + 1))
+    for k in range(width):
+        orders[:, k] = k
     _merge(hits, laser, weights, limits, drops, fade, out, orders, echoes)

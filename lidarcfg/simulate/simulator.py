@@ -22,7 +22,6 @@ from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.world_kernels import NOTHING, Found
 
 EXACT, CLEAR = Realism(), Weather()
-LISTED = 24  # shapes that the beams of a packet of firings may hit, at most, to be tested one by one
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
 
 
@@ -79,7 +78,7 @@ class Simulator:
             if width == 1:
                 trace_firings(*told, found)
             else:
-                trace_beams(*told, LISTED, found)
+                trace_beams(*told, found)
         objects, reflectivity = np.empty((count, width), np.int32), np.empty((count, width), np.uint8)
         tables = self._objects, self._reflectivity
         hits = looked_up(found.range_m, found.slot, most_m, *tables, objects.ravel(), reflectivity.ravel())

@@ -141,12 +141,8 @@ def _limit(rays, slabs):
 
 
 @inner(fastmath=FAST)
-def _enter(boxes, node, slabs, face, width):
-    """From where on a packet may be in each child of a node; FARTHEST: nowhere."""
-    for c in range(12):
-        edge = boxes[12 * node + c] - slabs[ORIGIN + c]
-        wider = abs(edge) * WIDER + PAD
-        slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
+def entered(slabs, face, width):
+    """From where on a packet may be in each of two boxes, by what is subtracted from their EDGES; FARTHEST: nowhere."""
     nx, ny, nz = 3 if face & 4 else 0, 4 if face & 8 else 1, 5 if face & 16 else 2
     fx, fy, fz = 3 - nx, 5 - ny, 7 - nz
     ax, ay, az = slabs[EDGES + nx], slabs[EDGES + ny], slabs[EDGES + nz]
@@ -162,6 +158,16 @@ def _enter(boxes, node, slabs, face, width):
     one = max(max(ax * x, ay * y), max(az * z, ZERO)) if left else FARTHEST
     other = max(max(cx * x, cy * y), max(cz * z, ZERO)) if right else FARTHEST
     return one, other
+
+
+@inner(fastmath=FAST)
+def _enter(boxes, node, slabs, face, width):
+    """The same of the children of a node."""
+    for c in range(12):
+        edge = boxes[12 * node + c] - slabs[ORIGIN + c]
+        wider = abs(edge) * WIDER + PAD
+        slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
+    return entered(slabs, face, width)
 
 
 @inner(fastmath=FAST, error_model="numpy")
@@ -201,7 +207,7 @@ def test_triangle(shapes, s, face, rays, after):
 
 
 @inner()
-def _round(shapes, kind, s, ox, oy, oz, dx, dy, dz):
+def round_at(shapes, kind, s, ox, oy, oz, dx, dy, dz):
     """How far a sphere or cylinder is."""
     x, y, z = ox - shapes[9 * s], oy - shapes[9 * s + 1], oz - shapes[9 * s + 2]
     if kind[s] == SPHERE:
@@ -227,7 +233,7 @@ def test_round(shapes, kind, s, face, rays, after):
     for n in range(SIZE):
         ox, oy, oz, dx, dy, dz = ray_of(rays, n, face)
         length = 1.0 if after == 0.0 else math.sqrt(dx * dx + dy * dy + dz * dz)  # of a segment
-        far = _round(shapes, kind, s, ox, oy, oz, dx / length, dy / length, dz / length) / length
+        far = round_at(shapes, kind, s, ox, oy, oz, dx / length, dy / length, dz / length) / length
         nearest = rays[RANGE + n]
         if far > after and (far < nearest or (far == nearest and s < rays[SLOT + n])):
             rays[RANGE + n], rays[SLOT + n], found = far, s, True
@@ -329,7 +335,7 @@ def trace_alone(tree, root, packet, ox, oy, oz, dx, dy, dz, range_m, slot):
                 if kind[s] == TRIANGLE:
                     far = triangle(shapes, s, i, j, k, px, py, pz, qx, qy, qz, sx, sy, sz)
                 else:
-                    far = _round(shapes, kind, s, ox, oy, oz, dx, dy, dz)
+                    far = round_at(shapes, kind, s, ox, oy, oz, dx, dy, dz)
                 if far < range_m or (far == range_m and s < slot):
                     range_m, slot = far, s
         while waiting and enter[waiting - 1] > range_m * (1 + 4e-7):

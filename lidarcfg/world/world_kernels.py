@@ -100,7 +100,7 @@ def _brought(R, t, n, px, py, pz, x, y, z, dx, dy, dz):
 
 
 @inner(makes_arrays=True, error_model="numpy")
-def _test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot):
+def test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot):
     """Keep what a packet's rays hit of dynamic object p at times (N,) from `first` on, where it is nearer."""
     rays, R, t = packet.rays, moved.R, moved.t
     px, py, pz = dynamic.places_m[p, 0], dynamic.places_m[p, 1], dynamic.places_m[p, 2]
@@ -143,7 +143,7 @@ def hit_dynamic(dynamic, moving, packet, moved, seconds, first, count, face, fir
     trace(moving, packet, face, False)
     for i in range(packet.instances[0]):
         p = packet.instances[1 + i]
-        _test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot)
+        test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot)
 
 
 @inner()
