@@ -1,9 +1,9 @@
-"""The rays of wide beams: those of a packet of firings go through the tree together, behind their beams' middle rays.
+"""The rays of wide beams: those of a packet of firings go through the tree together, along their beams' middle rays.
 
-A node is looked into where a middle ray enters its box, widened by as much as the other rays may be beside it there.
-For a triangle, the middle rays tell which beams may hit it: in the plane across a beam, the triangle is bounded by lines,
-and each ray is within a small angle of the middle one. The rays of these beams are tested, by the operations of every
-other ray; where all of them are inside for sure, only the distance is left to be found. So no result depends on it.
+A node is looked into where a middle ray enters its box, made larger by as much as other rays may be beside it there.
+At a triangle, the middle rays tell which beams may hit it: how far they are from its edges, as they see them, says how
+all rays of a beam pass these, or that some may pass and some not. The rays from the first to the last such beam are
+tested as every other ray is, but not for being inside where that is sure. So each hits what it would hit alone.
 """
 
 # mypy: disallow-untyped-decorators=False, disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -48,9 +48,8 @@ from lidarcfg.world.tracer_kernels import (
     SLOT,
     SX,
     SY,
-    WIDER,
     alike,
-    entered,
+    enter_boxes,
     facing,
     load,
     new_packet,
@@ -193,24 +192,18 @@ def _limit(rays, slabs, first, end, width):
 
 
 @inner(fastmath=FAST)
-def _enter(boxes, node, slabs, face, width, widest):
-    """From where on the middle rays may be in each child of a node, widened by how far other rays are beside there."""
+def _beside(boxes, node, slabs, widest):
+    """How far rays may be beside their middle ray as far away as the children of a node."""
     for c in range(12):
-        slabs[EDGES + c] = boxes[12 * node + c] - slabs[ORIGIN + c]
+        slabs[EDGES + c] = abs(boxes[12 * node + c] - slabs[ORIGIN + c])
     reach = np.float32(0)
     for c in range(EDGES, EDGES + 3):
-        one, other = max(abs(slabs[c]), abs(slabs[c + 3])), max(abs(slabs[c + 6]), abs(slabs[c + 9]))
-        reach += max(one, other)
-    pad = widest * reach + PAD
-    for c in range(12):
-        edge = slabs[EDGES + c]
-        wider = abs(edge) * WIDER + pad
-        slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
-    return entered(slabs, face, width)
+        reach += max(max(slabs[c], slabs[c + 3]), max(slabs[c + 6], slabs[c + 9]))
+    return widest * reach + PAD
 
 
 @inner(fastmath=FAST, error_model="numpy")
-def _across(shapes, s, face, middle, slack):
+def _near_triangle(shapes, s, face, middle, slack):
     """Find out which beams hit triangle s: the edges as the middle rays see them, and how much others may differ."""
     k = face & 3
     i, j = (k + 1) % 3, (k + 2) % 3
@@ -236,7 +229,7 @@ def _across(shapes, s, face, middle, slack):
 
 
 @inner(fastmath=FAST)
-def _beside(shapes, kind, s, face, middle, widest):
+def _near_round(shapes, kind, s, face, middle, widest):
     """Find out which beams may hit a round shape."""
     radius = shapes[9 * s + 3]
     px, py, pz = shapes[9 * s], shapes[9 * s + 1], shapes[9 * s + 2]
@@ -341,7 +334,7 @@ def _trace(tree, packet, fan, face, axis, count, width, widest):
     code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            near, far = _enter(boxes, code, slabs, face, lanes, wide)
+            near, far = enter_boxes(boxes, code, slabs, face, lanes, _beside(boxes, code, slabs, wide))
             first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first
@@ -355,9 +348,9 @@ def _trace(tree, packet, fan, face, axis, count, width, widest):
             leaf = ~code
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
                 if kind[s] == TRIANGLE:
-                    _across(shapes, s, face, middle, fan.slack)
+                    _near_triangle(shapes, s, face, middle, fan.slack)
                 else:
-                    _beside(shapes, kind, s, face, middle, widest)
+                    _near_round(shapes, kind, s, face, middle, widest)
                 begin, end, sure = _which(middle, count)
                 if begin >= end:
                     continue

@@ -141,8 +141,12 @@ def _limit(rays, slabs):
 
 
 @inner(fastmath=FAST)
-def entered(slabs, face, width):
-    """From where on a packet may be in each of two boxes, by what is subtracted from their EDGES; FARTHEST: nowhere."""
+def enter_boxes(boxes, node, slabs, face, width, pad):
+    """From where on a packet may be in each child of a node; FARTHEST: nowhere. Boxes are larger by `pad`."""
+    for c in range(12):
+        edge = boxes[12 * node + c] - slabs[ORIGIN + c]
+        wider = abs(edge) * WIDER + pad
+        slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
     nx, ny, nz = 3 if face & 4 else 0, 4 if face & 8 else 1, 5 if face & 16 else 2
     fx, fy, fz = 3 - nx, 5 - ny, 7 - nz
     ax, ay, az = slabs[EDGES + nx], slabs[EDGES + ny], slabs[EDGES + nz]
@@ -158,16 +162,6 @@ def entered(slabs, face, width):
     one = max(max(ax * x, ay * y), max(az * z, ZERO)) if left else FARTHEST
     other = max(max(cx * x, cy * y), max(cz * z, ZERO)) if right else FARTHEST
     return one, other
-
-
-@inner(fastmath=FAST)
-def _enter(boxes, node, slabs, face, width):
-    """The same of the children of a node."""
-    for c in range(12):
-        edge = boxes[12 * node + c] - slabs[ORIGIN + c]
-        wider = abs(edge) * WIDER + PAD
-        slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
-    return entered(slabs, face, width)
 
 
 @inner(fastmath=FAST, error_model="numpy")
@@ -254,7 +248,7 @@ def trace(tree, packet, face, any_hit):
     code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            near, far = _enter(boxes, code, slabs, face, width)
+            near, far = enter_boxes(boxes, code, slabs, face, width, PAD)
             first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first
@@ -406,7 +400,7 @@ def blocked(tree, packet, origins, directions, count, out):
             for n in range(SIZE):
                 rays[RANGE + n] = 1 - ENDS
             _limit(rays, slabs)
-            if tree.root < 0 or min(*_enter(boxes, tree.root, slabs, face, len(slabs) // 7)) < FARTHEST:
+            if tree.root < 0 or min(*enter_boxes(boxes, tree.root, slabs, face, len(slabs) // 7, PAD)) < FARTHEST:
                 trace(tree, packet, face, True)
             for n in range(some):
                 out[waiting[face, n]] = rays[SLOT + n] >= 0

@@ -1,4 +1,4 @@
-"""Wide beams: what is listed for a packet of them changes no result, wherever they hit."""
+"""Wide beams: their rays hit what they would hit alone, wherever that is; and the echoes made of it."""
 
 from dataclasses import replace
 
@@ -29,16 +29,38 @@ planes: [{name: sheet, center_m: [-7, 0, 1], size_m: [3, 3], rpy_deg: [10, 70, 2
 DRIVE = Trajectory(np.eye(4), prepared_path(Motion(arc=Arc(speed_m_s=12, yaw_rate_deg_s=30))), AT_NS)
 
 
-def hit_by(stage, vehicle, listed, monkeypatch, rpy_deg=(4.0, 3.0, 20.0)):
-    """What the rays of two revolutions of wide beams hit."""
-    wide = replace(mount(0, (0.3, 0.5, 2.2), rpy_deg), realism=Realism(divergence=True))
+def shards(tmp_path, triangles=4000):
+    """A scene of small triangles everywhere, half of them a floor without gaps, and slivers among the others."""
+    rng = np.random.default_rng(3)
+    side = int((triangles / 4) ** 0.5)
+    x, y = (across.ravel() for across in np.meshgrid(*2 * [np.linspace(-8, 8, side + 1)], indexing="ij"))
+    floor = np.stack([x, y, rng.uniform(0.1, 0.4, len(x))], axis=1)
+    at = np.arange(len(x)).reshape(side + 1, side + 1)
+    a, b, c, d = at[:-1, :-1].ravel(), at[1:, :-1].ravel(), at[1:, 1:].ravel(), at[:-1, 1:].ravel()
+    corners = rng.uniform((-20, -20, 0), (20, 20, 5), (triangles // 2, 1, 3)) + rng.normal(
+        0, 0.4, (triangles // 2, 3, 3)
+    )
+    corners[::5, 2] = corners[::5, 1] + rng.normal(0, 1e-4, (len(corners[::5]), 3))
+    faces = np.concatenate(
+        [np.stack([a, b, c], 1), np.stack([a, c, d], 1), len(x) + np.arange(3 * len(corners)).reshape(-1, 3)]
+    )
+    points = np.concatenate([floor, corners.reshape(-1, 3)])
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(points)}", *(f"property double {k}" for k in "xyz")]
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+    lines += [f"{u!r} {v!r} {w!r}" for u, v, w in points.tolist()] + [f"3 {i} {j} {k}" for i, j, k in faces.tolist()]
+    (tmp_path / "shards.ply").write_text("\n".join(lines) + "\n")
+    return scene(tmp_path, "meshes: [{name: shards, file: shards.ply, position_m: [0, 0, 0], reflectivity: 30}]")
+
+
+def hit_by(trace, stage, vehicle, divergence, monkeypatch):
+    """What the rays of two revolutions of wide beams hit, as a function traces them."""
+    wide = replace(mount(0, (0.3, 0.5, 2.2), (4.0, 3.0, 20.0)), realism=Realism(divergence=divergence))
     (task,) = prepared(Drive(Rig("one", (wide,)), stage, DRIVE, vehicle, AT_NS, 200_000_000), 10**9)
     rows = []
-    traced = simulator.trace_beams
 
     def spy(*words):
-        traced(*words[:6], listed, words[7])
-        rows.append((words[7].range_m.copy(), words[7].slot.copy(), words[7].cosine.copy()))
+        trace(*words)
+        rows.append((words[-1].range_m.copy(), words[-1].slot.copy(), words[-1].cosine.copy()))
 
     with monkeypatch.context() as patch:
         patch.setattr(simulator, "trace_beams", spy)
@@ -47,39 +69,33 @@ def hit_by(stage, vehicle, listed, monkeypatch, rpy_deg=(4.0, 3.0, 20.0)):
     return [*rows[0], found.range_m, found.reflectivity, found.object]
 
 
-@pytest.mark.parametrize("place", ["street", "round", "vehicle"])
-def test_lists_of_shapes_change_nothing(place, tmp_path, monkeypatch):
-    """Bit for bit: ranges, what is hit, angles, and the echoes that are made of them; against rays traced in full."""
+@pytest.mark.parametrize(
+    ("place", "divergence"),
+    [
+        ("street", True),
+        ("round", True),
+        ("vehicle", (20.0, 30.0)),
+        ("shards", True),
+        ("shards", (1e-6, 1e-6)),
+        ("round", (1500.0, 1200.0)),
+    ],
+)
+def test_rays_are_those_of_thin_beams(place, divergence, tmp_path, monkeypatch):
+    """Bit for bit: ranges, what is hit, angles, and the echoes made of them; against rays that are traced one by one."""
     stage = load_scene(STREET) if place == "street" else scene(tmp_path, ROUND)
     bodies = None
     if place == "vehicle":
         text = "boxes: [{name: bonnet, center_m: [2, 0, 0.9], size_m: [3, 1.6, 0.3], reflectivity: 20}]\n"
         (tmp_path / "car.yaml").write_text(text)
         bodies = load_vehicle(tmp_path / "car.yaml")
-    in_full = hit_by(stage, bodies, 0, monkeypatch)
-    assert np.isfinite(in_full[0]).sum() > 100_000
-    for listed in (1, 24):
-        for ours, theirs in zip(hit_by(stage, bodies, listed, monkeypatch), in_full, strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-
-
-def test_rays_are_those_of_thin_beams(tmp_path, monkeypatch):
-    """Each of the nine rays, against the tracer that rays of thin beams take, for the same directions."""
-    stage = scene(tmp_path, ROUND)
-    range_m, slot, cosine, *_ = hit_by(stage, None, 24, monkeypatch)
-    wide = replace(mount(0, (0.3, 0.5, 2.2), (4.0, 3.0, 20.0)), realism=Realism(divergence=True))
-    (task,) = prepared(Drive(Rig("one", (wide,)), stage, DRIVE, None, AT_NS, 200_000_000), 10**9)
-    fired = next(iter(task.timing.schedule(wide, AT_NS, 150, 150))).firings
-    one = task.simulator
-    found = simulator.Found(
-        np.full(len(range_m), np.inf), np.full(len(range_m), -2, np.int32), np.empty((0, 3)), np.ones(len(range_m))
-    )
-    columns = fired.time_ns, fired.laser, fired.encoder_rad
-    limit_m = wide.sensor.range.reported_m[1] + simulator.BEYOND_M
-    simulator.trace_firings(one._tracer.world, one._lasers, one._frames, columns, one._tracer.zero_ns, limit_m, found)
-    np.testing.assert_array_equal(range_m, found.range_m)
-    np.testing.assert_array_equal(slot, found.slot)
-    np.testing.assert_array_equal(cosine, found.cosine)
+    if place == "shards":
+        stage = shards(tmp_path)
+    together = hit_by(simulator.trace_beams, stage, bodies, divergence, monkeypatch)
+    one_by_one = hit_by(simulator.trace_firings, stage, bodies, divergence, monkeypatch)
+    assert np.isfinite(together[0]).sum() > 100_000
+    assert len(np.unique(together[1])) > 5
+    for ours, theirs in zip(together, one_by_one, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 @pytest.mark.parametrize("weather", [False, True])
