@@ -113,8 +113,8 @@ def fan_out(rays, aim, right, middle, first, count, width, axis):
             rays[DYS + at] = jx * x + jy * y + jz * z
             rays[DZS + at] = kx * x + ky * y + kz * z
             rays[OXS + at], rays[OYS + at], rays[OZS + at] = ox, oy, oz
-        at = begin + np.uint64(width // 2)
-        rays[DXS + at], rays[DYS + at], rays[DZS + at] = middle[i, b], middle[j, b], middle[k, b]
+        inmost = begin + np.uint64(width // 2)
+        rays[DXS + inmost], rays[DYS + inmost], rays[DZS + inmost] = middle[i, b], middle[j, b], middle[k, b]
     for n in range(np.uint64(count * width)):
         rays[SZS + n] = 1 / rays[DZS + n]
 
