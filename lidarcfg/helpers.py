@@ -39,7 +39,7 @@ def _processors() -> int:
 def _start(rehearsals: tuple[str, ...]) -> None:
     helpers = []
     for number, name in enumerate(rehearsals):
-        with suppress(OSError):  # no memory, or too many processes
+        with suppress(OSError, RuntimeError):  # no memory, or too many processes or threads
             helpers.append(Helper(name, number * LATER))
     compiling.others = lambda: _wait(helpers)
 
@@ -60,15 +60,14 @@ class Helper:
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
         self.process = subprocess.Popen(words, bufsize=0, env=environment, **pipes)  # type: ignore[call-overload]
         self.loop = "other loops"
-        self._reader = Thread(target=self._follow, daemon=True)
-        self._reader.start()
         atexit.register(self.end)
+        Thread(target=self._follow, daemon=True).start()
 
     def _follow(self) -> None:
         """Count what it says: how many loops it expects to compile, how many it has, and which one it is at."""
         before = 0, 0
         for line in self.process.stdout or ():
-            expected, compiled, loop = line.decode().split()
+            expected, compiled, loop = line.decode().strip().split(maxsplit=2)
             now = int(expected), int(compiled)
             self.loop = loop
             compiling.count(now[0] - before[0], now[1] - before[1])
@@ -78,7 +77,6 @@ class Helper:
         """End it."""
         self.process.kill()
         self.process.wait()
-        self._reader.join()
 
 
 def _end_with_the_command() -> None:
@@ -102,9 +100,8 @@ def main() -> None:
 
 
 def _tell() -> None:
-    if compiling.loops:
-        with suppress(OSError):  # nobody reads any longer
-            os.write(1, f"{compiling.expected} {compiling.compiled} {compiling.loops[0]}\n".encode())
+    with suppress(OSError):  # nobody reads any longer
+        os.write(1, f"{compiling.expected} {compiling.compiled} {(*compiling.loops, 'other loops')[0]}\n".encode())
 
 
 if __name__ == "__main__":

@@ -100,18 +100,19 @@ class Screen:
 
     def compile(self) -> None:
         """Show what is being compiled; where nobody watches, one line once that takes long."""
-        if self.quiet or not compiling.loops:
-            return
-        if not sys.stderr.isatty():
-            if not self._told and compiling.seconds > LONG_S:
-                click.echo(f"compiling {compiling.loops[0]} and others, once: later runs start at once", err=True)
-                self._told = True
+        loops = compiling.loops  # which other threads may change
+        if self.quiet or not loops:
             return
         with self._lock:
+            if not sys.stderr.isatty():
+                if not self._told and compiling.seconds > LONG_S:
+                    click.echo(f"compiling {loops[0]} and others, once: later runs start at once", err=True)
+                    self._told = True
+                return
             bar = self.bar()
             if self._compiling is None:
                 self._compiling = bar.add_task("")
-            text = f"compiling, once: {compiling.loops[0]}"
+            text = f"compiling, once: {loops[0]}"
             bar.update(self._compiling, completed=compiling.compiled, total=compiling.expected, description=text)
 
 
