@@ -24,13 +24,14 @@ from lidarcfg.commands.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line
 from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
 
+INTERRUPTS = "SIGINT", "SIGTERM", "SIGHUP"
 EPOCH_DIGITS = 11  # of the seconds since 1970, to the year 5138
 
 
 def main() -> None:
     """Entry point. Exits with 0 when done, 2 after a mistake of the user's, 130 after Ctrl-C, 1 after a bug."""
     interrupts = Interrupts()
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # results so far are kept, and no file is left half-written
+    for name in INTERRUPTS:  # results so far are kept, and no file is left half-written
         number = getattr(signal, name, None)
         if number and signal.getsignal(number) != signal.SIG_IGN:  # as nohup sets it
             signal.signal(number, interrupts.handle)
@@ -51,6 +52,9 @@ def main() -> None:
     except LidarcfgError as error:
         _fail(str(error))
     except (click.Abort, KeyboardInterrupt):  # before RuntimeError, which click's is
+        for name in INTERRUPTS:  # once more, by somebody impatient, does not keep files from being removed
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.SIG_IGN)
         from lidarcfg.aside import remove_own
 
         remove_own()

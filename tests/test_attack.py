@@ -26,6 +26,15 @@ def test_attacks(tmp_path):
     assert all(" 0 failures; " in row for row in rows)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="forks, kills and limits as Linux has them")
+def test_attacks_find_planted_faults():
+    """Each fault is reported, and nothing without it."""
+    faults = ("written in place", "nothing cleaned up", "any Origin")
+    words = [sys.executable, str(ROOT / "tools/attack_faults.py"), *faults]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.mark.parametrize(
     "name", ["\x1b[31mred\x07", "\x9b31m", "\u202egnp.exe\u2066", "a\u2028b", "a\rb", "a\nlidarcfg: b"]
 )

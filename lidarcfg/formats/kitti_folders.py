@@ -44,8 +44,9 @@ def save_odometry(folder: Path, recording: Recording) -> int:
     for scan in recording.scans:
         (name,) = scan.sensor_names
         sequence, frame = folder / "sequences" / f"{numbers[name]:02}", f"{len(stamps[name]):06}"
-        _rows(recording.deskewed(scan), scan).tofile(sequence / "velodyne" / f"{frame}.bin")
-        labels[hits(scan)].tofile(sequence / "labels" / f"{frame}.label")
+        points = _rows(recording.deskewed(scan), scan)
+        (sequence / "velodyne" / f"{frame}.bin").write_bytes(points.tobytes())  # tofile is silent on a full disk
+        (sequence / "labels" / f"{frame}.label").write_bytes(labels[hits(scan)].tobytes())
         stamps[name].append(stamp_ns(scan))
         poses[name].append(recording.T_world_sensor(scan, stamps[name][-1]))
     for name, number in numbers.items():
@@ -70,7 +71,8 @@ def save_objects(folder: Path, recording: Recording) -> int:
         frame, T_vehicle_sensor = f"{len(frames):06}", recording.mount(scan).T_vehicle_sensor
         level = np.eye(4)
         level[:3, :3] = T_vehicle_sensor[:3, :3]  # points with the vehicle's axes: KITTI's boxes stand upright
-        _rows(transform(level, recording.deskewed(scan)), scan).tofile(training / "velodyne" / f"{frame}.bin")
+        points = _rows(transform(level, recording.deskewed(scan)), scan)
+        (training / "velodyne" / f"{frame}.bin").write_bytes(points.tobytes())
         T_world_lidar = recording.T_world_sensor(scan, stamp_ns(scan)) @ inverse(level)
         boxes = recording.boxes(scan).with_returns()
         lines = _object_lines(boxes, CAMERA @ inverse(T_world_lidar))

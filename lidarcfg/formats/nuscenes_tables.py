@@ -79,7 +79,7 @@ def _save(folder: Path, scan: PointCloud, recording: Recording) -> _Scan:
     filename = f"samples/{name}/{name}__{at_ns // 1000}.pcd.bin"
     (folder / filename).parent.mkdir(parents=True, exist_ok=True)
     rows = np.column_stack([recording.deskewed(scan), scan.intensity, scan.ring])
-    rows.astype("<f4").tofile(folder / filename)
+    (folder / filename).write_bytes(rows.astype("<f4").tobytes())  # tofile is silent on a full disk
     assert scan.object is not None
     on = np.isin(scan.object, [one.index for one in recording.objects])
     return _Scan(name, at_ns, filename, scan.object[on], scan.time_ns[on])

@@ -49,7 +49,7 @@ class Processes:
 
     def __init__(self, count: int) -> None:
         self.count, self._closed = count, False
-        self._threads = ThreadPoolExecutor(count)
+        self._threads = ThreadPoolExecutor(count, initializer=_survive_broken_pipes)
         self._idle: SimpleQueue[_Process] = SimpleQueue()
         self._all = [_Process() for _ in range(count)]
         for process in self._all:
@@ -81,6 +81,12 @@ class Processes:
             raise WorkerDiedError("its worker ended") from None
         finally:
             self._idle.put(process)
+
+
+def _survive_broken_pipes() -> None:
+    """In this thread a write to a process that has ended raises OSError; the signal would end the command."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
 
 
 class _Process:

@@ -124,6 +124,26 @@ def test_a_worker_that_is_killed_is_replaced(plan, serial):
     assert [str(found[n].found["cost"]) for n in range(1, 7)] == [row["cost"] for row in rows(serial)]
 
 
+IDLE = """
+import os, signal
+from lidarcfg.placement.workers import Processes, WorkerDiedError
+
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as commands have it
+crew = Processes(1)
+first = crew.submit(os.getpid).result()
+os.kill(first, signal.SIGKILL)
+crew._all[0]._process.join()
+print(isinstance(crew.submit(os.getpid).exception(), WorkerDiedError), crew.submit(os.getpid).result() != first)
+crew.close()
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGPIPE"), reason="there is no such signal")
+def test_a_worker_that_is_killed_while_it_waits_does_not_end_the_command():
+    done = subprocess.run([sys.executable, "-c", IDLE], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "True True\n"), done.stderr
+
+
 def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
     """A study that is possible, but in which a search that short finds no rig; the others go on."""
     one_tilt = "vary:\n  constraints.max_tilt_deg: [90, 0]"
