@@ -3,6 +3,7 @@
 import contextlib
 import io
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,3 +34,14 @@ def lidarcfg(*words, code=0, cwd="."):
             signal.signal(number, handler)
     assert ended.value.code == code, errors.getvalue()
     return SimpleNamespace(stdout=out.getvalue(), stderr=errors.getvalue(), returncode=code)
+
+
+def started(words):
+    """A process that heeds Ctrl-C even where these tests run in the background, which ignores it."""
+    return subprocess.Popen(
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )

@@ -5,7 +5,6 @@ import itertools
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import threading
 import time
@@ -17,7 +16,7 @@ from lidarcfg.capture.pcap import Datagram
 from lidarcfg.capture.replay import looped, replay, selected
 from lidarcfg.capture.selection import Selection
 from lidarcfg.errors import PacketError
-from tests.command_line import lidarcfg
+from tests.command_line import lidarcfg, started
 
 AT_NS = 1_767_225_600 * 10**9
 SO_TIMESTAMPNS = 35  # Linux
@@ -131,7 +130,7 @@ def test_ctrl_c_ends_a_loop_and_says_what_was_sent(tmp_path):
         for number in range(5):
             writer.writepkt(frame, ts=1e9 + number / 1000)
     words = [sys.executable, "-m", "lidarcfg", "replay", str(path), "127.0.0.1", "--loop"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+    with started(words) as running:
         time.sleep(2)
         running.send_signal(signal.SIGINT)
         out, err = running.communicate(timeout=20)

@@ -17,7 +17,7 @@ import pytest
 from lidarcfg import __version__
 from lidarcfg.commands import progress as module
 from lidarcfg.commands.progress import AGAIN_S, Interrupts, progress
-from tests.command_line import lidarcfg
+from tests.command_line import lidarcfg, started
 
 ROOT = Path(__file__).parents[2]
 STUDY = str(ROOT / "data/studies/liu2018-2x16.yaml")
@@ -191,17 +191,6 @@ def test_mistakes_get_one_line(words, message, tmp_path):
     assert message in done.stderr
     assert done.stdout == ""
     assert list(tmp_path.iterdir()) == []  # nothing half-written
-
-
-def started(words):
-    """A process that heeds Ctrl-C even where these tests run in the background, which ignores it."""
-    return subprocess.Popen(
-        words,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
 
 
 def wait_for(folder, pattern=None):

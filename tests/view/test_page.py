@@ -5,7 +5,6 @@ import hashlib
 import json
 import re
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -28,6 +27,7 @@ from lidarcfg.view.page import ASSETS, MODULES, page_of, save_html
 from lidarcfg.view.server import Server
 from lidarcfg.view.stage import Stage, load_stage
 from tests.chromium import asked_for, browser, complaints
+from tests.command_line import started
 from tests.view.driver import (
     NIGHT,
     asked,
@@ -496,8 +496,7 @@ def test_nothing_is_lost_in_a_standalone_file(stage, tmp_path):
 
 def test_the_command_serves_until_ctrl_c():
     words = [sys.executable, "-m", "lidarcfg", "view", str(ROOF), "--port", "0"]
-    heeding = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **heeding) as running:
+    with started(words) as running:
         told = running.stdout.readline()
         url = told.split()[0]
         assert told == f"{url} shows 0 points; Ctrl-C ends it\n"
