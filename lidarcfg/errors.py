@@ -43,9 +43,8 @@ class CloudError(LidarcfgError):
     def damaged(cls, path: Path, error: Exception) -> "CloudError":
         """What a library says of a file that it cannot read, or that memory does not hold."""
         what = " ".join(str(error).split())[:200] or type(error).__name__
-        if isinstance(error, MemoryError):
-            return cls(f"{path}: needs more memory than there is: {what}")
-        return cls(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}")
+        large = ", or more than memory holds" * isinstance(error, MemoryError)
+        return cls(f"{path}: not a whole {path.suffix[1:].lower()} file{large}: {what}")
 
 
 class ConversionError(LidarcfgError):

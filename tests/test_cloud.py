@@ -291,7 +291,7 @@ def test_npy_is_not_npz(tmp_path):
         ("ply", b'"left"', b"left", "the sensors' names are not JSON"),
         ("ply", b'"left"', b"5", "sensor_names holds something other than a list of texts"),
         ("ply", b'"left"', b'"\\ud800"', r"the sensor name '\ud800' is not Unicode text"),
-        ("pcd", b"POINTS 50", b"POINTS 99999999999999", "not a whole pcd file: "),
+        ("pcd", b"POINTS 50", b"POINTS 99999999999999", "not a whole pcd file, or more than memory holds: "),
         ("pcd", b"POINTS 50", b"POINTS 1" + b"0" * 30, "not a whole pcd file: "),
         ("pcd", b"POINTS 50", b"POINTS 51", "51 points are announced, 50 are there"),
         ("pcd", b"POINTS 50", b"POINTS -1", "not a whole pcd file: 1 validation error"),

@@ -156,7 +156,7 @@ def test_an_error_is_one_line_whatever_names_hold():
     assert refusal(f'{GOOD}"a\\nb": 1\n').startswith("f.yaml:4:1: a\\nb: unknown key")
 
 
-WRONG = [None, True, 0, -1, 2.5, 1e300, 10**400, "", "x y", "\ud800", (), (1,), ("a",) * 9, {}, {"a": 1}]
+WRONG = [None, True, 0, -1, 2.5, 1e300, 10**400, "", "x y", "\ud800", (), (1,), ("a",) * 9, "x" * 201, {}, {"a": 1}]
 
 
 def models_in(model):

@@ -87,7 +87,7 @@ def test_which_format_is_meant(source, output, name, meant):
         (("none.las", "-o", "a.ply"), "none.las: no such file or directory"),
         (("none.pcap", "-o", "a.mcap"), "none.pcap: no such file or directory"),
         (("p.pcap", "-o", "a.mcap", "--rig", "none.yaml"), "none.yaml: no such file or directory"),
-        (("p.pcap", "-o", "a.mcap", "--rig", "c.ply"), "c.ply:1:1: not "),
+        (("p.pcap", "-o", "a.mcap", "--rig", "c.ply"), "c.ply: points or a mesh, no YAML"),
         (("p.pcap", "-o", "a.mcap", "--rig", "roof.yaml", "--model", "vlp16"), "no sensor is called 'vlp16'; did you mean vlp-16? allowed: "),
         (("p.pcap", "-o", "a.mcap"), "p.pcap: 192.168.1.201:2368 sends the unknown product id 0x00"),
         (("c.ply", "-o", "c.ply/a.las"), "c.ply/a.las"),

@@ -344,7 +344,7 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
     report.save_evaluation(study, rig, details(study, rig, evaluate(study, rig), cheap_cuboids=100), tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
     assert "where sensors may sit on the vehicle, from above, left, right" in [label for _, label in page.labels]
-    assert "Green: the middle of a base may be here." in page.words
+    assert "Green: the middle of a base may be here, to half its radius." in page.words
     rows = {row[0]: row[2:] for row in bounds_table(study).rows}
     assert rows["top"] == ["4.5 … 7.5", "3.2 … 4.8", "on cab, from above", "0", "0", "0"]
     assert rows["side_0"] == ["5 … 7", "on cab, from left", "0.2 … 1.2", "normal", "normal", "0 … 20"]
