@@ -10,14 +10,14 @@ import zlib
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from lidarcfg.compiling import compiling
 
 FunctionCache: Any = import_module("numba.core.caching").FunctionCache  # numba has no types
 fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 AGAIN_S, PATIENCE_S = 0.02, 90.0
-_files: dict[Path, IO[bytes] | None] = {}  # of locks, by folder: closing one would give up all locks in it
+_files: dict[Path, int | None] = {}  # of locks, by folder: closing one would give up all locks in it
 
 
 class LoopCache(FunctionCache):  # type: ignore[misc]
@@ -83,16 +83,16 @@ class LoopCache(FunctionCache):  # type: ignore[misc]
     def _lock(self, kind: int) -> bool:
         """Lock or unlock the loop's octet. Returns False where there is no file for it."""
         file = _lock_file(Path(self._cache_path), self._impl.locator.ensure_cache_path)
-        if file:
+        if file is not None:
             fcntl.lockf(file, kind, 1, self._octet)
         return file is not None
 
 
-def _lock_file(folder: Path, make_folder: Callable[[], None]) -> IO[bytes] | None:
+def _lock_file(folder: Path, make_folder: Callable[[], None]) -> int | None:
     if folder not in _files:
         try:
             make_folder()
-            _files[folder] = (folder / "lidarcfg-loops.lock").open("ab")
+            _files[folder] = os.open(folder / "lidarcfg-loops.lock", os.O_RDWR | os.O_CREAT, 0o666)  # until the end
         except OSError:
             _files[folder] = None
     return _files[folder]
