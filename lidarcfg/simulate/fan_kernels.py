@@ -305,7 +305,10 @@ def _test_round(shapes, kind, s, axis, rays, first, end):
 
 @inner(fastmath=FAST)
 def trace_fan(tree, packet, fan, face, axis, count, width, widest):
-    """Keep what the rays of beams hit first of a tree: those whose largest component is `axis`. As `trace` does."""
+    """Keep what the rays of beams hit first of a tree: those whose largest component is `axis`.
+
+    The walk is that of `trace`, which takes a sixth longer for thin beams where both share it.
+    """
     rays, middle, slabs, codes, enter = fan.rays, packet.rays, packet.slabs, packet.codes, packet.enter
     boxes, children, shapes, kind, instances = tree.boxes, tree.children, tree.shapes, tree.kind, packet.instances
     lanes, wide = len(slabs) // 7, np.float32(widest * 1.00001)
