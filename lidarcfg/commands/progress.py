@@ -179,15 +179,16 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
 
 def _lines(interrupts: Interrupts, keep: bool) -> Iterator[Callable[[float, str], None]]:
     last, told = "", time.monotonic()
-    first: tuple[float, float] | None = None  # update: when, and the fraction
+    first: tuple[float, float] | None = None  # update: when, compiling aside, and the fraction
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal last, told, first
         interrupts.check(text)
         last, now = f"{fraction:4.0%}  {one_line(text)}", time.monotonic()
-        first = first or (now, fraction)
+        worked = now - compiling.seconds
+        first = first or (worked, fraction)
         if now - told > LINE_S:
-            done, spent = fraction - first[1], now - first[0]
+            done, spent = fraction - first[1], worked - first[0]
             left = f"  about {duration(spent * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
             click.echo(last + left, err=True)
             last, told = "", now

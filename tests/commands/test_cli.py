@@ -257,11 +257,13 @@ def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet):
 
 
 def test_a_log_says_how_much_time_is_left(monkeypatch, capsys):
-    """Two fifths were done before; a fifth more takes 100 s, so the last two take 200 s more."""
-    now = [0.0]
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    """Two fifths were done before; a fifth more takes 100 s and no compiling, so the last two take 200 s more."""
+    now, compiled = [0.0], SimpleNamespace(seconds=0.0)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0] + compiled.seconds))
+    monkeypatch.setattr(module, "compiling", compiled)
     with progress(False, Interrupts()) as on_progress:
         for now[0], fraction in ((0.0, 0.4), (5.0, 0.4), (50.0, 0.4), (100.0, 0.6), (101.0, 0.7), (300.0, 1.0)):
+            compiled.seconds = 400.0 if now[0] >= 100.0 else 0.0
             on_progress(fraction, "4 of 10 runs")
     lines = [" 40%  4 of 10 runs", " 60%  4 of 10 runs  about 3 min left", "100%  4 of 10 runs"]
     assert capsys.readouterr().err.splitlines() == lines
