@@ -57,8 +57,8 @@ class Helper:
         words = [sys.executable, "-m", "lidarcfg.helpers", rehearsal, str(nice)]
         paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        self.process = subprocess.Popen(words, bufsize=0, env=environment, **pipes)  # type: ignore[call-overload]
+        pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
+        self.process = subprocess.Popen(words, bufsize=0, env=environment, stdin=pipe, stdout=pipe, stderr=nowhere)
         self.loop = "other loops"
         atexit.register(self.end)
         Thread(target=self._follow, daemon=True).start()

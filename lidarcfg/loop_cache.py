@@ -20,7 +20,7 @@ AGAIN_S, PATIENCE_S = 0.02, 90.0
 _files: dict[Path, int | None] = {}  # of locks, by folder: closing one would give up all locks in it
 
 
-class LoopCache(FunctionCache):  # type: ignore[misc]
+class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
     """The cache of one loop."""
 
     on_missing: Callable[[], None] | None = None  # of all loops; is told once that one has to be compiled

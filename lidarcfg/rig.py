@@ -35,9 +35,8 @@ from lidarcfg.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catal
 
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 SENSORS_MAX = 1000
-MountName = Annotated[
-    str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=NAME_MAX)
-]  # it becomes part of file names
+MOUNT_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # it becomes part of file names
+MountName = Annotated[str, Field(pattern=MOUNT_NAME, max_length=NAME_MAX)]
 ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
 SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")

@@ -125,7 +125,7 @@ def _here() -> Iterator[None]:
     """What workers do is done in this process, so that its forks are as ready for that."""
     from lidarcfg.placement import workers
 
-    process, workers._Process = workers._Process, _Here  # type: ignore[assignment,misc]
+    process, workers._Process = workers._Process, _Here  # type: ignore[assignment,misc]  # put in its place
     try:
         yield
     finally:

@@ -169,10 +169,7 @@ def free_places(region: Region, item: DetectionObject) -> list[int]:
     none = np.empty(0, np.int64)
     one = Subspaces(region, label, none, none.reshape(0, 3), none.reshape(0, 0), none)
     if not item.samples:
-        size = cuboids_needed(item.box_m, region.cuboid_m)
-        layers = 1 if item.on_ground else region.shape[2]
-        _, places = kernels.detected_positions(label, size, item.threshold, layers, ALL, kernels.NOBODY)
-        return [int(places.sum())]
+        return [int(counted_places(one, item).places.sum())]
     counts = [
         _detected_boxes(one, item, box)[1] for box in drawn_boxes(region, item.box_m, item.on_ground, item.samples)
     ]
