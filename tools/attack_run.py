@@ -7,8 +7,8 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -77,22 +77,31 @@ def load_libraries() -> None:
         importlib.import_module(name)
 
 
+@contextmanager
+def handlers_kept() -> Iterator[None]:
+    """Have the handlers of signals afterwards that there were before: `main` sets its own."""
+    handled = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE
+    handlers = [signal.getsignal(number) for number in handled]
+    try:
+        yield
+    finally:
+        for number, handler in zip(handled, handlers, strict=True):
+            signal.signal(number, handler)
+
+
 def warm_up(commands: Sequence[str], folder: Path) -> None:
     """Run commands in this process, so that its forks have their compiled loops, too."""
     from lidarcfg.cli import main
 
-    handled = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE
-    handlers, here, words = [signal.getsignal(number) for number in handled], os.getcwd(), sys.argv
+    here, words = os.getcwd(), sys.argv
     os.chdir(folder)
-    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere), handlers_kept():
         for command in commands:
             sys.argv = ["lidarcfg", *command.split()]
             with suppress(SystemExit):
                 main()
     os.chdir(here)
     sys.argv = words
-    for number, handler in zip(handled, handlers, strict=True):
-        signal.signal(number, handler)
 
 
 def start(

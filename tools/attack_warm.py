@@ -22,7 +22,7 @@ from typing import Any
 
 from attack_commands import MARKS, Command
 from attack_outputs import Files, Known, clear, contents
-from attack_run import Ended, Row, start, wait
+from attack_run import Ended, Row, handlers_kept, start, wait
 
 SEEN = "dqq"  # when a command began its first file, its steps since, and whether it died in `together`
 WRITERS = ("lidarcfg/files.py", "lidarcfg/aside.py", "lidarcfg/formats/folder.py")
@@ -163,7 +163,7 @@ class Warm:
         from lidarcfg.cli import main
 
         sys.argv = ["lidarcfg", *self.command.typed(mark)]
-        with suppress(SystemExit):
+        with handlers_kept(), suppress(SystemExit):  # by its handlers a fork is known to be ready
             main()
 
     def _learn(self, beside: frozenset[str]) -> Known:
