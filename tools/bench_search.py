@@ -166,12 +166,12 @@ def compared(runs: list[Run], methods: list[str], known: dict[str, Any]) -> list
     return lines
 
 
-def hunt(studies: list[str], seconds: float, threads: int) -> None:
+def hunt(studies: list[str], seconds: float, threads: int, busy: bool) -> None:
     """Search for better rigs than the best known, in pieces, until so many seconds were spent on each study."""
     for study in studies:
         while (spent := json.loads(KNOWN.read_text())[study]["searched_s"]) < seconds:
             seed = FIRST_SEED + sum(run["study"] == study and run["seed"] >= FIRST_SEED for run in finished())
-            run = search(study, "auto", seed, min(PIECE_S, seconds - spent), threads)
+            run = search(study, "auto", seed, min(PIECE_S, seconds - spent), threads, busy)
             record(run)
             print(f"{study}: {run['max_vsr_m']:.6f} m, seed {seed}, {spent + run['seconds']:.0f} s", flush=True)
             best_known()
@@ -219,7 +219,7 @@ def main() -> None:
     parser.add_argument("--best-known", type=float, metavar="SECONDS")
     given = parser.parse_args()
     if given.best_known:
-        hunt(given.studies, given.best_known, given.threads)
+        hunt(given.studies, given.best_known, given.threads, given.busy)
     else:
         compare(given)
 
