@@ -1,6 +1,5 @@
 """lidarcfg optimize, evaluate and compare: where the sensors should sit, and how well they see from there."""
 
-import math
 import shlex
 import sys
 from collections.abc import Callable
@@ -145,6 +144,7 @@ def _search(
 
     from lidarcfg import report
     from lidarcfg.placement.details import details
+    from lidarcfg.placement.optimize import Budget
     from lidarcfg.placement.optimize import optimize as search
 
     saved = told = time.monotonic()
@@ -152,8 +152,8 @@ def _search(
 
     def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
         nonlocal saved, told, fraction
-        fraction, text = _search_line(study.solver, cycle)
-        on_progress(fraction, text)
+        fraction = min(budget.fraction(cycle.evaluations, cycle.cycle), 1.0)
+        on_progress(fraction, _search_line(cycle))
         told = time.monotonic()
         if told - saved > SAVE_EVERY_S:
             report.save_progress(study, rig, log, folder)
@@ -162,12 +162,11 @@ def _search(
     def on_evaluations(count: int) -> None:
         nonlocal told
         if time.monotonic() - told > QUIET_S:  # a cycle takes long
-            on_progress(
-                max(fraction, min(count / (study.solver.evaluations or math.inf), 1.0)), f"{count:,} rigs evaluated"
-            )
+            on_progress(max(fraction, min(budget.fraction(count, 0), 1.0)), f"{count:,} rigs evaluated")
             told = time.monotonic()
 
     on_progress(0.0, "searching")
+    budget = Budget.of(study.solver)
     found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations)
     if not found.interrupted:
         on_progress(1.0, "evaluating the best rig")
@@ -209,16 +208,10 @@ def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placeme
     return shlex.join(map(str, words))
 
 
-def _search_line(solver: "Solver", cycle: "Cycle") -> tuple[float, str]:
-    """The fraction of the budget that is spent, and the state of the search."""
-    budgets = (
-        (cycle.cycle, solver.cycles),
-        (cycle.evaluations, solver.evaluations),
-        (cycle.seconds, solver.seconds),
-    )
-    rate = cycle.evaluations / cycle.seconds
+def _search_line(cycle: "Cycle") -> str:
+    """The state of the search."""
     state = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
-    return max(spent / budget for spent, budget in budgets if budget), f"{state}  {rate:,.0f} evaluations/s"
+    return f"{state}  {cycle.evaluations / cycle.seconds:,.0f} evaluations/s"
 
 
 @cloup.command(

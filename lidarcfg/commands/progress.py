@@ -3,6 +3,7 @@
 import signal
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event, RLock, Timer
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 AGAIN_S = 0.02
 LINE_S = 10.0  # between two lines of a log
 LONG_S = 2.0  # of compiling, before a log is told of it
+KNOWN_S = 5.0  # of work, before its rate says how long the rest takes
+THIN_S = 0.5  # between two updates that the rate is made of
 
 
 class Interrupts:
@@ -140,10 +143,9 @@ def progress(
 ) -> Iterator[Callable[[float, str], None]]:
     """A bar on stderr, and the function that updates it with the fraction done and a text.
 
-    The bar appears at the first update; its time left is by the updates of the last `mean_over_s` seconds, and its last
-    state stays on the screen if it is to `keep`. In a log it is a line from time to time, with the time left by all
-    updates. An update raises KeyboardInterrupt if an interrupt was lost; the interrupts are those of the running
-    command unless given.
+    The bar appears at the first update, and its last state stays on the screen if it is to `keep`. In a log it is a
+    line from time to time. The time left is by the updates of the last `mean_over_s` seconds. An update raises
+    KeyboardInterrupt if an interrupt was lost; the interrupts are those of the running command unless given.
     """
     interrupts = interrupts or click.get_current_context().ensure_object(Interrupts)
     if quiet:
@@ -151,7 +153,7 @@ def progress(
     elif sys.stderr.isatty():
         yield from _bar(interrupts, mean_over_s, keep)
     else:
-        yield from _lines(interrupts, keep)
+        yield from _lines(interrupts, mean_over_s, keep)
 
 
 def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
@@ -177,20 +179,34 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
     screen.close(clear=not keep)
 
 
-def _lines(interrupts: Interrupts, keep: bool) -> Iterator[Callable[[float, str], None]]:
-    last, told = "", time.monotonic()
-    first: tuple[float, float] | None = None  # update: when, compiling aside, and the fraction
+class Pace:
+    """How fast work proceeds, by its updates of the last `mean_over_s` seconds, compiling aside."""
+
+    def __init__(self, mean_over_s: float) -> None:
+        self._mean_over_s = mean_over_s
+        self._updates = deque[tuple[float, float]]()  # seconds of work, and the fraction done by then
+
+    def left_s(self, worked_s: float, fraction: float) -> float | None:
+        """What the rest takes after this update; None: that cannot be known yet."""
+        updates = self._updates
+        if not updates or worked_s - updates[-1][0] >= THIN_S:
+            updates.append((worked_s, fraction))
+        while len(updates) > 1 and updates[1][0] <= worked_s - self._mean_over_s:
+            updates.popleft()
+        took_s, done = worked_s - updates[0][0], fraction - updates[0][1]
+        return took_s * (1 - fraction) / done if took_s >= KNOWN_S and done > 0 and fraction < 1 else None
+
+
+def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
+    last, told, pace = "", time.monotonic(), Pace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
-        nonlocal last, told, first
+        nonlocal last, told
         interrupts.check(text)
         last, now = f"{fraction:4.0%}  {one_line(text)}", time.monotonic()
-        worked = now - compiling.seconds
-        first = first or (worked, fraction)
+        left_s = pace.left_s(now - compiling.seconds, fraction)
         if now - told > LINE_S:
-            done, spent = fraction - first[1], worked - first[0]
-            left = f"  about {duration(spent * (1 - fraction) / done)} left" if done > 0 and fraction < 1 else ""
-            click.echo(last + left, err=True)
+            click.echo(last + (f"  about {duration(left_s)} left" if left_s is not None else ""), err=True)
             last, told = "", now
 
     yield on_progress

@@ -1,6 +1,7 @@
 """The commands as a user types them: results, one-line errors, exit codes, and what starting up loads."""
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -256,17 +257,37 @@ def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet):
             on_progress(0.2, "")
 
 
-def test_a_log_says_how_much_time_is_left(monkeypatch, capsys):
+@pytest.fixture
+def log(monkeypatch, capsys):
+    """What a log says of updates: seconds of work, of compiling so far, and the fraction done."""
+
+    def lines(updates, **options):
+        now, compiled = [0.0], SimpleNamespace(seconds=0.0)
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0] + compiled.seconds))
+        monkeypatch.setattr(module, "compiling", compiled)
+        with progress(False, Interrupts(), **options) as on_progress:
+            for now[0], compiled.seconds, fraction in updates:
+                on_progress(fraction, "runs")
+        return capsys.readouterr().err.splitlines()
+
+    return lines
+
+
+def test_a_log_says_how_much_time_is_left(log):
     """Two fifths were done before; a fifth more takes 100 s and no compiling, so the last two take 200 s more."""
-    now, compiled = [0.0], SimpleNamespace(seconds=0.0)
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0] + compiled.seconds))
-    monkeypatch.setattr(module, "compiling", compiled)
-    with progress(False, Interrupts()) as on_progress:
-        for now[0], fraction in ((0.0, 0.4), (5.0, 0.4), (50.0, 0.4), (100.0, 0.6), (101.0, 0.7), (300.0, 1.0)):
-            compiled.seconds = 400.0 if now[0] >= 100.0 else 0.0
-            on_progress(fraction, "4 of 10 runs")
-    lines = [" 40%  4 of 10 runs", " 60%  4 of 10 runs  about 3 min left", "100%  4 of 10 runs"]
-    assert capsys.readouterr().err.splitlines() == lines
+    updates = [(0, 0, 0.4), (5, 0, 0.4), (50, 0, 0.4), (100, 400, 0.6), (101, 400, 0.7), (300, 400, 1.0)]
+    assert log(updates, mean_over_s=math.inf) == [" 40%  runs", " 60%  runs  about 3 min left", "100%  runs"]
+
+
+def test_a_log_says_nothing_of_the_time_left_before_it_can_be_known(log):
+    """13 of 20,000 rigs in the 0.3 s that were not compiling say nothing of the rest."""
+    assert log([(0, 0, 0), (0.3, 10, 13 / 20000), (1, 10, 1.0)]) == ["  0%  runs", "100%  runs"]
+
+
+def test_the_time_left_is_by_recent_updates(log):
+    """A hundredth in the first 20 s, then one each second: at 66 s, 53 hundredths take 53 s more."""
+    updates = [(float(s), 0, max(s / 2000, (s - 19) / 100)) for s in range(70)]
+    assert log(updates)[-2] == " 47%  runs  about 53 s left"
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
