@@ -12,16 +12,18 @@ import click
 import cloup
 
 import lidarcfg
-from lidarcfg.commands.capture import decode, export, replay
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
+from lidarcfg.commands.decode import decode
+from lidarcfg.commands.export import export
 from lidarcfg.commands.files import init, schema, validate
 from lidarcfg.commands.placement import compare, evaluate, optimize
 from lidarcfg.commands.progress import Interrupts, shown
+from lidarcfg.commands.replay import replay
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.sweep import sweep
 from lidarcfg.commands.view import view
-from lidarcfg.errors import ConfigError, LidarcfgError, one_line
+from lidarcfg.errors import ConfigError, LidarcfgError, one_line, reason
 from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
 
 INTERRUPTS = "SIGINT", "SIGTERM", "SIGHUP"
@@ -83,7 +85,7 @@ def _of_the_system(error: Exception, doing: str) -> str:
     if is_out_of_memory(error):
         return str(out_of_memory(error, doing or " ".join(sys.argv[1:2])))
     if isinstance(error, OSError):
-        return f"{error.filename}: {(error.strerror or str(error)).lower()}" if error.filename else str(error)
+        return f"{error.filename}: {reason(error)}" if error.filename else str(error)
     if isinstance(error, ImportError) and ".so" in str(error):
         return f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)"
     raise error

@@ -167,7 +167,7 @@ def save_clouds(
             file.write(found.tobytes())
         return count
     except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise CloudError.from_os(path, error) from None
 
 
 def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty: bool = False) -> PointCloud:
@@ -184,7 +184,7 @@ def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty:
     try:
         check_memory(str(path), FILE_COPIES * check_regular(path))
     except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise CloudError.from_os(path, error) from None
     return checked(path, read_columns(path, on_warning), allow_empty)
 
 
@@ -201,7 +201,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> dict[str, NDArray[Any]]:
                 _check_unpacked(path, size, [arrays.zip.getinfo(_member(arrays, name)).file_size for name in wanted])
                 found = {name: arrays[name] for name in wanted}
     except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise CloudError.from_os(path, error) from None
     except NPZ_ERRORS as error:
         raise CloudError.damaged(path, error) from None
     if odd := [name for name, array in found.items() if not isinstance(array, np.ndarray)]:

@@ -33,7 +33,7 @@ def read_xyz(path: Path, most: int) -> Array:
             with np.errstate(over="ignore", invalid="ignore"):  # of absurd scales; what they make is not finite
                 return np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)
     except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise CloudError.from_os(path, error) from None
     except (laspy.LaspyException, lazrs.LazrsError, ValueError) as error:
         raise CloudError.damaged(path, error) from None
 

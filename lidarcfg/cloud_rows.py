@@ -84,7 +84,7 @@ def read_rows(path: Path) -> tuple[Column, list[str]]:
     try:
         return _read_ply(path) if path.suffix.lower() == ".ply" else _read_pcd(path)
     except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise CloudError.from_os(path, error) from None
 
 
 def _read_ply(path: Path) -> tuple[Column, list[str]]:

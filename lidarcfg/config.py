@@ -353,7 +353,7 @@ def _read(path: str | Path) -> str:
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}:1:1: not text in UTF-8 (byte {error.start})") from None
     except OSError as error:
-        raise ConfigError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise ConfigError.from_os(path, error) from None
     except ValueError as error:
         raise ConfigError(f"{str(path)!r}: {error}") from None
 

@@ -1,6 +1,7 @@
 """The user's mistakes: each error is one line that says where, what, and what is allowed."""
 
 from pathlib import Path
+from typing import Self
 
 
 def one_line(text: str) -> str:
@@ -8,11 +9,21 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+def reason(error: OSError) -> str:
+    """Why the operating system refused, such as `no such file or directory`."""
+    return (error.strerror or str(error)).lower()
+
+
 class LidarcfgError(Exception):
     """A mistake of the user's, in one line. The command line prints it and exits with 2."""
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
+
+    @classmethod
+    def from_os(cls, path: str | Path, error: OSError) -> Self:
+        """The error for a file that the operating system does not let us read or write."""
+        return cls(f"{path}: {reason(error)}")
 
 
 class ConfigError(LidarcfgError):

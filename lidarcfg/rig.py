@@ -158,7 +158,7 @@ class Mount:
         return self.return_mode not in SINGLE
 
     @property
-    def T_vehicle_sensor(self) -> Array:  # noqa: N802
+    def T_vehicle_sensor(self) -> Array:
         """(4, 4), sensor → vehicle."""
         return pose(self.position_m, self.rpy_rad)
 

@@ -17,7 +17,8 @@ from lidarcfg.geometry import Array, directions, inverse, pose, transform
 from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.rig import Rig, load_rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.scene import Scene, load_scene
 
 STREET = ROOT / "data/scenes/street.yaml"

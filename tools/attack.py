@@ -27,15 +27,15 @@ from typing import Any
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
 
-import attack_corners  # noqa: E402
-import attack_inputs  # noqa: E402
-import attack_names  # noqa: E402
-import attack_save  # noqa: E402
-import attack_server  # noqa: E402
-import attack_writes  # noqa: E402
-from attack_commands import COMMANDS, Command, prepare  # noqa: E402
-from attack_run import Row, load_libraries  # noqa: E402
-from attack_warm import Warm, attacked  # noqa: E402
+import attack_corners
+import attack_inputs
+import attack_names
+import attack_save
+import attack_server
+import attack_writes
+from attack_commands import COMMANDS, Command, prepare
+from attack_run import Row, load_libraries
+from attack_warm import Warm, attacked
 
 PAGE = ROOT / "docs/reliability.md"
 BEGIN, END = "<!-- attacks: begin -->", "<!-- attacks: end -->"

@@ -26,21 +26,21 @@ from typing import IO, Any
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
 
-import attack_corners  # noqa: E402
-import attack_inputs  # noqa: E402
-import attack_names  # noqa: E402
-import attack_save  # noqa: E402
-import attack_server  # noqa: E402
-import attack_writes  # noqa: E402
-import numpy as np  # noqa: E402
-from attack_commands import COMMANDS  # noqa: E402
-from attack_run import Row  # noqa: E402
-from attack_warm import Warm, attacked  # noqa: E402
+import attack_corners
+import attack_inputs
+import attack_names
+import attack_save
+import attack_server
+import attack_writes
+import numpy as np
+from attack_commands import COMMANDS
+from attack_run import Row
+from attack_warm import Warm, attacked
 
-import lidarcfg.cli as cli  # noqa: E402
-from lidarcfg import aside, files  # noqa: E402
-from lidarcfg.errors import one_line  # noqa: E402
-from lidarcfg.view import page, server  # noqa: E402
+import lidarcfg.cli as cli
+from lidarcfg import aside, files
+from lidarcfg.errors import one_line
+from lidarcfg.view import page, server
 
 SCHEMA = next(command for command in COMMANDS if command.name == "schema")  # the least that writes
 TIMES = 12

@@ -29,8 +29,8 @@ from lidarcfg.geometry import Array, directions, pose, transform
 from lidarcfg.packets.codec import Firings, codec
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount, Rig, load_rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order
-from lidarcfg.simulate.tasks import CHUNK_RAYS
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import CHUNK_RAYS, START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.scene import Scene, load_scene
@@ -196,7 +196,8 @@ LONG = """
 import sys, time
 import numpy as np
 from pathlib import Path
-from lidarcfg.simulate.export import Run, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import Run
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.world.scene import load_scene
 from lidarcfg.rig import load_rig

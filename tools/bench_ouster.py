@@ -39,9 +39,9 @@ from lidarcfg.packets.codec import Octets, codec
 from lidarcfg.packets.ouster.decode import OusterDecoder
 from lidarcfg.packets.ouster.metadata import read
 from lidarcfg.rig import Mount, Rig, load_rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.simulator import Simulator
-from lidarcfg.simulate.tasks import CHUNK_RAYS
+from lidarcfg.simulate.tasks import CHUNK_RAYS, START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import standing
 from lidarcfg.world.scene import Scene, load_scene

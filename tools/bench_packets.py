@@ -29,7 +29,8 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.packets.codec import codec
 from lidarcfg.rig import Mount, ports
 from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.export import START_NS, save_companions
+from lidarcfg.simulate.export import save_companions
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import standing
 from lidarcfg.world.scene import GeoOrigin

@@ -14,11 +14,11 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from lidarcfg.cloud import PointCloud, save_clouds  # noqa: E402
-from lidarcfg.view.page import page_of, save_html  # noqa: E402
-from lidarcfg.view.server import Server  # noqa: E402
-from lidarcfg.view.stage import load_stage  # noqa: E402
-from tests.chromium import browser  # noqa: E402
+from lidarcfg.cloud import PointCloud, save_clouds
+from lidarcfg.view.page import page_of, save_html
+from lidarcfg.view.server import Server
+from lidarcfg.view.stage import load_stage
+from tests.chromium import browser
 
 SEED = 1
 SECONDS = 5.0

@@ -20,14 +20,14 @@ from PIL import Image
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from lidarcfg.cli import cli  # noqa: E402
-from lidarcfg.commands.options import START, load_trajectory, nanoseconds  # noqa: E402
-from lidarcfg.view.page import page_of  # noqa: E402
-from lidarcfg.view.recorded import Recorded, recorded  # noqa: E402
-from lidarcfg.view.server import Server  # noqa: E402
-from lidarcfg.view.stage import load_stage  # noqa: E402
-from tests.chromium import browser  # noqa: E402
-from tests.view.driver import click, opened, put, settled  # noqa: E402
+from lidarcfg.cli import cli
+from lidarcfg.commands.options import START, load_trajectory, nanoseconds
+from lidarcfg.view.page import page_of
+from lidarcfg.view.recorded import Recorded, recorded
+from lidarcfg.view.server import Server
+from lidarcfg.view.stage import load_stage
+from tests.chromium import browser
+from tests.view.driver import click, opened, put, settled
 
 FRAMES = 2, 14, 27
 FROM = (

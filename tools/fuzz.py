@@ -41,10 +41,10 @@ except ImportError:
 if "--random" in sys.argv:
     atheris = None
 
-import numpy as np  # noqa: E402
-from numpy.typing import NDArray  # noqa: E402
+import numpy as np
+from numpy.typing import NDArray
 
-from lidarcfg.packets.velodyne import decode_kernels, encode_kernels  # noqa: E402, F401 - compiled as they are
+from lidarcfg.packets.velodyne import decode_kernels, encode_kernels  # noqa: F401 - compiled as they are
 
 with (
     atheris.instrument_imports(include=["lidarcfg.capture", "lidarcfg.packets"])
@@ -60,10 +60,10 @@ with (
     from lidarcfg.packets.velodyne.layout import PACKET, packets_of
     from lidarcfg.packets.velodyne.schedule import firings
     from tools import fuzz_makers
-from lidarcfg.cloud import PointCloud, concatenate  # noqa: E402
-from lidarcfg.errors import LidarcfgError  # noqa: E402
-from lidarcfg.rig import Mount, Rig  # noqa: E402
-from lidarcfg.sensor import load_sensor  # noqa: E402
+from lidarcfg.cloud import PointCloud, concatenate
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.rig import Mount, Rig
+from lidarcfg.sensor import load_sensor
 
 MODELS = ("vlp-16", "puck-hi-res", "vlp-32c", "hdl-32e", "vls-128", "hdl-64e-s2", "hdl-64e-s3")
 MODES = ("strongest", "last", "dual")

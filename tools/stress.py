@@ -27,13 +27,13 @@ from stress_sight import visibility
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from lidarcfg.placement import rows  # noqa: E402
-from lidarcfg.placement.cones import gaps_at  # noqa: E402
-from lidarcfg.placement.evaluator import max_vsr  # noqa: E402
-from lidarcfg.placement.region import Region  # noqa: E402
-from lidarcfg.placement.subspace import segment  # noqa: E402
-from tests import test_stress as loaders  # noqa: E402
-from tests.oracle import ANGLES, BAND, FANS, Line, Tally, along_a_cone, angles, sensor  # noqa: E402
+from lidarcfg.placement import rows
+from lidarcfg.placement.cones import gaps_at
+from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.subspace import segment
+from tests import test_stress as loaders
+from tests.oracle import ANGLES, BAND, FANS, Line, Tally, along_a_cone, angles, sensor
 
 
 def said(what: str, tally: Tally, differ: int = 0) -> Row:

@@ -23,7 +23,7 @@ from lidarcfg.cli import cli
 from lidarcfg.geometry import Array, pose
 from lidarcfg.report import new_figure, save_figure
 from lidarcfg.rig import load_rig
-from lidarcfg.simulate.export import START_NS
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Trajectory, load_path
 
 RANGE_M = 100.0  # of KISS-ICP; its voxels are a hundredth

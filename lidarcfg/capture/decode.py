@@ -350,7 +350,7 @@ def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
     try:
         return {str(one): read_regular(one, COMPANION_MAX) for one in sorted(found)}
     except OSError as error:
-        raise PacketError(f"{error.filename}: {(error.strerror or str(error)).lower()}") from None
+        raise PacketError.from_os(error.filename, error) from None
 
 
 def _payloads(path: Path, host: str, port: int | None, size: int) -> Iterator[Octets]:

@@ -107,7 +107,7 @@ def read_batches(
             if early:
                 yield datagrams(early, reassembly)
     except OSError as error:
-        raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise PacketError.from_os(path, error) from None
     if reassembly.cut:
         on_warning(f"{path}: {reassembly.cut} datagrams passed over: the capture has only their beginnings")
     if reassembly.incomplete:

@@ -12,7 +12,7 @@ import yaml
 
 import lidarcfg
 from lidarcfg.config import Model, Positive, error_at, load
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, reason
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.rig import ReturnMode, Rig
@@ -75,7 +75,7 @@ class Record(Model):
             try:
                 same = _sha256(path) == part.sha256
             except OSError as error:
-                raise error_at(record, at, f"{path}: {(error.strerror or str(error)).lower()}; {hint}") from None
+                raise error_at(record, at, f"{path}: {reason(error)}; {hint}") from None
             if not same:
                 raise error_at(record, at, f"{path} has changed since the export; {hint}")
         known = catalogue()

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from lidarcfg.commands.options import command_line, warn
+from lidarcfg.commands.options import SAVE_EVERY_S, command_line, warn
 from lidarcfg.commands.progress import progress
 
 if TYPE_CHECKING:
     from lidarcfg.placement.front import FrontRun, Point
     from lidarcfg.placement.study import Study
-
-SAVE_EVERY_S = 5.0
 
 
 def find_front(study: "Study", path: Path, folder: Path, resume: Path | None, threads: int | None, quiet: bool) -> None:

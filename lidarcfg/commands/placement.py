@@ -13,6 +13,7 @@ import cloup
 from lidarcfg.commands.front import find_front
 from lidarcfg.commands.options import (
     FILE,
+    SAVE_EVERY_S,
     PositiveNumber,
     command_line,
     json_option,
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 baseline_option = cloup.option(
     "--baseline", type=FILE, metavar="RIG", help="A rig to show beside the result, with the differences."
 )
-SAVE_EVERY_S = 5.0
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
 OnProgress = Callable[[float, str], None]
 

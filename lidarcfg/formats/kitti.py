@@ -49,7 +49,7 @@ def load_kitti(path: str | Path, on_warning: Callable[[str], None]) -> PointClou
         check_memory(str(path), FILE_COPIES * check_regular(path))
         raw = path.read_bytes()
     except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise CloudError.from_os(path, error) from None
     if len(raw) % 16:
         raise CloudError(f"{path}: not a whole KITTI file: {len(raw)} bytes are not points of 16")
     rows = np.frombuffer(raw, "<f4").reshape(-1, 4)

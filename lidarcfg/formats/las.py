@@ -108,7 +108,7 @@ def load_las(path: str | Path, on_warning: Callable[[str], None], chunk: int = C
         names = json.loads(given[0].record_data) if given else None
         week = header.global_encoding.gps_time_type == laspy.header.GpsTimeType.WEEK_TIME
     except OSError as error:
-        raise CloudError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise CloudError.from_os(path, error) from None
     except (laspy.LaspyException, lazrs.LazrsError, ValueError) as error:  # the last is Unicode's, JSON's and numpy's
         raise CloudError.damaged(path, error) from None
     except LidarcfgError as error:  # of memory

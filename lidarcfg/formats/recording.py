@@ -36,11 +36,11 @@ class Recording:
         """The mount of a scan's sensor."""
         return self.mounts[scan.sensor_names[0]]
 
-    def T_world_vehicle(self, time_ns: int) -> Array:  # noqa: N802
+    def T_world_vehicle(self, time_ns: int) -> Array:
         """(4, 4) at a time."""
         return self.drive.trajectory.pose(time_ns)
 
-    def T_world_sensor(self, scan: PointCloud, time_ns: int) -> Array:  # noqa: N802
+    def T_world_sensor(self, scan: PointCloud, time_ns: int) -> Array:
         """(4, 4) of a scan's sensor at a time."""
         return np.asarray(self.T_world_vehicle(time_ns) @ self.mount(scan).T_vehicle_sensor)
 

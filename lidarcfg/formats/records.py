@@ -117,7 +117,7 @@ def read_records(path: Path) -> Records:
         check_memory(str(path), COPIES * check_regular(path))
         data = read_regular(path, SIZE_MAX)
     except OSError as error:
-        raise PacketError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise PacketError.from_os(path, error) from None
     reassembly, waiting = Reassembly(), defaultdict[bytes, list[_Found]](list)
     datagrams = defaultdict[Endpoint, list[Datagram]](list)
     for time_ns, ip, length, end, part, head in _rows(data, str(path)):

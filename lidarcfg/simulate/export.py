@@ -15,12 +15,10 @@ from lidarcfg.packets.codec import Batch, codec
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.ground_truth import RECORD, records
-from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, object_names, prepared, worked
+from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, prepared, worked
 from lidarcfg.world.motion import Trajectory, standing
 from lidarcfg.world.scene import GeoOrigin, Scene
 from lidarcfg.world.vehicle import Vehicle
-
-__all__ = ["START_NS", "Run", "export", "in_time_order", "object_names", "save_companions"]
 
 OnTruth = Callable[[NDArray[np.void]], None]
 

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from lidarcfg.config import COORDINATE_MAX_M
-from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.errors import ConfigError, LidarcfgError, reason
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import out_of_memory
 from lidarcfg.placement.evaluation import WORST
@@ -48,7 +48,7 @@ class Server(ThreadingHTTPServer):
         try:
             super().__init__((HERE, port), _Handler)
         except OSError as error:
-            raise ConfigError(f"port {port}: {(error.strerror or str(error)).lower()}") from None
+            raise ConfigError(f"port {port}: {reason(error)}") from None
 
     @property
     def url(self) -> str:
@@ -94,7 +94,7 @@ class _Handler(BaseHTTPRequestHandler):
         except OSError as error:
             if isinstance(error, ConnectionError):
                 raise
-            self._refuse(HTTPStatus.BAD_REQUEST, f"{error.filename}: {(error.strerror or str(error)).lower()}")
+            self._refuse(HTTPStatus.BAD_REQUEST, f"{error.filename}: {reason(error)}")
         except LidarcfgError as error:
             self._refuse(HTTPStatus.BAD_REQUEST, str(error))
         except MemoryError as error:

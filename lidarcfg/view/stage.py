@@ -60,7 +60,7 @@ class Stage:
     source: RigSource | None = None  # the file of the first rig
 
     @property
-    def T_vehicle_world(self) -> Array:  # noqa: N802
+    def T_vehicle_world(self) -> Array:
         """(4, 4), world → vehicle."""
         return inverse(self.T_world_vehicle)
 

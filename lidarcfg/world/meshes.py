@@ -173,6 +173,6 @@ def check_readable(path: Path, most: int) -> None:
         check_regular(path, most)
         path.open("rb").close()
     except OSError as error:
-        raise SceneError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise SceneError.from_os(path, error) from None
     except ValueError as error:
         raise SceneError(f"{str(path)!r}: {error}") from None

@@ -268,9 +268,10 @@ def _read_tum(path: Path) -> Array:
         if (count := text.count(b"\n")) > TUM_LINES_MAX:
             raise ConfigError(f"{path}: has {count:,} lines; allowed: at most {TUM_LINES_MAX:,}")
         lines = text.decode().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not text in UTF-8"
-        raise ConfigError(f"{path}: {(reason or str(error)).lower()}") from None
+    except OSError as error:
+        raise ConfigError.from_os(path, error) from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not text in UTF-8") from None
     numbers = [n for n, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
     if len(numbers) < 2:
         raise ConfigError(f"{path}: {len(numbers)} poses; allowed: at least 2")

@@ -20,7 +20,8 @@ from lidarcfg.errors import PacketError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import load_rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order, save_companions
+from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, prepared
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning

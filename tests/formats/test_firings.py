@@ -16,7 +16,8 @@ from lidarcfg.formats.firings import save_capture, save_firings
 from lidarcfg.packets.robosense.layout import DIFOP
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning, recording, write_datagrams
 from tests.command_line import lidarcfg

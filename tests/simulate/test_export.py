@@ -20,7 +20,8 @@ from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import custom_sensor
-from lidarcfg.simulate.export import START_NS, Run, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import START_NS, Run
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, prepared
 from lidarcfg.world.scene import load_scene

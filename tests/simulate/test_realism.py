@@ -14,8 +14,9 @@ from lidarcfg.cloud import load_cloud
 from lidarcfg.geometry import inverse, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import START_NS, Run, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.ground_truth import TruthFile
+from lidarcfg.simulate.tasks import START_NS, Run
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, decoded, mount, scene, tilted_rig

@@ -12,7 +12,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation, transform
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig, load_rig, save_rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order, object_names
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import START_NS, object_names
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import STANDING, Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.vehicle import VehicleFile, load_vehicle, rig_vehicle, vehicle

@@ -13,7 +13,8 @@ from lidarcfg.config import Section
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation
 from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, load_path, prepared
 from lidarcfg.world.tracer import Tracer

@@ -13,7 +13,8 @@ from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Payloads, codec
 from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import START_NS, export, in_time_order, save_companions
+from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning

@@ -19,7 +19,8 @@ from lidarcfg.geometry import pose
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount, Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
-from lidarcfg.simulate.export import START_NS, export, in_time_order, save_companions
+from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, prepared, standing
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, decoded, no_warning

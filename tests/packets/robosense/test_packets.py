@@ -13,7 +13,8 @@ from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import codec
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.export import START_NS, check_exportable, export, in_time_order
+from lidarcfg.simulate.export import check_exportable, export, in_time_order
+from lidarcfg.simulate.tasks import START_NS
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, no_warning, scene, write_datagrams
 from tests.naive import robosense as naive
 from tests.packets.robosense.fixtures import mount

@@ -20,7 +20,8 @@ from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
-from lidarcfg.simulate.export import START_NS, Run, export, in_time_order
+from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.simulate.tasks import START_NS, Run
 from lidarcfg.units import SECOND_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 from tests.naive import capture as naive

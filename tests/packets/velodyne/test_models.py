@@ -27,8 +27,9 @@ from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.export import START_NS, export
+from lidarcfg.simulate.export import export
 from lidarcfg.simulate.ground_truth import records
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import AT_NS, STREET, decoded, hdl_64e, mount, no_warning, recording, scene

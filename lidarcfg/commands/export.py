@@ -1,6 +1,5 @@
-"""lidarcfg export, decode and replay: captures written, read and sent again."""
+"""lidarcfg export: what a rig's sensors send, or see, in a scene."""
 
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,15 +11,10 @@ from lidarcfg.commands.options import (
     FILE,
     START,
     START_HELP,
-    Factor,
     PositiveNumber,
-    from_option,
     load_trajectory,
-    model_option,
     nanoseconds,
     quiet_option,
-    sensor_option,
-    to_option,
     warn,
     warn_of,
 )
@@ -30,8 +24,6 @@ from lidarcfg.units import SECOND_NS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from lidarcfg.capture.pcap import Datagram
-    from lidarcfg.capture.stream import SourceStats
     from lidarcfg.rig import ReturnMode, Rig
     from lidarcfg.simulate.simulator import Counts
     from lidarcfg.simulate.tasks import Drive, Run
@@ -187,6 +179,7 @@ def _export_packets(
     from lidarcfg.files import together
     from lidarcfg.simulate import export as capture
     from lidarcfg.simulate.ground_truth import TruthFile
+    from lidarcfg.simulate.tasks import object_names
 
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
@@ -194,7 +187,7 @@ def _export_packets(
     names = [mount.name for mount in mounts]
     with _run(drive.duration_ns, total, quiet) as run, ExitStack() as stack:
         stack.enter_context(together())
-        objects = capture.object_names(drive.scene, drive.vehicle)
+        objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
         streams = capture.export(
             drive.rig,
@@ -261,142 +254,3 @@ def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":
     if thin:
         warn(f"{', '.join(thin)}: beams without divergence have one echo, so that both returns are the same")
     return replace(rig, mounts=mounts)
-
-
-@cloup.command(
-    epilog="""
-    \b
-    Example:
-      lidarcfg decode out/two.pcap --rig out/two/rig.yaml -o out/two.ply
-    """
-)
-@cloup.argument("pcap", type=FILE, help="A capture, simulated or recorded.")
-@cloup.option("-o", "--output", type=FILE, required=True, help="The .ply, .pcd or .npz to write.")
-@cloup.option_group(
-    "Sensors",
-    cloup.option(
-        "--rig",
-        type=FILE,
-        metavar="FILE|none",
-        help="Merge by this rig's poses, or keep each sensor's own frame.  [default: as its export noted, or none]",
-    ),
-    model_option,
-)
-@cloup.option_group("Selection", from_option, to_option, sensor_option, help="Read only a part of the capture.")
-@cloup.option_group(
-    "Motion",
-    cloup.option(
-        "--deskew", is_flag=True, help="Deskew by what an export noted beside the pcap: rig, trajectory, start."
-    ),
-    cloup.option("--trajectory", type=FILE, help="Deskew by this motion of the vehicle; needs --rig."),
-    cloup.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"),
-    cloup.option("--start", metavar="TIME", help="When it starts; " + START_HELP),
-)
-@cloup.option(
-    "--truth", type=FILE, metavar="NPZ", help="Also write each point's object, by export's --truth; needs --rig."
-)
-@cloup.option("--stats", is_flag=True, help="Print each sensor's model, return mode, speed and lost packets.")
-@quiet_option
-def decode(
-    pcap: Path,
-    rig: Path | None,
-    model: str | None,
-    deskew: bool,
-    trajectory: Path | None,
-    at: str | None,
-    start: str | None,
-    from_s: float,
-    to_s: float,
-    sensors: tuple[str, ...],
-    output: Path,
-    truth: Path | None,
-    stats: bool,
-    quiet: bool,
-) -> None:
-    """Decode a capture into a point cloud.
-
-    Each point is in the vehicle frame of the moment it was measured; with --deskew or --trajectory, all points are in
-    the world frame.
-    """
-    from dataclasses import replace
-
-    from lidarcfg.capture.decode import decode_pcap
-    from lidarcfg.capture.record import load_record, record_path, rig_file
-    from lidarcfg.capture.selection import Selection
-    from lidarcfg.cloud import concatenate, save_clouds
-    from lidarcfg.rig import load_rig
-
-    if deskew:
-        record = load_record(pcap)
-        trajectory = trajectory or record.path("trajectory", record_path(pcap))
-        at, start = at or record.at, start or record.start
-    rig = rig_file(pcap, rig)
-    if deskew and not rig:
-        raise click.UsageError("--deskew needs the rig, which says where the sensors are on the vehicle")
-    if trajectory and not rig:
-        raise click.UsageError("--trajectory needs --rig, which says where the sensors are on the vehicle")
-    if truth and not rig:
-        raise click.UsageError("--truth needs --rig, which says which sensor is which")
-    if (at or start) and not (trajectory or deskew):
-        raise click.UsageError("--at and --start say where and when a --trajectory starts")
-    sources: list[SourceStats] = []
-    selection = Selection(from_s, to_s, sensors)
-    on_stats = sources.append if stats else None
-    mounted = load_rig(rig) if rig else None
-    clouds = decode_pcap(pcap, warn, mounted, model, on_stats=on_stats, selection=selection)
-    if truth and mounted:
-        from lidarcfg.capture.objects import with_objects
-
-        clouds = iter([with_objects(truth, concatenate(list(clouds)), mounted)])
-    if trajectory or deskew:
-        from lidarcfg.simulate.export import START_NS
-
-        moved = load_trajectory(trajectory, at or "0,0,0", nanoseconds(start) if start else START_NS)
-        clouds = (replace(cloud, xyz=moved.world(cloud.xyz, cloud.time_ns)) for cloud in clouds)
-    count = save_clouds(output, clouds)
-    if not quiet:
-        click.echo(f"{output}: {count:,} points")
-    for source in sources:
-        click.echo(
-            f"{source.name}: {' or '.join(source.models)}, {' and '.join(source.return_modes)}, {source.rpm:.1f} rpm, "
-            f"{source.packets:,} packets, {source.lost:,} lost, {source.duplicates:,} duplicates, "
-            f"{source.reordered:,} out of order"
-        )
-
-
-@cloup.command(
-    epilog="""
-    \b
-    Examples:
-      lidarcfg replay out/two.pcap 127.0.0.1:2368
-      lidarcfg replay out/two.pcap 127.0.0.1 --speed 2x --from 0.02 --to 0.08
-    """
-)
-@cloup.argument("pcap", type=FILE, help="A capture.")
-@cloup.argument("target", metavar="HOST[:PORT]", help="Where to. Without a port each datagram keeps its own.")
-@cloup.option("--speed", type=Factor(10**6), metavar="FACTOR", default=1.0, help="Times real time.  [default: 1]")
-@cloup.option("--loop", is_flag=True, help="Start over at the end, until Ctrl-C.")
-@cloup.option_group("Selection", from_option, to_option, help="Send only a part of the capture.")
-@quiet_option
-def replay(pcap: Path, target: str, speed: float, loop: bool, from_s: float, to_s: float, quiet: bool) -> None:
-    """Send a capture's datagrams to a host, to test a driver live.
-
-    They keep the pace of the recording, times --speed."""
-    from lidarcfg.capture.replay import looped, selected
-    from lidarcfg.capture.replay import replay as send
-    from lidarcfg.capture.selection import Selection
-
-    host, _, port = target.partition(":")
-    if ":" in target and not (port.isascii() and port.isdigit() and 1 <= int(port) <= 65535):
-        raise click.BadParameter(f"{port!r} is not a port, 1 to 65535", param_hint="HOST[:PORT]")
-    selection = Selection(from_s, to_s)
-
-    def read() -> "Iterator[Datagram]":
-        return selected(pcap, warn, selection)
-
-    sent = send(looped(read) if loop else read(), host, int(port) if port else None, speed)
-    if not quiet:
-        late = f"at most {sent.latest_s * 1000:.1f} ms late"
-        click.echo(f"{sent.packets:,} datagrams to {target} in {sent.seconds:.2f} s, {late}")
-    if sent.interrupted and not loop:
-        sys.exit(130)
