@@ -3,15 +3,17 @@
 import errno
 import os
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from lidarcfg.aside import exchange, hold, locked, name_beside, remove_leftovers
+
+T = TypeVar("T")
 
 
 def shipped(folder: str) -> Path:
@@ -29,6 +31,11 @@ def example(path: str | Path) -> Path:
         if found.is_file():
             return found
     return path
+
+
+def loaded(given: T | str | Path, load: Callable[[str | Path], T]) -> T:
+    """What is given; where that is the path of a file, what is in it."""
+    return load(given) if isinstance(given, str | Path) else given
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ OBJECTS = {"pedestrian": 20, "child": 20, "cyclist": 20, "car": 50, "tyre": 5}
 
 def main() -> None:
     """A map for each object of docs/examples/returns.yaml."""
-    study = lidarcfg.load_study(ROOT / "docs/examples/returns.yaml", lidarcfg.pattern)
+    study = lidarcfg.load_study(ROOT / "docs/examples/returns.yaml")
     found = evaluate(study, lidarcfg.load_rig(ROOT / "data/rigs/roof.yaml"))
     figure, grid = plt.subplots(1, len(study.sought), figsize=(11, 3.4), sharey=True, layout="constrained")
     outline = study.vehicle.scene.mesh()[0] if study.vehicle else np.zeros((1, 3))

@@ -81,7 +81,7 @@ def skipping(path: Path) -> None:
     y, names = 0, []
     for colour, (title, name) in zip((COLOURS[0], COLOURS[1]), STUDIES.items(), strict=True):
         study = with_solver(
-            lidarcfg.load_study(ROOT / f"data/studies/{name}.yaml", lidarcfg.pattern),
+            lidarcfg.load_study(ROOT / f"data/studies/{name}.yaml"),
             method="abc",
             bees=BEES,
             cycles=CYCLES,

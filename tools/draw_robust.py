@@ -11,7 +11,7 @@ import lidarcfg
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.sensitivity import robustness
-from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.study import with_solver
 from lidarcfg.report import new_figure, save_figure
 from lidarcfg.report.robustness import lost_view
 
@@ -22,7 +22,7 @@ TITLES = {"best as a whole": None, "best with any one lost": Robust(lost=1)}
 def main() -> None:
     """Search twice, then draw the bars that reports have."""
     evaluations = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
-    study = with_solver(load_study(ROOT / "data/studies/sedan.yaml", lidarcfg.pattern), evaluations=evaluations)
+    study = with_solver(lidarcfg.load_study(ROOT / "data/studies/sedan.yaml"), evaluations=evaluations)
     titled = []
     for title, robust in TITLES.items():
         rig = optimize(replace(study, robust=robust)).rig

@@ -26,11 +26,19 @@ MODULES = {
         "placement.optimize",
         "placement.subspace",
         "placement.metric",
+        "studies",
     ),
     "Simulation": ("simulate.export", "simulate.ground_truth"),
     "Packets and captures": ("packets.codec", "capture.pcap", "capture.decode", "capture.replay"),
     "Clouds, reports, pictures": ("cloud", "report", "view.stage", "view.still", "view.page"),
-    "Other tools' formats": ("formats.urdf", "formats.launch", "formats.carla", "formats.nuscenes", "formats.las"),
+    "Other tools' formats": (
+        "formats.exports",
+        "formats.urdf",
+        "formats.launch",
+        "formats.carla",
+        "formats.nuscenes",
+        "formats.las",
+    ),
 }
 HEAD = """# API reference
 

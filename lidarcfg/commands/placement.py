@@ -96,13 +96,13 @@ def optimize(
         on_progress(0.0, f"reading {study}")
         from lidarcfg import report
         from lidarcfg.helpers import prepare
-        from lidarcfg.packets.codec import pattern
         from lidarcfg.placement.checks import study_warnings
-        from lidarcfg.placement.study import load_study, with_solver
+        from lidarcfg.placement.study import with_solver
+        from lidarcfg.studies import load_study
 
         prepare("search", "evaluation")
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
-        loaded = with_solver(load_study(study, pattern), seed=seed, method=solver, **budget)
+        loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))
     warn_of(loaded.vehicle)
     for message in messages:
@@ -246,15 +246,14 @@ def evaluate(
         on_progress(0.0, f"reading {study}")
         from lidarcfg import report
         from lidarcfg.helpers import prepare
-        from lidarcfg.packets.codec import pattern
         from lidarcfg.placement.details import details
         from lidarcfg.placement.evaluation import evaluate as evaluation
         from lidarcfg.placement.sensitivity import robustness
-        from lidarcfg.placement.study import load_study
         from lidarcfg.rig import load_rig
+        from lidarcfg.studies import load_study
 
         prepare("search", "evaluation")
-        loaded, mounted = load_study(study, pattern), load_rig(rig)
+        loaded, mounted = load_study(study), load_rig(rig)
     warn_of(loaded.vehicle)
     _check_rig(loaded, rig, mounted)
     if output:
@@ -301,14 +300,13 @@ def compare(
     on the poses are not enforced.
     """
     from lidarcfg import report
-    from lidarcfg.packets.codec import pattern
     from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate as evaluation
-    from lidarcfg.placement.study import load_study
     from lidarcfg.rig import load_rig
+    from lidarcfg.studies import load_study
 
     report.check_count(len(rigs))
-    loaded, mounted = load_study(study, pattern), [load_rig(rig) for rig in rigs]
+    loaded, mounted = load_study(study), [load_rig(rig) for rig in rigs]
     warn_of(loaded.vehicle)
     for path, rig in zip(rigs, mounted, strict=True):
         _check_rig(loaded, path, rig)

@@ -62,13 +62,12 @@ def sweep(
     again does what is missing. The result depends neither on the number of workers nor on where they are.
     """
     from lidarcfg import report
-    from lidarcfg.packets.codec import pattern
-    from lidarcfg.placement.plan import load_plan
+    from lidarcfg.studies import load_plan
 
     if scheduler and workers:
         raise click.UsageError("--workers are local; a cluster has as many as its scheduler knows")
     with progress(quiet) as on_progress:
-        loaded = load_plan(plan, pattern, lambda n, count: on_progress(n / count, f"checked {n} of {count} runs"))
+        loaded = load_plan(plan, lambda n, count: on_progress(n / count, f"checked {n} of {count} runs"))
     folder = output or Path("out") / loaded.path.stem
     kept = report.SweepFolder(folder, loaded)
     missing = [run for run in loaded.runs if not kept.row(run)]

@@ -9,7 +9,7 @@ import numpy as np
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.record import place, record_path, save_record
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.files import together
+from lidarcfg.files import loaded, together
 from lidarcfg.formats import formats
 from lidarcfg.formats.recording import Recording
 from lidarcfg.geometry import Array
@@ -45,8 +45,7 @@ def export(
     if trajectory is not None and isinstance(at, Trajectory):
         raise LidarcfgError("at is a trajectory, and a file of another is given; allowed: one of them")
     output, files = Path(output), {"rig": _file(rig), "scene": _file(scene), "trajectory": _file(trajectory)}
-    rig = rig if isinstance(rig, Rig) else load_rig(rig)
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    rig, scene = loaded(rig, load_rig), loaded(scene, load_scene)
     if isinstance(at, Trajectory):
         moved = at
     else:

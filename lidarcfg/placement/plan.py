@@ -173,9 +173,11 @@ class Studies:
                 raise error_at(self.path, ("sensors",), what)
             if not study.free.any():
                 raise error_at(self.path, ("sensors",), "nothing is free to move; every bound is equal")
+            if study.sought:
+                study.scans(study.rig(study.lower).mounts)  # an error comes before the search
             content = hashlib.sha256()
             for field in fields(study):
-                if field.name != "solver":
+                if field.name not in ("solver", "patterns"):  # sensors' versions and files say where they fire
                     _update(content, getattr(study, field.name) if field.name != "file" else study.file | {"solver": 0})
             self._digests[key] = content.hexdigest()
         text = json.dumps([self._digests[key], file.solver.model_dump_json(), self._versions])

@@ -191,7 +191,7 @@ class Study:
         """How sensors fire in a revolution. Raises ConfigError where that is not known."""
         if self.patterns is None:
             what = "detection by returns needs to know where sensors fire"
-            raise ConfigError(f"{what}; load the study with lidarcfg.pattern as its second argument")
+            raise ConfigError(f"{what}; lidarcfg.studies loads it with that")
         found = []
         for mount in mounts:
             try:
@@ -274,7 +274,7 @@ class Study:
 def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
     """The study in a YAML file. Raises ConfigError with file, line and key.
 
-    Objects that are detected by returns need `patterns`, which say where sensors fire: `lidarcfg.pattern`.
+    Objects that are detected by returns need `patterns`, which say where sensors fire: `lidarcfg.studies` knows.
     """
     path = example(path)
     return study_of(load(path, StudyFile), path, patterns)

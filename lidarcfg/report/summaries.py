@@ -12,14 +12,13 @@ from lidarcfg.config import Model, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.kinds import MARKS, kind_of
-from lidarcfg.packets.codec import codec, pattern
+from lidarcfg.packets.codec import codec
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
-from lidarcfg.placement.plan import load_plan
-from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
 from lidarcfg.rig import Mount, load_rig
 from lidarcfg.sensor import Sensor, load_sensor
+from lidarcfg.studies import load_plan, load_study
 from lidarcfg.world.motion import load_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_vehicle
@@ -51,7 +50,7 @@ def summary(path: str | Path) -> Summary:
 
 
 def _study(path: Path) -> tuple[str, Iterable[str]]:
-    study = load_study(path, pattern)
+    study = load_study(path)
     free, solver = int(study.free.sum()), study.solver
     limits = {key: getattr(solver, key) for key in sorted(BUDGETS)}
     budget = ", ".join(f"{limit:,} {key}".replace(".0 ", " ") for key, limit in limits.items() if limit is not None)
@@ -70,7 +69,7 @@ def _study(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _plan(path: Path) -> tuple[str, Iterable[str]]:
-    plan = load_plan(path, pattern)
+    plan = load_plan(path)
     return f"{len(plan.runs):,} runs of a sweep over {', '.join(plan.varied)}", ()
 
 

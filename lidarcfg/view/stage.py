@@ -18,9 +18,9 @@ from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
 from lidarcfg.inputs import check_regular
-from lidarcfg.packets.codec import pattern
-from lidarcfg.placement.study import Study, load_study
+from lidarcfg.placement.study import Study
 from lidarcfg.rig import Rig, load_rig
+from lidarcfg.studies import load_study
 from lidarcfg.units import SECOND_NS
 from lidarcfg.view.colours import colour
 from lidarcfg.view.rig_source import RigSource
@@ -167,7 +167,7 @@ def load_stage(
     source = RigSource.of(example(rig_paths[0])) if rig_paths else None
     rigs = [load_rig(path) for path in rig_paths]
     study = _only(of("study"), "study")
-    loaded = load_study(study, pattern) if study else None
+    loaded = load_study(study) if study else None
     captures, truth = of("capture"), _only(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? say so with --rig")

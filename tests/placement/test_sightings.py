@@ -225,6 +225,6 @@ def test_what_is_not_allowed_is_said_in_one_line(tmp_path, change, message):
 
 def test_without_patterns_it_says_what_is_missing(tmp_path):
     loaded = study(tmp_path, patterns=None)
-    with pytest.raises(ConfigError, match=r"load the study with lidarcfg\.pattern"):
+    with pytest.raises(ConfigError, match=r"lidarcfg\.studies loads it with that"):
         evaluate(loaded, rig_of(loaded))
     assert study(tmp_path, patterns=None, sensor="fan-4").region.included.any()
