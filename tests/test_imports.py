@@ -16,6 +16,7 @@ GROUND = {
     "aside",
     "geometry",
     "config",
+    "yaml_document",
     "kinds",
     "compiling",
     "jit",

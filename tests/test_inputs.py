@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg import config, inputs
+from lidarcfg import inputs, yaml_document
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.cloud import load_cloud, read_arrays, save_clouds
-from lidarcfg.config import LARGE, Document, load
+from lidarcfg.config import load
 from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.formats.kitti import load_kitti
 from lidarcfg.formats.las import load_las
@@ -29,6 +29,7 @@ from lidarcfg.rig import RigFile
 from lidarcfg.sensor import Beams
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.motion import load_path
+from lidarcfg.yaml_document import LARGE, Document
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
 from tests.test_cloud import cloud
@@ -250,7 +251,7 @@ def test_a_large_file_says_what_a_small_one_does():
     [
         ("[" * 10**6, "nested too deeply"),
         ("- " * 10**5, "nested too deeply"),
-        ("[" + "1," * (config.NODES_MAX + 1), "has more than the 500,000 keys and values"),
+        ("[" + "1," * (yaml_document.NODES_MAX + 1), "has more than the 500,000 keys and values"),
         ("[" * 10, "not YAML: "),
     ],
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.config import Key, error_at, load
+from lidarcfg.config import error_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import unused_prices
@@ -18,6 +18,7 @@ from lidarcfg.placement.region import AXES, BoxFile, Region
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
 from lidarcfg.rig import MountFile, RigFile
+from lidarcfg.yaml_document import Key
 
 STEPS = 5  # places along each axis of a sensor's bounds that are tried
 MANY = 0.1  # of these, inside the vehicle

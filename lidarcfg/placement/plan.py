@@ -16,12 +16,13 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 import lidarcfg
-from lidarcfg.config import Document, Key, Model, document, error_at, fault
+from lidarcfg.config import Model, checked, error_at, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.firing import Patterns
 from lidarcfg.placement.study import Study, study_of
 from lidarcfg.placement.study_file import StudyFile
+from lidarcfg.yaml_document import Document, Key, document
 
 RUNS_MAX = 100_000
 PATH = re.compile(r"[^.\[\]]+(\[\d{1,9}\])*(\.[^.\[\]]+(\[\d{1,9}\])*)*")
@@ -222,7 +223,7 @@ def load_plan(
     """
     path = example(path)
     plan = document(path)
-    file = plan.checked(PlanFile)
+    file = checked(plan, PlanFile)
     inline = isinstance(file.study, dict)
     studies = Studies(path if inline else path.parent / file.study, patterns)
     base = plan.replaced((), plan, ("study",)) if inline else _named(plan, studies.path)
@@ -266,7 +267,7 @@ def _run(number: int, places: Places, plan: Document, base: Document, studies: S
         varied = varied.replaced(parsed(path), plan, at)
     values = {path: plan.at(at) for path, at in places}
     try:
-        file = varied.checked(StudyFile)
+        file = checked(varied, StudyFile)
         try:
             digest = studies.digest(file)
         except ConfigError as error:  # of a key: it is somewhere else if it was replaced

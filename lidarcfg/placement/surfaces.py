@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Key, Model, Position, error_at, fault
+from lidarcfg.config import COORDINATE_MAX_M, Model, Position, error_at, fault
 from lidarcfg.geometry import Array, leaning, level, up
 from lidarcfg.sensor import Metres, Sensor
 from lidarcfg.world.tracer import Hits, Tracer
 from lidarcfg.world.vehicle import Solid, Vehicle
+from lidarcfg.yaml_document import Key
 
 Side = Literal["above", "front", "rear", "left", "right"]
 OUT: dict[str, tuple[int, int]] = {"above": (2, 1), "front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1)}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Key, Metres, Model, Name, Position, Positive, Vec3, error_at, fault, load
+from lidarcfg.config import COORDINATE_MAX_M, Metres, Model, Name, Position, Positive, Vec3, error_at, fault, load
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
@@ -20,6 +20,7 @@ from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed,
 from lidarcfg.world.models import model_objects
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.surfels import surfels_mesh
+from lidarcfg.yaml_document import Key
 
 DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
 GROUND = "ground"

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import model_validator
 
-from lidarcfg.config import Key, Model, Position, Section, error_at, fault, load
+from lidarcfg.config import Model, Position, Section, error_at, fault, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
@@ -37,6 +37,7 @@ from lidarcfg.world.scene import (
 )
 from lidarcfg.world.solids import Inside, holds, inside, inside_points, open_edges, parts, welded
 from lidarcfg.world.tracer import Tracer, shapes_of
+from lidarcfg.yaml_document import Key
 
 MANY = 500_000  # triangles: reading and checking them takes seconds
 LEAST_M, TYPICAL_M, MOST_M = 0.05, 5.0, 40.0  # sizes of a vehicle's mesh: a part of one, a car, the longest bus

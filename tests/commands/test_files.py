@@ -13,7 +13,6 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lidarcfg.config import Document
 from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.files import shipped
 from lidarcfg.kinds import kind_of
@@ -29,6 +28,7 @@ from lidarcfg.templates import KINDS as TEMPLATES
 from lidarcfg.templates import vehicles, write_template
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.scene import load_scene
+from lidarcfg.yaml_document import Document
 from tests.command_line import lidarcfg
 
 ROOT = Path(__file__).parents[2]
