@@ -1,4 +1,4 @@
-"""The command: its help, and how it ends.
+"""The command line: its help page and its exit codes.
 
 Each module of `commands` reads inputs, makes one library call and prints one table.
 """
@@ -123,7 +123,7 @@ def _fail(message: str) -> None:
       lidarcfg view out/two.ply out/two/rig.yaml --png out/two.png
 
     The files under data/ come with the package. `lidarcfg COMMAND --help` explains a command and shows an example;
-    the project's docs/ has a page for each task.
+    docs/ has a page for each task.
     """,
 )
 @click.version_option(lidarcfg.__version__, prog_name="lidarcfg")
@@ -131,9 +131,9 @@ def _fail(message: str) -> None:
 def cli(context: click.Context) -> None:
     """Where should the LiDARs sit on this vehicle, and what will they see?
 
-    A study says which sensors may sit where; `optimize` finds the rig, the poses from which they see best. A rig in a
-    scene gives a capture: the packets that the real sensors would send. Captures, simulated or recorded, become point
-    clouds. Studies, rigs, scenes and sensors are YAML files.
+    A study says which sensors may sit where; `optimize` finds the rig, that is the poses from which they see best.
+    `export` simulates a rig in a scene and writes the packets that the real sensors would send. `decode` turns such
+    a capture, or a recorded one, into a point cloud. Studies, rigs, scenes and sensors are YAML files.
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())

@@ -21,13 +21,13 @@ def _own_shell() -> str:
     """
 )
 @cloup.argument(
-    "shell", type=click.Choice(["bash", "zsh", "fish"]), default=_own_shell, help="The default is the shell in $SHELL."
+    "shell", type=click.Choice(["bash", "zsh", "fish"]), default=_own_shell, help="[default: the shell in $SHELL]"
 )
 def completion(shell: str) -> None:
     """Print the script for TAB completion in a shell.
 
-    It completes commands, options, sensor names and files. For bash or zsh put the first line of the examples, with
-    the shell's name, into ~/.bashrc or ~/.zshrc.
+    The script completes commands, options, sensor names and files. For bash or zsh, add the first line of the
+    examples, with the shell's name, to ~/.bashrc or ~/.zshrc.
     """
     command = click.get_current_context().find_root().command
     kind = get_completion_class(shell)

@@ -24,11 +24,16 @@ if TYPE_CHECKING:
 )
 @cloup.argument("source", metavar="INPUT", type=FILE, help="A rig, a cloud or a capture.")
 @cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; its suffix is the format.")
-@cloup.option("--to", "name", metavar="FORMAT", help="The format, where the suffix does not name it.")
+@cloup.option("--to", "name", metavar="FORMAT", help="The format, if the suffix does not name it.")
 @cloup.option(
-    "--rig", type=FILE, help="The rig that names and places a capture's sensors, instead of what its export noted."
+    "--rig", type=FILE, help="The rig that names and places a capture's sensors.  [default: from the export's record]"
 )
-@cloup.option("--truth", type=FILE, metavar="NPZ", help="Also each point's object, by export's --truth.")
+@cloup.option(
+    "--truth",
+    type=FILE,
+    metavar="NPZ",
+    help="Also write each point's object, from the ground truth that export --truth wrote.",
+)
 @model_option
 @quiet_option
 def convert(
@@ -36,8 +41,8 @@ def convert(
 ) -> None:
     """Convert a rig, a cloud or a capture for another tool.
 
-    What a format cannot hold is a warning on stderr. Of a capture that export wrote, with its record beside it, bags
-    also have the vehicle's poses and the boxes of objects.
+    Anything that the format cannot hold is a warning on stderr. If the record of an exported capture is beside it,
+    bags also hold the vehicle's poses and the boxes of objects.
 
     \b
     INPUT                 OUTPUT   FORMAT
@@ -56,8 +61,8 @@ def convert(
                           folder   kitti-object  the same: labels, boxes
                           folder   nuscenes      the same: all tables
                           .npz     firings       all that each laser measured
-    firings: .npz         .pcap    pcap          the capture of it again
-                          .pcapng  pcapng        the same, of a pcapng
+    firings: .npz         .pcap    pcap          the capture again
+                          .pcapng  pcapng        the same as pcapng
 
     LAS, bags and MCAP need: pip install 'lidarcfg[convert]'
     """

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
         "--rig",
         type=FILE,
         metavar="FILE|none",
-        help="Merge by this rig's poses, or keep each sensor's own frame.  [default: as its export noted, or none]",
+        help="Merge the sensors by this rig's poses, or (none) keep each sensor's own frame.  [default: the rig in the "
+        "export's record, or none]",
     ),
     model_option,
 )
@@ -46,14 +47,17 @@ if TYPE_CHECKING:
 @cloup.option_group(
     "Motion",
     cloup.option(
-        "--deskew", is_flag=True, help="Deskew by what an export noted beside the pcap: rig, trajectory, start."
+        "--deskew", is_flag=True, help="Deskew by the export's record beside the pcap: rig, trajectory, start."
     ),
     cloup.option("--trajectory", type=FILE, help="Deskew by this motion of the vehicle; needs --rig."),
     cloup.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"),
-    cloup.option("--start", metavar="TIME", help="When it starts; " + START_HELP),
+    cloup.option("--start", metavar="TIME", help="When the trajectory starts; " + START_HELP),
 )
 @cloup.option(
-    "--truth", type=FILE, metavar="NPZ", help="Also write each point's object, by export's --truth; needs --rig."
+    "--truth",
+    type=FILE,
+    metavar="NPZ",
+    help="Also write each point's object, from the ground truth that export --truth wrote; needs --rig.",
 )
 @cloup.option("--stats", is_flag=True, help="Print each sensor's model, return mode, speed and lost packets.")
 @quiet_option

@@ -1,4 +1,4 @@
-"""lidarcfg export: what a rig's sensors send, or see, in a scene."""
+"""lidarcfg export: what a rig's sensors send or see in a scene."""
 
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,30 +46,30 @@ if TYPE_CHECKING:
     cloup.option(
         "--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scene.  [default: 0,0,0]"
     ),
-    cloup.option("--trajectory", type=FILE, help="Motion from there: YAML, or timed poses as .tum."),
+    cloup.option("--trajectory", type=FILE, help="The vehicle's motion from there: YAML, or timed poses as .tum."),
     cloup.option(
         "--vehicle",
         type=FILE,
         metavar="FILE|none",
-        help="What travels along: YAML, or a mesh.  [default: the rig's]",
+        help="The vehicle's body: YAML, or a mesh.  [default: the rig's]",
     ),
     cloup.option("--start", metavar="TIME", help=START_HELP),
     cloup.option(
         "--return-mode",
         type=click.Choice(["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]),
         metavar="MODE",
-        help="Of every sensor: strongest, last, first or dual; of Hesai's also first-last, first-strongest and "
-        "two-strongest.  [default: the rig's]",
+        help="For every sensor: strongest, last, first or dual; Hesai's sensors also allow first-last, first-strongest "
+        "and two-strongest.  [default: the rig's]",
     ),
     cloup.option("--duration", type=PositiveNumber(86_400), metavar="SECONDS", required=True, help="Simulated time."),
 )
 @cloup.option_group(
     "Output",
     cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; see above."),
-    cloup.option("--to", "name", metavar="FORMAT", help="The format, where the suffix does not name it."),
+    cloup.option("--to", "name", metavar="FORMAT", help="The format, if the suffix does not name it."),
     cloup.option("--split", is_flag=True, help="Write one file per sensor: NAME-SENSOR.pcap."),
     cloup.option("--truth", type=FILE, help="Write the ground truth of each return, as .npz: object, range, noise."),
-    cloup.option("--deskew", is_flag=True, help="Points in the world frame; of .ply, .pcd and .npz."),
+    cloup.option("--deskew", is_flag=True, help="Write points in the world frame; only for .ply, .pcd and .npz."),
     cloup.option("--stats", is_flag=True, help="Print how many rays were traced and how many hit."),
     quiet_option,
 )
@@ -90,16 +90,16 @@ def export(
     stats: bool,
     quiet: bool,
 ) -> None:
-    """Simulate what a rig's sensors send, or see, in a scene.
+    """Simulate what a rig's sensors send or see in a scene.
 
-    A pcap holds their packets; other formats hold points with the ground truth. The vehicle stands, or moves along a
-    trajectory. The same input gives the same bytes. A YAML file beside the output notes rig, scene and trajectory, so
-    that `decode --deskew` and `view` need not be told again.
+    A pcap holds their packets; the other formats hold points with the ground truth. The vehicle stands, or moves
+    along a trajectory. The same input gives the same bytes. A YAML file beside the output records rig, scene and
+    trajectory, so that `decode --deskew` and `view` find them.
 
     \b
     OUTPUT      FORMAT
     .pcap       packets
-    .ply .npz   one cloud, objects of points, boxes
+    .ply .npz   one cloud, each point's object, boxes
     .pcd        the same without boxes
     .mcap       points, objects, boxes, /tf of ROS 2
     .bag        rosbag1: the same of ROS 1

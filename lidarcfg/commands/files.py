@@ -1,4 +1,4 @@
-"""lidarcfg init, validate and schema: files to start from, and what is wrong with one's own."""
+"""lidarcfg init, validate and schema: files to start from, and checks of your own."""
 
 import sys
 from pathlib import Path
@@ -26,13 +26,13 @@ SCHEMAS = (*TEMPLATES, "vehicle", "trajectory", "plan")
 @cloup.option(
     "--vehicle",
     metavar="NAME",
-    help="For a study: a body that comes with the package (sedan, shuttle, truck), or a mesh file of your own.",
+    help="For a study: a body from the package (sedan, shuttle, truck), or a mesh file of your own.",
 )
 @quiet_option
 def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
     """Write a commented file to start from.
 
-    It is complete: the other commands take it as it is. What is optional stands in it as comments.
+    The other commands accept the file as it is. Optional keys are in it as comments.
     """
     from lidarcfg.templates import write_template
 
@@ -53,10 +53,10 @@ def init(kind: str, output: Path, vehicle: str | None, quiet: bool) -> None:
 @cloup.argument("files", type=FILE, nargs=-1, required=True, metavar="FILE...", help="Files of any kind.")
 @quiet_option
 def validate(files: tuple[Path, ...], quiet: bool) -> None:
-    """Check files, and say what each is and what it would do.
+    """Check files, and print what each is and what it would do.
 
-    Studies, rigs, scenes, sensors, vehicles, trajectories and plans are told apart by their keys. What is allowed but
-    looks wrong is a warning. Exits with 2 if a file is wrong.
+    Studies, rigs, scenes, sensors, vehicles, trajectories and plans are told apart by their keys. Anything that is
+    allowed but looks wrong is a warning. Exits with 2 if a file has an error.
     """
     from lidarcfg.report.summaries import summary
 
@@ -88,7 +88,7 @@ def validate(files: tuple[Path, ...], quiet: bool) -> None:
 def schema(kind: str, output: Path | None) -> None:
     """Print the JSON Schema of a kind of file.
 
-    Editors complete keys by it and mark mistakes: docs/files.md shows how.
+    With it, editors complete keys and mark mistakes; docs/files.md shows how.
     """
     import json
 

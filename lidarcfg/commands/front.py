@@ -1,4 +1,4 @@
-"""lidarcfg optimize, where a study lets one choose sensors: the front of price against objective."""
+"""lidarcfg optimize for a study that lets sensors be chosen: the front of price against objective."""
 
 import shlex
 import sys
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def find_front(study: "Study", path: Path, folder: Path, resume: Path | None, threads: int | None, quiet: bool) -> None:
-    """Search a study of a file, write the folder, print the table; ends with 130 after Ctrl-C."""
+    """Search the study read from `path`, write the folder, print the table. Exits with 130 after Ctrl-C."""
     import time
 
     from lidarcfg import report
@@ -56,7 +56,7 @@ def find_front(study: "Study", path: Path, folder: Path, resume: Path | None, th
 
 
 def _line(search: "FrontRun") -> str:
-    """The state of the search."""
+    """One line on the state of the search."""
     on_front = search.on_front()
     rate = search.evaluations / max(search.seconds, 1e-9)
     tried = sum(entrant.evaluations > 0 for entrant in search.entrants)

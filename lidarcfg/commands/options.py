@@ -1,4 +1,4 @@
-"""What the commands share: their class, option types, completion, and values parsed from text."""
+"""What the commands share: option types, options, completion, and values parsed from text."""
 
 import math
 import shlex
@@ -61,7 +61,7 @@ class Factor(PositiveNumber):
 
 
 def complete_model(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The sensors of the catalogue that begin so; where none does, files."""
+    """The catalogue's sensors whose names start with `incomplete`; files if there are none."""
     from lidarcfg.sensor import catalogue
 
     names = [CompletionItem(name) for name in catalogue() if name.startswith(incomplete)]
@@ -69,7 +69,7 @@ def complete_model(ctx: click.Context, param: click.Parameter, incomplete: str) 
 
 
 def complete_mount(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """The sensors of the rig given by --rig that begin so, if it can be read."""
+    """The mounts of the rig given by --rig whose names start with `incomplete`; nothing if it cannot be read."""
     from lidarcfg.errors import LidarcfgError
     from lidarcfg.rig import load_rig
 
@@ -84,7 +84,7 @@ model_option = cloup.option(
     "--model",
     metavar="MODEL",
     shell_complete=complete_model,
-    help="The sensors' model, whatever the packets say: a name from the catalogue, or a YAML file.",
+    help="Use this sensor model, whatever the packets say: a name from the catalogue, or a YAML file.",
 )
 from_option = cloup.option(
     "--from",
@@ -92,10 +92,15 @@ from_option = cloup.option(
     type=float,
     default=0.0,
     metavar="SECONDS",
-    help="Start so long after the first packet.  [default: 0]",
+    help="Start this long after the first packet.  [default: 0]",
 )
 to_option = cloup.option(
-    "--to", "to_s", type=float, default=math.inf, metavar="SECONDS", help="Stop there.  [default: the end]"
+    "--to",
+    "to_s",
+    type=float,
+    default=math.inf,
+    metavar="SECONDS",
+    help="Stop this long after the first packet.  [default: the end]",
 )
 sensor_option = cloup.option(
     "--sensor",
@@ -103,7 +108,7 @@ sensor_option = cloup.option(
     multiple=True,
     metavar="NAME",
     shell_complete=complete_mount,
-    help="Only this mount, or host:port. May be repeated.",
+    help="Use only this mount, or host:port. May be repeated.",
 )
 json_option = cloup.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
 tolerance_option = cloup.option(
@@ -116,23 +121,23 @@ quiet_option = cloup.option("--quiet", is_flag=True, help="Print only errors.")
 
 
 def command_line() -> str:
-    """What was typed, quoted for a shell."""
+    """The command as it was typed, quoted for a shell."""
     return shlex.join(["lidarcfg", *sys.argv[1:]])
 
 
 def warn(message: str) -> None:
-    """Print one line to stderr; the command goes on."""
+    """Print a warning of one line to stderr."""
     click.echo(f"lidarcfg: warning: {one_line(message)}", err=True)
 
 
 def warn_of(vehicle: "Vehicle | None") -> None:
-    """Print what looks wrong with a vehicle's meshes."""
+    """Print the warnings about a vehicle's meshes."""
     for message in vehicle.warnings if vehicle else ():
         warn(message)
 
 
 def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
-    """The vehicle's motion from X,Y,YAW_DEG on; without a file it stands there."""
+    """The vehicle's motion, which starts at X,Y,YAW_DEG; without a file the vehicle stands there."""
     from lidarcfg.capture.record import place
     from lidarcfg.world.motion import STANDING, Trajectory, load_path, prepared
 
@@ -140,14 +145,14 @@ def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
 
 
 def nanoseconds(start: str) -> int:
-    """Nanoseconds since 1970 in UTC, from ISO 8601."""
+    """Nanoseconds since 1970 (UTC) of a time in ISO 8601."""
     from lidarcfg.capture.record import time_ns
 
     return _parsed(time_ns, start, "--start")
 
 
 def _parsed(read: "Callable[[str], T]", text: str, option: str) -> "T":
-    """What an option's text says, or click's error."""
+    """The value of an option's text. Raises click.BadParameter."""
     from lidarcfg.errors import ConfigError
 
     try:

@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from lidarcfg.report import Baseline
     from lidarcfg.rig import Rig
 
-baseline_option = cloup.option(
-    "--baseline", type=FILE, metavar="RIG", help="A rig to show beside the result, with the differences."
-)
+baseline_option = cloup.option("--baseline", type=FILE, metavar="RIG", help="Compare the result with this rig.")
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
 OnProgress = Callable[[float, str], None]
 
@@ -53,11 +51,11 @@ OnProgress = Callable[[float, str], None]
     cloup.option(
         "--solver",
         type=click.Choice(["auto", "abc", "annealing", "cmaes", "de"]),
-        help="Method.  [default: the study's]",
+        help="Search method.  [default: the study's]",
     ),
-    cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Seed.  [default: the study's]"),
+    cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Random seed.  [default: the study's]"),
     cloup.option(
-        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Any number gives the same result.  [default: all]"
+        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Does not change the result.  [default: all cores]"
     ),
     cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
 )
@@ -66,7 +64,7 @@ OnProgress = Callable[[float, str], None]
     cloup.option("--cycles", type=click.IntRange(1), metavar="N", help="Stop after N cycles of the swarm."),
     cloup.option("--evaluations", type=click.IntRange(1), metavar="N", help="Stop after N evaluated rigs."),
     cloup.option("--seconds", type=PositiveNumber(10**9), metavar="SECONDS", help="Stop after this time."),
-    help="What is given here replaces the study's budget.",
+    help="These replace the study's budget.",
 )
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/STUDY]")
 @baseline_option
@@ -86,11 +84,11 @@ def optimize(
 ) -> None:
     """Find the poses that minimise the largest unseen subspace.
 
-    Ctrl-C ends the search and keeps the best rig found. While it runs, rig.yaml and search.npz are updated every few
-    seconds, so that --resume can continue even a search that was killed.
+    Ctrl-C ends the search and keeps the best rig found. rig.yaml and search.npz are updated every few seconds, so
+    --resume can continue even a search that was killed.
 
-    A study with `choose` has a front as its result: the rigs that no other one beats in both price and objective, in
-    front.html, and a folder for each in points/. Its budget is for all combinations together.
+    If the study lets sensors be chosen (`choose`), the result is a front: the rigs that no other rig beats in both
+    price and objective. front.html shows them, and points/ has a folder for each. All combinations share the budget.
     """
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
@@ -239,8 +237,8 @@ def evaluate(
 ) -> None:
     """Evaluate a rig: max VSR, worst subspaces, detection rates.
 
-    The study's bounds on the poses are not enforced. --tolerance refines the cuboids until the max VSR of the smooth
-    subspaces, whose surface the cuboids' faces overestimate, is known that well.
+    The study's bounds on the poses are not enforced. The cuboids' faces overestimate the surface of a subspace;
+    --tolerance refines them until the max VSR of the smooth subspaces is known to this relative error.
     """
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
@@ -285,7 +283,9 @@ def evaluate(
           --study data/studies/sedan.yaml -o out/compared
     """
 )
-@cloup.argument("rigs", type=FILE, nargs=-1, metavar="RIG RIG...", help="From 2 to 10 rigs; one may stand twice.")
+@cloup.argument(
+    "rigs", type=FILE, nargs=-1, metavar="RIG RIG...", help="2 to 10 rigs; the same one may be given twice."
+)
 @cloup.option("--study", type=FILE, required=True, metavar="STUDY", help="The region and the objects.")
 @tolerance_option
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for compare.html and compare.json.")

@@ -24,15 +24,18 @@ if TYPE_CHECKING:
     """
 )
 @cloup.argument("pcap", type=FILE, help="A capture.")
-@cloup.argument("target", metavar="HOST[:PORT]", help="Where to. Without a port each datagram keeps its own.")
-@cloup.option("--speed", type=Factor(10**6), metavar="FACTOR", default=1.0, help="Times real time.  [default: 1]")
+@cloup.argument("target", metavar="HOST[:PORT]", help="The receiver. Without a port each datagram keeps its own.")
+@cloup.option(
+    "--speed", type=Factor(10**6), metavar="FACTOR", default=1.0, help="Replay this many times as fast.  [default: 1]"
+)
 @cloup.option("--loop", is_flag=True, help="Start over at the end, until Ctrl-C.")
 @cloup.option_group("Selection", from_option, to_option, help="Send only a part of the capture.")
 @quiet_option
 def replay(pcap: Path, target: str, speed: float, loop: bool, from_s: float, to_s: float, quiet: bool) -> None:
     """Send a capture's datagrams to a host, to test a driver live.
 
-    They keep the pace of the recording, times --speed."""
+    The datagrams keep the pace of the recording, times --speed.
+    """
     from lidarcfg.capture.replay import looped, selected
     from lidarcfg.capture.replay import replay as send
     from lidarcfg.capture.selection import Selection

@@ -42,15 +42,15 @@ class Where:
       lidarcfg sweep data/studies/trend.yaml -o out/trend --dry-run
     """
 )
-@cloup.argument("plan", type=FILE, help="YAML: a study, and the values that some of its keys take.")
+@cloup.argument("plan", type=FILE, help="YAML: a study, and the values to try for some of its keys.")
 @cloup.option_group(
     "Workers",
     cloup.option(
-        "--workers", type=click.IntRange(1, 1024), metavar="N", help="Local processes.  [default: one a processor]"
+        "--workers", type=click.IntRange(1, 1024), metavar="N", help="Local processes.  [default: one per core]"
     ),
     cloup.option("--scheduler", metavar="ADDRESS", help="The Dask scheduler of a cluster: tcp://HOST:PORT."),
 )
-@cloup.option("--dry-run", is_flag=True, help="Only say how many runs there are, and about how long they take.")
+@cloup.option("--dry-run", is_flag=True, help="Only print the number of runs and about how long they take.")
 @cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/PLAN]")
 @quiet_option
 def sweep(
@@ -58,8 +58,8 @@ def sweep(
 ) -> None:
     """Search once for every combination of values of a study's keys.
 
-    Writes a table with one row per run, a plot, and the rig of each run. However the command ends, the same command
-    again does what is missing. The result depends neither on the number of workers nor on where they are.
+    Writes a table with one row per run, a plot, and the rig of each run. If the command is interrupted, run it again:
+    it does only the missing runs. The result depends neither on the number of workers nor on where they run.
     """
     from lidarcfg import report
     from lidarcfg.studies import load_plan

@@ -69,7 +69,7 @@ def camera_numbers(text: str) -> tuple[float, ...]:
 )
 @cloup.option_group(
     "Captures",
-    cloup.option("--rig", type=FILE, help="The rig that recorded the captures.  [default: as their export noted]"),
+    cloup.option("--rig", type=FILE, help="The rig that recorded the captures.  [default: from the export's record]"),
     model_option,
     from_option,
     to_option,
@@ -77,11 +77,15 @@ def camera_numbers(text: str) -> tuple[float, ...]:
 )
 @cloup.option_group(
     "Motion",
-    cloup.option("--trajectory", type=FILE, help="How the vehicle drives: points are deskewed.  [default: as noted]"),
     cloup.option(
-        "--at", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: as noted, or 0,0,0]"
+        "--trajectory", type=FILE, help="The vehicle's motion; deskews the points.  [default: from the record]"
     ),
-    cloup.option("--start", metavar="TIME", help=f"When it starts, ISO 8601.  [default: as noted, or {START}]"),
+    cloup.option(
+        "--at", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: from the record, or 0,0,0]"
+    ),
+    cloup.option(
+        "--start", metavar="TIME", help=f"When the motion starts; ISO 8601.  [default: from the record, or {START}]"
+    ),
 )
 @cloup.option_group(
     "Display",
@@ -99,12 +103,17 @@ def camera_numbers(text: str) -> tuple[float, ...]:
         default=3,
         help="Show the N worst subspaces, at most 10.  [default: 3]",
     ),
-    cloup.option("--camera", type=camera_numbers, metavar="X,Y,Z,X,Y,Z[,DEG]", help="Eye, target, field of view."),
+    cloup.option(
+        "--camera",
+        type=camera_numbers,
+        metavar="X,Y,Z,X,Y,Z[,DEG]",
+        help="Eye, target, field of view of a still or the page.",
+    ),
 )
 @cloup.option_group(
     "Output",
     cloup.option("--html", type=FILE, help="Write the page as one file that needs no server."),
-    cloup.option("--png", type=Png(), help="Draw a still; needs no screen."),
+    cloup.option("--png", type=Png(), help="Draw a still picture; needs no screen."),
     cloup.option(
         "--size",
         type=size,
@@ -140,8 +149,8 @@ def view(
 ) -> None:
     """View captures, clouds, rigs, studies and scenes.
 
-    Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study the
-    rig's sensors can be dragged, and max VSR and the worst subspaces follow. Ground truth (export --truth) given
+    Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study, the
+    rig's sensors can be dragged; max VSR and the worst subspaces are updated. Ground truth (export --truth) given
     beside its capture names the object that each point lies on. Rig, scene, vehicle and trajectory of an exported
     capture are taken from the .pcap.yaml beside it.
     """
