@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Self
 
+MESSAGE_MAX = 200  # characters of a library's message
+
 
 def one_line(text: str) -> str:
     """The text with control characters, which names may contain, written as escapes."""
@@ -24,6 +26,13 @@ class LidarcfgError(Exception):
     def from_os(cls, path: str | Path, error: OSError) -> Self:
         """The error for a file that the operating system does not let us read or write."""
         return cls(f"{path}: {reason(error)}")
+
+    @classmethod
+    def damaged(cls, path: Path, error: object, kind: str = "") -> Self:
+        """The error for a file that a library cannot read, or that memory does not hold; `kind`: unless its suffix."""
+        what = " ".join(str(error).split())[:MESSAGE_MAX] or type(error).__name__
+        large = ", or more than memory holds" * isinstance(error, MemoryError)
+        return cls(f"{path}: not a whole {kind or path.suffix[1:].lower()} file{large}: {what}")
 
 
 class ConfigError(LidarcfgError):
@@ -49,13 +58,6 @@ class PacketError(LidarcfgError):
 
 class CloudError(LidarcfgError):
     """A point cloud cannot be read, written or shown."""
-
-    @classmethod
-    def damaged(cls, path: Path, error: Exception) -> "CloudError":
-        """What a library says of a file that it cannot read, or that memory does not hold."""
-        what = " ".join(str(error).split())[:200] or type(error).__name__
-        large = ", or more than memory holds" * isinstance(error, MemoryError)
-        return cls(f"{path}: not a whole {path.suffix[1:].lower()} file{large}: {what}")
 
 
 class ConversionError(LidarcfgError):

@@ -13,6 +13,7 @@ GROUND = {
     "inputs",
     "units",
     "files",
+    "futures",
     "aside",
     "geometry",
     "config",

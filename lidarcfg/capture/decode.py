@@ -2,9 +2,9 @@
 
 import os
 import socket
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from glob import escape
@@ -20,6 +20,7 @@ from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window
 from lidarcfg.capture.stream import ENOUGH, OnHeads, Place, SourceStats, Stream
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
+from lidarcfg.futures import in_order
 from lidarcfg.inputs import read_regular
 from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, Times, codec, family
 from lidarcfg.packets.point_fields import asked
@@ -112,17 +113,10 @@ def _keep_memory() -> None:
 
 
 def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
-    """What the jobs give, in their order; while the first is waited for, the next are done as well."""
+    """The results of the jobs in their order, computed on all cores."""
     threads = os.cpu_count() or 1
-    waiting: deque[Future[PointCloud]] = deque()
     with ThreadPoolExecutor(threads) as pool:
-        for job in jobs:
-            waiting.append(pool.submit(job))
-            del job  # if it is to raise an error, that one's traceback would hold it until the garbage is collected
-            if len(waiting) > threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+        yield from in_order(map(pool.submit, jobs), threads)
 
 
 class Capture:

@@ -18,7 +18,7 @@ from lidarcfg.geometry import Array, pose
 from lidarcfg.rig import ReturnMode, Rig
 from lidarcfg.sensor import catalogue
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import STANDING, Trajectory, load_path, prepared
+from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import Scene, files_of
 from lidarcfg.world.vehicle import NONE, Vehicle
 
@@ -87,8 +87,7 @@ class Record(Model):
 
     def motion(self, record: Path) -> Trajectory:
         """The vehicle's motion. Raises ConfigError as `path` does, and for a place or a time that is none."""
-        file = self.path("trajectory", record)
-        return Trajectory(place(self.at), load_path(file) if file else prepared(STANDING), time_ns(self.start))
+        return Trajectory(place(self.at), load_path(self.path("trajectory", record)), time_ns(self.start))
 
 
 def place(at: str) -> Array:

@@ -139,9 +139,9 @@ def warn_of(vehicle: "Vehicle | None") -> None:
 def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
     """The vehicle's motion, which starts at X,Y,YAW_DEG; without a file the vehicle stands there."""
     from lidarcfg.capture.record import place
-    from lidarcfg.world.motion import STANDING, Trajectory, load_path, prepared
+    from lidarcfg.world.motion import Trajectory, load_path
 
-    return Trajectory(_parsed(place, at, "--at"), load_path(path) if path else prepared(STANDING), start_ns)
+    return Trajectory(_parsed(place, at, "--at"), load_path(path), start_ns)
 
 
 def nanoseconds(start: str) -> int:

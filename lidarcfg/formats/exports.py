@@ -18,7 +18,7 @@ from lidarcfg.simulate import export as packets
 from lidarcfg.simulate.scans import simulated_scans
 from lidarcfg.simulate.tasks import START_NS, Drive
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import STANDING, Trajectory, load_path, prepared
+from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import rig_vehicle
 
@@ -49,8 +49,7 @@ def export(
     if isinstance(at, Trajectory):
         moved = at
     else:
-        path = prepared(STANDING) if trajectory is None else load_path(trajectory)
-        moved = Trajectory(np.eye(4) if at is None else at, path, START_NS)
+        moved = Trajectory(np.eye(4) if at is None else at, load_path(trajectory), START_NS)
     drive = Drive(rig, scene, moved, rig_vehicle(rig), START_NS, round(duration_s * SECOND_NS))
     where = None if isinstance(at, Trajectory) else _place(moved.T_world_start)
     noted = where is not None and files["rig"] and files["scene"]

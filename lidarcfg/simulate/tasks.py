@@ -1,9 +1,8 @@
 """The work of a simulation: what each sensor of a rig is to trace, chunk by chunk, on threads that they share."""
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -13,6 +12,7 @@ import numpy as np
 from lidarcfg.capture.pcap import TIME_END_NS
 from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
+from lidarcfg.futures import in_order
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Timing, timing
 from lidarcfg.rig import Mount, Rig
@@ -209,7 +209,7 @@ def worked(task: Task, crew: Crew, make: Callable[[Batch, Echoes], T]) -> Iterat
     with crew.workers.pool() as pool:
         batches = timing.schedule(mount, task.start_ns, total, packets)
         jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
-        for number, chunk in enumerate(_ahead(jobs), 1):
+        for number, chunk in enumerate(in_order(jobs, AHEAD), 1):
             if chunk:
                 made, counts = chunk
                 crew.on_rays(counts)
@@ -224,14 +224,3 @@ def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:
     for batch in batches:
         yield batch, first
         first += len(batch.firings.time_ns)
-
-
-def _ahead(jobs: Iterator[Future[T]]) -> Iterator[T]:
-    """The results of jobs in order, while a few more run."""
-    waiting: deque[Future[T]] = deque()
-    for job in jobs:
-        waiting.append(job)
-        if len(waiting) > AHEAD:
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()

@@ -27,9 +27,9 @@ def said(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise _damaged(path, error) from None
+        raise SceneError.damaged(path, error, "glTF") from None
     if not isinstance(found, dict):
-        raise _damaged(path, "its JSON is no object")
+        raise SceneError.damaged(path, "its JSON is no object", "glTF")
     return found
 
 
@@ -53,7 +53,7 @@ def check_nodes(path: Path, wanted: Collection[str] | None = None) -> frozenset[
                 for wrong in _mistakes(whole, node, parents[i]):
                     raise SceneError(f"{path}: node {name!r} {wrong}")
     except (AttributeError, TypeError, ValueError, LookupError) as error:
-        raise _damaged(path, error) from None
+        raise SceneError.damaged(path, error, "glTF") from None
     return frozenset(names)
 
 
@@ -72,7 +72,3 @@ def _mistakes(whole: dict[str, Any], node: dict[str, Any], parents: int) -> Iter
         yield f"has morph targets in use (in Blender, shape keys); {SHAPES}"
     if INSTANCES in node.get("extensions", ()):
         yield f"stands for several by {INSTANCES}; export it again without instancing"
-
-
-def _damaged(path: Path, what: object) -> SceneError:
-    return SceneError(f"{path}: not a whole glTF file: {' '.join(str(what).split())[:200]}")

@@ -15,13 +15,12 @@ from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.world.meshes import Mesh, check_readable
+from lidarcfg.world.meshes import FILE_MAX, Mesh, check_readable
 
 if TYPE_CHECKING:
     from lidarcfg.world.scene import HeightField
 
 SUFFIXES = ".png", ".npy"
-FILE_MAX = 500_000_000  # bytes
 CELLS_MAX = 10_000_000
 CELL_BYTES = 600  # of memory a cell while the tracer's tree is built
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -106,5 +105,4 @@ def _described(path: Path) -> Iterator[None]:
     try:
         yield
     except (*NPZ_ERRORS, OSError) as error:
-        what = " ".join(str(error).split())[:200] or type(error).__name__
-        raise SceneError(f"{path}: not a whole {path.suffix[1:].lower()} file: {what}") from None
+        raise SceneError.damaged(path, error) from None

@@ -78,8 +78,7 @@ def read_parts(path: Path, wanted: Collection[str] | None = None) -> list[Part]:
     try:
         found = sorted(_pieces(path, trimesh.load_scene(path, process=False)), key=itemgetter(0, 1, 2))
     except ERRORS as error:
-        what = " ".join(str(error).split())[:200] or type(error).__name__
-        raise SceneError(f"{path}: not a whole glTF file: {what}") from None
+        raise SceneError.damaged(path, error, "glTF") from None
     if not found:
         raise SceneError(f"{path}: no triangles in any of its nodes")
     groups = groupby(found, itemgetter(0, 1))

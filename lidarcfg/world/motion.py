@@ -251,8 +251,10 @@ def load_motion(path: str | Path) -> Motion:
     return Motion(poses=tuple(TimedPose(time_s=r[0], position_m=r[1:4], quaternion_xyzw=r[4:]) for r in rows))
 
 
-def load_path(path: str | Path) -> MotionPath:
-    """The path of the motion in a file; a million poses in a .tum file take seconds. Raises ConfigError."""
+def load_path(path: str | Path | None) -> MotionPath:
+    """The path of the motion in a file; of None, one that stands. Raises ConfigError."""
+    if path is None:
+        return prepared(STANDING)
     path = example(path)
     if path.suffix != TUM:
         return prepared(load(path, Motion))

@@ -14,7 +14,7 @@ from lidarcfg.cloud_rows import read_rows
 from lidarcfg.errors import CloudError, ConversionError, SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.world.meshes import Mesh, check_readable, placed
+from lidarcfg.world.meshes import FILE_MAX, Mesh, check_readable, placed
 
 if TYPE_CHECKING:
     from lidarcfg.world.scene import Surfels
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 SIDES = 6
 CORNER = math.sqrt(2 * math.pi / (SIDES * math.sin(2 * math.pi / SIDES)))  # a corner's distance, in radii: equal areas
 SUFFIXES = ".ply", ".pcd", ".npz", ".las", ".laz"
-FILE_MAX = 500_000_000  # bytes
 POINTS_MAX = 1_000_000
 POINT_BYTES = 1500  # of memory a point while the tracer's tree is built
 NEIGHBOURS = 12  # nearest points, itself included, that a normal is estimated from
