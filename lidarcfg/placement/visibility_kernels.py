@@ -112,7 +112,7 @@ def clear_up(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks):
                 z,
             )
             if word != NONE:
-                shade(obstacles.tree, looks.shadows, xs, ox, first, y, z, word, row, clear[lidar])
+                shade(obstacles.tree, looks.shadows, xs, ox, first, edge, y, z, word, row, clear[lidar])
 
 
 @inner()
