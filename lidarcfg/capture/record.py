@@ -6,15 +6,16 @@ import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 import yaml
 
 import lidarcfg
 from lidarcfg.config import Model, Positive, error_at, load
 from lidarcfg.errors import ConfigError, reason
 from lidarcfg.files import example, replacing
-from lidarcfg.geometry import Array, pose
+from lidarcfg.geometry import Array, angles, pose
 from lidarcfg.rig import ReturnMode, Rig
 from lidarcfg.sensor import catalogue
 from lidarcfg.units import SECOND_NS
@@ -23,7 +24,15 @@ from lidarcfg.world.scene import Scene, files_of
 from lidarcfg.world.vehicle import NONE, Vehicle
 
 SUFFIX = ".yaml"  # behind the capture's name: a rig may be called as the capture is
+BESIDE = ".rig.yaml", ".scene.yaml", ".trajectory.yaml", ".trajectory.tum"  # likewise: inputs that were in no file
 READ = 1 << 20  # bytes of a file at once
+
+
+class Beside(NamedTuple):
+    """An input that is in no file: it is written into one beside the capture."""
+
+    suffix: str  # behind the capture's name
+    text: str
 
 
 class Part(Model):
@@ -51,11 +60,11 @@ class Record(Model):
     kind: ClassVar[str] = "record of a capture"
     version: str = lidarcfg.__version__
     rig: Input
-    scene: Input
+    scene: Input | None = None  # none: it was in no file, and cannot be in one of its own
     trajectory: Input | None = None
     vehicle: Input | Literal["none"] | None = None  # none at all; or the rig's, if it names one
     models: dict[str, str] | None = None  # the catalogue's sensors in the rig, and the sha256 of their files
-    at: str  # X,Y,YAW_DEG: where the vehicle starts
+    at: str  # where the vehicle starts, as `place` reads it
     start: str  # ISO 8601; UTC unless it names a zone
     return_mode: ReturnMode | None = None  # none: the rig's
     duration_s: Positive
@@ -91,14 +100,26 @@ class Record(Model):
 
 
 def place(at: str) -> Array:
-    """T_world_vehicle (4, 4) from X,Y,YAW_DEG. Raises ConfigError."""
+    """T_world_vehicle (4, 4) from X,Y,YAW_DEG, or X,Y,Z,ROLL_DEG,PITCH_DEG,YAW_DEG. Raises ConfigError."""
     try:
-        x, y, yaw_deg = map(float, at.split(","))
-        if not all(map(math.isfinite, (x, y, yaw_deg))):
+        numbers = [float(word) for word in at.split(",")]
+        if len(numbers) == 3:
+            numbers[2:] = 0.0, 0.0, 0.0, numbers[2]
+        if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
             raise ValueError
     except ValueError:
-        raise ConfigError(f"{at!r} is not three numbers X,Y,YAW_DEG") from None
-    return pose((x, y, 0.0), (0.0, 0.0, math.radians(yaw_deg)))
+        raise ConfigError(f"{at!r} is not three numbers X,Y,YAW_DEG, nor six X,Y,Z,ROLL,PITCH,YAW") from None
+    return pose(numbers[:3], [math.radians(angle) for angle in numbers[3:]])
+
+
+def place_text(T_world_vehicle: Array) -> str | None:
+    """What `place` reads as this pose (4, 4); None: it is no rotation and shift."""
+    position = T_world_vehicle[:3, 3].tolist()
+    roll, pitch, yaw = np.degrees(angles(T_world_vehicle[:3, :3])).tolist()
+    flat = position[2] == roll == pitch == 0.0
+    numbers = (*position[:2], yaw) if flat else (*position, roll, pitch, yaw)
+    text = ",".join(repr(number + 0.0).removesuffix(".0") for number in numbers)
+    return text if np.allclose(place(text), T_world_vehicle, rtol=0, atol=1e-12) else None
 
 
 def time_ns(start: str) -> int:
@@ -150,7 +171,7 @@ def _models(rig: Rig) -> dict[str, str] | None:
 
 def save_record(
     capture: Path,
-    files: Mapping[str, Path | None],
+    files: Mapping[str, Path | Beside | None],
     rig: Rig,
     scene: Scene,
     vehicle: Vehicle | None,
@@ -160,21 +181,33 @@ def save_record(
 
     Rig, scene and vehicle are what was read of the files: what they name is noted, too.
     """
-    path = record_path(capture)
-    named = {"rig": _sensor_files(rig), "scene": files_of(scene.file, example(files["scene"] or "").parent)}
+    path, scene_file = record_path(capture), files["scene"]
+    named = {"rig": _sensor_files(rig)}
+    named["scene"] = files_of(scene.file, example(scene_file).parent) if isinstance(scene_file, Path) else []
     owner = "vehicle" if files.get("vehicle") else "rig"
     named[owner] = [*named.get(owner, ()), *(files_of(vehicle.file, Path()) if vehicle else ())]
     inputs: dict[str, Any] = {"models": _models(rig)}
-    for key, file in files.items():
-        if file:
+    for key, given in files.items():
+        if given:
+            own = _written(given, capture) if isinstance(given, Beside) else Part.of(given, path)
             others = dict.fromkeys(
-                one for one in named.get(key, ()) if os.path.realpath(one) != os.path.realpath(example(file))
+                one
+                for one in named.get(key, ())
+                if isinstance(given, Beside) or os.path.realpath(one) != os.path.realpath(example(given))
             )
             parts = tuple(Part.of(one, path) for one in others)
-            inputs[key] = Input(**Part.of(file, path).model_dump(), files=parts or None)
+            inputs[key] = Input(**own.model_dump(), files=parts or None)
     record = Record.model_validate({**inputs, **{key: value for key, value in values.items() if value is not None}})
     with replacing(path) as out:
         yaml.safe_dump(record.model_dump(mode="json", exclude_none=True), out, sort_keys=False, allow_unicode=True)
+
+
+def _written(given: Beside, capture: Path) -> Part:
+    """Write it, and name it as the record does."""
+    path, octets = capture.with_name(capture.name + given.suffix), given.text.encode()
+    with replacing(path, "wb") as out:
+        out.write(octets)
+    return Part(file=path.name, sha256=hashlib.sha256(octets).hexdigest())
 
 
 def _sha256(path: Path) -> str:

@@ -115,7 +115,8 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
         record.path(key, beside, hint) for key in ("rig", "scene", "trajectory", "vehicle")
     )
     assert rig
-    assert scene
+    if not scene:
+        raise ConfigError(f"{beside}: names no scene; export with the scene's file")
     mounted, start_ns = load_rig(rig), nanoseconds(record.start)
     moved = load_trajectory(trajectory, record.at, start_ns)
     duration_ns = round(record.duration_s * SECOND_NS)

@@ -1,6 +1,6 @@
 """A scene: the surroundings of the vehicle in the world frame, from a YAML file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -191,6 +191,7 @@ class Scene:
     motions: tuple[Motion | None, ...]  # (objects,) None: static
     places_m: Array  # (objects, 3) the origin of each object's own frame at time 0, about which it rotates
     items: tuple[Ground | SceneObject, ...] = ()  # (objects,) what each was made from
+    path: Path | None = field(default=None, compare=False)  # of the scene's file
 
     @property
     def rounds(self) -> list[tuple[int, Sphere | Cylinder]]:
@@ -213,7 +214,7 @@ def load_scene(path: str | Path) -> Scene:
     """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
     path = example(path)
     file = load(path, SceneFile)
-    return built(file, path)
+    return replace(built(file, path), path=path)
 
 
 def files_of(file: Model, folder: Path) -> list[Path]:

@@ -1,5 +1,7 @@
 """`lidarcfg.export` and `lidarcfg.decode`: what the commands write and read, from files or from what was loaded."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,23 +10,28 @@ from lidarcfg.cloud import load_cloud
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import pose
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import standing
+from lidarcfg.world.motion import Motion, Trajectory, prepared, standing
 from tests import command_line
 from tests.capture_fixtures import no_warning
 
-RIG, STREET = "data/rigs/mixed.yaml", "data/scenes/street.yaml"
+RIG, ROOF, STREET = "data/rigs/mixed.yaml", "data/rigs/roof.yaml", "data/scenes/street.yaml"
+WALL = """name: wall
+ground: {reflectivity: 12}
+boxes: [{name: wall, center_m: [10.5, 0, 2], size_m: [1, 40, 4], reflectivity: 40}]
+"""
 
 
 @pytest.mark.parametrize("name", ["a.pcap", "a.ply"])
 @pytest.mark.parametrize("loaded", [True, False])
 def test_it_is_what_the_command_writes(tmp_path, name, loaded):
-    """Byte for byte, with what readers need beside it; the record aside where it cannot name the files."""
+    """Byte for byte, with what readers need beside it; the record aside where it names a file of its own."""
     ours, theirs = tmp_path / "ours", tmp_path / "theirs"
     rig = lidarcfg.load_rig(RIG) if loaded else RIG
     lidarcfg.export(rig, lidarcfg.load_scene(STREET) if loaded else STREET, str(ours / name), duration_s=0.02)
     command_line.lidarcfg("export", RIG, "--scene", STREET, "--duration", "0.02", "-o", theirs / name, "--quiet")
     if loaded:
-        (theirs / f"{name}.yaml").unlink()
+        for path in (theirs / f"{name}.yaml", ours / f"{name}.yaml", ours / f"{name}.rig.yaml"):
+            path.unlink()
     assert {path.name: path.read_bytes() for path in ours.iterdir()} == {
         path.name: path.read_bytes() for path in theirs.iterdir()
     }
@@ -69,16 +76,58 @@ def test_a_capture_whose_rig_is_gone_says_what_to_do(tmp_path):
     command_line.lidarcfg("decode", tmp_path / "a.pcap", "--rig", "none", "-o", tmp_path / "a.ply")
 
 
-def test_no_record_of_another_export_stays_beside(tmp_path):
-    """A pose that X,Y,YAW_DEG cannot say, what was loaded, and a trajectory have none."""
+def paths():
+    """Trajectories made in Python: a line, an arc, timed poses by keys and by arrays; all tilted and raised at first."""
+    T = pose((1.0, 2.0, 0.5), (0.02, -0.03, 0.7))
+    timed = [{"time_s": s, "position_m": (9 * s, s * s, 0.1), "rpy_deg": (0, 5 * s, 30 * s)} for s in (0.9, 1, 1.2)]
+    keys = prepared(Motion(poses=tuple(timed)))
+    arrays = replace(keys, motion=Motion.model_construct(poses=()))  # as of a .tum file
+    line, arc = Motion(velocity_m_s=(20, 1, 0)), Motion(arc={"speed_m_s": 9, "yaw_rate_deg_s": 40, "heading_deg": 10})
+    late_ns = START_NS - 10**9  # their time 0: they are under way for a second
+    return [standing(T), *(Trajectory(T, path, late_ns) for path in (prepared(line), prepared(arc), keys, arrays))]
+
+
+@pytest.mark.parametrize("moved", paths(), ids=["stands", "line", "arc", "keys", "arrays"])
+def test_a_record_of_what_is_in_no_file_says_all_that_reading_it_needs(tmp_path, moved):
+    """Whatever is given: deskewed, each point is where the trajectory itself puts it."""
+    (tmp_path / "wall.yaml").write_text(WALL)
+    out, rig, scene = tmp_path / "a.pcap", lidarcfg.load_rig(ROOF), lidarcfg.load_scene(tmp_path / "wall.yaml")
+    (tmp_path / "wall.yaml").unlink()
+    lidarcfg.export(rig, scene, out, 0.02, at=moved, on_warning=no_warning)
+    skewed, deskewed = lidarcfg.decode(out), lidarcfg.decode(out, deskew=True)
+    assert len(skewed.xyz) > 5000
+    np.testing.assert_allclose(deskewed.xyz, moved.world(skewed.xyz, skewed.time_ns), rtol=0, atol=1e-6)
+    assert lidarcfg.load_rig(tmp_path / "a.pcap.rig.yaml") == rig
+    assert lidarcfg.load_scene(tmp_path / "a.pcap.scene.yaml").file == scene.file
+    command_line.lidarcfg("decode", out, "--deskew", "-o", tmp_path / "a.npz", "--quiet")
+    assert np.array_equal(load_cloud(tmp_path / "a.npz", no_warning).xyz, deskewed.xyz)
+
+
+def test_what_a_record_lacks_is_said(tmp_path):
+    """A scene that names files and is in none, facts of a sensor that are in none, a pose that mirrors."""
+    rig, told = lidarcfg.load_rig(ROOF), []
+    np.save(tmp_path / "flat.npy", np.zeros((2, 2)))
+    field = "{name: f, file: flat.npy, cell_m: 50, position_m: [-25, -25, 0], reflectivity: 9}"
+    (tmp_path / "scene.yaml").write_text(f"name: s\nheight_fields: [{field}]\n")
+    scene, own = lidarcfg.load_scene(tmp_path / "scene.yaml"), replace(rig.mounts[0], model=None)
     out, record = tmp_path / "a.pcap", tmp_path / "a.pcap.yaml"
-    raised = pose((0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
-    rig = lidarcfg.load_rig(RIG)
-    for given, at in ((RIG, raised), (rig, None), (RIG, standing(np.eye(4)))):
-        lidarcfg.export(RIG, STREET, out, duration_s=0.002)
+    lidarcfg.export(rig, scene, out, 0.002, on_warning=no_warning)
+    assert lidarcfg.decode(out).sensor_names == ("left", "right")
+    (tmp_path / "scene.yaml").write_text("name: another\nground: {}\n")
+    lidarcfg.export(rig, scene, out, 0.002, on_warning=told.append)
+    assert told == [f"{record}: names no scene, which is in no file; view and convert need it"]
+    assert lidarcfg.decode(out).sensor_names == ("left", "right")
+    done = command_line.lidarcfg("convert", out, "-o", tmp_path / "a.mcap", code=2)
+    assert "a.pcap.yaml: names no scene; export with the scene's file" in done.stderr
+    for given, at, what in (
+        (replace(rig, mounts=(own,)), None, "sensors of the rig are in no file"),
+        (rig, np.diag([1.0, -1, 1, 1]), "the vehicle's pose is not rigid"),
+    ):
+        lidarcfg.export(rig, scene, out, 0.002, on_warning=told.append)
         assert record.exists()
-        lidarcfg.export(given, STREET, out, duration_s=0.002, at=at)
-        assert not record.exists()
+        lidarcfg.export(given, scene, out, 0.002, at=at, on_warning=told.append)
+        assert what in told[-1]
+        assert not list(tmp_path.glob("a.pcap.*"))
     with pytest.raises(LidarcfgError, match="at is a trajectory, and a file of another is given"):
         lidarcfg.export(RIG, STREET, out, 0.002, at=standing(np.eye(4)), trajectory="drive.yaml")
 
