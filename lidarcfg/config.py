@@ -84,6 +84,17 @@ def load(path: str | Path, model: type[M], own: bool = False) -> M:
     return loads(read_text(path), model, str(path), own)
 
 
+class _Keys(Model):
+    """A file of any kind."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+def load_keys(path: str | Path) -> dict[str, Any]:
+    """The keys and values of the file at `path`, whatever its kind. Raises ConfigError."""
+    return load(path, _Keys).model_extra or {}
+
+
 def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
     """The error `what` at a key of a loaded file, for checks that no single model can do."""
     try:

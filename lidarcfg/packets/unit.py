@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -63,8 +64,13 @@ def check_firing(section: Section, firing: Firing, sensor: Sensor) -> None:
         raise section.error(key, f"a firing lies beyond the sequence's {firing.sequence_ns} ns")
 
 
+def matrix(values: NDArray[Any], rows: int) -> NDArray[Any]:
+    """The values as a contiguous, read-only matrix (rows, …)."""
+    return read_only(np.ascontiguousarray(values).reshape(rows, -1))
+
+
 def read_only(values: NDArray[Any]) -> NDArray[Any]:
-    """The same, of one kind wherever it comes from: kernels are compiled for each kind of array."""
+    """A read-only view: kernels are compiled for each kind of array, and this makes all arguments of one kind."""
     view = values.view()
     view.flags.writeable = False
     return view

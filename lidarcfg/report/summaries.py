@@ -5,10 +5,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import ConfigDict
-
 from lidarcfg.capture.record import Record
-from lidarcfg.config import Model, load
+from lidarcfg.config import load, load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.kinds import MARKS, kind_of
@@ -33,16 +31,10 @@ class Summary:
     warnings: tuple[str, ...]
 
 
-class _Anything(Model):
-    """A file of any kind."""
-
-    model_config = ConfigDict(extra="allow")
-
-
 def summary(path: str | Path) -> Summary:
     """What a study, rig, scene, sensor, vehicle or trajectory is. Raises ConfigError and SceneError if it is wrong."""
     path = example(path)
-    kind = "trajectory" if path.suffix == ".tum" else kind_of(load(path, _Anything).model_extra)
+    kind = "trajectory" if path.suffix == ".tum" else kind_of(load_keys(path))
     if kind is None:
         raise ConfigError(f"{path}: is none of our files; allowed: {', '.join(sorted({*MARKS, 'rig'}))}")
     text, warnings = SUMMARIES[kind](path)

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import ConfigDict
 
+from lidarcfg import kinds
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.objects import Objects, load_objects, own_objects
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
-from lidarcfg.config import Model, load
+from lidarcfg.config import load_keys
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, inverse
@@ -31,15 +31,10 @@ from lidarcfg.world.vehicle import Vehicle, carried
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]
 CAPTURES = (".pcap", ".pcapng", ".cap")
 YAMLS = (".yaml", ".yml", ".json")
+YAML_KINDS: tuple[Kind, ...] = ("study", "rig", "scene")
 APART_S = 86_400.0  # that the points may lie after the start of a trajectory
 BEFORE_S = 1.0  # that a sensor may fire before it
 MAGIC = {bytes.fromhex(code) for code in ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d", "0a0d0d0a")}
-
-
-class _Keys(Model):
-    """Any map."""
-
-    model_config = ConfigDict(extra="allow")
 
 
 @dataclass(frozen=True)
@@ -119,13 +114,11 @@ def _is_truth(path: Path) -> bool:
 
 
 def _yaml_kind(path: Path) -> Kind:
-    keys = set(load(path, _Keys).model_extra or ())
-    if "region" in keys:
-        return "study"
-    if "sensors" in keys:
-        return "rig"
-    if keys & (SceneFile.model_fields.keys() - {"name"}):
-        return "scene"
+    values = load_keys(path)
+    found = kinds.kind_of(values) or ("rig" if "sensors" in values else None)
+    for kind in YAML_KINDS:
+        if kind == found:
+            return kind
     raise ConfigError(
         f"{path}:1:1: is not a rig (sensors), a study (region) or a scene ({', '.join(SceneFile.model_fields)})"
     )
@@ -158,10 +151,10 @@ def load_stage(
     the study's, or else that in the file `vehicle`, or else the rig's.
     Raises ConfigError, PacketError, CloudError, SceneError.
     """
-    kinds = [(kind_of(path), path) for path in map(example, paths)]
+    files = [(kind_of(path), path) for path in map(example, paths)]
 
     def of(kind: Kind) -> list[Path]:
-        return [path for found, path in kinds if found == kind]
+        return [path for found, path in files if found == kind]
 
     rig_paths = [*([rig] if rig else []), *of("rig")]
     source = RigSource.of(example(rig_paths[0])) if rig_paths else None

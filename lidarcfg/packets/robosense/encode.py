@@ -1,9 +1,6 @@
 """MSOP packets of firings and what they measured."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets
@@ -23,6 +20,7 @@ from lidarcfg.packets.robosense.layout import (
     write_time,
 )
 from lidarcfg.packets.robosense.slots import places
+from lidarcfg.packets.unit import matrix
 
 
 def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
@@ -41,7 +39,7 @@ def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: O
     azimuth = np.rint(spin.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
     blocks["azimuth"] = np.repeat(azimuth, blocks.shape[1] // azimuth.shape[1], axis=1)
     limits = *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
-    measured = _rows(range_m, len(packets)), _rows(reflectivity, len(packets))
+    measured = matrix(range_m, len(packets)), matrix(reflectivity, len(packets))
     encode_kernels.fill(*measured, places(unit, dual), limits, octets_of(packets))
     return packets
 
@@ -54,10 +52,3 @@ def sent(unit: Unit, dual: bool, octets: Octets) -> Flags:
     if dual:
         found[:, 1] &= (high[:, 0] != high[:, 1]) | (low[:, 0] != low[:, 1]) | (intensity[:, 0] != intensity[:, 1])
     return found
-
-
-def _rows(values: NDArray[Any], rows: int) -> NDArray[Any]:
-    """As a matrix of so many rows that is not written to: kernels are compiled for each kind of array."""
-    view = np.ascontiguousarray(values).reshape(rows, -1).view()
-    view.flags.writeable = False
-    return view

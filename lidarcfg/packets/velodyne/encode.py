@@ -1,13 +1,12 @@
 """Packets of firings and what they measured."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Firings, Flags, Octets
+from lidarcfg.packets.unit import matrix
 from lidarcfg.packets.velodyne.facts import PpsState, Unit
 from lidarcfg.packets.velodyne.layout import (
     DISTANCE_MAX,
@@ -46,11 +45,11 @@ def encode(
     blocks["flag"] = np.tile(block_flags(unit.packet, dual), len(number) // span)
     blocks["azimuth"] = np.repeat(_block_azimuths(unit, fired, dual), span, axis=1)
     laser, limits = number // (1 + dual) % unit.count, _limits(unit)
-    measured = _flat(range_m, len(packets)), _flat(reflectivity, len(packets))
+    measured = matrix(range_m, len(packets)), matrix(reflectivity, len(packets))
     returns = blocks["returns"]["distance"], blocks["returns"]["intensity"]
     encode_kernels.fill(*measured, number, unit.distance_offset_m[laser], limits, *returns)
     if unit.near_offset_m is not None:
-        sensor, azimuth = unit.sensor, _flat(fired.encoder_rad, len(packets))
+        sensor, azimuth = unit.sensor, matrix(fired.encoder_rad, len(packets))
         tables = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, unit.distance_offset_m
         encode_kernels.fill_near(*measured, azimuth, number, laser, (*tables, unit.near_offset_m), limits, *returns)
     if unit.focal is not None:
@@ -112,10 +111,3 @@ def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]
 def _limits(unit: Unit) -> tuple[float, float, float, float]:
     """What is reported, from and to, in metres; the packet's unit; and how many of them it can say."""
     return *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
-
-
-def _flat(values: NDArray[Any], rows: int) -> NDArray[Any]:
-    """(rows, …) as a matrix that is not written to: kernels are compiled for each kind of array."""
-    view = np.ascontiguousarray(values).reshape(rows, -1).view()
-    view.flags.writeable = False
-    return view
