@@ -236,6 +236,7 @@ def makers(path: Path) -> None:
             x, y, z = cloud.xyz[np.abs(cloud.xyz[:, :2]).max(axis=1) < 25].T
             axis.scatter(x, y, s=0.6, c=z, cmap="viridis", vmin=0, vmax=5, linewidths=0)
             axis.set(aspect="equal", xlim=(-25, 25), ylim=(-25, 25), title=f"{title}: {len(cloud.xyz):,} returns")
+            axis.set(xlabel="x (m)", ylabel="y (m)")
     save_figure(figure, path)
     save(Image.open(path).convert("RGB"), path)
 
