@@ -19,9 +19,9 @@ in_browser = pytest.mark.skipif(bool(LACKING), reason=LACKING)
 
 
 @contextmanager
-def serving(stage):
+def serving(stage, **options):
     """The address of a stage's page, which is served meanwhile."""
-    with Server(stage, page_of(stage, served=True)) as server:
+    with Server(stage, page_of(stage, served=True, **options)) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:

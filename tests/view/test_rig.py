@@ -287,6 +287,11 @@ def test_a_moved_pair_is_undone_and_saved(chromium, sides):
         told(chromium, "has changed on disk since it was opened")
 
 
+LEANING = """name: leaning
+sensors:
+- {{name: left, model: vlp-16, position_m: [0, 0.5, 1.9], rpy_deg: [-5, {0}, 0]}}
+- {{name: right, model: vlp-16, position_m: [0, -0.5, 1.9], rpy_deg: [5, {0}, 0]}}
+"""
 IN_VIEW = """
 const [places] = arguments;
 const { camera } = lidarcfg.stage;
@@ -322,6 +327,32 @@ def test_the_opening_view_shows_vehicle_and_worst_subspaces_whole(chromium, name
         click(chromium, "#bounds")
         chromium.find_element("tag name", "body").send_keys("f")
         assert 0.8 < seen(chromium, np.concatenate(places[:2])) < 0.95
+
+
+NEAREST = """
+const [places, aways] = arguments;
+const stage = lidarcfg.stage, at = (xyz) => stage.orbit.target.clone().set(...xyz);
+const eyes = aways.map((away) => stage.framing(places.map(at), at(away).negate())[0]);
+return [stage.camera.position, ...eyes].map((eye) => eye.toArray());
+"""
+
+
+@in_browser
+@pytest.mark.parametrize("lean_deg", [5, -5])
+def test_the_opening_view_is_from_where_the_vehicle_is_nearest(chromium, tmp_path, lean_deg):
+    """Nearer than from the corners around; the worst subspace is ahead of sensors that lean ahead, behind those that lean back."""
+    (tmp_path / "rig.yaml").write_text(LEANING.format(lean_deg))
+    stage = load_stage([ROOT / "data/studies/sedan.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
+    worst = [body.faces_m.reshape(-1, 3) for body in score(stage.study, stage.rigs[0], 1).worst]
+    places = np.concatenate([stage.study.vehicle.scene.mesh()[0], *worst])
+    assert worst[0][:, 0].mean() * lean_deg > 0
+    aways = [[np.cos(at), np.sin(at), 0.57] for at in np.radians([45, 135, 225, 315])]
+    with serving(stage, worst=1) as url:
+        opened(chromium, url)
+        eyes = np.array(chromium.execute_script(NEAREST, places.tolist(), np.array(aways).tolist()))
+        far = np.linalg.norm(eyes, axis=1)
+        assert far[0] < 1.001 * far[1:].min() < 0.8 * far[1:].max()
+        assert eyes[0, 0] * lean_deg < 0
 
 
 @in_browser

@@ -18,7 +18,17 @@ const SETTLE_MS = 250; // after so long without a move everything is drawn
 const FIELD_DEG = 60;
 const MARGIN = 1.12; // around what is to be shown whole
 const LEAST = 50_000; // points that are drawn however long they take
-const DIRECTIONS = { perspective: [-0.75, -0.45, 0.5], top: [-1e-4, 0, 1], front: [1, 0, 0], side: [0, -1, 0] };
+const CORNERS_DEG = [180, 90, 270, 0]; // of four quarters to look from, those behind the vehicle first
+const TURNS_DEG = [25, 35, 45, 55, 65]; // from these on
+const RISE = 0.57; // of the camera, over a metre to the side
+const DIRECTIONS = {
+  perspective: CORNERS_DEG.flatMap((corner) =>
+    TURNS_DEG.map((turn) => ((corner + turn) * Math.PI) / 180).map((at) => [Math.cos(at), Math.sin(at), RISE]),
+  ),
+  top: [[-1e-4, 0, 1]],
+  front: [[1, 0, 0]],
+  side: [[0, -1, 0]],
+};
 
 // Names of renderers that run on the processor: Chromium's SwiftShader, Mesa's llvmpipe and softpipe, Windows' WARP.
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
@@ -108,11 +118,13 @@ export class Stage {
     this.moved();
   }
 
-  // The vehicle and the worst subspaces, or what there is instead of them, from a side.
+  // The vehicle and the worst subspaces, or what there is instead of them, from a side: that nearest to the vehicle.
   look(from) {
     const places = this.about.opening.map((at) => placed(this.vehicle, new Vector3(...at)));
-    const away = new Vector3(...DIRECTIONS[from]).transformDirection(this.vehicle.matrixWorld);
-    this.fit(places, away.negate());
+    const towards = (away) => new Vector3(...away).transformDirection(this.vehicle.matrixWorld).negate();
+    const views = DIRECTIONS[from].map((away) => this.framing(places, towards(away)));
+    const far = views.map(([eye]) => eye.distanceTo(this.vehicle.position));
+    this.place(...views[far.indexOf(Math.min(...far))]);
   }
 
   // All points and bodies that are shown, from where the camera looks now.
@@ -128,11 +140,11 @@ export class Stage {
       object.children.forEach(collect);
     };
     [this.vehicle, ...this.bodies.filter(({ parent }) => parent !== this.vehicle)].forEach(collect);
-    if (places.length) this.fit(places, this.orbit.target.clone().sub(this.camera.position));
+    if (places.length) this.place(...this.framing(places, this.orbit.target.clone().sub(this.camera.position)));
   }
 
-  // Place the camera so near that all places are just in the picture, looking along a direction.
-  fit(places, direction) {
+  // Eye and target of the camera so near that all places are just in the picture, looking along a direction.
+  framing(places, direction) {
     const forward = direction.clone().normalize();
     const right = new Vector3().crossVectors(forward, this.camera.up).normalize();
     const up = new Vector3().crossVectors(right, forward);
@@ -148,7 +160,7 @@ export class Stage {
     const depth = Math.min(...back, Math.min(...depths) - 0.1);
     const place = forward.clone().multiplyScalar(depth);
     [right, up].forEach((axis, i) => place.addScaledVector(axis, centred(along[i], depths.map((value) => value - depth))));
-    this.place(place, place.clone().addScaledVector(forward, Math.max(middle.dot(forward) - depth, 0.5)));
+    return [place, place.clone().addScaledVector(forward, Math.max(middle.dot(forward) - depth, 0.5))];
   }
 
   // Move the camera as the vehicle moved: from one place to another, and turned about the vertical.
