@@ -1,6 +1,6 @@
-"""What is being written stands beside its output under a name of its own: locked while its writer lives.
+"""Temporary files and folders beside an output: each has a unique name and is locked while its writer lives.
 
-What a killed run has left there is not locked, so that the next run of the same output can tell and removes it.
+A killed run leaves its temporary file unlocked. The next run that writes the same output sees that, and removes it.
 """
 
 import ctypes
@@ -23,27 +23,27 @@ DIGITS = 8  # hexadecimal, in the name
 _HEXADECIMAL = set("0123456789abcdef")
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's fcntl.h and fs.h
 COMMIT_S, AGAIN_S = 5.0, 0.01  # another run's renames take microseconds
-_OWN: dict[Path, Path] = {}  # this process's names, and what they are beside
+_OWN: dict[Path, Path] = {}  # the temporary names of this process, and the outputs that they belong to
 
 
 def name_beside(path: Path) -> Path:
-    """A new hidden name in the folder of `path`, by which `remove_leftovers` knows it."""
+    """A new hidden name in the folder of `path`; `remove_leftovers` recognises it."""
     aside = path.with_name(f".{path.name}.{os.urandom(DIGITS // 2).hex()}{SUFFIX}")
     _OWN[aside] = path
     return aside
 
 
 def remove_own() -> None:
-    """Remove what this process leaves, at its end: an interrupt may come between a `with` and its first statement."""
+    """Remove the temporary files of this process at its end: an interrupt may come before a `with` can clean up."""
     for aside, path in list(_OWN.items()):
         with suppress(OSError):
             _remove(aside, path)
 
 
 def hold(handle: int) -> int | None:
-    """Lock the open file or folder until the handle that is returned is closed, at the latest as the process ends.
+    """Lock an open file or folder until the returned handle is closed, at the latest when the process ends.
 
-    None if it is gone: `remove_leftovers` came before the lock.
+    Returns None if another process removed it as a leftover before it was locked.
     """
     if fcntl is None:  # Windows, where a file is not renamed while a handle of it is open
         return os.open(os.devnull, os.O_RDONLY)
@@ -52,7 +52,7 @@ def hold(handle: int) -> int | None:
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what killed runs have left beside `path`; what a running one writes is locked, and stays."""
+    """Remove the temporary files that killed runs have left beside `path`; those of running ones are locked."""
     with suppress(OSError):  # folders that may not be listed
         for entry in os.listdir(path.parent):
             number = entry.removeprefix(f".{path.name}.").removesuffix(SUFFIX)
@@ -77,13 +77,13 @@ def _remove(aside: Path, path: Path) -> None:
 
 
 def old_name(path: Path) -> str:
-    """What the folder that is being replaced is called meanwhile."""
+    """The name of the folder that is being replaced, until it is removed."""
     return f"{path.name}.old"
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[int]:
-    """A handle of a file or folder, to lock it by. A pipe is not waited for, a link not followed. Raises OSError."""
+    """A handle to lock a file or folder by. Does not wait for a pipe, nor follow a link. Raises OSError."""
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0))
     try:
         yield handle
@@ -92,9 +92,9 @@ def opened(path: Path) -> Iterator[int]:
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Swap two files or folders in one step; False where that cannot be: not on Linux, or one is not there.
+    """Swap two files or folders in one step; returns False where that is impossible: not on Linux, or one is missing.
 
-    Microseconds: a rename that replaces a file takes milliseconds, in which the system frees what the old one held.
+    A swap takes microseconds. A rename that replaces a file takes milliseconds, as it frees the old one's blocks.
     """
     swap = _renameat2()
     return bool(swap and swap(AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), RENAME_EXCHANGE) == 0)
@@ -102,7 +102,7 @@ def exchange(one: Path, other: Path) -> bool:
 
 @cache
 def _renameat2() -> Any:
-    """The system's, or None."""
+    """The system call, or None if there is none."""
     try:
         return ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError, TypeError):
@@ -111,7 +111,7 @@ def _renameat2() -> Any:
 
 @contextmanager
 def locked(folders: Iterable[Path]) -> Iterator[None]:
-    """Folders in which no other run renames several files meanwhile; it is waited for, but not for long."""
+    """Keep other runs from renaming groups of files in these folders meanwhile; waits for them COMMIT_S at most."""
     with ExitStack() as stack:
         for folder in sorted({os.path.realpath(folder) for folder in folders}):  # each once, whatever it is called
             with suppress(OSError):  # of a folder that may not be read, or of Windows
@@ -123,7 +123,7 @@ def locked(folders: Iterable[Path]) -> Iterator[None]:
 
 
 def _lock(handle: int, wait: bool) -> bool:
-    """Lock; False if another has it locked, or if nothing can be locked there."""
+    """Lock; returns False if another process holds the lock, or if locks are not supported there."""
     if fcntl is None:
         return False
     try:

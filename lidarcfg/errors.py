@@ -29,7 +29,7 @@ class LidarcfgError(Exception):
 
     @classmethod
     def damaged(cls, path: Path, error: object, kind: str = "") -> Self:
-        """The error for a file that a library cannot read, or that memory does not hold; `kind`: unless its suffix."""
+        """The error for a file that a library cannot read or memory cannot hold; `kind` is by default the suffix."""
         what = " ".join(str(error).split())[:MESSAGE_MAX] or type(error).__name__
         large = ", or more than memory holds" * isinstance(error, MemoryError)
         return cls(f"{path}: not a whole {kind or path.suffix[1:].lower()} file{large}: {what}")
@@ -38,13 +38,13 @@ class LidarcfgError(Exception):
 class ConfigError(LidarcfgError):
     """A sensor, rig, study or scene file contains something that is not allowed.
 
-    `at` is the file's name, the key and what is wrong with it, where the error is at a key.
+    If the error is at a key, `at` holds the file's name, the key, and what is wrong with it.
     """
 
     at: tuple[str, tuple[str | int, ...], str] | None = None
 
     def of(self, name: str) -> "ConfigError":
-        """The same of a sensor of this name, unless it says already where in a file it is."""
+        """The error with the name of the sensor in front, unless it names a place in a file already."""
         return self if self.at else ConfigError(f"{name}: {self}")
 
 

@@ -1,4 +1,4 @@
-"""Files: those that come with the package, and writing: aside first, then renamed."""
+"""The files that come with the package, and output files: written aside, then renamed into place."""
 
 import errno
 import os
@@ -24,7 +24,7 @@ def shipped(folder: str) -> Path:
 
 
 def example(path: str | Path) -> Path:
-    """The path; or, where no file has it and it begins with `data/`, the example that comes with the package."""
+    """The path; if there is no such file and it begins with `data/`, the package's own copy of that example."""
     path = Path(path)
     if path.parts[:1] == ("data",) and ".." not in path.parts and not path.exists():
         found = shipped("data").joinpath(*path.parts[1:])
@@ -40,19 +40,19 @@ def loaded(given: T | str | Path, load: Callable[[str | Path], T]) -> T:
 
 @dataclass(frozen=True)
 class Whole:
-    """What is written and waits to take its place."""
+    """A finished file under its temporary name, ready to be moved into place."""
 
     temporary: Path
     path: Path
-    rest: ExitStack  # removes what is left of it after it took its place, or did not
-    inode: int  # its own, by which it is known wherever it is
+    rest: ExitStack  # cleans up afterwards, whether it was moved or not
+    inode: int  # identifies the file under either name
 
     def check(self) -> None:
-        """Raises OSError unless it may take that place."""
+        """Raises OSError unless `path` may be replaced."""
         check_replaceable(self.path)
 
     def take_place(self) -> None:
-        """What was there is in its place then. Does nothing a second time."""
+        """Swap places with the old file, if there is one. Calling it again does nothing."""
         there = self.path.exists()
         if there and self.path.stat().st_ino == self.inode:
             return
@@ -60,13 +60,13 @@ class Whole:
             self.move()
 
     def move(self) -> None:
-        """Take the place where the system cannot swap, or nothing is there."""
+        """Rename into place, where the system cannot swap or there is no old file."""
         os.replace(self.temporary, self.path)
 
 
 @dataclass(frozen=True)
 class _Old:
-    """What is removed: first moved aside, which is quick."""
+    """A file to remove: it is first moved aside, which is quick."""
 
     temporary: Path
     path: Path
@@ -78,7 +78,7 @@ class _Old:
 
 @dataclass(frozen=True)
 class _Group:
-    """What takes its place together, and what is removed before."""
+    """Files that are moved into place together, and files that are removed before that."""
 
     waiting: list[Whole]
     gone: list[Iterable[Path]]
@@ -88,7 +88,7 @@ _TOGETHER: ContextVar[_Group | None] = ContextVar("together", default=None)
 
 
 def place(whole: Whole) -> None:
-    """Let it take its place: now, or within `together` at the end of that. Raises OSError."""
+    """Move the file into place: now, or, within `together`, at the end of that block. Raises OSError."""
     if group := _TOGETHER.get():
         group.waiting.append(whole)
         return
@@ -98,7 +98,7 @@ def place(whole: Whole) -> None:
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """What is written inside takes its place at once, whatever `together` is around."""
+    """Files written inside are moved into place at once, even within a `together` block."""
     token = _TOGETHER.set(None)
     try:
         yield
@@ -108,18 +108,18 @@ def alone() -> Iterator[None]:
 
 @contextmanager
 def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A file to write that takes the place of `path` only when whole: a killed run leaves the old one.
+    """Open a temporary file that replaces `path` when the block ends without error; a killed run leaves the old file.
 
-    Missing parent folders are made. Where `path` is a symbolic link, that stays, and what it leads to is replaced.
-    What killed runs have left of the same output is removed. Within `together` the file takes its place at the end of
-    that. Raises OSError, also for a file that is read-only.
+    Missing parent folders are made. If `path` is a symbolic link, its target is replaced. Temporary files that killed
+    runs have left for the same output are removed. Within `together` the file is moved into place at the end of that
+    block. Raises OSError, also for a read-only file.
     """
     path = target(Path(path))
     check_replaceable(path)
     make_parent(path)
     remove_leftovers(path)
     temporary = name_beside(path)
-    try:  # from before it is there: an interrupt comes at any time
+    try:  # begins before the file exists, as an interrupt may come at any time
         with ExitStack() as rest:
             file, held = _created(temporary, mode)
             rest.callback(os.close, held)
@@ -152,11 +152,11 @@ def _created(temporary: Path, mode: str) -> tuple[IO[Any], int]:
 
 @contextmanager
 def together(gone: Iterable[Path] = ()) -> Iterator[None]:
-    """What `replacing` writes inside takes its place at the end, file by file with nothing between; on an error none.
+    """Move all files written inside into place together, when the block ends; after an error, none of them.
 
-    Folders of `replacing_folder`, too. The order is that of writing: what readers open first comes last. Files that are
-    `gone` are removed before. No two runs do so in a folder at the same time, so that what is there is of one of them.
-    Within another `together` all that is done at the end of that. Raises OSError.
+    This holds for `replacing` and `replacing_folder`. Files are moved in the order of writing, so write last what
+    readers open first. The files in `gone` are removed before that. A lock on the folder keeps two runs from mixing
+    their files. A block within another one is finished at the end of the outer one. Raises OSError.
     """
     if larger := _TOGETHER.get():
         larger.gone.append(gone)
@@ -204,7 +204,7 @@ def check_replaceable(path: Path) -> None:
 
 
 def check_not_read_only(path: Path) -> None:
-    """Raises OSError for a file or folder that nobody may write, not even its owner, or not this user."""
+    """Raises OSError for a file or folder that this user may not write, or that is read-only for its owner."""
     if not path.stat().st_mode & 0o222 or not os.access(path, os.W_OK):
         raise PermissionError(
             errno.EACCES, "is read-only; to have it replaced, make it writable (chmod u+w)", str(path)
@@ -212,7 +212,7 @@ def check_not_read_only(path: Path) -> None:
 
 
 def make_parent(path: Path) -> None:
-    """Make the folder that a path is to be in. Raises OSError, which names the path."""
+    """Make the parent folder of `path`. Raises OSError, which names the path."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -222,7 +222,7 @@ def make_parent(path: Path) -> None:
 
 
 def target(path: Path) -> Path:
-    """What the path leads to, whether it is there yet or not. Raises OSError for links that lead in a circle."""
+    """The target of symbolic links, whether it exists or not; else the path. Raises OSError for a circle of links."""
     if not path.is_symlink():
         return path
     with suppress(FileNotFoundError):  # a link may be there before its target

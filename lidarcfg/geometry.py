@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-UPRIGHT = 1e-9  # a frame whose x has no more of itself across has no yaw
+UPRIGHT = 1e-9  # horizontal part of the x axis, below which a frame has no yaw of its own
 
 
 def rotation(rpy_rad: Sequence[float] | Array) -> Array:
@@ -29,7 +29,7 @@ def rotation(rpy_rad: Sequence[float] | Array) -> Array:
 
 
 def level(rpy_rad: ArrayLike) -> Array:
-    """(…, 3, 2): where x and y of a frame turned by roll, pitch, yaw (…, 3) point; the first columns of R."""
+    """(…, 3, 2) the x and y axes of a frame with roll, pitch, yaw (…, 3): the first two columns of R."""
     roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
     cr, sr, sp, cp = np.cos(roll), np.sin(roll), np.sin(pitch), np.cos(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)
@@ -38,7 +38,7 @@ def level(rpy_rad: ArrayLike) -> Array:
 
 
 def up(rpy_rad: ArrayLike) -> Array:
-    """(…, 3): where z of a frame turned by roll, pitch, yaw (…, 3) points; the last column of R."""
+    """(…, 3) the z axis of a frame with roll, pitch, yaw (…, 3): the last column of R."""
     roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
     cr, sr, sp = np.cos(roll), np.sin(roll), np.sin(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)
@@ -46,7 +46,7 @@ def up(rpy_rad: ArrayLike) -> Array:
 
 
 def leaning(axis: Array, yaw_rad: Array) -> Array:
-    """(…, 3) roll, pitch, yaw of frames turned by yaw (…), then tilted the shortest way to have z along axis (…, 3)."""
+    """(…, 3) roll, pitch, yaw of frames rotated by yaw (…), then by the shortest rotation of their z to axis (…, 3)."""
     x, y, z = np.moveaxis(axis, -1, 0)
     c, s, k = np.cos(yaw_rad), np.sin(yaw_rad), 1 / np.maximum(1 + z, 1e-12)
     x_z, y_z = -(c * x + s * y), s * x - c * y  # how high x and y of the frames point
@@ -58,14 +58,14 @@ def leaning(axis: Array, yaw_rad: Array) -> Array:
 
 
 def turned(rpy_rad: ArrayLike, by_rad: ArrayLike) -> Array:
-    """(…, 3, 3): R of roll, pitch, yaw (…, 3) times R of others, which turn a frame about its own axes."""
+    """(…, 3, 3) R(rpy) R(by): frames with roll, pitch, yaw (…, 3), rotated further about their own axes."""
     first, second = (np.concatenate([level(a), up(a)[..., None]], axis=-1) for a in (rpy_rad, by_rad))
     product: Array = np.sum(first[..., :, :, None] * second[..., None, :, :], axis=-2)
     return product
 
 
 def angles(R: Array) -> Array:
-    """(…, 3): the roll, pitch and yaw of R (…, 3, 3); where x points straight up or down, of roll 0."""
+    """(…, 3) the roll, pitch and yaw of R (…, 3, 3); roll is 0 where x points straight up or down."""
     flat = np.hypot(R[..., 0, 0], R[..., 1, 0])
     upright = flat < UPRIGHT
     roll = np.where(upright, 0.0, np.arctan2(R[..., 2, 1], R[..., 2, 2]))

@@ -1,4 +1,4 @@
-"""The kinds of our YAML files, told apart by their keys, and files of other programs that are given in their place."""
+"""The kinds of our YAML files, told apart by their keys; and what other programs' files are, by suffix."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -28,7 +28,7 @@ OTHERS = {  # by suffix, what a file of another program is, and where it belongs
 
 
 def kind_of(values: object) -> str | None:
-    """Of which kind a file with these values is; None: of none that is known."""
+    """The kind of a file with these values; None if no kind fits."""
     if not isinstance(values, Mapping):
         return None
     for kind, marks in MARKS.items():
@@ -42,7 +42,7 @@ def kind_of(values: object) -> str | None:
 
 
 def _sensors(listed: Any) -> str | None:
-    """What has sensors: a study if these have bounds, a rig if they have positions."""
+    """The kind of a file with `sensors`: a study if they have bounds, a rig if they have positions."""
     items = [item for item in listed if isinstance(item, Mapping)] if isinstance(listed, tuple) else []
     if any("position_m" in item for item in items):
         return "rig"

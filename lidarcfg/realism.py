@@ -1,4 +1,4 @@
-"""The imperfections of a real sensor to simulate: none unless the rig asks for them, all repeatable from a seed."""
+"""The imperfections of a real sensor that can be simulated: all are off by default, and repeatable from a seed."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -12,11 +12,11 @@ PRESET = "measured"
 
 
 class Realism(Model):
-    """All off by default: captures are exact. simulate/noise.py and echoes.py have each model and its source."""
+    """Each is off by default: captures are exact. simulate/noise.py and echoes.py name the models' sources."""
 
     renamed: ClassVar = {"dropout_share": "dropout_fraction"}
 
-    preset: Literal["measured"] | None = None  # the sensor's file says what is not said here
+    preset: Literal["measured"] | None = None  # take what is not given here from the sensor's file
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     range_noise_m: Sigma = 0.0  # one sigma of a normal distribution
     dark_noise_m: Sigma | None = None  # instead of it, where the reflectivity is below 2; none: the same
@@ -30,7 +30,7 @@ class Realism(Model):
 
 
 class MeasuredRealism(Realism):
-    """What has been measured of a model; a rig takes it as `realism: measured`."""
+    """The measured values of a sensor model, which a rig selects with `realism: measured`."""
 
     source: str
 
@@ -47,7 +47,7 @@ RealismOrName = Annotated[Realism, BeforeValidator(_named, json_schema_input_typ
 
 
 def resolved(given: Realism, measured: MeasuredRealism) -> Realism:
-    """What is given, and where that says nothing what has been measured."""
+    """The given values, completed by the measured ones."""
     said = {key: getattr(given, key) for key in given.model_fields_set - {"preset"}}
     known = {key: getattr(measured, key) for key in measured.model_fields_set - {"source", "seed", "preset"}}
     return Realism(**known | said)

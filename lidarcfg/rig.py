@@ -123,7 +123,7 @@ def one_of(model: Model, *keys: str) -> None:
 
 
 def angles_rad(rpy_rad: Vec3 | None, rpy_deg: Vec3 | None) -> Vec3:
-    """Roll, pitch, yaw in radians from whichever is given; zero if none is."""
+    """Roll, pitch, yaw in radians, from whichever is given; zeros if neither is."""
     if rpy_deg is None:
         return rpy_rad or (0.0, 0.0, 0.0)
     roll, pitch, yaw = (math.radians(angle) for angle in rpy_deg)
@@ -154,7 +154,7 @@ class Mount:
 
     @property
     def dual(self) -> bool:
-        """Whether its packets have two returns of a firing."""
+        """Whether its packets hold two returns per firing."""
         return self.return_mode not in SINGLE
 
     @property
@@ -175,7 +175,7 @@ class Rig:
 def resolve_sensor(
     path: Path, index: int, model: str | None, elevation_deg: tuple[float, ...] | None, *at: str | int
 ) -> tuple[Sensor, str | None]:
-    """The sensor that entry `index` of the file's `sensors` means, and its model as a name or whole path.
+    """The sensor of entry `index` of the file's `sensors`, and its model as a catalogue name or an absolute path.
 
     `at` is where the entry names the model, if not at its key `model`.
     """
@@ -188,12 +188,12 @@ def resolve_sensor(
 
 
 def ports(sensor: Sensor) -> tuple[int, int]:
-    """Where data and telemetry of a sensor go unless its rig says otherwise."""
+    """The default UDP ports of a sensor's data and telemetry."""
     return (sensor.ports.data, sensor.ports.telemetry) if sensor.ports else (DATA_PORT, TELEMETRY_PORT)
 
 
 def default_host(index: int) -> str | None:
-    """The address of the rig's sensor number `index` where its file gives none: 192.168.1.201 and on."""
+    """The default address of sensor number `index`: 192.168.1.201 and following; None after the last one."""
     host = FIRST_HOST + index
     return str(host) if host <= LAST_HOST else None
 
@@ -255,7 +255,7 @@ def load_rig(path: str | Path) -> Rig:
 
 
 def _realism(path: Path, index: int, given: Realism | None, sensor: Sensor) -> Realism | None:
-    """What a mount's key says, with what the sensor's file has measured where that is asked for."""
+    """A mount's realism; `measured` stands for the values in the sensor's file. Raises ConfigError."""
     if given and given.preset:
         if sensor.realism is None:
             known = ", ".join(name for name in catalogue() if load_sensor(name).realism)
@@ -271,12 +271,12 @@ def _realism(path: Path, index: int, given: Realism | None, sensor: Sensor) -> R
 
 
 def _whole(vehicle: Mapping[str, Any], base: Path) -> dict[str, Any]:
-    """A vehicle's keys with whole paths instead of those relative to a folder."""
+    """A vehicle's keys, with absolute paths instead of paths relative to `base`."""
     return _with_files(vehicle, lambda file: os.path.realpath(base / file))
 
 
 def _with_files(vehicle: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
-    """A vehicle's keys with the paths of its meshes changed; what is not as it must be is left for its reader."""
+    """A vehicle's keys with the paths of its meshes changed; invalid values are left for the reader to report."""
 
     def changed(mesh: Any) -> Any:
         has_file = isinstance(mesh, dict) and isinstance(mesh.get("file"), str)
@@ -287,7 +287,7 @@ def _with_files(vehicle: Mapping[str, Any], change: Callable[[str], str]) -> dic
 
 
 def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
-    """The rig as its file would say it: in the folder `base`, or with whole paths."""
+    """The rig as the values of its file; paths are relative to the folder `base`, or absolute without it."""
     sensors = []
     for mount in rig.mounts:
         beams: dict[str, object]
@@ -322,12 +322,12 @@ def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:
-    """Write the rig as YAML; floats are written so that they read back bit for bit."""
+    """Write the rig as YAML; floats read back bit for bit."""
     path = Path(path)
     with replacing(path) as file:
         file.write(rig_text(rig, Path(os.path.realpath(path.parent))))
 
 
 def rig_text(rig: Rig, base: Path | None = None) -> str:
-    """The rig's YAML: for a file in the folder `base`, or with whole paths."""
+    """The rig as YAML; paths are relative to the folder `base`, or absolute without it."""
     return str(yaml.safe_dump(rig_to_dict(rig, base), sort_keys=False, default_flow_style=None, width=110))

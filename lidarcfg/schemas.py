@@ -1,6 +1,6 @@
-"""JSON Schemas of our files, made from the models that read them: editors complete keys by them and mark mistakes.
+"""JSON Schemas of our files, made from the models that read them, with which editors complete keys and mark mistakes.
 
-What needs more than one key (one of two is given, a name stands once) they do not hold: `lidarcfg validate` does.
+They do not express rules about several keys, such as that one of two is given; `lidarcfg validate` checks those.
 """
 
 from importlib import import_module

@@ -1,7 +1,7 @@
 """A sensor model: its beams, how its head turns, its light, and the codec of its packets, all from one YAML file.
 
-The files in `sensors/` are the only home of beam tables: optimiser, simulator, encoder and decoder read them. What only
-the maker's packets need stands under a key called as the codec; the codec checks it when it is needed.
+Beam tables exist in the files of `sensors/` only: optimiser, simulator, encoder and decoder all read them. What only
+the maker's packets need is under a key named after the codec, which checks it when it is used.
 """
 
 import difflib
@@ -92,7 +92,7 @@ class Rotation(Model):
 
 
 class Reported(Model):
-    """Between which distances the device has returns, whatever its maker promises."""
+    """The distances between which the device reports returns, whatever its maker promises."""
 
     source: str = ""
     min_m: Least
@@ -100,7 +100,7 @@ class Reported(Model):
 
 
 class Range(Model):
-    """What distances the sensor measures: as its maker promises, which placement counts on, and as it reports them."""
+    """The distances that the sensor measures: as promised, which placement relies on, and as reported in packets."""
 
     source: str = ""
     min_m: Least = 0.0
@@ -118,7 +118,7 @@ class Range(Model):
 
 
 class Ports(Model):
-    """To which UDP ports the sensor sends unless a rig says otherwise."""
+    """The UDP ports that the sensor sends to by default."""
 
     source: str = ""
     data: Port
@@ -134,14 +134,14 @@ class Optics(Model):
 
 
 class Housing(Model):
-    """What stands on the vehicle."""
+    """The sensor's housing."""
 
     source: str = ""
     diameter_m: Metres  # of its base
 
 
 class Firing(Model):
-    """When the lasers of a sensor without a codec fire: all in a sequence, which is repeated while the head turns."""
+    """When the lasers of a sensor without a codec fire: in one sequence, which is repeated while the head turns."""
 
     source: str = ""
     step_deg: Annotated[float, Field(gt=0, le=360)] | None = None  # that the head turns from one sequence to the next
@@ -160,7 +160,7 @@ FIRING = Firing(source="a guess", step_deg=0.2)  # of a sensor whose file says n
 
 @dataclass(frozen=True)
 class File:
-    """Where a sensor was read; wherever that was, it is the same sensor."""
+    """The file that a sensor was read from; ignored when sensors are compared."""
 
     path: str = field(compare=False)
 
@@ -168,7 +168,7 @@ class File:
 class Sensor(Model):
     """A sensor model. Without a codec it has no packets: what it sees is exported as points.
 
-    What the codec reads stands in one more key, which is called as it is: `section`.
+    One more key, named after the codec, holds what the codec reads: see `section`.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -219,7 +219,7 @@ class Sensor(Model):
         return self
 
     def field_of_view_deg(self, given: tuple[float, float] | None) -> tuple[float, float] | None:
-        """A mount's horizontal field of view: what is given, or the sensor's. Raises ValueError if not within that."""
+        """A mount's horizontal field of view: the given one, or the sensor's. Raises ValueError unless within that."""
         whole = self.azimuth_fov_deg
         if given is None or whole is None:
             return given or whole
@@ -229,7 +229,7 @@ class Sensor(Model):
 
     @property
     def section(self) -> Section:
-        """What the codec reads. Raises ConfigError if there is none."""
+        """The key that the codec reads. Raises ConfigError if it is missing."""
         values = (self.model_extra or {}).get(self.codec or "")
         here = Section(values if isinstance(values, dict) else {}, self._file.path, (self.codec or "",))
         if not isinstance(values, dict):
@@ -248,7 +248,7 @@ class Sensor(Model):
 
     @property
     def sin_elevation(self) -> Array:
-        """(count,) ascending: what a cuboid's sine is compared with."""
+        """(count,) the sines of the elevations, ascending."""
         return np.sort(np.sin(self.elevation_rad))
 
     @property
@@ -258,17 +258,17 @@ class Sensor(Model):
 
     @property
     def vertical_offset_m(self) -> Array:
-        """(count,) by laser id: the beam starts this far above the sensor's origin."""
+        """(count,) by laser id: how far above the sensor's origin the beam starts."""
         return self._table("vertical_offset_mm") / 1000
 
     @property
     def lateral_offset_m(self) -> Array:
-        """(count,) by laser id: and this far to the left of where it points."""
+        """(count,) by laser id: how far to the left of the head's azimuth the beam starts."""
         return self._table("lateral_offset_mm") / 1000
 
     @property
     def forward_offset_m(self) -> Array:
-        """(count,) by laser id: and this far ahead, in the direction of the head's azimuth."""
+        """(count,) by laser id: how far ahead in the direction of the head's azimuth the beam starts."""
         return self._table("forward_offset_mm") / 1000
 
     def _table(self, key: str) -> Array:
@@ -311,15 +311,15 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
 
 
 def _plain(name: str | Path) -> str:
-    """A name without what people spell in different ways."""
+    """A name without case, blanks and punctuation, which people write in different ways."""
     return re.sub(r"[^a-z0-9]", "", str(name).lower())
 
 
 def _width_deg(azimuth_fov_deg: tuple[float, float]) -> float:
-    """Of a field of view; from 0 to 360 is all around."""
+    """The width of a field of view; from 0 to 360 is all around."""
     return (azimuth_fov_deg[1] - azimuth_fov_deg[0]) % 360 or 360.0
 
 
 def custom_sensor(elevation_deg: tuple[float, ...]) -> Sensor:
-    """A sensor of its beams' elevations alone."""
+    """A sensor of which only the elevations of its beams are known."""
     return Sensor(name="custom", beams=Beams(elevation_deg=elevation_deg))

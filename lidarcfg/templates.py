@@ -21,8 +21,8 @@ def vehicles() -> dict[str, Path]:
 def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Path]:
     """Write one of the `KINDS` of files to start from. Returns what was written.
 
-    A study gets the bounds of a vehicle: one of `vehicles`, whose mesh is copied beside it, or that in a mesh file.
-    Raises ConfigError: a file exists already, the vehicle is not known or cannot be read.
+    A study is made around a vehicle: one of `vehicles`, whose mesh is copied beside the study, or a mesh file. Raises
+    ConfigError if a file exists already, or if the vehicle is unknown or cannot be read.
     """
     known = vehicles()
     body = None if vehicle is None else known.get(vehicle, Path(vehicle))

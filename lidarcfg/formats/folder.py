@@ -38,7 +38,7 @@ def beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
-    """Where to make the folder that becomes `path`; nothing of it remains if anything goes wrong.
+    """A path at which to make the folder that will replace `path`; after an error nothing of it remains.
 
     An existing folder is replaced if what is in it is called like `contents` and all may be written; otherwise
     ConversionError or OSError is raised. It is replaced in one step on Linux; elsewhere there is a moment without it.
@@ -62,7 +62,7 @@ def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class _WholeFolder(Whole):
-    """A folder that is written and waits to take its place."""
+    """A finished folder under its temporary name, ready to be moved into place."""
 
     def check(self) -> None:
         pass  # as it was checked before it was written

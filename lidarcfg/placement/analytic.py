@@ -40,7 +40,7 @@ CUBOID_BYTES = 30  # of memory for one of it
 
 
 class Seen(NamedTuple):
-    """What the lines see of the n subspaces of a grid."""
+    """The lines' view of the n subspaces of a grid."""
 
     volume: Array  # (3, n) m³, by the axis of the lines
     shadow: Array  # (3, n) m², the pieces of lines times the area of each: a convex body's projections
@@ -48,7 +48,7 @@ class Seen(NamedTuple):
     whole: Counts  # (n,) the number of the subspace that each is part of
 
     def joined(self) -> "Seen":
-        """The same by wholes; 0 for all that is part of another."""
+        """The same for whole subspaces; parts that belong to another one are 0."""
         n = self.whole.size
 
         def total(rows: Array) -> Array:
@@ -58,14 +58,14 @@ class Seen(NamedTuple):
 
     @property
     def volume_m3(self) -> Array:
-        """(n,) the mean of the axes', weighted by shadow²: a slab is best seen by lines across it."""
+        """(n,) the mean over the axes, weighted by shadow²: lines across a slab measure it best."""
         weight = self.shadow**2
         mean: Array = (self.volume * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), np.finfo(float).tiny)
         return mean
 
     @property
     def surface_m2(self) -> Array:
-        """(n,) no less than 2 |shadow|, which is true of any body: few lines may all graze what they cross."""
+        """(n,) at least 2 |shadow|, as for any body: where lines are few, all of them may graze a subspace."""
         surface: Array = np.maximum(self.surface, 2.0 * np.linalg.norm(self.shadow, axis=0))
         return surface
 
@@ -98,14 +98,14 @@ def integrate(subspaces: Subspaces, lidars: Sequence[Lidar], visibility: Visibil
 
 
 class Level(NamedTuple):
-    """Max VSR by one grid."""
+    """Max VSR on one grid."""
 
     max_vsr_m: float
     pieces: float  # of lines, in the worst subspace
 
 
 def level(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> Level:
-    """Max VSR by one grid. Faces have at most √3 of the area, so what has half the largest by faces is no worst."""
+    """Max VSR on one grid. Faces have at most √3 times the area: what is below half the largest is not the worst."""
     subspaces = segment(region, lidars, visibility)
     parts = integrate(subspaces, lidars, visibility)
     seen, faces = parts.joined(), np.zeros(len(subspaces))
@@ -175,11 +175,11 @@ def analytic(
 
 
 def error_bar(coarse: Level, fine: Level, limited: bool = False) -> float:
-    """How far the truth may be from fine.max_vsr_m, in metres, by the same on edges twice as long.
+    """The error of fine.max_vsr_m in metres, estimated from the result on cuboids with edges twice as long.
 
-    Twice what the last halving changed, and what a lattice of so many lines may err by; twice that where sight is
-    limited, or bodies bound the region, for surfaces then end at more edges. Calibrated, not proved: see
-    docs/measure.md for how often it holds.
+    Twice the change by the last halving, plus the error of a lattice with this many pieces. The latter counts double
+    where sight is limited or bodies bound the region, as surfaces then end at more edges. Calibrated, not proved:
+    docs/measure.md says how often it holds.
     """
     lattice: float = (2.0 if limited else 1.0) * fine.max_vsr_m / max(fine.pieces, 1.0) ** 0.75
     return 2.0 * abs(fine.max_vsr_m - coarse.max_vsr_m) + lattice

@@ -62,7 +62,7 @@ class Directions:
 
     @cached_property
     def step_m(self) -> float:
-        """Between two points of a direction."""
+        """The distance between neighbouring points of a direction."""
         return max(STEP_M, float((self.end_m - self.start_m).max()) / STEPS_MAX)
 
     def points(self, azimuth: Indices, from_center_m: Array) -> Array:
@@ -94,10 +94,10 @@ class Directions:
 
 @dataclass(frozen=True)
 class Points:
-    """The points that are looked at, but those that are excluded from the region; see `looked_at`."""
+    """The points that are tested for visibility; see `looked_at`."""
 
     azimuth: Indices  # (N,) which direction
-    number: Indices  # (N,) the how manieth of it, outwards
+    number: Indices  # (N,) the point's number in its direction, counted outwards
     distance_m: Array  # (N,) from the body's outline
     xyz: Array  # (N, 3)
 
@@ -132,21 +132,21 @@ class Contour:
 
     @property
     def area_m2(self) -> float:
-        """Of what lies between the body's outline and the contour."""
+        """The area between the body's outline and the contour."""
         inner, distance = self.directions.outline_m, np.nan_to_num(self.distance_m)
         return float((((inner + distance) ** 2 - inner**2) * (math.pi / AZIMUTHS)).sum())
 
 
 @dataclass(frozen=True)
 class BlindSpots:
-    """How much of a region how many LiDARs see, and how far from the vehicle nobody sees all."""
+    """The volume of a region by the number of LiDARs that see it, and the blind-spot contours around the vehicle."""
 
     seen_by_m3: Array  # (LiDARs + 1,) the volume that exactly 0, 1, 2 … LiDARs see
     contours: tuple[Contour, ...]  # by height, ascending; none where every LiDAR sees everything
 
     @property
     def volume_m3(self) -> float:
-        """What no LiDAR sees."""
+        """The volume that no LiDAR sees."""
         return float(self.seen_by_m3[0])
 
 
@@ -179,9 +179,9 @@ def seen_by_any(visibility: Visibility, lidars: Sequence[Lidar]) -> SeenPoints:
 
 
 def looked_at(around: Directions) -> Points:
-    """The points of all directions, the farthest from the body's outline first, by groups of CHUNK.
+    """The included points of all directions, farthest from the body's outline first, in groups of CHUNK.
 
-    Within a group they go by direction, because what is seen of points in one direction is found fastest together.
+    Within a group they are sorted by direction: visibility is computed fastest for points in one direction.
     """
     counts = around.last + 1
     azimuth = np.repeat(np.arange(AZIMUTHS), counts)
@@ -197,10 +197,10 @@ def looked_at(around: Directions) -> Points:
 
 
 def contour(around: Directions, seen: SeenPoints) -> Contour:
-    """The blind-spot contour: the last blind point of each direction, refined.
+    """The blind-spot contour: the last blind point of each direction, refined by bisection.
 
-    It is too large by at most step_m / 2**BISECTIONS, and too small where a blind stretch shorter than step_m was
-    missed.
+    It is too large by at most step_m / 2**BISECTIONS. It is too small where a blind stretch shorter than step_m lies
+    between two points.
     """
     points = looked_at(around)
     blind = ~seen(points.xyz)
@@ -215,9 +215,9 @@ def contour(around: Directions, seen: SeenPoints) -> Contour:
 def largest_m(
     around: Directions, points: Points, seen: SeenPoints, limit: float = math.inf, first: Indices = NONE
 ) -> tuple[float, int]:
-    """The largest distance of `contour`, and the point that shows it; −1 where nothing is blind.
+    """The largest distance of `contour`, and the number of its point; 0 and −1 where nothing is blind.
 
-    Or, as soon as some point from `limit` up is found blind, its distance; those in `first` are looked at first.
+    Stops at the first blind point at least `limit` away and returns its distance; the points `first` are tested first.
     """
     far = points.distance_m
     some = first[far[first] >= limit]
@@ -241,7 +241,7 @@ def largest_m(
 
 
 def _refined(around: Directions, azimuth: Indices, number: Indices, seen: SeenPoints) -> Array:
-    """(N,) how far from the reference point what is blind at these points ends, towards the next one."""
+    """(N,) distances from the reference point at which blind stretches end, between these points and the next ones."""
     near, far = around.at(azimuth, number), around.at(azimuth, number + 1)
     open_ = (number >= 0) & (far > near)
     for _ in range(BISECTIONS):

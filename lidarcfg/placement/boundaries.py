@@ -68,7 +68,7 @@ def _edge_spans(edges: Array) -> Array:
 
 
 def _round_spans(centre: Array, radius: Array) -> Array:
-    """(2, Q) the same of spheres."""
+    """(2, Q) the same for spheres."""
     distance = np.hypot(centre[:, 1], centre[:, 2])
     sine = np.divide(radius, distance, out=np.ones(len(radius)), where=distance > radius)
     return np.stack([np.arctan2(centre[:, 2], centre[:, 1]), np.where(sine < 1.0, np.arcsin(sine), np.pi)])
@@ -94,7 +94,7 @@ class Surfaces(NamedTuple):
     part: Counts  # (T + R,) the closed part that each belongs to
 
     def crossings(self, lattice: Lattice) -> tuple[Crossings, Counts]:
-        """Where the lines along an axis pass through them, from wherever they come, and the part of each crossing."""
+        """Where the lines along an axis cross the surfaces, and the closed part that each crossing belongs to."""
         order = axes_from(lattice.axis)
         triangles = np.ascontiguousarray(self.triangles[:, :, order])
         rounds = np.ascontiguousarray(self.rounds[:, [*order, 3, 4]])

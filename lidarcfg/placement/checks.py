@@ -28,7 +28,7 @@ STEEPEST_RAD = 0.6  # no beam table is as narrow as this in degrees: elevations 
 
 
 def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
-    """What looks wrong with a study that was loaded from a file."""
+    """Warnings about a study that was loaded from a file."""
     path = example(path)
     file = load(path, StudyFile)
     for i, group in enumerate(file.sensors):
@@ -44,7 +44,7 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
 
 
 def rig_warnings(path: str | Path) -> Iterator[str]:
-    """What looks wrong with a rig's file."""
+    """Warnings about a rig's file."""
     path = example(path)
     for i, mount in enumerate(load(path, RigFile).sensors):
         yield from _angles(path, ("sensors", i), mount)
@@ -78,7 +78,7 @@ def _elevations(path: Path, at: Key, item: GroupFile | MountFile) -> Iterator[st
 
 
 def _places(path: Path, index: int, group: GroupFile, study: Study, excluded: tuple[BoxFile, ...]) -> Iterator[str]:
-    """Bounds that go through a body, where no sensor may be, or lie in what is excluded from the region."""
+    """Bounds that cut through a body, where no sensor may be, or that lie in an excluded part of the region."""
     if group.min is None or group.max is None:
         return
     axes = zip(group.min.position_m, group.max.position_m, strict=True)
@@ -98,7 +98,7 @@ def _places(path: Path, index: int, group: GroupFile, study: Study, excluded: tu
 
 
 def _snapped(path: Path, index: int, box: BoxFile, region: Region) -> Iterator[str]:
-    """An excluded box whose faces are not those of cuboids: what it is taken for."""
+    """Excluded boxes whose faces do not coincide with those of cuboids, and the box that each is taken for."""
     at, taken = ("region", "exclude", index), []
     for axis, (low, high, centres) in enumerate(zip(box.min_m, box.max_m, region.centres(), strict=True)):
         inside = centres[(centres >= low) & (centres < high)]

@@ -25,7 +25,7 @@ Choices = tuple[Choice | None, ...]  # None: no sensor
 
 
 def choices_of(file: StudyFile, path: Path) -> list[Choices]:
-    """By group the models to choose from: one where the file gives it, and none at all where no group has a choice.
+    """The models of each group: those to choose from, or the one that is given; empty if no group has a choice.
 
     Raises ConfigError for models that are not known, and for two names of one model.
     """
@@ -48,7 +48,7 @@ def choices_of(file: StudyFile, path: Path) -> list[Choices]:
 
 
 def resolved_prices(file: StudyFile, choices: list[Choices]) -> dict[str, Any]:
-    """The prices by the models' names in files."""
+    """The prices, with models named as in resolved files."""
     names = [group.choose or (group.model,) for group in file.sensors]
     known = {
         name: choice.model
@@ -60,6 +60,6 @@ def resolved_prices(file: StudyFile, choices: list[Choices]) -> dict[str, Any]:
 
 
 def unused_prices(file: StudyFile) -> list[str]:
-    """The models that have a price, and that no sensor may be of."""
+    """The models that have a price but that no sensor may be of."""
     used = {model for group in file.sensors for model in group.choose or (group.model,)}
     return [model for model in file.prices or {} if model not in used]

@@ -36,7 +36,7 @@ class Combination:
 
 @dataclass(frozen=True)
 class _Group:
-    """The slots of a group that are chosen for together, and what may be chosen."""
+    """A group of slots, and its choices."""
 
     values: dict[str, Any]  # in the study's file
     first: int  # its first slot
@@ -72,7 +72,7 @@ def combinations(study: Study) -> list[Combination]:
 def _combination(
     study: Study, groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...], name: str
 ) -> Combination:
-    """The study with these models in the groups' first places."""
+    """The combination in which each group's first sensors are of these models."""
     numbers: list[int] = []
     slots: list[Slot] = []
     members: list[int] = []
@@ -110,7 +110,7 @@ def _combination(
 
 
 def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -> str:
-    """What is chosen, group by group, fit for a folder."""
+    """A name for the choice, group by group, that is a valid folder name."""
     parts = []
     for i, (group, part) in enumerate(zip(groups, chosen, strict=True)):
         counts = Counter(choice.sensor.name for choice in part if choice)
@@ -121,5 +121,5 @@ def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -
 
 
 def _plain(name: str) -> str:
-    """A name as part of a file's."""
+    """A name as a valid part of a file name."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", name)

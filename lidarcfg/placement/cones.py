@@ -27,9 +27,9 @@ FIRST = 6  # the column of the lowest beam in a row of `cone_rows`
 
 @dataclass(frozen=True)
 class Lidar:
-    """What placement knows of a LiDAR: cones about an axis. Spinning about the axis changes none of them.
+    """A LiDAR as placement sees it: cones about an axis, which a rotation about that axis does not change.
 
-    The rest is what `Visibility` asks for; there the spin matters, where the field of view is not all around.
+    The other fields are for `Visibility`; there the rotation matters if the field of view is not all around.
     """
 
     position_m: Array  # (3,)
@@ -41,7 +41,7 @@ class Lidar:
 
 
 def lidar(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array, sin_elevation: Array) -> Lidar:
-    """The cones of a sensor at this pose in the vehicle frame, of any range and all around."""
+    """The LiDAR with these beams at this pose in the vehicle frame, of unlimited range and field of view."""
     return Lidar(np.asarray(position_m, np.float64), up(rpy_rad), sin_elevation, level(rpy_rad))
 
 
@@ -53,7 +53,7 @@ def placed(one: Lidar, position_m: Sequence[float] | Array, rpy_rad: Sequence[fl
 def sensor_lidar(
     sensor: Sensor, range_m: tuple[float, float] | None, azimuth_fov_deg: tuple[float, float] | None
 ) -> Lidar:
-    """A sensor in the vehicle's origin; its range is the catalogue's unless another is given."""
+    """The LiDAR of a sensor at the vehicle's origin; its range is the catalogue's unless another is given."""
     if range_m is None and sensor.range:
         range_m = sensor.range.min_m, sensor.range.max_m
     fov = None

@@ -44,7 +44,7 @@ class Places:
 
 @dataclass(frozen=True)
 class Details:
-    """An evaluation and what a report shows beside it."""
+    """An evaluation, and everything else that a report shows."""
 
     evaluation: Evaluation  # with an error bar where that is cheap
     midpoint_max_vsr_m: float | None  # of the study's sensors at the midpoint of their bounds, where that is cheap
@@ -57,7 +57,7 @@ class Details:
     hiding: dict[str, Hiding]  # by object that is a box
 
     def without_cuboids(self) -> "Details":
-        """The same without what says which cuboid is of which subspace: for several rigs beside each other."""
+        """A copy without the arrays of cuboids, to save memory where several rigs are compared."""
         found = replace(self.evaluation, subspaces=self.evaluation.subspaces.without_cuboids())
         return replace(self, evaluation=found)
 
@@ -69,10 +69,10 @@ def details(
     midpoint_max_vsr_m: float | None = None,
     cheap_cuboids: int = CHEAP_CUBOIDS,
 ) -> Details:
-    """The details of a rig's evaluation; `midpoint_max_vsr_m` if a search has computed it.
+    """The details of a rig's evaluation. `midpoint_max_vsr_m`: as computed by a search, if there was one.
 
-    A study with more than `cheap_cuboids` gets no error bar and no comparison that it does not bring along. What
-    failures and mounting errors do is omitted for large regions, see `robustness`.
+    A study with more than `cheap_cuboids` cuboids gets no error bar and no value at the midpoint unless they are given.
+    The effects of failures and mounting errors are omitted for large regions: see `robustness`.
     """
     cheap = study.region.included.size <= cheap_cuboids
     if found.analytic is None and cheap:
@@ -118,7 +118,7 @@ def places(found: Evaluation, item: DetectionObject) -> Places:
 
 
 def ring_edges_m(region: Region, centre_m: Array) -> Array:
-    """Rings about a point that hold the whole region: at most RINGS_MAX, their width 1, 2 or 5 × a power of ten."""
+    """Edges of at most RINGS_MAX rings about a point that cover the region; their width is 1, 2 or 5 × 10ⁿ."""
     corners = [(x, y) for x in (region.min_m[0], region.max_m[0]) for y in (region.min_m[1], region.max_m[1])]
     far = max(float(np.hypot(*(corner - centre_m))) for corner in np.array(corners))
     power = 10.0 ** math.floor(math.log10(far / RINGS_MAX))

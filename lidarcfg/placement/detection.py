@@ -26,13 +26,13 @@ ALL = 2**63 - 1  # no end to the places where an object may go undetected
 
 
 class DetectionObject(Model):
-    """A box that is detected where it touches more than `threshold` subspaces; or a box or mesh, by its returns.
+    """An object to detect: a box, by the number of subspaces that it touches; or a box or mesh, by its returns.
 
-    Without `samples` a box is parallel to the axes, rounded up to whole cuboids, and every place on the grid counts
-    once. With `samples` it is anywhere, at any heading, and that many places are drawn quasi-randomly.
+    Without `samples` a box is parallel to the axes and rounded up to whole cuboids, and every place on the grid counts
+    once. With `samples` that many places, at any heading, are drawn quasi-randomly.
 
-    With `returns` it is on the region's floor, and detected where so many beams of one revolution come back from it.
-    Without `samples`, every place on a grid of `step_m` counts once at each of `headings_deg`.
+    With `returns` the object is on the region's floor, and is detected if at least that many beams of one revolution
+    return from it. Without `samples`, every place on a grid of `step_m` counts once at each of `headings_deg`.
     """
 
     name: Name
@@ -67,14 +67,14 @@ class DetectionObject(Model):
 
     @property
     def box_m(self) -> tuple[float, float, float]:
-        """The size of what is a box."""
+        """The size of a box."""
         assert self.size_m
         return self.size_m
 
 
 @dataclass(frozen=True)
 class Returns:
-    """What comes back from an object in a revolution, over its places."""
+    """The returns from an object in a revolution, over its places."""
 
     rate_in_worst_phase: float  # fraction of the places where it is detected in every phase
     mean: float  # returns, over places and phases
@@ -127,9 +127,9 @@ def check_fits(item: DetectionObject, region: Region, size_m: tuple[float, ...] 
 
 
 def detection(subspaces: Subspaces, item: DetectionObject, counted: Counted | None = None) -> Detection:
-    """The fraction of an object's places where it is detected; counted: what `counted_places` says, if that is known.
+    """The fraction of an object's places where it is detected; counted: the result of `counted_places`, if known.
 
-    Raises ConfigError if it has no place at all.
+    Raises ConfigError if the object has no place.
     """
     check_fits(item, subspaces.region)
     if item.samples:
@@ -156,14 +156,14 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> Counted:
 
 
 def boxes_counted(subspaces: Subspaces, size: tuple[int, int, int], layers: int, threshold: int = 1) -> Counted:
-    """The same of boxes of so many cuboids, whose lowest layer is one of the first `layers`."""
+    """The same for a box of this many cuboids, whose lowest layer is one of the first `layers`."""
     held = np.zeros(len(subspaces), np.bool_)
     detected, places = kernels.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
     return Counted(detected, places, held)
 
 
 def free_places(region: Region, item: DetectionObject) -> list[int]:
-    """How many places of an object are free of exclusions: in all, or of each replicate that has any."""
+    """The number of an object's places that are free of exclusions: in total, or in each replicate that has any."""
     check_fits(item, region)
     label = np.where(region.included, np.int32(0), np.int32(-1))
     none = np.empty(0, np.int64)
@@ -177,9 +177,9 @@ def free_places(region: Region, item: DetectionObject) -> list[int]:
 
 
 def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], limit: float) -> float:
-    """1 − the rate of `detection`; or a number from `limit` up, once it is known to be no less than the limit.
+    """1 − the rate of `detection`; or, once it is known to be at least `limit`, any number that is.
 
-    free: what free_places returns. Raises ConfigError where an object has no place at all.
+    free: the result of `free_places`. Raises ConfigError if the object has no place.
     """
     if sum(free) == 0 or (item.samples and len(free) < 2):
         raise ConfigError(f"{item.name}: finds no free place in the region")
@@ -216,7 +216,7 @@ def detection_by_distance(
 ) -> Rings:
     """The places of `detection`, by the distance of the object's middle from `middle_m` (2,), along the ground.
 
-    What is beyond the last of `edges_m` is in no ring. counted: what `counted_places` says, if that is known.
+    Places beyond the last of `edges_m` are in no ring. counted: the result of `counted_places`, if known.
     """
     n = len(edges_m) - 1
     detected, places = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -238,7 +238,7 @@ def detection_by_distance(
 
 
 def ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
-    """The ring of each point; as many as there are rings where it lies in none."""
+    """The ring of each point; for points in no ring, the number of rings."""
     ring = np.searchsorted(edges_m, np.hypot(x_m - middle_m[0], y_m - middle_m[1]), side="right") - 1
     return np.where(ring < 0, len(edges_m) - 1, ring)
 
@@ -259,8 +259,8 @@ def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detecti
 def mean_of(rates: Sequence[float], places: int) -> tuple[float, float]:
     """The mean of replicates' rates, and the half width of its 95 % interval, Student's.
 
-    Replicates that all agree, as where each of their places is detected, say nothing of their spread: then it is what
-    as many independent places would leave open, of which none would be otherwise 1 time in 20.
+    If all replicates agree, for example because every place is detected, they say nothing about the spread. The half
+    width is then that of as many independent places: the rate of exceptions that would go unnoticed 1 time in 20.
     """
     from scipy.stats import t
 

@@ -59,7 +59,7 @@ class Evaluation:
 
     @property
     def max_vsr_m(self) -> float:
-        """The paper's cost, by the cuboids' faces."""
+        """Max VSR by the cuboids' faces: the paper's cost."""
         return float(self.vsr_m.max())
 
 
@@ -136,7 +136,7 @@ def _rates(
 
 
 def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> BlindSpots:
-    """The volume by the number of LiDARs, and the blind-spot contours of the heights that the region has."""
+    """The volume by the number of LiDARs that see it, and the blind-spot contours at heights within the region."""
     volume = seen_by_m3(study.region, subspaces.seen, len(lidars))
     if study.visibility is None:
         return BlindSpots(volume, ())
@@ -147,7 +147,7 @@ def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> 
 
 
 def _sightings(study: Study, rig: Rig) -> dict[str, Sightings]:
-    """What comes back from the objects that are detected by returns. Raises ConfigError."""
+    """The returns from the objects that are detected by returns. Raises ConfigError."""
     if not study.sought:
         return {}
     fired, lidars = study.scans(rig.mounts), rig_lidars(rig)

@@ -1,14 +1,15 @@
 """The search for the best rig of each price: many combinations of sensors, and one budget.
 
-Each combination has an ordinary search of its own, which runs in parts. The next part goes to the combination that
-will soonest be on the front. One that is on it, is there now; of any other it is supposed that its objective falls by
-PROGRESS with each e-fold of its evaluations, so that one with n evaluations, a fraction g above the best that costs no
-more, needs n exp(g / PROGRESS). So the front gets most of the budget, and what is far from it little; but never less
-than 1 / NEGLECT of the evaluations that the front's combinations have, as early values say little.
+Each combination has a search of its own, which runs in parts. The next part goes to the combination that is expected
+to reach the front soonest. A combination on the front is already there. For any other, the objective is assumed to
+fall by the fraction PROGRESS whenever the number of evaluations grows by a factor of e: after n evaluations, with an
+objective that is a fraction g above the best at the same or a lower price, it needs n exp(g / PROGRESS) evaluations.
+So most of the budget goes to the front. Every combination gets at least 1 / NEGLECT of the evaluations that those on
+the front have, because early values say little.
 
-Once its own search has made its first part, and again whenever that has grown by LATER, a combination also learns from
-the others for TRANSFER evaluations, see transfer.py.
-Nothing depends on the budget, so a search that is resumed ends where an unbroken one does.
+After the first part of its own search, and again whenever that search has grown by the factor LATER, a combination
+learns from the others for TRANSFER evaluations: see transfer.py. None of this depends on the budget, so a resumed
+search ends where an uninterrupted one does.
 """
 
 import math
@@ -34,7 +35,7 @@ TRANSFER, LATER = 150, 16
 
 @dataclass(frozen=True)
 class Part:
-    """A line of the history: a combination whose search went on."""
+    """A line of the history: one part of one combination's search."""
 
     evaluations: int  # of all combinations
     combination: str
@@ -46,7 +47,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A combination, and how far its search has come."""
+    """A combination, and the state of its search."""
 
     combination: Combination
     objective: float  # of the best rig; inf if none was found
@@ -103,7 +104,7 @@ class FixedPoint:
 
 
 def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]:
-    """Which pairs no other dominates.
+    """Which pairs of price and objective no other pair dominates.
 
     One pair dominates another if neither its price nor its objective is larger, and one of them is smaller; of equal
     pairs the first counts. Pairs without a rig that meets the constraints are on no front.
@@ -189,11 +190,11 @@ class Entrant:
 
     @property
     def is_to_learn(self) -> bool:
-        """Whether its own search is far enough to learn from others again."""
+        """Whether its own search has grown enough to learn from the others again."""
         return self.own.evaluations >= PART * int(LATER ** (len(self.runs) - 1))
 
     def learn(self, entrants: Sequence["Entrant"], number: int) -> Run | None:
-        """A search that starts from what all have found; none if nothing fits. `number` is this one's among them."""
+        """A search that starts from the best rigs of all; None if no rig fits. `number` is this entrant's index."""
         known = [entrant for entrant in entrants if entrant.objective < math.inf]
         examples = [Example(one.combination, one.best.best_x, one.objective) for one in known]
         rng = np.random.default_rng([self.combination.study.solver.seed, number, len(self.runs)])
@@ -271,7 +272,7 @@ class FrontRun:
         return on_front(self._prices.tolist(), self.objectives.tolist())
 
     def logs(self) -> list[list[Log]]:
-        """All that is needed to resume: by combination the logs of its searches."""
+        """Everything needed to resume: the logs of each combination's searches."""
         return [[run.log() for run in entrant.runs] for entrant in self.entrants]
 
     def run(self, threads: int | None, on_part: Callable[["FrontRun"], None] | None = None, skip: bool = True) -> None:
@@ -301,7 +302,7 @@ class FrontRun:
         return self._budget.spent(self.evaluations, self.cycles)
 
     def _left(self, run: Run) -> Budget:
-        """What one search may use until the budget of all is spent."""
+        """The budget of one search, so that all together do not exceed theirs."""
         budget = self._budget
         evaluations = None if budget.evaluations is None else budget.evaluations - self.evaluations + run.evaluations
         cycles = None if budget.cycles is None else budget.cycles - self.cycles + run.cycles
@@ -341,7 +342,7 @@ class FrontRun:
 
 
 def delay(prices: Array, objectives: Array) -> Array:
-    """(n,) the logarithm of how much further each search has to go to be on the front, as supposed above."""
+    """(n,) the logarithm of the factor by which each search must grow to reach the front, as assumed above."""
     order = np.lexsort((objectives, prices))
     least = np.empty(len(prices))
     least[order] = np.minimum.accumulate(objectives[order])

@@ -12,7 +12,7 @@ from lidarcfg.placement.subspace import Subspaces
 
 @dataclass(frozen=True)
 class Hiding:
-    """Where an object fits in without touching a beam."""
+    """The places where an object fits between the beams."""
 
     size_m: tuple[float, float, float]
     on_ground: bool  # or at any height
@@ -26,12 +26,10 @@ class Hiding:
 def hiding(
     subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m: Array, counted: Counted | None = None
 ) -> Hiding | None:
-    """Where a box can hide, at its two headings along the axes; None for a mesh.
+    """Where a box fits into a single subspace, at its two headings along the axes; None for a mesh.
 
-    counted: what `counted_places` says of it, if that is known.
-
-    A box that lies in a subspace touches cuboids of that subspace alone. It touches fewest where it stands on the
-    grid, so all others follow from the places there.
+    counted: the result of `counted_places`, if known. A box inside a subspace touches only cuboids of that subspace.
+    It touches fewest where it is aligned with the grid, so it is enough to test these places.
     """
     if item.size_m is None:
         return None

@@ -68,13 +68,13 @@ class Spheres:
         self._ends = _ends(subspaces.label)
 
     def largest(self) -> tuple[float, Node]:
-        """The radius in metres and the centre of the largest in any subspace; of equals the first in the lattice."""
+        """Radius in metres and centre of the largest sphere in any subspace; of equal ones, the lattice's first."""
         found = self._search(-1, [0, 0, 0], self._region.shape)
         i, j, k = found.node[:3].tolist()
         return float(np.sqrt(found.best[0])), (i, j, k)
 
     def radius_m(self, number: int, extent: "Extent") -> float:
-        """The radius of the largest in one subspace."""
+        """The radius of the largest sphere in one subspace."""
         return float(np.sqrt(self._search(number, extent.low, extent.high).best[0]))
 
     def _search(self, number: int, low: Any, high: Any) -> Search:
@@ -98,7 +98,7 @@ class Spheres:
 
 
 def _ends(label: NDArray[np.int32]) -> Words:
-    """(nx, ny, words) for each column of cuboids along z a bit for each, set where the next is of another subspace."""
+    """(nx, ny, words) a bit for each cuboid, in columns along z: set where the next cuboid is in another subspace."""
     nx, ny, nz = label.shape
     out = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
     for octets, layer in zip(out, label, strict=True):
@@ -116,7 +116,7 @@ def clearance_m(subspaces: Subspaces, centre: Node) -> float:
 
 @dataclass(frozen=True)
 class Extent:
-    """Where a subspace is, by its cuboids."""
+    """The extent of a subspace, by its cuboids."""
 
     region: Region
     lines: tuple[Lines, Lines, Lines]  # of its cuboids on each line along x, y and z: (ny, nz), (nx, nz), (nx, ny)
@@ -153,7 +153,7 @@ class Extent:
 
 
 def extents(subspaces: Subspaces, numbers: Sequence[int]) -> list[Extent]:
-    """Where some subspaces are."""
+    """The extents of some subspaces."""
     place = np.full(len(subspaces) + 1, -1)
     place[list(numbers)] = np.arange(len(numbers))
     nx, ny, nz = subspaces.region.shape

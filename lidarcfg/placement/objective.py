@@ -1,8 +1,8 @@
-"""What a search minimises: the weighted mean of terms, each of which can prove that it is too large.
+"""What a search minimises: a weighted mean of terms, each of which can stop early once it is too large.
 
 A trial has a cost to beat. Every term is at least 0, and sums, products and quotients of floating-point numbers are
-monotonic; so as soon as the weighted mean of what is known, with 0 for what is not, reaches the cost to beat, the
-trial is refuted, exactly: its cost in full would be no less.
+monotonic. So as soon as the weighted mean of the terms known so far, with 0 for the others, reaches the cost to beat,
+the trial is refuted exactly: its full cost would be no less.
 """
 
 import math
@@ -32,7 +32,7 @@ from lidarcfg.placement.zones import Weight, worth_m
 
 Flags = NDArray[np.bool_]
 EVERY_CASE = np.empty((0, 0), bool)
-RECENT = 32  # of what settled past trials, so many are tried first in new ones
+RECENT = 32  # how many of the findings that settled past trials are tried first in new ones
 T = TypeVar("T", bound=Node | int)
 
 
@@ -74,7 +74,7 @@ class Trial:
 
     @cached_property
     def subspaces(self) -> Subspaces:
-        """What the beams cut the region into."""
+        """The subspaces into which the beams cut the region."""
         self.is_cut = True
         if self._whole:
             return self._whole._links.subspaces(self.kept)
@@ -85,7 +85,7 @@ class Trial:
         return Links(self.region, self.lidars, self.visibility)
 
     def left(self, kept: tuple[int, ...]) -> "Trial":
-        """The rig of some of its LiDARs."""
+        """The trial of the rig with only some of its LiDARs."""
         if kept not in self._left:
             one = Trial(self.region, [self.lidars[i] for i in kept], self.visibility)
             one.kept, one._whole = kept, self
@@ -99,10 +99,10 @@ class Term(Protocol):
     work: float  # roughly how long it takes: terms are computed in this order
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """Its value; or some number from `limit` up, once the value is known to be no less than the limit."""
+        """Its value; or, once the value is known to be at least `limit`, any number that is."""
 
     def learn(self) -> None:
-        """Called after every batch of trials, so that what one batch teaches serves the next."""
+        """Called after every batch of trials, so that later batches can use its findings."""
 
 
 class MaxVsr:
@@ -122,7 +122,7 @@ class MaxVsr:
 
 
 class Undetected:
-    """1 − the detection rate of an object: too large as soon as too many places are found where it is not detected."""
+    """1 − the detection rate of an object. Stops once it is undetected in too many places."""
 
     def __init__(self, region: Region, item: DetectionObject) -> None:
         self._item, self._free = item, free_places(region, item)
@@ -137,7 +137,7 @@ class Undetected:
 
 
 class Missed:
-    """1 − the detection rate of an object by its returns: too large as soon as too many places are without enough."""
+    """1 − the detection rate of an object by its returns. Stops once too many places have too few returns."""
 
     def __init__(self, one: Sought, sensors: Callable[[tuple[int, ...]], Scans]) -> None:
         self._one, self._sensors = one, sensors  # how some of the study's LiDARs fire, by their numbers
@@ -169,18 +169,18 @@ class UnseenFraction:
 
 
 class Recent(Generic[T]):
-    """What settled trials: what settled the most trials of the last batch first, then that of earlier ones."""
+    """Findings that settled trials: first those of the last batch, the most frequent in front, then earlier ones."""
 
     def __init__(self) -> None:
         self.items: list[T] = []
         self._seen: deque[T] = deque()  # of this batch
 
     def add(self, item: T) -> None:
-        """Note what settled a trial, or would settle one like it."""
+        """Record a finding that settled a trial, or would settle a similar one."""
         self._seen.append(item)
 
     def learn(self) -> None:
-        """The order depends on what the batch held, not on which thread was first."""
+        """Sort the findings of the batch in; the order does not depend on which thread was first."""
         counts: Counter[T] = Counter(self._seen)
         self._seen.clear()
         recent: list[T] = sorted(counts, key=lambda item: (-counts[item], item))
@@ -190,7 +190,7 @@ class Recent(Generic[T]):
 class InscribedRadius:
     """The radius of the largest sphere in any subspace, in metres.
 
-    It is too large if a sphere around the centre of an earlier trial's largest one is. These are tried first.
+    Spheres around the centres of earlier trials' largest ones are tried first: if one is too large, so is the term.
     """
 
     work = math.inf
@@ -217,8 +217,8 @@ class InscribedRadius:
 class BlindSpot:
     """The largest distance of the blind-spot contour, in metres.
 
-    It is too large if a point that far from the body is blind. Points that were in earlier trials are tried first,
-    then all, from the outside inwards; the subspaces are not needed.
+    The term is too large as soon as one point far enough from the body is blind. Points that were blind in earlier
+    trials are tested first, then all of them, from the outside inwards. The subspaces are not needed.
     """
 
     def __init__(self, around: Directions) -> None:
@@ -245,7 +245,7 @@ class BlindSpot:
 class Criterion:
     """The weighted mean of an objective's terms, for a region, its objects and the directions around the vehicle.
 
-    With `kept`, the LiDARs of each case that may be left, it is that of the worst case.
+    With `kept`, the LiDARs that are left in each case of failure, it is that of the worst case.
     """
 
     def __init__(
@@ -294,7 +294,7 @@ class Criterion:
         return sum(w * v for w, v in zip(self._weights, values, strict=True)) / sum(self._weights)
 
     def limit(self, values: Sequence[float], term: int, to_beat: float) -> float:
-        """A value of one term, the others being as in `values`, at which the mean reaches what is to be beaten."""
+        """A value of one term at which the mean, with the other terms as in `values`, reaches `to_beat`."""
         if to_beat == math.inf:
             return math.inf
         others = self.mean([0.0 if i == term else value for i, value in enumerate(values)])
@@ -306,11 +306,11 @@ class Criterion:
         return limit
 
     def cases(self, trial: Trial) -> list[Trial]:
-        """The rigs that may be left of a rig."""
+        """The trials of each case of failure; without any, the trial itself."""
         return [trial.left(kept) for kept in self._cases] or [trial]
 
     def of(self, trial: Trial, to_beat: float = math.inf) -> float:
-        """The cost of a rig, or inf where it is not below `to_beat`; cases that refuted trials lately first."""
+        """The cost of a trial, or inf if it is not below `to_beat`; cases that refuted recent trials come first."""
         cases = self.cases(trial)
         cost = -math.inf
         for case in dict.fromkeys((*self._refuting.items, *range(len(cases)))):
@@ -327,7 +327,7 @@ class Criterion:
             term.learn()
 
     def _of_case(self, trial: Trial, to_beat: float) -> float:
-        """The cost of what is left in one case, or inf where it is not below `to_beat`; cheap terms first."""
+        """The cost in one case, or inf if it is not below `to_beat`; cheap terms come first."""
         values = [0.0] * len(self.terms)
         for term in sorted(range(len(self.terms)), key=lambda term: self.terms[term].work):
             limit = self.limit(values, term, to_beat)

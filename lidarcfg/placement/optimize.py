@@ -1,4 +1,4 @@
-"""The search for the best rig of a study: asks a solver for trials, evaluates them, tells it their costs."""
+"""The search for the best rig of a study: asks a solver for trials, evaluates them, and tells it their costs."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -36,7 +36,7 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Log:
-    """The costs that a search was told: all that is needed to resume it."""
+    """The costs that a search was told: everything needed to resume it."""
 
     cost: Array  # (told,) in the order of asking
     seconds: float  # spent so far
@@ -49,7 +49,7 @@ class Log:
 
 @dataclass(frozen=True)
 class Placement:
-    """The best rig found, and how."""
+    """The best rig found, and how it was found."""
 
     rig: Rig
     evaluation: Evaluation
@@ -78,11 +78,10 @@ def optimize(
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
-    `on_evaluations` is told from time to time, between two cycles too, how many evaluations have ended.
-    `log` is that of an earlier search to resume: the search ends where an unbroken one would (budgets in seconds
-    aside). Without `skip` everything is evaluated in full, which changes nothing but the time. An interrupt (Ctrl-C)
-    ends the search and keeps the best so far. Raises ConfigError if nothing is free to move, and if no rig was
-    found that meets the constraints.
+    `on_evaluations` is called from time to time, also within a cycle, with the number of evaluations so far. `log`
+    resumes an earlier search, which ends where an uninterrupted one would (unless its budget is in seconds). Without
+    `skip` every trial is evaluated in full, which changes only the time. An interrupt (Ctrl-C) ends the search and
+    keeps the best rig so far. Raises ConfigError if nothing is free to move, or if no rig meets the constraints.
     """
     if study.to_choose:
         raise ConfigError("the study has models to choose; `front` searches for the best rig of each price")
@@ -106,7 +105,7 @@ def optimize(
 
 @dataclass(frozen=True)
 class Budget:
-    """What a search may use."""
+    """The limits of a search."""
 
     evaluations: int | None
     cycles: int | None
@@ -115,17 +114,17 @@ class Budget:
 
     @classmethod
     def of(cls, solver: Solver) -> "Budget":
-        """A study's, from now on."""
+        """The budget of a study's solver, starting now."""
         seconds = math.inf if solver.seconds is None else solver.seconds
         return cls(solver.evaluations, solver.cycles, seconds, clock() + seconds)
 
     def fraction(self, evaluations: int, cycles: int) -> float:
-        """Of what is spent, of the budget that ends first."""
+        """The fraction that is spent, of the limit that will be reached first."""
         time = 1.0 - (self.deadline - clock()) / self.seconds if self.seconds < math.inf else 0.0
         return max(time, evaluations / (self.evaluations or math.inf), cycles / (self.cycles or math.inf))
 
     def spent(self, evaluations: int, cycles: int) -> bool:
-        """Whether any of it is used up."""
+        """Whether any of the limits is reached."""
         return (
             (self.cycles is not None and cycles >= self.cycles)
             or (self.evaluations is not None and evaluations >= self.evaluations)
@@ -135,7 +134,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Work:
-    """What evaluators have done."""
+    """The work that evaluators have done."""
 
     trials: int = 0
     full_evaluations: int = 0
@@ -143,7 +142,7 @@ class Work:
     segments: int = 0
 
     def plus(self, evaluator: StudyEvaluator) -> "Work":
-        """With the work of one more."""
+        """The sum with one more evaluator's work."""
         return Work(
             self.trials + evaluator.trials,
             self.full_evaluations + evaluator.full_evaluations,
@@ -153,10 +152,10 @@ class Work:
 
 
 class Run:
-    """A search in progress; the costs in `log` are told first, without evaluating anything.
+    """A search in progress. It first replays the costs in `log`, without evaluating anything.
 
-    `best_x` and `best_cost` are those of the best trial so far, and `work` is what has been done. It
-    may pause: what evaluates its trials is made anew for each part of it.
+    `best_x` and `best_cost` are those of the best trial so far; `work` is the work done so far. A run may pause: each
+    part of it gets a new evaluator.
     """
 
     def __init__(self, study: Study, search: Search, log: Log | None = None) -> None:
@@ -196,7 +195,7 @@ class Run:
     def evaluator(
         self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
     ) -> Iterator[StudyEvaluator]:
-        """What evaluates the trials of a part of it."""
+        """An evaluator for one part of the run."""
         self._since = clock()
         with StudyEvaluator(self.study, threads, skip, on_evaluations) as one:
             try:
@@ -206,7 +205,7 @@ class Run:
                 self._spent, self._since = self.seconds, math.inf
 
     def step(self, evaluator: StudyEvaluator, budget: Budget) -> bool:
-        """Evaluate one batch of trials. Returns whether that made a line of the history, of this session's own."""
+        """Evaluate one batch of trials. Returns whether it added a line to the history that is not replayed."""
         search = self._search
         trials = search.ask()
         kind = trials.phase if trials.phase in self.asked else "trial"
@@ -225,7 +224,7 @@ class Run:
         return not len(self._replay)
 
     def _costs(self, evaluator: StudyEvaluator, trials: Trials, kind: str, budget: Budget) -> Array:
-        """The costs of the trials, from the log while it lasts; fewer where a budget cuts the batch short."""
+        """The costs of the trials, replayed from the log while it lasts; fewer if a budget cuts the batch short."""
         count = len(trials.x)
         if len(self._replay) >= count:
             cost, self._replay = self._replay[:count], self._replay[count:]
@@ -268,9 +267,9 @@ class Run:
 def costs(
     study: Study, evaluator: Evaluator | StudyEvaluator, sources: Array, trials: Trials, count: int, deadline: float
 ) -> Array:
-    """The costs of the first `count` trials, or inf for those that cannot beat what they have to.
+    """The costs of the first `count` trials, or inf where a trial does not beat its cost to beat.
 
-    Fewer where the clock passes `deadline` (of `clock`) on the way.
+    Fewer if the `deadline` (of `clock`) passes meanwhile.
     """
     source_poses = study.poses(sources)
     slices = []

@@ -24,7 +24,7 @@ FLAT = 1e-12  # of the lengths that span a tetrahedron: with less volume it may 
 
 
 class Outline(NamedTuple):
-    """What may cast shadows."""
+    """The shapes that may cast shadows."""
 
     triangles: Array  # (T, 3, 3)
     edges: Array  # (E, 2, 3) of the triangles
@@ -44,7 +44,7 @@ class Quadrics(NamedTuple):
 
 
 def outline(obstacles: Obstacles) -> Outline:
-    """The outline of obstacles. Corners are the same if all their digits are."""
+    """The outline of obstacles. Corners are one if their coordinates are equal to the last bit."""
     tree, origin_m = obstacles.tree, obstacles.origin_m
     shapes = tree.shapes.reshape(-1, 9)
     triangles = shapes[tree.kind == TRIANGLE].reshape(-1, 3, 3) + origin_m

@@ -43,7 +43,7 @@ class PlanFile(Model):
 
     @property
     def paths(self) -> dict[str, Key]:
-        """Where in the plan each varied path stands, in the order in which they change: the last changes first."""
+        """The place of each varied path in the plan, in the order of the runs: the last path changes fastest."""
         rows = {path: ("together", 0, path) for path in (self.together[0] if self.together else ())}
         return rows | {path: ("vary", path) for path in self.vary}
 
@@ -54,7 +54,7 @@ class PlanFile(Model):
 
     @property
     def grid(self) -> Iterator[Places]:
-        """The places of the values of each run."""
+        """The places in the plan of each run's values."""
         rows: list[Places] = [[(path, ("together", i, path)) for path in row] for i, row in enumerate(self.together)]
         axes = [rows] if rows else []
         axes += [[[(path, ("vary", path, i))] for i in range(len(values))] for path, values in self.vary.items()]
@@ -103,7 +103,7 @@ def _check_values(values: tuple[Any, ...], at: Key) -> None:
 
 
 def _normal(value: Any) -> Any:
-    """A value, in which equal numbers are of one type."""
+    """The value with whole floats as integers, so that equal numbers compare equal."""
     if isinstance(value, dict):
         return {key: _normal(item) for key, item in value.items()}
     if isinstance(value, tuple):
@@ -117,7 +117,7 @@ def parsed(path: str) -> Key:
 
 
 def shown(value: Any) -> str:
-    """A value of a key, in short."""
+    """A value as a short text for a message."""
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
     return text if len(text) <= SHOWN else text[: SHOWN - 1] + "…"
 
@@ -134,7 +134,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan, of which every run is possible."""
+    """A plan all of whose runs are possible."""
 
     path: Path
     study: str  # what it calls its study; empty if it has one inline
@@ -144,10 +144,10 @@ class Plan:
 
 
 class Studies:
-    """The studies of a plan, of which the last few are kept."""
+    """Makes the studies of a plan's runs; keeps the last few in memory."""
 
     def __init__(self, path: Path, patterns: Patterns | None) -> None:
-        """`path` is the base study's, or the plan's where that is inline."""
+        """`path` is the file of the base study; for an inline study, the plan's."""
         self.path, self._patterns = path, patterns
         self._kept: dict[str, Study] = {}
         self._digests: dict[str, str] = {}
@@ -163,7 +163,7 @@ class Studies:
         return replace(self._kept[key], solver=file.solver, file=self._kept[key].file | solver)
 
     def digest(self, file: StudyFile) -> str:
-        """What tells one run's result from any other's. Raises ConfigError where there can be none."""
+        """A digest of everything that the run's result depends on. Raises ConfigError if the run is impossible."""
         key = file.model_dump_json(exclude={"solver"})
         if key not in self._digests:
             study = self.of(file)
@@ -186,13 +186,13 @@ class Studies:
 
 
 def versions() -> dict[str, str]:
-    """Of what a result depends on, to the last bit."""
+    """The versions of everything that a result depends on, to the last bit."""
     packages = {name: version(name) for name in ("numba", "numpy", "scipy", "cma")}
     return {"lidarcfg": lidarcfg.__version__, "Python": ".".join(python_version_tuple()[:2]), **packages}
 
 
 def _update(content: "hashlib._Hash", value: Any) -> None:
-    """Add what a value consists of to a digest."""
+    """Add a value, with all of its parts, to a digest."""
     if isinstance(value, np.ndarray):
         content.update(f"{value.dtype} {value.shape}".encode())
         content.update(np.ascontiguousarray(value).tobytes())
@@ -238,7 +238,7 @@ def load_plan(
 
 
 def _named(plan: Document, path: Path) -> Document:
-    """The study's file. Raises ConfigError."""
+    """The file of the study that the plan names. Raises ConfigError."""
     if not path.is_file():
         raise plan.error(("study",), f"{path}: no such file")
     return document(path)
@@ -280,7 +280,7 @@ def _run(number: int, places: Places, plan: Document, base: Document, studies: S
 
 
 def _placed(error: ConfigError, plan: Document, base: Document, places: Places, values: Values) -> ConfigError:
-    """An error of a run's study: at the value in the plan that it is of, or with all of them."""
+    """The error of a run's study, at the value in the plan that causes it; else with all values of the run."""
     name, key, what = error.at or ("", (), "")
     if name == plan.name and key[:1] in (("vary",), ("together",)):
         return error

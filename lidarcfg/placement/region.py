@@ -82,12 +82,12 @@ def _sizes(length: float, edge: float) -> list[float]:
 
 
 def _is_round(size: float) -> bool:
-    """Whether two digits say it all."""
+    """Whether two significant digits represent the number."""
     return abs(float(f"{size:.2g}") - size) <= 1e-9 * size
 
 
 class Cut(NamedTuple):
-    """What bodies have taken out of a region."""
+    """The part of a region that bodies exclude."""
 
     bodies: "Vehicle"
     packed: NDArray[np.uint8]  # which cuboids counted before, eight to a byte
@@ -148,7 +148,7 @@ class Region:
         return Region(self.min_m, self.max_m, included, Cut(bodies, np.packbits(self.included), self.shape))
 
     def halved(self) -> "Region":
-        """The same region with every cuboid cut into eight; bodies are cut out anew."""
+        """The same region with every cuboid divided into eight; bodies are excluded again on the finer grid."""
         coarse = self.cut.included if self.cut else self.included
         fine = Region(self.min_m, self.max_m, coarse.repeat(2, 0).repeat(2, 1).repeat(2, 2))
         return fine.without(self.cut.bodies) if self.cut else fine
@@ -230,7 +230,7 @@ def check_voxels(count: int) -> None:
 
 
 def cuboids_needed(size_m: tuple[float, ...], cuboid_m: Array) -> tuple[int, int, int]:
-    """How many whole cuboids an object of this size fills along x, y and z: rounded up, at least one."""
+    """The number of cuboids that an object of this size needs along x, y and z: rounded up, at least one."""
     x, y, z = (
         int(min(max(np.ceil(size / float(edge) - 1e-9), 1.0), CUBOIDS_MAX))
         for size, edge in zip(size_m, cuboid_m, strict=True)

@@ -32,7 +32,7 @@ PLACES_PER_PART = 64  # that a thread takes at a time
 
 @dataclass(frozen=True)
 class Scanner:
-    """A sensor as it fires, wherever it is mounted."""
+    """The firing pattern of a sensor, independent of its pose."""
 
     sensor: Sensor
     pattern: Pattern
@@ -41,7 +41,7 @@ class Scanner:
 
 
 def scanner(mount: Mount, patterns: Patterns) -> Scanner:
-    """A mount's sensor. Raises ConfigError where its file says too little."""
+    """The scanner of a mount's sensor. Raises ConfigError if the sensor's file lacks facts."""
     sensor, range_m = mount.sensor, mount.range_m
     pattern = patterns(mount)
     if range_m is None:
@@ -53,13 +53,13 @@ def scanner(mount: Mount, patterns: Patterns) -> Scanner:
 
 @dataclass(frozen=True)
 class Target:
-    """An object to be detected: its middle is over its place, and its lowest point on the ground."""
+    """An object to be detected: centred over its place, with its lowest point on the ground."""
 
     mesh: Mesh
 
     @cached_property
     def shape(self) -> Shape:
-        """What the compiled loops need of it."""
+        """The object as the compiled loops take it."""
         vertices, triangles = self.mesh
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         origin = np.array([*(low + high)[:2] / 2, low[2]])
@@ -83,18 +83,18 @@ class Returned:
 
     @property
     def worst(self) -> Array:
-        """(P,) where each sensor is in its worst phase."""
+        """(P,) the returns with each sensor in its worst phase."""
         parts = [self.counts[:, s, :count].min(axis=1) for s, count in enumerate(self.phases)]
         return np.asarray(np.sum(parts, axis=0, dtype=np.float64))
 
     @property
     def mean(self) -> Array:
-        """(P,) over all phases."""
+        """(P,) the mean number of returns over all phases."""
         parts = [self.counts[:, s, :count].mean(axis=1) for s, count in enumerate(self.phases)]
         return np.asarray(np.sum(parts, axis=0, dtype=np.float64))
 
     def probability(self, enough: int) -> Array:
-        """(P,) of so many returns or more in a revolution."""
+        """(P,) the probability of at least this many returns in a revolution."""
         return np.asarray(kernels.probabilities(self.counts, np.array(self.phases, np.int64), enough))
 
 
@@ -102,7 +102,7 @@ NOTHING = EVERYTHING.obstacles
 
 
 def scans(scanners: Sequence[Scanner], phases: int = PHASES) -> Scans:
-    """What the compiled loops need of sensors."""
+    """Sensors as the compiled loops take them."""
     heads = [one.pattern.heads_rad(phases) for one in scanners]
     head, laser = np.concatenate(heads), [one.pattern.laser for one in scanners]
     fov = [one.azimuth_fov_deg or (0.0, 360.0) for one in scanners]

@@ -24,7 +24,7 @@ SIGMAS = ("position_sigma_m", "angle_sigma_deg")
 
 
 class Robust(Model):
-    """What a rig has to withstand; of LiDARs that fail and of mounting errors the larger cost counts."""
+    """What a rig has to withstand. The larger of the costs with failed LiDARs and with mounting errors counts."""
 
     lost: Annotated[int, Field(ge=1)] | None = None  # so many LiDARs fail at once
     position_sigma_m: Annotated[float, Field(ge=0, le=10)] | None = None  # of every coordinate of every LiDAR
@@ -55,7 +55,7 @@ class Robust(Model):
 
     @property
     def drawn(self) -> int:
-        """How many draws of mounting errors there are; 0: none are asked for."""
+        """The number of draws of mounting errors; 0 if none are asked for."""
         return self.samples or 0
 
     @property
@@ -64,7 +64,7 @@ class Robust(Model):
         return self.drawn - max(math.ceil((self.quantile or 1.0) * self.drawn - 1e-9), 1)
 
     def check(self, lidars: int) -> None:
-        """Raises ConfigError unless so many LiDARs can lose as many as are to be lost."""
+        """Raises ConfigError unless fewer LiDARs are to be lost than there are."""
         if self.lost is None:
             return
         if self.lost >= lidars:
@@ -76,7 +76,7 @@ class Robust(Model):
             raise ConfigError(f"{what}; allowed: at most {CASES_MAX:,}")
 
     def kept(self, lidars: int) -> NDArray[np.bool_]:
-        """(cases, lidars) the LiDARs that may be left; no cases where none is lost. Raises ConfigError, see `check`."""
+        """(cases, lidars) the LiDARs left in each case of failure; no cases if none is lost. Raises as `check` does."""
         self.check(lidars)
         ways = list(combinations(range(lidars), self.lost)) if self.lost else []
         out = np.ones((len(ways), lidars), bool)
@@ -93,9 +93,9 @@ class Robust(Model):
 
 
 def mounted(poses: Array, errors: Array) -> Array:
-    """(…, lidars, 6) where LiDARs at poses (…, lidars, 6) are with errors (lidars, 6).
+    """(…, lidars, 6) poses (…, lidars, 6) with mounting errors (lidars, 6) added.
 
-    R = Rz(yaw) Ry(pitch) Rx(roll) of the pose, times the same of the errors.
+    R is that of the pose times that of the error, each Rz(yaw) Ry(pitch) Rx(roll).
     """
     out = poses + errors
     if errors[:, 3:].any():

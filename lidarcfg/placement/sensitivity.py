@@ -21,7 +21,7 @@ HUGE = float(np.finfo(np.float64).max)  # to beat: everything does
 
 @dataclass(frozen=True)
 class ZoneVsr:
-    """How well a rig does in a zone."""
+    """Max VSR in a zone."""
 
     name: str
     weight: float
@@ -30,7 +30,7 @@ class ZoneVsr:
 
 @dataclass(frozen=True)
 class Left:
-    """What is left of a rig, or the whole rig."""
+    """A rig, whole or with LiDARs lost."""
 
     lost: str | None  # the mount that fails; None: the whole rig
     max_vsr_m: float
@@ -40,7 +40,7 @@ class Left:
 
 @dataclass(frozen=True)
 class Robustness:
-    """What failures and mounting errors do to a rig."""
+    """The effects of failures and mounting errors on a rig."""
 
     whole: Left
     without: tuple[Left, ...]  # each LiDAR in turn; none where there is one alone
@@ -48,12 +48,12 @@ class Robustness:
 
     @property
     def worst(self) -> Left | None:
-        """What is left of the largest max VSR."""
+        """The case of failure with the largest max VSR."""
         return max(self.without, key=lambda left: left.max_vsr_m, default=None)
 
     @property
     def slope_m(self) -> Array:
-        """(lidars, 6) the change of max VSR per step: the line through the whole rig's that fits its changes best."""
+        """(lidars, 6) the change of max VSR per step: the slope of the best line through the whole rig's value."""
         off = np.array(OFFSETS, np.float64)
         slope: Array = self.change_m @ off / (off @ off)
         return slope
@@ -70,7 +70,7 @@ class Robustness:
 
 
 def by_zone(study: Study, subspaces: Subspaces) -> tuple[ZoneVsr, ...]:
-    """Max VSR of the study's zones, and of what lies in none; none without zones."""
+    """Max VSR in each of the study's zones and outside of them; empty without zones."""
     if not study.zones:
         return ()
     vsr = vsr_m(subspaces)
@@ -80,7 +80,7 @@ def by_zone(study: Study, subspaces: Subspaces) -> tuple[ZoneVsr, ...]:
 
 
 def robustness(study: Study, rig: Rig) -> Robustness | None:
-    """What failures and mounting errors do to a rig; None where the region has too many cuboids for a quick answer."""
+    """The effects of failures and mounting errors; None where the region has too many cuboids for a quick answer."""
     if study.region.included.size > CUBOIDS_MAX:
         return None
     trial, criterion = Trial(study.region, rig_lidars(rig), study.visibility), study.criterion(mounts=rig.mounts)
@@ -99,7 +99,7 @@ def _left(study: Study, criterion: Criterion, trial: Trial, lost: str | None) ->
 
 
 def changes_m(study: Study, rig: Rig, step_m: float = STEP_M, step_deg: float = STEP_DEG) -> Array:
-    """(lidars, 6, OFFSETS): by how much max VSR changes with a coordinate of a pose so many steps off."""
+    """(lidars, 6, OFFSETS) the change of max VSR when one coordinate of a pose is off by OFFSETS steps."""
     pose = np.array([[*mount.position_m, *mount.rpy_rad] for mount in rig.mounts])
     step = np.repeat([step_m, np.radians(step_deg)], 3)
     lidars, axes = np.indices((len(pose), 6)).reshape(2, -1)

@@ -61,7 +61,7 @@ class Sought:
 
 @dataclass(frozen=True)
 class Sightings:
-    """What comes back from an object at its places, in one revolution."""
+    """The returns from an object at its places, in one revolution."""
 
     sought: Sought
     worst: Array  # (P,) returns where each sensor is in its worst phase
@@ -70,7 +70,7 @@ class Sightings:
 
     @property
     def detection(self) -> Detection:
-        """Its rate; of what is drawn, the mean of the replicates' rates with Student's interval."""
+        """The detection rate; for drawn places, the mean of the replicates' rates with Student's interval."""
         missed, found = 1.0 - self.probability, Returns(
             rate_in_worst_phase=float(np.mean(self.worst >= self.sought.enough)),
             mean=float(self.mean.mean()),
@@ -158,13 +158,13 @@ def _check_count(item: DetectionObject, places: int) -> None:
 
 
 def sightings(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles) -> Sightings:
-    """What comes back from an object to sensors at these poses."""
+    """The returns from an object to sensors at these poses."""
     found = returns(one.places, one.target, sensors, placed(lidars), obstacles)
     return Sightings(one, found.worst, found.mean, found.probability(one.enough))
 
 
 def missed(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles, limit: float) -> float:
-    """1 − the rate of `sightings`; or a number from `limit` up, once it is known to be no less than the limit."""
+    """1 − the rate of `sightings`; or, once it is known to be at least `limit`, any number that is."""
     poses, shape, count = placed(lidars), one.target.shape, len(one.places)
     if not one.item.samples:
         most = limit * count
@@ -183,12 +183,12 @@ def missed(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obst
 
 
 def _ends(one: Sought) -> Counts:
-    """Where replicates end, but for the last."""
+    """The ends of all replicates but the last."""
     return np.flatnonzero(np.diff(one.part)) + 1
 
 
 def _sum(values: Array) -> float:
-    """One after the other, as the compiled loop adds."""
+    """The sum, term after term, as the compiled loop computes it."""
     return float(np.cumsum(values)[-1])
 
 

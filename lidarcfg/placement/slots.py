@@ -34,13 +34,13 @@ class Slot:
 
     @cached_property
     def lidar(self) -> Lidar:
-        """What placement knows of it, in the vehicle's origin."""
+        """Its LiDAR at the vehicle's origin."""
         return sensor_lidar(self.sensor, self.range_m, self.azimuth_fov_deg)
 
 
 @dataclass(frozen=True)
 class Slots:
-    """All of them."""
+    """All slots of a study."""
 
     slots: tuple[Slot, ...]
     group: tuple[int, ...]  # the group of each
@@ -81,7 +81,7 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
 
 
 def _surface(file: StudyFile, bodies: Vehicle | None, sensor: Sensor, path: Path, i: int) -> Surface | None:
-    """What a sensor of group i sits on, if on anything. Raises ConfigError, also if it tilts too much everywhere."""
+    """The surface that group i's sensors sit on, if any. Raises ConfigError, also if they tilt too much everywhere."""
     group = file.sensors[i]
     if not (group.on and bodies):
         return None
@@ -102,7 +102,7 @@ def _fov_deg(sensor: Sensor, group: GroupFile, path: Path, i: int) -> tuple[floa
 
 
 def slot_name(group: str | None, count: int, number: int, before: int) -> str:
-    """What a group's sensor is called that has so many sensors before it in its group, and in the study."""
+    """The name of a group's sensor, by its number in the group and in the study."""
     if group is None:
         return f"lidar_{before}"
     return f"{group}_{number}" if count > 1 else group

@@ -84,7 +84,7 @@ class Study:
 
     @property
     def coordinates(self) -> Coordinates:
-        """The free coordinates: each slot is a group. Those along one axis within equal bounds mean the same."""
+        """The free coordinates, grouped by slot. Those of one axis with equal bounds are of one kind."""
         free = self.free
         bounds = np.stack([np.nonzero(free)[1], self.lower[free], self.upper[free]], axis=1)
         return Coordinates(self.groups, np.unique(bounds, axis=0, return_inverse=True)[1].ravel())
@@ -104,7 +104,7 @@ class Study:
         return poses
 
     def _coordinates(self, unit: Array) -> Array:
-        """(n, slots, 6) what points (n, free coordinates) of the unit cube make of the bounds."""
+        """(n, slots, 6) points (n, free coordinates) of the unit cube, scaled to the bounds."""
         out = np.repeat(self.lower[None], len(unit), axis=0)
         free = self.free
         low, high = self.lower[free], self.upper[free]
@@ -112,7 +112,7 @@ class Study:
         return out
 
     def _settled(self, coordinates: Array) -> Array:
-        """The same as poses: images are mirrored, and what is on a surface sits on it."""
+        """Coordinates as poses: mirrored sensors get their images' poses, others are placed on their surfaces."""
         images = np.flatnonzero(~np.isnan(self.mirror))
         coordinates[:, images] = mirrored(coordinates[:, images - 1], self.mirror[images])
         for i, slot in enumerate(self.slots):
@@ -121,9 +121,9 @@ class Study:
         return coordinates
 
     def violation(self, poses: Array) -> Array:
-        """(n,) by how much poses (n, slots, 6) violate the constraints, radians and metres summed; 0 if they do not.
+        """(n,) by how much poses (n, slots, 6) violate the constraints, radians and metres added; 0 if they do not.
 
-        A sensor inside a closed body of the vehicle does, unless that is allowed, and one that is not on its surface.
+        Sensors off their surface violate them, and sensors inside a closed body unless the vehicle allows that.
         """
         tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
         total: Array = np.maximum(tilt - math.radians(self.constraints.max_tilt_deg) - 1e-12, 0.0).sum(axis=1)
@@ -137,7 +137,7 @@ class Study:
 
     @property
     def rigs(self) -> tuple[int, int]:
-        """Of how many rigs a trial's cost is that of the worst, and how many LiDARs they have altogether."""
+        """The number of rigs that a trial stands for, of which the worst counts, and of LiDARs in all of them."""
         lidars = len(self.slots)
         if self.robust is None:
             return 1, lidars
@@ -153,25 +153,25 @@ class Study:
 
     @property
     def to_choose(self) -> bool:
-        """Whether models are to be chosen; then it stands for many studies, see combinations.py."""
+        """Whether models are to be chosen; the study then stands for many: see combinations.py."""
         return any(slot.choices for slot in self.slots)
 
     def chosen(self, numbers: Sequence[int], slots: Sequence[Slot], file: dict[str, Any]) -> "Study":
-        """The study of these slots, which take the places of the ones with these numbers."""
+        """The study with these slots instead of its own; each takes the bounds of the slot with its number."""
         rows = list(numbers)
         lower, upper, mirror = self.lower[rows], self.upper[rows], self.mirror[rows]
         return replace(self, slots=tuple(slots), lower=lower, upper=upper, mirror=mirror, file=file)
 
     @property
     def segments(self) -> int:
-        """From a trial's sensors to cuboids: how many there are to ask whether bodies hide the cuboids."""
+        """The number of segments from a trial's sensors to cuboids, along which bodies may hide the cuboids."""
         hidden = self.visibility is not None and self.visibility.blocks
         return self.rigs[1] * int(self.region.included.sum()) * hidden
 
     def criterion(self, kept: NDArray[np.bool_] = EVERY_CASE, mounts: Sequence[Mount] = ()) -> Criterion:
-        """The objective, made ready for this region and these objects; of the worst case where there are any.
+        """The objective for this region and these objects; with `kept`, that of the worst case of failure.
 
-        Of a rig whose sensors are not the study's it needs the mounts.
+        A rig whose sensors are not the study's needs its mounts here.
         """
         spot = self.objective.blind_spot_m
         around = None if spot is None else self.directions(spot.height_m)
@@ -188,7 +188,7 @@ class Study:
         return Criterion(self.objective, self.region, self.detection, around, missed, weight, kept)
 
     def scans(self, mounts: Sequence[Mount]) -> Scans:
-        """How sensors fire in a revolution. Raises ConfigError where that is not known."""
+        """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
         if self.patterns is None:
             what = "detection by returns needs to know where sensors fire"
             raise ConfigError(f"{what}; lidarcfg.studies loads it with that")
@@ -202,14 +202,14 @@ class Study:
 
     @property
     def obstacles(self) -> Obstacles:
-        """What stands between sensors and objects."""
+        """The obstacles between sensors and objects."""
         return self.visibility.obstacles if self.visibility else NOTHING
 
     @cached_property
     def reference_m(self) -> Array:
-        """(2,) where the vehicle is taken to be: the midpoint of its bodies' bounds.
+        """(2,) x and y of the vehicle: the midpoint of its bodies' bounds.
 
-        Without a vehicle the sensors' mean position at the midpoint of their bounds.
+        Without a vehicle, the mean of the sensors' positions at the midpoint of their bounds.
         """
         if self.vehicle:
             flat = self.vehicle.scene.mesh()[0][:, :2]
@@ -220,7 +220,7 @@ class Study:
 
     @cached_property
     def outline_m(self) -> Array:
-        """(AZIMUTHS,) from there to the outline of the vehicle's bodies from above; 0 without a vehicle."""
+        """(AZIMUTHS,) from the reference point to the outline of the bodies seen from above; 0 without a vehicle."""
         return outline_m(self.reference_m, *self.vehicle.scene.mesh()) if self.vehicle else np.zeros(AZIMUTHS)
 
     def directions(self, height_m: float) -> Directions:
@@ -228,7 +228,7 @@ class Study:
         return directions(self.region, self.reference_m, self.outline_m, height_m)
 
     def cost(self, poses: Array) -> float:
-        """The objective of one rig's poses (slots, 6), computed in full: what a search minimises, by definition."""
+        """The objective of one rig's poses (slots, 6), computed in full: by definition, what a search minimises."""
 
         def at(where: Array) -> Trial:
             return Trial(self.region, self.lidars(where), self.visibility)
@@ -281,7 +281,7 @@ def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
 
 
 def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> Study:
-    """The study of a file that is read; `path` names it in errors, and what it names is relative to that."""
+    """The study of a file's values. Errors name `path`, and paths in the file are relative to it."""
     choices = choices_of(file, path)
     bodies = vehicle(file.vehicle, path) if file.vehicle else None
     slots = slots_of(file, choices, bodies, path)
@@ -332,7 +332,7 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
 
 
 def _surroundings(file: StudyFile, path: Path) -> Scene | None:
-    """The scene that a study stands in."""
+    """The study's surroundings."""
     if file.surroundings is None:
         return None
     try:
@@ -377,7 +377,7 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
 def _resolved(
     file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], bodies: Vehicle | None, path: Path
 ) -> dict[str, Any]:
-    """The file with its defaults filled in and the paths of its models, meshes and scene resolved."""
+    """The file's values with defaults filled in, and with the paths of models, meshes and scene resolved."""
     values = file.model_dump(mode="json", exclude_none=True)
     if bodies:
         values["vehicle"] = bodies.file.model_dump(mode="json", exclude_none=True)

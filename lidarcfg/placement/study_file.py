@@ -23,7 +23,7 @@ BUDGETS = {"cycles", "evaluations", "seconds"}
 NONE = "none"  # a choice: no sensor
 PRICE_MAX = 1e12
 COMBINATIONS_MAX = 1000
-COUNTED = 10**18  # combinations beyond this are only said to be many
+COUNTED = 10**18  # combinations are counted up to here
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
@@ -114,7 +114,7 @@ class GroupFile(Model):
 
     @property
     def together(self) -> int:
-        """How many sensors are chosen as one: mirrored ones in pairs."""
+        """The number of sensors that are chosen together: mirrored ones in pairs."""
         return 1 if self.mirror_y_m is None else 2
 
 
@@ -148,7 +148,7 @@ class Solver(Model):
 
 
 class VisibilityFile(Model):
-    """What limits the sight of sensors, each where the study gives what it needs; with none of it, nothing does."""
+    """What limits the sight of sensors. Each applies where the study gives what it needs."""
 
     range: bool = True
     field_of_view: bool = True
@@ -174,7 +174,7 @@ class StudyFile(Model):
 
     @property
     def limits_sight(self) -> bool:
-        """Whether anything in it says that sensors do not see everything; without, it is the paper's."""
+        """Whether anything limits the sight of sensors; if nothing does, the study is as in the paper."""
         own = [item for group in self.sensors for item in (group.range_m, group.azimuth_fov_deg)]
         given = any(item is not None for item in (self.vehicle, self.surroundings, self.visibility, *own))
         wanted = self.visibility or VisibilityFile()
@@ -225,9 +225,9 @@ class StudyFile(Model):
 
     @property
     def combinations(self) -> int:
-        """How many rigs the choices allow, but for poses: a group's sensors are interchangeable, and none is no rig.
+        """The number of combinations of sensors; those of a group are interchangeable, and a rig has at least one.
 
-        Counted no further than COUNTED.
+        Counted up to COUNTED.
         """
         total = 1
         for group in self.sensors:

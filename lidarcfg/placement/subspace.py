@@ -1,4 +1,4 @@
-"""Non-detectable subspaces: what the beams' cones cut the region into (paper, section III-B and III-C)."""
+"""Non-detectable subspaces, into which the beams' cones cut the region (paper, sections III-B and III-C)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +46,7 @@ class Subspaces:
         return count
 
     def without_cuboids(self) -> "Subspaces":
-        """The same without what says where they are: `label` has no cuboids, and `seen` is unknown."""
+        """A copy without the arrays of cuboids, to save memory: `label` is empty, and `seen` is unknown."""
         return replace(self, label=np.empty((0, 0, 0), np.int32), seen=None)
 
     def voxel_grid(self, value: Array) -> "open3d.geometry.VoxelGrid":
@@ -83,7 +83,7 @@ class Links:
         self._seen = np.concatenate([work.seen for _, work in each])  # (lidars, rows)
 
     def subspaces(self, kept: Sequence[int]) -> Subspaces:
-        """What `segment` makes of these LiDARs alone."""
+        """The result of `segment` for these LiDARs alone."""
         which = list(kept)
         links, lidars = np.bitwise_and.reduce(self._links[which]), [self._lidars[i] for i in which]
         return _subspaces(self._region, self._grid, links, lidars, self._seen[which] if self._limited else None)
@@ -92,7 +92,7 @@ class Links:
 def _subspaces(
     region: Region, grid: rows.Grid, links: rows.Words, lidars: Sequence[Lidar], seen_words: rows.Words | None
 ) -> Subspaces:
-    """The subspaces by their links (3, rows), and by what LiDARs see (lidars, rows), if something limits that."""
+    """The subspaces by their links (3, rows), and by what the LiDARs see (lidars, rows) if sight is limited."""
     label, cuboids, internal, first = flood.components(grid, region.shape, links)
     index = np.unravel_index(first, region.shape)
     points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)

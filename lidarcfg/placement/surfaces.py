@@ -1,9 +1,9 @@
-"""Mount surfaces: what is seen of a body from one side, and the pose of a sensor that sits on it.
+"""Mount surfaces: the part of a body that is visible from one side, and the poses of sensors that sit on it.
 
-Rays from outside, all along the line of sight, find the surface: a base lies where the ray through its middle first
-hits the vehicle. The footprint is the base's disc as seen from that side, and rays through DISC find what is under it.
-It is on the surface if each of them hits the body, nowhere farther than a step from the base's plane. So that nothing
-narrow stays between them, a gap or an aerial, the same holds for all that is under the disc of a fine grid, the relief.
+Parallel rays from outside find the surface: a base lies where the ray through its middle first hits the vehicle. Its
+footprint is the base's disc as seen from that side; rays through DISC find what is under it. The base is on the surface
+if each of these rays hits the body at most a step away from the base's plane. The same must hold for the points of a
+fine grid, the relief, under the disc, so that no gap or aerial between the rays is missed.
 """
 
 import math
@@ -41,7 +41,7 @@ RIM = 33  # points of a rim that is drawn
 RELIEF = 12  # points of the fine grid to a base's radius, at least half a disc's samples apart
 RELIEF_MAX = 2_000_000  # points of a grid: on large surfaces they are farther apart
 BATCH = 512  # footprints compared with the grid at a time
-HALVES_MAX = 64  # of a patch's extent across the line of sight: so many places are on each side of the middle
+HALVES_MAX = 64  # places of a patch on each side of its middle, at most
 
 
 class WithinFile(Model):
@@ -59,7 +59,7 @@ class WithinFile(Model):
 
 
 class SurfaceFile(Model):
-    """What a sensor sits on, as a study says it."""
+    """The surface that a sensor sits on, as in a study's file."""
 
     model_config = ConfigDict(serialize_by_alias=True)
     body: str
@@ -73,7 +73,7 @@ class SurfaceFile(Model):
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What is seen of a body from one side, and how a sensor sits on it."""
+    """The part of a body that is visible from one side, and how a sensor sits on it."""
 
     tracer: Tracer  # of the vehicle's bodies
     body: Solid
@@ -89,17 +89,17 @@ class Surface:
 
     @property
     def axis(self) -> int:
-        """Along which one looks at it."""
+        """The axis along which the surface is viewed."""
         return OUT[self.side][0]
 
     @property
     def sign(self) -> int:
-        """Whether one looks from where the axis points to, 1, or against it, -1."""
+        """1 if the surface is viewed from the positive end of the axis, -1 if from the negative end."""
         return OUT[self.side][1]
 
     @property
     def out(self) -> Array:
-        """(3,) to where one looks at it from."""
+        """(3,) the unit vector towards the viewer."""
         out: Array = self.sign * np.eye(3)[self.axis]
         return out
 
@@ -118,12 +118,12 @@ class Surface:
 
     @cached_property
     def patch(self) -> "Patch":
-        """Where bases may be on it."""
+        """Where bases fit on it."""
         return _patch(self)
 
     @cached_property
     def relief(self) -> "Relief":
-        """How far out the surface is at the points of a fine grid, wherever a base may cover it."""
+        """The heights of the surface on a fine grid, wherever a base may cover it."""
         edges = [
             (max(self.low_m[i], self.body.low_m[i]), min(self.high_m[i], self.body.high_m[i])) for i in self.across
         ]
@@ -136,13 +136,13 @@ class Surface:
         return Relief((float(lines[0][0]), float(lines[1][0])), pitch_m, self.radius_m, self.heights_m(points))
 
     def heights_m(self, points_m: Array) -> Array:
-        """(…) how far out the line of sight through points (…, 3) first hits anything; NaN unless that is the body."""
+        """(…) the heights of the vehicle on lines of sight through points (…, 3); NaN unless the body is hit first."""
         hits = self.seen(points_m.reshape(-1, 3))
         found = hits.object == self.tracer.scene.names.index(self.body.name)
         return np.where(found, self._start_m - hits.range_m, np.nan).reshape(points_m.shape[:-1])
 
     def seen(self, points_m: Array) -> Hits:
-        """What the lines of sight through points (N, 3) first hit of the vehicle."""
+        """The first hits of the lines of sight through points (N, 3) on the vehicle."""
         starts, inward = points_m.copy(), np.zeros_like(points_m)
         starts[:, self.axis] = self.sign * self._start_m
         inward[:, self.axis] = -self.sign
@@ -151,7 +151,8 @@ class Surface:
     def poses(self, coordinates: Array) -> Array:
         """(n, 6) the poses of sensors at coordinates (n, 6): bases across the line of sight, and angles.
 
-        Of these, only yaw counts for an axis along the normal. A base without a surface is in the middle of the box.
+        If sensors stand along the normal, only yaw counts. Where there is no surface, the base is in the middle of
+        the box.
         """
         heights = self.heights_m(coordinates[:, None, :3] + (self._disc_m[:1] if self.upright else self._disc_m))
         poses = coordinates.copy()
@@ -171,7 +172,7 @@ class Surface:
         return bases
 
     def violation(self, poses: Array) -> Array:
-        """(n,) by how much sensors at poses (n, 6) do not sit on it, in metres; 0 where they do."""
+        """(n,) by how much sensors at poses (n, 6) are off the surface, in metres; 0 where they sit on it."""
         bases, mount = self.bases_m(poses), self._mount(poses)
         heights = self.heights_m(bases[:, None] + self._disc_m)
         away = (heights - self.sign * bases[:, self.axis, None]) * (self.sign * mount[:, self.axis, None])
@@ -189,7 +190,7 @@ class Surface:
         return total
 
     def roughness(self, poses: Array) -> Array:
-        """(n,) by how much the relief under bases at poses (n, 6), all without a violation, leaves their planes."""
+        """(n,) by how much the relief under bases at poses (n, 6), all without violation, departs from their planes."""
         relief, mount, bases = self.relief, self._mount(poses), self.bases_m(poses)
         points, away = zip(*(relief.under(bases[:, axis], i) for i, axis in enumerate(self.across)), strict=True)
         heights = relief.heights_m[points[0][:, :, None], points[1][:, None, :]]
@@ -217,12 +218,12 @@ class Surface:
 
     @cached_property
     def _start_m(self) -> float:
-        """How far out rays start: beyond all bodies."""
+        """The height at which rays start: beyond all bodies."""
         far = self.sign * self.tracer.scene.mesh()[0][:, self.axis]
         return float(far.max() + 0.1 * np.ptp(far) + 1.0)
 
     def _mount(self, poses: Array) -> Array:
-        """(n, 3) which way sensors at poses (n, 6) stand off from their bases."""
+        """(n, 3) unit vectors from the bases to the sensors at poses (n, 6)."""
         if not self.upright:
             return up(poses[:, 3:])
         out = np.zeros((len(poses), 3))
@@ -232,7 +233,7 @@ class Surface:
     def _normals(self, heights: Array) -> Array:
         """(n, 3) the normals of the planes through heights (n, K) under footprints, by least squares.
 
-        The sums go sample by sample, so that a place has the same normal whatever it is computed with.
+        Sums run sample by sample, so that a place's normal does not depend on the others in the batch.
         """
         rise = np.nan_to_num(heights - heights[:, :1])
         normals = np.zeros((len(heights), 3))
@@ -252,10 +253,10 @@ class Relief:
     first_m: tuple[float, float]  # of the two axes
     pitch_m: float
     radius_m: float  # of the bases
-    heights_m: Array  # (a, b) how far out; NaN where the body is not what is seen
+    heights_m: Array  # (a, b) NaN where something other than the body is seen
 
     def under(self, middles_m: Array, axis: int) -> tuple[NDArray[np.int64], Array]:
-        """(n, k) the points' numbers around bases with middles (n,) along one of the axes, and how far they are."""
+        """(n, k) the indices of grid points around bases with middles (n,) along an axis, and their distances."""
         start = np.floor((middles_m - self.radius_m - self.first_m[axis]) / self.pitch_m).astype(np.int64)
         numbers = start[:, None] + np.arange(int(2 * self.radius_m / self.pitch_m) + 3)
         away = self.first_m[axis] + self.pitch_m * numbers - middles_m[:, None]
@@ -264,7 +265,7 @@ class Relief:
 
 @dataclass(frozen=True)
 class Patch:
-    """Where bases may be on a surface, on a grid across the line of sight; of a pair, where both may be."""
+    """Where bases fit on a surface, on a grid across the line of sight; for a pair, where both fit."""
 
     bases_m: Array  # (a, b, 3) where there is no surface, in the middle of the box
     hit: NDArray[np.bool_]  # (a, b) whether there is a surface in the box

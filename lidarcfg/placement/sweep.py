@@ -31,17 +31,17 @@ DRAWS = 100  # of poses, for one that meets the constraints
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a run."""
+    """The result of a run."""
 
     found: dict[str, float | int | None]  # figures by name
     rig: Rig | None  # None: there is none
     seconds: float
     error: str = ""  # why there is no rig
-    lasting: bool = True  # whether it would be the same again
+    lasting: bool = True  # whether another attempt would end the same way
 
 
 def work(content: bytes, theirs: dict[str, str]) -> Outcome:
-    """What a worker does: a run of a pickled study, made with these versions. Raises ConfigError for others."""
+    """Run the search of a pickled study in a worker. Raises ConfigError if `theirs` are not the worker's versions."""
     check_versions(theirs, "the command")
     started = time.perf_counter()
     try:
@@ -71,7 +71,7 @@ def figures(found: Placement) -> dict[str, float | int | None]:
 def sweep(plan: Plan, runs: Iterable[Run], workers: Workers, done: Callable[[Run, Outcome], None]) -> None:
     """Do some runs of a plan; `done` is called after each, in the order in which they end.
 
-    A run whose worker was killed is done again. Raises ConfigError if the workers are gone or of other versions.
+    A run whose worker was killed is repeated. Raises ConfigError if the workers are gone, or run other versions.
     """
     left = iter(runs)
     pending: dict[Future[Outcome], tuple[Run, bytes]] = {}
@@ -99,12 +99,12 @@ def sweep(plan: Plan, runs: Iterable[Run], workers: Workers, done: Callable[[Run
 
 
 def _prepared(plan: Plan, run: Run | None) -> tuple[Run, bytes] | None:
-    """A run with what its worker needs: the whole study, so that it reads no file."""
+    """A run with its pickled study, so that the worker reads no files."""
     return None if run is None else (run, pickle.dumps(plan.studies.of(run.file)))
 
 
 def _outcome(future: "Future[Outcome]") -> Outcome | None:
-    """What came of a run; None if its worker ended. Raises ConfigError for a worker of other versions."""
+    """The result of a run; None if its worker died. Raises ConfigError for a worker of other versions."""
     if future.cancelled():
         return None
     error = future.exception()
@@ -114,7 +114,7 @@ def _outcome(future: "Future[Outcome]") -> Outcome | None:
 
 
 def warm(study: Study) -> None:
-    """Compile the loops that a search of the study needs, so that no two processes do."""
+    """Compile the loops that a search of the study needs, before several processes would."""
     rng = np.random.default_rng(1)
     lidars = [slot.lidar for slot in study.slots]
     poses = study.poses(rng.random((DRAWS, int(study.free.sum()))))
@@ -130,20 +130,20 @@ def warm(study: Study) -> None:
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast searches of a study are."""
+    """The speed of a study's searches."""
 
     evaluation_s: float
     cycle_s: float
     rest_s: float  # what a run takes beside its search
 
     def seconds(self, solver: Solver) -> float:
-        """About how long a run takes with this solver's budgets."""
+        """The estimated duration of a run with this solver's budgets."""
         budgets = (solver.evaluations, self.evaluation_s), (solver.cycles, self.cycle_s), (solver.seconds, 1.0)
         return self.rest_s + min(budget * each for budget, each in budgets if budget is not None)
 
 
 def pace(study: Study) -> Pace:
-    """By a search of a few evaluations. Raises ConfigError if that finds no rig."""
+    """The pace of a study's searches, timed on a short one. Raises ConfigError if that finds no rig."""
     started = time.perf_counter()
     trial = optimize(with_solver(study, evaluations=TRIALS), threads=1)
     count = trial.evaluations + trial.first_evaluations + trial.scout_evaluations
@@ -152,12 +152,12 @@ def pace(study: Study) -> Pace:
 
 
 def kind(file: StudyFile) -> str:
-    """Which loops a search needs, as a text to compare."""
+    """A key of the compiled loops that a search needs: equal keys, equal loops."""
     return " ".join([file.solver.method, *sorted(set(_names(file.model_dump(exclude_unset=True))))])
 
 
 def size(file: StudyFile) -> str:
-    """What a search's pace depends on, as a text to compare."""
+    """A key of everything that a search's pace depends on."""
     sensors = [(group.model, group.elevation_deg, group.count) for group in file.sensors]
     return json.dumps([kind(file), sensors, file.region.model_dump_json()])
 

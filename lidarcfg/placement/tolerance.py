@@ -1,7 +1,7 @@
-"""The costs of a study's trials, with what a rig has to withstand; see robustness.py.
+"""The costs of a study's trials, with failures and mounting errors where the study asks for them; see robustness.py.
 
-Of mounting errors every draw is a search's evaluation of its own, with witnesses and links of its own. A trial is
-refuted as soon as more draws reach what is to be beaten than may be worse than the quantile: then the quantile does.
+Each draw of mounting errors has an evaluator of its own, with its own witnesses and links. A trial is refuted as soon
+as more draws reach the cost to beat than may be worse than the quantile, because then the quantile reaches it, too.
 """
 
 from collections.abc import Callable
@@ -63,7 +63,7 @@ class StudyEvaluator:
 
     @property
     def full_evaluations(self) -> int:
-        """How many rigs were evaluated in full: several a trial where it has to withstand something."""
+        """The number of rigs evaluated in full: several per trial with failures or mounting errors."""
         return sum(one.full_evaluations for one in self._parts)
 
     @property

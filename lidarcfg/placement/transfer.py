@@ -1,4 +1,4 @@
-"""What a combination of sensors learns from others: their best rigs as starts, and a local search from the best.
+"""How a combination of sensors learns from others: their best rigs are starts for a local search.
 
 A rig of another combination fits if a few sensors are exchanged, added or removed. Sensors of the same group and model
 keep their poses, then those of the same group; a sensor that is new stands anywhere within its bounds.
@@ -40,7 +40,7 @@ class _Seat:
 
 
 def starts(combination: Combination, examples: Sequence[Example], rng: np.random.Generator) -> Array:
-    """(n, free coordinates) points of a combination's unit cube, made of examples; the best of these first."""
+    """(n, free coordinates) points of a combination's unit cube, made from examples, those of the best one first."""
     seats, found = _seats(combination), []
     for example in sorted(examples, key=lambda example: example.objective):
         for _ in range(DRAWS):
@@ -62,7 +62,7 @@ def _seats(combination: Combination) -> list[_Seat]:
 
 
 def _fitted(seats: Sequence[_Seat], example: Example, rng: np.random.Generator) -> tuple[Array | None, bool]:
-    """The example's poses for these seats, and whether one was drawn; None where too much has to change."""
+    """The example's poses for these seats, and whether one was drawn; None if too many sensors differ."""
     left = _seats(example.combination)
     left = [left[i] for i in rng.permutation(len(left))]  # which of several is removed
     taken: dict[int, _Seat] = {}
@@ -84,7 +84,7 @@ def _fitted(seats: Sequence[_Seat], example: Example, rng: np.random.Generator) 
 
 
 class Transfer:
-    """A search that tries some starts, and goes on with CMA-ES around the best; `over` once that has converged."""
+    """A search that tries the starts, then runs CMA-ES around the best; `over` once that has converged."""
 
     def __init__(self, starts: Array, seed: int) -> None:
         self._starts, self._seed = starts, seed

@@ -1,4 +1,4 @@
-"""Who does the runs of a sweep: processes of this machine, or a Dask cluster."""
+"""The workers of a sweep: processes on this machine, or a Dask cluster."""
 
 import logging
 import multiprocessing
@@ -27,25 +27,25 @@ class WorkerDiedError(Exception):
 
 
 class Workers(Protocol):
-    """Who does runs."""
+    """Workers that do runs."""
 
     @property
     def count(self) -> int:
-        """How many runs they do at a time. Raises ConfigError if they are gone, or of other versions."""
+        """The number of runs at a time. Raises ConfigError if the workers are gone, or run other versions."""
 
     @property
     def room(self) -> int:
-        """How many they can be given. Raises as `count` does."""
+        """The number of runs that may be submitted at a time. Raises as `count` does."""
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """Call a function of a module there. The future raises whatever happens to the worker meanwhile."""
+        """Call a module's function in a worker. The future raises if the worker dies."""
 
     def close(self) -> None:
-        """End what they do for us."""
+        """Stop the runs in progress and release the workers."""
 
 
 class Processes:
-    """Processes of this machine. They end with this one, however that ends; one that is killed is replaced."""
+    """Processes on this machine. They end with this process, however it ends; a killed one is replaced."""
 
     def __init__(self, count: int) -> None:
         self.count, self._closed = count, False
@@ -61,11 +61,11 @@ class Processes:
         return self.count
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """Call a function in a process. The future raises WorkerDiedError if that ends before."""
+        """Call a function in a process. The future raises WorkerDiedError if the process ends before it returns."""
         return self._threads.submit(self._call, function, arguments)
 
     def close(self) -> None:
-        """Kill them."""
+        """Kill the processes."""
         self._closed = True
         for process in self._all:
             process.kill()
@@ -96,7 +96,7 @@ class _Process:
         self.start()
 
     def start(self) -> None:
-        """Start it, in place of one that ended."""
+        """Start the process, also in place of one that ended."""
         context = multiprocessing.get_context("spawn")  # a fork would copy locks that other threads hold
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
@@ -104,7 +104,7 @@ class _Process:
         theirs.close()  # so that the pipe ends with the process
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """What the function returns there. Raises EOFError or OSError if the process ends before."""
+        """The function's result in the process. Raises EOFError or OSError if the process ends before it returns."""
         self._pipe.send((function, arguments))
         return self._pipe.recv()
 
@@ -114,7 +114,7 @@ class _Process:
 
 
 def _serve(pipe: Any) -> None:
-    """What a process does, until the other end of the pipe is closed."""
+    """The process: calls functions until the other end of the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
@@ -163,7 +163,7 @@ class Cluster:
 
     @property
     def count(self) -> int:
-        """Its threads. Raises ConfigError if the scheduler is gone, or a worker is of other versions."""
+        """The cluster's threads. Raises ConfigError if the scheduler is gone, or a worker runs other versions."""
         try:
             threads: dict[str, int] = self._client.nthreads()
             fresh = set(threads) - self._known
@@ -180,12 +180,12 @@ class Cluster:
         return AHEAD * self.count
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
-        """Call a function on a worker, on another if that one ends before."""
+        """Call a function on a worker; if that one dies, on another."""
         future: Future[Any] = self._executor.submit(function, *arguments)
         return future
 
     def close(self) -> None:
-        """Give up what is not done, and the connection."""
+        """Cancel what is not done, and disconnect."""
         self._client.close()
 
     def _check(self, found: dict[str, Any]) -> None:

@@ -1,8 +1,8 @@
 """Zones: parts of the region that weigh more, or less, than others.
 
-A subspace is in a zone if one of its cuboids' centres is. So no point of a zone lies in a subspace of a larger VSR than
-the zone's max VSR. What is minimised is the largest product of a subspace's VSR and the weights of its zones; what lies
-in no zone has weight 1. Zones cut no subspace: these stay those of the whole region.
+A subspace is in a zone if the centre of one of its cuboids is, so the zone's max VSR bounds the VSR of every subspace
+that a point of the zone lies in. The search minimises the largest product of a subspace's VSR and the greatest weight
+of its zones; outside of all zones the weight is 1. Zones do not cut subspaces.
 """
 
 from collections.abc import Iterator, Sequence
