@@ -24,6 +24,9 @@ from numba.core.options import DefaultOptions
 from lidarcfg.compiling import compiling
 from lidarcfg.linking import link_late
 from lidarcfg.loop_cache import LoopCache
+from lidarcfg.shortcuts import take
+
+take()
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -61,15 +64,18 @@ def outer(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return njit(**ALONE, **UNCOUNTED, **options)
 
 
-def inner(*, makes_arrays: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """For loops that only other loops call: they are compiled as parts of these, once, and not for themselves."""
-    options |= {"nogil": True} if makes_arrays else {"nogil": True, **UNCOUNTED}
+def inner(*, makes_arrays: bool = False, kept: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """For loops that only other loops call: they are compiled as parts of these, once, and not for themselves.
+
+    Large ones, which several loops call or a helper compiles, are `kept` in the cache.
+    """
+    options |= {"nogil": True, "cache": kept} if makes_arrays else {"nogil": True, "cache": kept, **UNCOUNTED}
     return partial(_inner, options=options)
 
 
 def _inner(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     if not link_late():
-        return _loop(function, {"cache": True, **options})
+        return _loop(function, options | {"cache": True})
     loop = _loop(function, {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **options})
 
     def refuse(*_: Any, **__: Any) -> None:

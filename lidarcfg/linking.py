@@ -2,8 +2,9 @@
 
 numba optimises every function and generates machine code for it, and again in every function that calls it: for the
 innermost of ten nested loops ten times. Most of what this makes serves calls from Python alone, which inner loops do
-not get. Here their code waits until a function that can be called from Python takes it in. This extends a class inside
-numba; where that is not as known, numba works as ever: as right, and slower to start.
+not get. Here their code waits until a function that can be called from Python takes it in; it waits in the cache, too,
+where several such functions, or several processes, need it. This extends a class inside numba; where that is not as
+known, numba works as ever: as right, and slower to start.
 """
 
 from functools import cache
@@ -12,9 +13,11 @@ from typing import Any
 
 OF_PYTHON = ("_ZN", "cfunc.")  # begin the names that numba makes for functions written in Python
 ENTRY = "_ZN7cpython"  # and for what Python calls
+WAITING = "waiting"  # a kind of code in the cache, as "object" is one of numba's
 KNOWN = {
     "JITCodeLibrary": (
         "finalize", "get_defined_functions", "get_pointer_to_function", "_get_module_for_linking", "_finalize_specific",
+        "_finalize_dynamic_globals", "serialize_using_object_code", "_unserialize",
     ),
     "JITCPUCodegen": ("set_env", "_library_class"),
     "JitEngine": ("is_symbol_defined",),
@@ -25,6 +28,7 @@ KNOWN = {
 def link_late() -> bool:
     """Have it so from now on. Returns whether this numba allows for it."""
     codegen: Any = import_module("numba.core.codegen")
+    parse_bitcode: Any = import_module("llvmlite.binding").parse_bitcode
     if not all(hasattr(getattr(codegen, name, None), method) for name, methods in KNOWN.items() for method in methods):
         return False
     waiting: dict[str, Any] = {}  # environments of functions without machine code, by their names in it
@@ -44,6 +48,7 @@ def link_late() -> bool:
             for library in dict.fromkeys(self._linking_libraries):
                 self._reload_init.update(library._reload_init)
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            self._finalize_dynamic_globals()  # code that has some is not kept in the cache
             self._finalized = self._waits = True
 
         def get_pointer_to_function(self, name: str) -> Any:
@@ -53,6 +58,22 @@ def link_late() -> bool:
                 self._optimize_final_module()
                 self._finalize_final_module()
             return super().get_pointer_to_function(name)
+
+        def serialize_using_object_code(self) -> Any:
+            """As numba's, for the cache; of code that waits, what waits."""
+            if self._waits:
+                return self.name, WAITING, self._final_module.as_bitcode()
+            return super().serialize_using_object_code()
+
+        @classmethod
+        def _unserialize(cls, codegen: Any, state: Any) -> Any:
+            name, kind, data = state
+            if kind != WAITING:
+                return super()._unserialize(codegen, state)
+            library = codegen.create_library(name)
+            library._final_module = parse_bitcode(data)
+            library._finalized = library._waits = True
+            return library
 
         def _finalize_specific(self) -> None:
             super()._finalize_specific()

@@ -16,7 +16,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
 from lidarcfg.world.bvh import EMPTY, Tree
 from lidarcfg.world.shapes import FAST
-from lidarcfg.world.tracer_kernels import NONE, RANGE, SIZE, SLOT, alike, blocked, load, new_packet, trace
+from lidarcfg.world.tracer_kernels import NONE, RANGE, SIZE, SLOT, alike, blocked, load, made_packet, trace
 
 Counts = NDArray[np.int32]
 TURN = 2 * math.pi
@@ -273,7 +273,7 @@ def count_returns(scans, s, shape, obstacles, frame, packet, work, enough, count
 @njit(cache=True, nogil=True)
 def returns(places, scans, poses, shape, obstacles, which, out):
     """Write the returns from an object at some of places (P, 4), to out (P, sensors, phases), of zeros."""
-    packet, work, sensors = new_packet(0), new_work(), len(scans.phases)
+    packet, work, sensors = made_packet(0), new_work(), len(scans.phases)
     frame = Frame(np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)), np.zeros(3))
     for p in which:
         for s in range(sensors):
@@ -311,7 +311,7 @@ def undetected(places, scans, poses, shape, obstacles, enough, most):
 
     It is detected by `enough` returns. A place is settled as soon as they are certain.
     """
-    packet, work, sensors = new_packet(0), new_work(), len(scans.phases)
+    packet, work, sensors = made_packet(0), new_work(), len(scans.phases)
     frame = Frame(np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)), np.zeros(3))
     counts, chance, missed = np.zeros((sensors, scans.phases.max()), np.int32), np.zeros(enough + 1), 0.0
     for p in range(len(places)):

@@ -27,8 +27,7 @@ from lidarcfg.simulate.simulator_kernels import (
     aimed,
     grouped,
     hit_bodies,
-    new_aim,
-    new_own,
+    locate,
     sideways,
     spread,
     swept_in,
@@ -45,7 +44,6 @@ from lidarcfg.world.tracer_kernels import (
     SLOT,
     alike,
     load,
-    new_packet,
     normal_at,
     shear,
 )
@@ -113,7 +111,7 @@ def _hit_dynamic(world, moving, packet, fan, aim, which, first, count, width, fa
             one[RANGE + n], one[SLOT + n] = rays[RANGES + at], rays[SLOTS + at]
             rows[first + n] = which[first + n] * width + m
         for i in range(packet.instances[0]):
-            p = packet.instances[1 + i]
+            p = np.int64(packet.instances[1 + i])
             test_instance(dynamic, p, packet, aim.placed, aim.seconds, first, count, 2, slots)
         keep(one, rows, first, count, found.range_m, found.slot)
         if len(found.cosine):
@@ -121,16 +119,17 @@ def _hit_dynamic(world, moving, packet, fan, aim, which, first, count, width, fa
 
 
 @njit(cache=True, nogil=True)
-def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, found):
+def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, work, found):
     """As `trace_firings` does, for beams of several rays, at most FAN, the middle one of which is the axis."""
     time_ns, laser, _ = firings
     static, dynamic, ground_m, cosines = world.static, world.dynamic, world.ground_m, len(found.cosine) > 0
     dynamics, slots, width, widest = len(dynamic.roots), len(static.kind), len(lasers.across), widest_of(lasers)
-    group, order, cuts = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
-    packet, aim, own, block, fan = new_packet(dynamics), new_aim(frames), new_own(frames), -1, new_fan()
+    group, order, cuts, first_ns = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
+    packet, aim, own, right, lights, directions = work
+    block, fan, moving = -1, new_fan(), swept(dynamic, 0.0, 0.0, aim.placed)
     axes, origins, rows, rays = aim.axes, aim.origins, aim.rows, fan.rays
-    right, lights, directions = np.empty((2, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
-    bodies, own_slots, moving = len(frames.bodies.kind), slots + len(dynamic.trees.kind), swept(dynamic, 0.0, 0.0)
+    bodies, own_slots = len(frames.bodies.kind), slots + len(dynamic.trees.kind)
+    locate(aim, frames)
     for n in range(SIZE * width):
         rays[ACROSS + np.uint64(n)], rays[ABOVE + np.uint64(n)] = lasers.across[n % width], lasers.above[n % width]
     for p in range(len(cuts) - 1):
@@ -138,7 +137,7 @@ def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, found):
         here, count, done = group[which[0]], len(which), 0
         if dynamics and here // len(lasers.left_m) != block:
             block = here // len(lasers.left_m)
-            moving = swept_in(dynamic, time_ns, block, zero_ns)
+            moving = swept_in(dynamic, first_ns + block * BLOCK_NS - zero_ns, aim.placed)
         aimed(aim, lasers, frames, firings, zero_ns, which, here % len(lasers.left_m))
         sideways(axes, right)
         turned(aim.R, axes, directions)

@@ -14,7 +14,7 @@ from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.beam_kernels import trace_beams
 from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import laser_errors_m, separate
-from lidarcfg.simulate.simulator_kernels import Frames, Lasers, looked_up, trace_firings
+from lidarcfg.simulate.simulator_kernels import Frames, Lasers, looked_up, new_work, trace_firings
 from lidarcfg.world.bvh import NO_TREE, Tree
 from lidarcfg.world.motion import Trajectory, packed
 from lidarcfg.world.scene import Weather
@@ -74,7 +74,9 @@ class Simulator:
         if count:
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
             columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), most_m + BEYOND_M
-            told = self._tracer.world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m
+            world = self._tracer.world
+            work = new_work(self._frames, len(world.dynamic.roots))
+            told = world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m, work
             if width == 1:
                 trace_firings(*told, found)
             else:

@@ -12,7 +12,19 @@ from lidarcfg.jit import inner, njit
 from lidarcfg.world.bvh import Tree, bounds
 from lidarcfg.world.motion_kernels import VELOCITY, Paths, column, matrix, poses, product, times
 from lidarcfg.world.shapes import FAST
-from lidarcfg.world.tracer_kernels import NONE, RANGE, SIZE, SLOT, alike, load, new_packet, normal_at, ray_of, trace
+from lidarcfg.world.tracer_kernels import (
+    NONE,
+    RANGE,
+    SIZE,
+    SLOT,
+    Packet,
+    alike,
+    load,
+    new_packet,
+    normal_at,
+    ray_of,
+    trace,
+)
 from lidarcfg.world.world_kernels import Poses, hit, hit_dynamic, keep, keep_normals, new_poses, swept
 
 FLATTEST, SLACK_M = 1e-18, 1e-6  # of a direction's component; by which a box is larger
@@ -79,17 +91,55 @@ class Own(NamedTuple):
     directions: Array  # (3, SIZE)
 
 
+class Work(NamedTuple):
+    """Working memory of a thread."""
+
+    packet: Packet
+    aim: Aim
+    own: Own
+    right: Array  # (2, SIZE) of the beams' axes, in the plane
+    beams: Array  # (3, SIZE) directions of rays in the sensor's frame
+    directions: Array  # (3, SIZE) in the world
+
+
+def new_work(frames: Frames, dynamics: int) -> Work:
+    """For a sensor, and as many dynamic objects."""
+    rows, plane = (np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE)), np.empty((2, SIZE))
+    start, slope, numbers = np.empty(3), np.empty(3), np.empty(SIZE, np.int64)
+    aim = Aim(*rows, new_poses(), _rows(9), _rows(3), start, slope, _rows(3), _rows(3), _rows(3), numbers)
+    R = np.repeat(frames.R_vehicle_sensor.reshape(9, 1), SIZE, axis=1)
+    t = np.repeat(frames.t_vehicle_sensor.reshape(3, 1), SIZE, axis=1)
+    own = Own(frames.bodies, _box(frames.bodies), R, t, _rows(3), _rows(3))
+    return Work(new_packet(dynamics), aim, own, plane, _rows(3), _rows(3))
+
+
+def _rows(count: int) -> Array:
+    return np.empty((count, SIZE))
+
+
+def _box(tree: Tree) -> Array:
+    """A little more than the bounding box (6,) of a tree's triangles, spheres and cylinders."""
+    around = np.empty((len(tree.kind), 6), np.float32)
+    bounds(tree.shapes, tree.kind, around)
+    low, high = around[:, :3].min(axis=0, initial=math.inf), around[:, 3:].max(axis=0, initial=-math.inf)
+    return np.concatenate([low.astype(np.float64) - SLACK_M, high.astype(np.float64) + SLACK_M])
+
+
 @inner(makes_arrays=True)
 def grouped(laser, time_ns, lasers, block_ns):
     """The group of each firing, by block of time (0: all is one) and laser; their order by group; where packets begin.
 
     Neighbours in that order point in nearly the same direction. The last packet's end follows the packets' beginnings.
+    Returns the time of the first firing, too.
     """
-    group, first_ns = np.empty(len(laser), np.int64), time_ns.min()
+    group, last, first_ns = np.empty(len(laser), np.int64), 0, time_ns[0]
+    for n in range(len(laser)):
+        first_ns = min(first_ns, time_ns[n])
     for n in range(len(laser)):
         block = (time_ns[n] - first_ns) // block_ns if block_ns else 0
         group[n] = block * lasers + laser[n]
-    begin, order = np.zeros(group.max() + 2, np.int64), np.empty(len(laser), np.int64)
+        last = max(last, group[n])
+    begin, order = np.zeros(last + 2, np.int64), np.empty(len(laser), np.int64)
     for n in range(len(laser)):
         begin[group[n] + 1] += 1
     for k in range(len(begin) - 1):
@@ -103,7 +153,7 @@ def grouped(laser, time_ns, lasers, block_ns):
             cuts[packets] = i
             packets += 1
     cuts[packets] = len(order)
-    return group, order, cuts[: packets + 1]
+    return group, order, cuts[: packets + 1], first_ns
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -201,31 +251,18 @@ def moved(R, t, starts, origins):
         origins[2, n] = R[6, n] * x + R[7, n] * y + R[8, n] * z + t[2, n]
 
 
-@inner(makes_arrays=True)
-def new_aim(frames):
-    """Working memory."""
-    aim = Aim(
-        np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), new_poses(), np.empty((9, SIZE)), np.empty((3, SIZE)),
-        np.empty(3), np.empty(3), np.empty((3, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE)),
-        np.empty(SIZE, np.int64),
-    )  # fmt: skip
-    v = frames.paths.values[0]
-    _place(frames, aim.path_s, SIZE, aim.placed, aim.R, aim.t)
-    aim.base[:] = aim.t[:, 0]
-    aim.slope[0], aim.slope[1], aim.slope[2] = times(matrix(frames.R_world_start), v[0], v[1], v[2])
-    return aim
+@inner(kept=True)
+def locate(aim, frames):
+    """Find where the sensor is at time 0 of the path, and its velocity."""
+    values, base, t = frames.paths.values, aim.base, aim.t
+    _place(frames, aim.path_s, SIZE, aim.placed, aim.R, t)
+    base[0], base[1], base[2] = t[0, 0], t[1, 0], t[2, 0]
+    aim.slope[0], aim.slope[1], aim.slope[2] = times(
+        matrix(frames.R_world_start), values[0, 0], values[0, 1], values[0, 2]
+    )
 
 
-@inner(makes_arrays=True)
-def new_own(frames):
-    """Working memory."""
-    R, t = np.empty((9, SIZE)), np.empty((3, SIZE))
-    for n in range(SIZE):
-        R[:, n], t[:, n] = frames.R_vehicle_sensor.ravel(), frames.t_vehicle_sensor
-    return Own(frames.bodies, _box(frames.bodies), R, t, np.empty((3, SIZE)), np.empty((3, SIZE)))
-
-
-@inner()
+@inner(kept=True)
 def aimed(aim, lasers, frames, firings, zero_ns, which, laser):
     """Find where the beams of some firings (count,) of a laser start and point; dynamic objects start at `zero_ns`."""
     time_ns, _, encoder_rad = firings
@@ -242,22 +279,10 @@ def aimed(aim, lasers, frames, firings, zero_ns, which, laser):
 
 
 @inner(makes_arrays=True)
-def swept_in(dynamic, time_ns, block, zero_ns):
-    """The tree over spheres that hold the dynamic objects during a block of the firings' time."""
-    begin_s = (time_ns.min() + block * BLOCK_NS - zero_ns) / 1e9
-    return swept(dynamic, begin_s, begin_s + BLOCK_NS / 1e9)
-
-
-@njit(cache=True, nogil=True)
-def _box(tree):
-    """A little more than the bounding box (6,) of a tree's triangles, spheres and cylinders."""
-    box = np.array([math.inf, math.inf, math.inf, -math.inf, -math.inf, -math.inf])
-    around = np.empty((len(tree.kind), 6), np.float32)
-    bounds(tree.shapes, tree.kind, around)
-    for k in range(3):
-        for s in range(len(tree.kind)):
-            box[k], box[3 + k] = min(box[k], around[s, k] - SLACK_M), max(box[3 + k], around[s, 3 + k] + SLACK_M)
-    return box
+def swept_in(dynamic, begin_ns, moved):
+    """The tree over spheres that hold the dynamic objects during a block of time."""
+    begin_s = begin_ns / 1e9
+    return swept(dynamic, begin_s, begin_s + BLOCK_NS / 1e9, moved)
 
 
 @inner(fastmath=FAST, error_model="numpy")
@@ -305,26 +330,27 @@ def hit_bodies(own, packet, starts, beams, rows, count, limit_m, first_slot, fou
 
 
 @njit(cache=True, nogil=True)
-def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, found):
+def trace_firings(world, lasers, frames, firings, zero_ns, limit_m, work, found):
     """Find what the K rays of each of N firings hit within a limit, and write it to N K rows, firing by firing.
 
     Firings are times, lasers and encoder angles; dynamic objects have their time 0 at `zero_ns`. Slots count through
-    the world's and then through the bodies'.
+    the world's and then through the bodies'. `work` is new.
     """
     time_ns, laser, _ = firings
     static, dynamic, ground_m, range_m, slot = world.static, world.dynamic, world.ground_m, found.range_m, found.slot
     dynamics, slots, cosines, rays = len(dynamic.roots), len(static.kind), len(found.cosine), len(lasers.across)
-    group, order, cuts = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
-    packet, aim, own, block = new_packet(dynamics), new_aim(frames), new_own(frames), -1
+    group, order, cuts, first_ns = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
+    packet, aim, own, right, beams, directions = work
     seconds, placed, axes, starts, origins, rows = aim.seconds, aim.placed, aim.axes, aim.starts, aim.origins, aim.rows
-    right, beams, directions = np.empty((2, SIZE)), np.empty((3, SIZE)), np.empty((3, SIZE))
-    bodies, own_slots, moving = len(frames.bodies.kind), slots + len(dynamic.trees.kind), swept(dynamic, 0.0, 0.0)
+    bodies, own_slots = len(frames.bodies.kind), slots + len(dynamic.trees.kind)
+    block, moving = -1, swept(dynamic, 0.0, 0.0, placed)
+    locate(aim, frames)
     for p in range(len(cuts) - 1):
         which = order[cuts[p] : cuts[p + 1]]
         here, count = group[which[0]], len(which)
         if dynamics and here // len(lasers.left_m) != block:
             block = here // len(lasers.left_m)
-            moving = swept_in(dynamic, time_ns, block, zero_ns)
+            moving = swept_in(dynamic, first_ns + block * BLOCK_NS - zero_ns, placed)
         aimed(aim, lasers, frames, firings, zero_ns, which, here % len(lasers.left_m))
         if rays > 1:
             sideways(axes, right)

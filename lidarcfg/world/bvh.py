@@ -77,11 +77,14 @@ def _area(low_x, low_y, low_z, high_x, high_y, high_z):
     return x * y + y * z + z * x
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True)
 def _fill(box, first, end, bins, counts, low, scale):
     """Sort the boxes `first` to `end` of (S, 6) into bins by their centres, along each axis."""
-    counts[:] = 0
-    bins[:, :, :3], bins[:, :, 3:] = np.inf, -np.inf
+    for axis in range(3):
+        for b in range(BINS):
+            counts[axis, b] = 0
+            for k in range(3):
+                bins[axis, b, k], bins[axis, b, 3 + k] = np.inf, -np.inf
     for i in range(first, end):
         for axis in range(3):
             b = min(int((box[i, axis] + box[i, 3 + axis] - low[axis]) * scale[axis]), BINS - 1)
@@ -99,7 +102,8 @@ def _cheapest(bins, counts, scale, cost):
         if scale[axis] == 0:
             continue
         for turn in range(2):  # from the right, then from the left
-            box[:3], box[3:] = np.inf, -np.inf
+            for k in range(3):
+                box[k], box[3 + k] = np.inf, -np.inf
             count = 0
             for j in range(BINS - 1):
                 b = j if turn else BINS - 1 - j
@@ -122,7 +126,7 @@ def _swap(box, order, i, j):
     order[i], order[j] = order[j], order[i]
 
 
-@njit(cache=True, nogil=True)
+@inner(makes_arrays=True, kept=True)
 def split(box: NDArray[np.float32], order: Index, boxes: NDArray[np.float32], children: Index) -> tuple[int, int]:
     """Build the nodes over boxes (S, 6): the root's code, and how many nodes there are.
 
@@ -142,7 +146,8 @@ def split(box: NDArray[np.float32], order: Index, boxes: NDArray[np.float32], ch
     while waiting:
         waiting -= 1
         first, last, parent, depth = begin[waiting], end[waiting], place[waiting], level[waiting]
-        whole[:3], whole[3:], low[:], high[:] = np.inf, -np.inf, np.inf, -np.inf
+        for k in range(3):
+            whole[k], whole[3 + k], low[k], high[k] = np.inf, -np.inf, np.inf, -np.inf
         for i in range(first, last):
             for k in range(3):
                 whole[k], whole[3 + k] = min(whole[k], box[i, k]), max(whole[3 + k], box[i, 3 + k])
@@ -210,7 +215,9 @@ def corners(vertices_m: Array, triangles: NDArray[np.int64], which: Index, origi
 def build(shapes: Array, kind: NDArray[np.uint8], number: Index, objects: Index) -> Tree:
     """The tree over shapes (9 S,) of kinds (S,) with numbers (S,), which belong to objects (S,)."""
     count = len(kind)
-    box, order = np.empty((count, 6), np.float32), np.arange(count).astype(np.int32)
+    box, order = np.empty((count, 6), np.float32), np.empty(count, np.int32)
+    for s in range(count):
+        order[s] = s
     bounds(shapes, kind, box)
     boxes, children = np.empty(12 * max(count - 1, 0), np.float32), np.empty(2 * max(count - 1, 0), np.int32)
     root, nodes = split(box, order, boxes, children)

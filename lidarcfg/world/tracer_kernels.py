@@ -45,8 +45,7 @@ class Packet(NamedTuple):
     instances: NDArray[np.int32]  # 1 + as many as there may be: how many moving objects the packet may hit, and which
 
 
-@njit(cache=True, nogil=True)
-def new_packet(instances):
+def new_packet(instances: int) -> Packet:
     """Working memory for as many moving objects."""
     return Packet(
         np.zeros(12 * SIZE),
@@ -61,7 +60,10 @@ def new_packet(instances):
     )
 
 
-@njit(cache=True, nogil=True)
+made_packet = inner(makes_arrays=True)(new_packet)  # for loops that are given none
+
+
+@inner()
 def facing(dx, dy, dz):
     """The largest component of a direction and its octant as one number, which is the same for a packet's rays."""
     x, y, z = abs(dx), abs(dy), abs(dz)
@@ -86,7 +88,7 @@ def alike(directions, first, count):
     return end - first, face
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def row(face, axis):
     """Where a packet's rows have an axis: 0, SIZE or 2 SIZE further."""
     return (axis - (face & 3) - 1) % 3 * SIZE
@@ -234,7 +236,7 @@ def test_round(shapes, kind, s, face, rays, after):
     return found
 
 
-@inner(fastmath=FAST)
+@inner(kept=True, fastmath=FAST)
 def trace(tree, packet, face, any_hit):
     """Keep what a packet's rays hit first of a tree, where that is nearer than RANGE says.
 

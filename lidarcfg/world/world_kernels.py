@@ -21,7 +21,7 @@ from lidarcfg.world.tracer_kernels import (
     SLOT,
     alike,
     load,
-    new_packet,
+    made_packet,
     normal_at,
     ray_of,
     row,
@@ -70,19 +70,20 @@ class Poses(NamedTuple):
     t: Array  # (3, SIZE)
 
 
-@inner(makes_arrays=True)
-def new_poses():
+def new_poses() -> Poses:
     """Working memory."""
     return Poses(np.empty((9, SIZE)), np.empty((3, SIZE)))
 
 
 @inner(makes_arrays=True)
-def swept(dynamic, first_s, last_s):
+def swept(dynamic, first_s, last_s, moved):
     """The tree over spheres that hold the dynamic objects for a while."""
     count = len(dynamic.roots)
-    shapes, kind, number = np.zeros(9 * count), np.full(count, INSTANCE, np.uint8), np.arange(count).astype(np.int32)
-    middle_s, half_s, moved = np.array([(first_s + last_s) / 2]), (last_s - first_s) / 2, new_poses()
+    shapes, kind, number = np.zeros(9 * count), np.empty(count, np.uint8), np.empty(count, np.int32)
+    middle_s, half_s = np.empty(1), (last_s - first_s) / 2
+    middle_s[0] = (first_s + last_s) / 2
     for p in range(count):
+        kind[p], number[p] = INSTANCE, p
         poses(dynamic.paths, p, middle_s, 0, 1, moved.R, moved.t)
         for k in range(3):
             shapes[9 * p + k] = dynamic.places_m[p, k] + moved.t[k, 0]
@@ -133,7 +134,7 @@ def hit(ground_m, static, packet, face, limit_m):
     trace(static, packet, face, False)
 
 
-@inner(makes_arrays=True)
+@inner(makes_arrays=True, kept=True)
 def hit_dynamic(dynamic, moving, packet, moved, seconds, first, count, face, first_slot):
     """The same of dynamic objects, where they are nearer, at times (N,) from `first` on.
 
@@ -142,7 +143,7 @@ def hit_dynamic(dynamic, moving, packet, moved, seconds, first, count, face, fir
     packet.instances[0] = 0
     trace(moving, packet, face, False)
     for i in range(packet.instances[0]):
-        p = packet.instances[1 + i]
+        p = np.int64(packet.instances[1 + i])
         test_instance(dynamic, p, packet, moved, seconds, first, count, face, first_slot)
 
 
@@ -154,7 +155,7 @@ def keep(rays, rows, first, count, range_m, slot):
         slot[at], range_m[at] = int(one), rays[RANGE + n] if one != NONE else math.inf
 
 
-@inner(makes_arrays=True)
+@inner(makes_arrays=True, kept=True)
 def keep_normals(world, packet, moved, seconds, first, count, face, rows, found):
     """Write the normals of what a packet's rays hit, and the cosines of the angles to them, where there are rows."""
     static, dynamic, rays, normal, cosine = world.static, world.dynamic, packet.rays, found.normal, found.cosine
@@ -164,7 +165,7 @@ def keep_normals(world, packet, moved, seconds, first, count, face, rows, found)
         nx, ny, nz = 0.0, 0.0, 1.0
         if slot >= len(static.kind):
             s = slot - len(static.kind)
-            p = dynamic.owner[s]
+            p = np.int64(dynamic.owner[s])
             poses(dynamic.paths, p, seconds, first + n, 1, moved.R, moved.t)
             px, py, pz = dynamic.places_m[p, 0], dynamic.places_m[p, 1], dynamic.places_m[p, 2]
             x, y, z, u, v, w = _brought(moved.R, moved.t, 0, px, py, pz, x, y, z, dx, dy, dz)
@@ -199,9 +200,10 @@ def resolve(world, slot, object_, triangle):
 def cast(world, origins, directions, seconds, limit_m, found):
     """What rays (3, N) at times (N,) hit first within a limit; it is fastest for neighbours in succession."""
     static, dynamic, ground_m, count, first = world.static, world.dynamic, world.ground_m, len(seconds), 0
-    packet, moved, rows = new_packet(len(dynamic.roots)), new_poses(), np.arange(len(seconds))
+    packet, moved = made_packet(len(dynamic.roots)), Poses(np.empty((9, SIZE)), np.empty((3, SIZE)))
+    rows = np.arange(count)
     dynamics, slots, range_m, slot = len(dynamic.roots), len(static.kind), found.range_m, found.slot
-    normals, moving = len(found.normal) > 0, swept(dynamic, seconds.min(), seconds.max())
+    normals, moving = len(found.normal) > 0, swept(dynamic, seconds.min(), seconds.max(), moved)
     while first < count:
         some, face = alike(directions, first, count)
         load(packet.rays, packet.slabs, origins, directions, first, some, face)
