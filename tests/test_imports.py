@@ -24,6 +24,7 @@ GROUND = {
     "linking",
     "loop_cache",
     "realism",
+    "shortcuts",
 }
 # What each part may import besides itself and the ground: docs and commands stand on all of it.
 BELOW = {

@@ -13,7 +13,7 @@ import lidarcfg
 
 pytest.importorskip("fcntl")
 LOOPS = """
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 
 @njit(cache=True)
 def inside(x):
@@ -26,6 +26,18 @@ def outside(x):
 @njit(cache=True)
 def other(x):
     return inside(x) - 1
+
+@inner(kept=True)
+def within(x):
+    return 2 * x
+
+@njit(cache=True)
+def around(x):
+    return within(x) + 1
+
+@njit(cache=True)
+def about(x):
+    return within(x) - 1
 
 @njit(cache=True)
 def wrong(x):
@@ -53,7 +65,7 @@ try:
 except Exception:  # numba's, of a loop that does not compile; the lock must be free all the same
     pass
 for name in sys.argv[3:]:
-    assert getattr(loops, name)(3) == {"outside": 7, "other": 5}[name]
+    assert getattr(loops, name)(3) == {"outside": 7, "around": 7, "other": 5, "about": 5}[name]
 """
 
 
@@ -86,6 +98,12 @@ def test_each_loop_is_compiled_once(start):
     one, two = start(0.5, "outside", "other"), start(0.5, "other", "outside")
     assert sorted(done(one) + done(two)) == ["inside", "other", "outside"]
     assert done(start(0, "outside", "other")) == []
+
+
+def test_an_inner_loop_that_is_kept_is_compiled_once_for_all_loops_and_processes(start):
+    assert done(start(0, "around")) == ["around", "within"]
+    assert done(start(0, "about")) == ["about"]
+    assert done(start(0, "about", "around")) == []
 
 
 @pytest.mark.parametrize(("stop", "patience"), [(signal.SIGKILL, 100), (signal.SIGSTOP, 2)])

@@ -1,6 +1,10 @@
-"""Small runs of what commands do, in which numba compiles the loops that the commands need; see lidarcfg.helpers."""
+"""Small runs of what commands do, in which numba compiles the loops that the commands need; see lidarcfg.helpers.
+
+Or parts of a loop, by the types of their arguments: the command compiles the other parts meanwhile.
+"""
 
 from pathlib import Path
+from typing import Any
 
 HERE = Path("rehearsal")
 SENSOR = {"model": "vlp-16", "min": {"position_m": (-1, -1, 1), "rpy_deg": (0, 0, 0)}}
@@ -32,3 +36,27 @@ def evaluation() -> None:
     study = study_of(StudyFile.model_validate(STUDY), HERE)
     rig = study.rig(study.midpoint)
     details(study, rig, evaluate(study, rig))
+
+
+def tracing() -> None:
+    """Compile what rays of firings hit: most of `trace_firings`, of which the command compiles the rest."""
+    import numpy as np
+
+    from lidarcfg.world.bvh import NO_INDEX, NO_TREE
+    from lidarcfg.world.motion import packed
+    from lidarcfg.world.tracer_kernels import new_packet, trace
+    from lidarcfg.world.world_kernels import Dynamics, Found, World, hit_dynamic, keep_normals, new_poses
+
+    none, rows = np.empty(0), np.empty(0, np.int64)
+    dynamic = Dynamics(NO_TREE, NO_INDEX, NO_INDEX, np.empty((0, 3)), none, none, packed([]))
+    packet, poses, found = new_packet(0), new_poses(), Found(none, NO_INDEX, np.empty((0, 3)), none)
+    _compile(trace, NO_TREE, packet, 0, False)
+    _compile(hit_dynamic, dynamic, NO_TREE, packet, poses, none, 0, 0, 0, 0)
+    _compile(keep_normals, World(0.0, NO_TREE, dynamic), packet, poses, none, 0, 0, 0, rows, found)
+
+
+def _compile(loop: Any, *arguments: object) -> None:
+    """For arguments of these types."""
+    from numba import typeof
+
+    loop.compile(tuple(map(typeof, arguments)))
