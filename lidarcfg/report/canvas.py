@@ -3,7 +3,7 @@
 import io
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 WIDTH_IN = 7.4
 VIEWS = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # the axes they show, across and up
 MARKERS = "osD^vPX*"
+NUMBER_PT, REACH = 7, 8  # of numbers in a drawing: their size, and how many half sizes away they may be written
 EXCLUDED = (0.55, 0.57, 0.6)
 PIXELS_MAX = 700  # a side of a map; larger ones are drawn as means of several cells
 STYLE: dict[Any, Any] = {
@@ -160,6 +161,37 @@ def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **
     if len(lines):
         path = Path(lines.reshape(-1, 2), np.tile([Path.MOVETO, Path.LINETO], len(lines)))
         axes.add_patch(PathPatch(path, fill=False, rasterized=len(lines) > 4000, **style))
+
+
+def spread(places: Array, sizes: Array, low: Array, high: Array) -> Array:
+    """(n, 2) the middles of boxes of `sizes` (n, 2) that lie within `low` to `high`, none over an earlier one.
+
+    Each is as near to its place (n, 2) as steps of half its size allow; it stays there where nothing is free.
+    """
+    steps = np.stack(np.meshgrid(*2 * [np.arange(-REACH, REACH + 1)]), axis=-1).reshape(-1, 2) / 2
+    found = np.empty((0, 2))
+    for place, size in zip(places, sizes, strict=True):
+        tried = np.clip(place, low + size / 2, high - size / 2) + steps * size
+        inside = ((tried >= low + size / 2 - 1e-9) & (tried <= high - size / 2 + 1e-9)).all(axis=1)
+        apart = np.abs(tried[:, None] - found) >= (size + sizes[: len(found)]) / 2 - 1e-9
+        far = np.where(inside & apart.any(axis=2).all(axis=1), np.linalg.norm(tried - place, axis=1), np.inf)
+        best = int(np.argmin(far))
+        found = np.concatenate([found, tried[best : best + 1] if far[best] < np.inf else place[None]])
+    return found
+
+
+def number_places(axes: "Axes", places: Array, texts: Sequence[str], colours: Sequence[str]) -> None:
+    """Write a short text at each place (n, 2) of axes whose limits are set; beside it, with a line, in a crowd."""
+    per_point = axes.figure.dpi / 72
+    sizes = per_point * np.array([(NUMBER_PT * (0.75 * len(text) + 0.3), 1.35 * NUMBER_PT) for text in texts])
+    wanted = axes.transData.transform(places)
+    moved = spread(wanted, sizes, *axes.bbox.get_points()) - wanted
+    found = np.where(moved == 0.0, places, axes.transData.inverted().transform(wanted + moved))
+    box = {"boxstyle": "round,pad=0.15", "fc": "w", "ec": "none", "alpha": 0.8}
+    for place, at, text, code in reversed([*zip(places.tolist(), found.tolist(), texts, colours, strict=True)]):
+        line = {"arrowstyle": "-", "color": code, "lw": 0.6, "shrinkA": 0, "shrinkB": 0} if place != at else None
+        drawn = axes.annotate(text, place, at, ha="center", va="center", color=code, bbox=box, arrowprops=line)
+        drawn.set(fontsize=NUMBER_PT, weight="bold")
 
 
 def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float = 5) -> None:

@@ -29,6 +29,7 @@ from lidarcfg.report.canvas import (
     hidden,
     label,
     name_axes,
+    number_places,
     outline,
     panels,
     sensor_dots,
@@ -145,14 +146,12 @@ def worst_view(axes: "Axes", view: str, rig: Rig, found: Evaluation, count: int)
         if rank == 0:
             shade(axes, region, mask, view, WORST, 0.35)
         outline(axes, region, mask, view, color=_tint(rank), lw=1.4 if rank == 0 else 0.8)
-    box = {"boxstyle": "round,pad=0.15", "fc": "w", "ec": "none", "alpha": 0.8}
-    for rank in reversed(range(len(found.extents[:count]))):
-        at = found.worst[rank].centroid_m
-        text = axes.text(at[across], at[up], str(rank + 1), ha="center", va="center", color=_tint(rank), bbox=box)
-        text.set(fontsize=7, weight="bold")
     sensor_dots(axes, rig, view, 4)
     left, right, bottom, top = extent(region, view)
     axes.set(xlim=(left, right), ylim=(bottom, top))
+    ranks = range(min(count, len(found.worst)))
+    middles = np.array([[found.worst[rank].centroid_m[axis] for axis in (across, up)] for rank in ranks])
+    number_places(axes, middles, [str(rank + 1) for rank in ranks], [_tint(rank) for rank in ranks])
 
 
 def _tint(rank: int) -> str:

@@ -1,0 +1,46 @@
+"""Numbers in drawings: none over another, each as near to its place as may be."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from lidarcfg.report.canvas import drawing, number_places, spread
+
+LOW, HIGH = np.zeros(2), np.array([100.0, 60.0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_box_lies_over_another_and_none_leaves_the_frame(seed):
+    """By plain comparisons of the boxes' edges."""
+    draws = np.random.default_rng(seed)
+    places, sizes = draws.uniform((40, 0), (60, 15), (14, 2)), draws.uniform((5, 4), (9, 6), (14, 2))
+    places[3] = places[4] = places[5]
+    found = spread(places, sizes, LOW, HIGH)
+    for (a, da), (b, db) in combinations(zip(found, sizes / 2, strict=True), 2):
+        across, up = abs(a - b) - (da + db)
+        assert across > -1e-6 or up > -1e-6
+    assert (found - sizes / 2 > -1e-6).all()
+    assert (found + sizes / 2 < HIGH + 1e-6).all()
+
+
+def test_what_is_alone_stays_and_what_is_not_moves_as_little_as_it_may():
+    """Two at one place: the second by its height, which is less than its width; at the edge by what is outside."""
+    places = np.array([[50.0, 30.0], [50.0, 30.0], [20.0, 20.0], [0.0, 60.0]])
+    found = spread(places, np.tile([8.0, 4.0], (4, 1)), LOW, HIGH)
+    np.testing.assert_allclose(abs(found - places), [[0, 0], [0, 4], [0, 0], [4, 2]], atol=1e-9)
+
+
+def test_where_nothing_is_free_they_stay():
+    places = np.tile([[5.0, 5.0]], (3, 1))
+    assert np.array_equal(spread(places, np.full((3, 2), 8.0), np.zeros(2), np.full(2, 10.0)), places)
+
+
+def test_only_what_is_moved_has_a_line_to_its_place():
+    def draw(figure):
+        axes = figure.subplots()
+        axes.set(xlim=(0, 10), ylim=(0, 10))
+        number_places(axes, np.array([[5.0, 5], [5, 5], [2, 2]]), ["1", "2", "3"], ["#111111", "#222222", "#333333"])
+
+    svg = drawing("x", 3.0, "three numbers", draw)
+    assert [f"stroke: {code}" in svg for code in ("#111111", "#222222", "#333333")] == [False, True, False]
