@@ -39,7 +39,7 @@ OnSource = Callable[[str, str], None]
 
 @dataclass(frozen=True)
 class Recorded:
-    """The packets of one source as they stand in a capture, all of them."""
+    """All packets of one source, in the order of the capture."""
 
     name: str  # host:port, or the mount's
     source: Source
@@ -50,10 +50,10 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Details:
-    """What of a capture is wanted besides its points."""
+    """What a reader wants of a capture besides its points."""
 
-    on_heads: OnHeads | None = None  # before each cloud: where the heads pointed
-    on_source: OnSource | None = None  # of each source, before its first cloud: the name and the family
+    on_heads: OnHeads | None = None  # called before each cloud with the heads' directions
+    on_source: OnSource | None = None  # called with name and family of each source before its first cloud
     driver: bool = False  # whether clouds have the columns of the makers' ROS drivers
 
 
@@ -68,10 +68,10 @@ def decode_pcap(
 ) -> Iterator[PointCloud]:
     """The capture's points in clouds of at most about `chunk_packets` packets; memory does not grow with its length.
 
-    With a rig they are in the vehicle frame and the sensors are its mounts; without, each source (called
-    host:port) is in its own sensor's frame, and `sensor_names` grows as sources appear. `model` overrides
-    what the packets say. `on_warning` gets a line if the file is cut off, `on_stats` the figures of each source at the
-    end. What is selected comes as it does in the whole capture. Raises PacketError and ConfigError.
+    With a rig the points are in the vehicle frame and the sensors are its mounts. Without one the points of each source
+    (called host:port) are in its sensor's frame, and `sensor_names` grows as sources appear. `model` overrides what the
+    packets say. `on_warning` gets a line if the file is cut off, `on_stats` the figures of each source at the end. A
+    selected part decodes exactly as it does within the whole capture. Raises PacketError and ConfigError.
     """
     capture = Capture(path, on_warning, rig, model, selection)
     yield from capture.clouds(chunk_packets)
@@ -87,10 +87,10 @@ def decode(
     on_warning: Callable[[str], None] = print,
     deskew: bool = False,
 ) -> PointCloud:
-    """All points of a capture as one cloud: in the vehicle frame of the rig; deskewed by its record, in the world.
+    """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its record in the world frame.
 
-    Without a rig it is the one that the capture's record names; without a record, or with "none" for a rig, each point
-    is in its sensor's own frame. Raises PacketError, also for a capture without points, and ConfigError.
+    Without a rig, that of the capture's record is used; without a record, or with the rig "none", each point is in its
+    sensor's own frame. Raises PacketError, also for a capture without points, and ConfigError.
     """
     path = Path(path)
     motion = load_record(path).motion(record_path(path)) if deskew else None
@@ -104,10 +104,10 @@ def decode(
 
 
 def _keep_memory() -> None:
-    """Have glibc keep the memory of chunks that are done, for those to come, instead of returning it each time.
+    """Make glibc keep the memory of finished chunks for the next ones, instead of returning it to the system.
 
-    It does once it has returned a block of 32 MB (mallopt(3): M_MMAP_THRESHOLD, M_TRIM_THRESHOLD), here an untouched
-    one; then it keeps up to 64 MB. New memory is page faults, which took as long as decoding.
+    Freeing a block of 32 MB raises glibc's thresholds (mallopt(3): M_MMAP_THRESHOLD, M_TRIM_THRESHOLD), so that it
+    keeps up to 64 MB. Otherwise the page faults of new memory take as long as decoding.
     """
     np.empty(RETURNED_BYTES, np.uint8)
 
@@ -120,7 +120,7 @@ def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
 
 
 class Capture:
-    """A capture that is being read, for those who want details besides the points; see `decode_pcap`."""
+    """Reads a capture; gives more details than `decode_pcap`, which see."""
 
     def __init__(
         self,
@@ -152,7 +152,7 @@ class Capture:
         return [stream for stream in self._streams.values() if stream]
 
     def clouds(self, chunk_packets: int = CHUNK_PACKETS) -> Iterator[PointCloud]:
-        """The points of at most about so many packets at a time, or of fewer large ones."""
+        """The points of at most about `chunk_packets` packets at a time; of fewer, if they are large."""
         _keep_memory()
         return _ahead(self._jobs(chunk_packets))
 
@@ -204,7 +204,7 @@ class Capture:
             yield partial(_fail, error)
 
     def _claimed(self, batch: Datagrams) -> tuple[Datagrams, NDArray[np.uint64]]:
-        """Those that hold a LiDAR's returns, each with a key of host, port and size; the others are counted."""
+        """The datagrams that hold a LiDAR's returns, each with a key of host, port and size; counts the others."""
         host, port, size = (column.astype(np.uint64) for column in (batch.host, batch.port, batch.size))
         keys = np.asarray(host << 32 | port << 16 | size, np.uint64)
         kinds, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
@@ -220,7 +220,7 @@ class Capture:
         return batch[lidar], keys[lidar]
 
     def _family(self, key: int, payload: bytes) -> type[Codec] | None:
-        """Whose packets these are: of the sensor that is given, or of whichever family claims them."""
+        """The family of a source: that of the given sensor, or the first that claims its packets; None if none does."""
         given = self._given(key)[0]
         families = [type(codec(given))] if given else map(family, FAMILIES)  # each loaded when it is its turn
         source = self._source(key)
@@ -236,12 +236,12 @@ class Capture:
                 stream.add(mine.payloads(int(mine.size[0])), mine.time_ns)
 
     def _job(self, last: bool) -> Job:
-        """Decodes what all streams have, as one cloud. Raises PacketError, ConfigError."""
+        """A job that decodes the packets of all streams into one cloud. Raises PacketError, ConfigError."""
         jobs = [job for stream in self.streams if (job := stream.take(self._names, last))]
         return partial(_together, jobs, self._names)
 
     def _given(self, key: int) -> tuple[Sensor | None, int | None]:
-        """The sensor that is said to send from there, and the number of its mount."""
+        """The sensor given for a source, by --model or by the rig, and the index of its mount; None if not given."""
         mounts = self._rig.mounts if self._rig else ()
         index = next((i for i, m in enumerate(mounts) if (m.host, m.data_port) == _endpoint(key)), None)
         return self._override or (None if index is None else mounts[index].sensor), index
@@ -258,7 +258,7 @@ class Capture:
         )
 
     def _stream(self, key: int) -> Stream | None:
-        """A source that appears: with a rig the mount with its address and port; none if it is not wanted."""
+        """The stream of a new source: with a rig, of the mount at its address; None if the source is not selected."""
         name, mounts = _name(key), self._rig.mounts if self._rig else ()
         sensor, index = self._given(key)
         if self._rig and index is None and not self._selection.sensors:
@@ -310,7 +310,7 @@ def _catalogued(codec: str, name: str | None = None) -> list[Sensor]:
 def _decoder(
     source: Source, found: type[Codec], sensor: Sensor | None, known: Known, trusted: bool, packets: Octets
 ) -> Decoder:
-    """For a source that begins with these packets. Raises PacketError, ConfigError."""
+    """The decoder for a source that begins with these packets. Raises PacketError, ConfigError."""
     return codec(sensor or found.recognise(source, packets, known)).decoder(source, packets, known, trusted)
 
 
@@ -328,7 +328,7 @@ def _together(jobs: list[Job], names: tuple[str, ...]) -> PointCloud:
 
 
 def _endpoint(key: int) -> tuple[str, int]:
-    """The address that sends, and the port that it sends to."""
+    """A source's address, and the port that it sends to."""
     return socket.inet_ntoa((key >> 32).to_bytes(4)), key >> 16 & 0xFFFF
 
 
@@ -338,7 +338,7 @@ def _name(key: int) -> str:
 
 
 def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
-    """The files beside a capture that are called as it, or as it and `-` or `.` and something, and end in `suffix`."""
+    """The files beside a capture NAME.pcap that match NAME, NAME-* or NAME.*, followed by `suffix`."""
     stem, end = escape(path.stem), escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
     try:
@@ -348,7 +348,7 @@ def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
 
 
 def _payloads(path: Path, host: str, port: int | None, size: int) -> Iterator[Octets]:
-    """The payloads of one size that a host sends to a port, or to any, from the capture's start."""
+    """All payloads of one size that a host sends to a port, or to any port."""
     number = int.from_bytes(socket.inet_aton(host))
     for batch in read_batches(path, lambda warning: None):
         mine = (batch.host == number) & (batch.size == size)

@@ -1,4 +1,4 @@
-"""Datagrams that came in IP fragments, put together again (RFC 791)."""
+"""Reassembly of datagrams from IP fragments (RFC 791)."""
 
 from dataclasses import dataclass, field
 
@@ -31,7 +31,7 @@ class _Datagram:
 
 
 class Reassembly:
-    """Puts fragments together, in whatever order they come.
+    """Reassembles fragments in any order.
 
     A repeated fragment counts once, also soon after its datagram is whole. Fragments that overlap otherwise, or reach
     beyond the datagram's end, make it damaged, with what comes of it up to a new beginning. Incomplete datagrams are

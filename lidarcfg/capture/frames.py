@@ -1,4 +1,4 @@
-"""UDP datagrams in Ethernet frames, written and read. The only module that knows Ethernet, IP and UDP."""
+"""Reads and writes UDP datagrams in Ethernet frames. The only module that knows Ethernet, IP and UDP."""
 
 import socket
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from lidarcfg.capture.fragments import DATAGRAM_MAX, TIMEOUT_NS, Fragment, Reass
 from lidarcfg.packets.codec import Octets, Payloads, Times
 
 ETHERNET = 1
-LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # by tcpdump.org's list: bytes before IP's; where its kind stands
+LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # tcpdump.org's link types: header bytes, offset of the EtherType
     ETHERNET: (14, 12),
     113: (16, 14),  # Linux cooked
     276: (20, 0),  # its second version, as `tcpdump -i any` writes it
@@ -24,7 +24,7 @@ LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # by tcpdump.org's list: by
 VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
 TAGS_MAX = 4  # VLAN tags in a frame: two are in use
 MTU = 1500  # bytes of an IP packet that Ethernet carries
-IP_MAX = 65535  # and that its header can say
+IP_MAX = 65535  # bytes of an IP packet that its header can state
 ROWS = 256  # pieces of datagrams that are copied together
 WORD = np.dtype(">u2")
 DONT_FRAGMENT, MORE_FRAGMENTS, FRAGMENT_OFFSET = 0x4000, 0x2000, 0x1FFF
@@ -176,7 +176,7 @@ class IpPackets(NamedTuple):
 
 
 def ip_packets(piece: Piece) -> IpPackets:
-    """What the frames hold behind their link headers and VLAN tags."""
+    """The IPv4 packets behind the frames' link headers and VLAN tags."""
     at, kind = LINK_HEADERS[piece.link]
     data, which = piece.data, np.arange(len(piece.size))
     ip = piece.start + at
@@ -207,7 +207,7 @@ def ip_packets(piece: Piece) -> IpPackets:
 
 
 def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
-    """The UDP datagrams in the frames. One that came in fragments stands where its last one came."""
+    """The UDP datagrams in the frames. A fragmented one is in the place of the fragment that completed it."""
     which, ip, head, length, end, whole, part, cut = ip_packets(piece)
     reassembly.cut += cut
     found = _whole(piece, which[whole], ip[whole], head[whole], length[whole], end[whole])
@@ -240,9 +240,9 @@ def _with_fragments(
     head: NDArray[Any],
     reassembly: Reassembly,
 ) -> Datagrams:
-    """The whole datagrams, from the frames `whole_at`, and those that these fragments complete.
+    """The whole datagrams, from the frames `whole_at`, and those that the fragments complete.
 
-    Of fragments, `rows` are the frame, where in the data they start, and their bytes.
+    `rows` holds the fragments' frames, their starts in the data, and their sizes in bytes.
     """
     frame, start, size = rows
     key = np.ascontiguousarray(np.concatenate([head["source"], head["destination"]], axis=1)).view(">u8")[:, 0]
@@ -281,7 +281,7 @@ def _with_fragments(
 
 
 def _joined(begin: bytes, data: Octets, start: NDArray[np.int64], size: NDArray[np.int64]) -> Octets:
-    """A beginning and pieces (N,) of the data, one after the other; those of the same size, which most are, at once."""
+    """A beginning and pieces (N,) of the data, concatenated; pieces of one size, as most are, are copied together."""
     ends = np.cumsum(np.concatenate([[len(begin)], size]))[1:]
     out = np.empty(len(begin) + int(size.sum()), np.uint8)
     out[: len(begin)] = np.frombuffer(begin, np.uint8)
@@ -297,9 +297,9 @@ def _joined(begin: bytes, data: Octets, start: NDArray[np.int64], size: NDArray[
 def _runs(
     time_ns: Times, key: NDArray[np.uint64], head: NDArray[Any], size: NDArray[np.int64], reassembly: Reassembly
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First and last of the fragments that follow each other and make a datagram, as a sensor sends them.
+    """First and last of consecutive fragments that make up a whole datagram, as a sensor sends them.
 
-    Of no such datagram are there other fragments here or in the reassembly: those are told apart there.
+    Datagrams with other fragments here or in the reassembly are not among them; the reassembly deals with those.
     """
     flags = head["flags"].astype(np.int64)
     number, more, offset = head["id"].astype(np.uint64), (flags & MORE_FRAGMENTS) > 0, (flags & FRAGMENT_OFFSET) * 8
@@ -318,12 +318,12 @@ def _runs(
 
 
 def fragment(time_ns: int, head: Any, data: bytes) -> Fragment:
-    """One fragment, of what its IP header says."""
+    """A fragment with the fields of its IP header."""
     flags = int(head["flags"])
     key = head["source"].tobytes() + head["destination"].tobytes() + int(head["id"]).to_bytes(2)
     return Fragment(key, time_ns, (flags & FRAGMENT_OFFSET) * 8, not flags & MORE_FRAGMENTS, data)
 
 
 def _key(addresses: int, number: int) -> bytes:
-    """Of a datagram: both addresses and the IP id."""
+    """The key of a datagram: both addresses and the IP id."""
     return addresses.to_bytes(8) + number.to_bytes(2)

@@ -40,7 +40,7 @@ class GroundTruth:
 
     @classmethod
     def read(cls, path: Path, rig: Rig) -> "GroundTruth":
-        """Those of a capture of this rig. Raises CloudError if the file is not ground truth, or not of this rig."""
+        """Read the file. Raises CloudError if it is not ground truth, or not of this rig."""
         record = read_arrays(path, (*NAMES, *COLUMNS))
         if lacking := [key for key in (*NAMES, *COLUMNS) if key not in record]:
             raise CloudError(f"{path}: is not a ground-truth file: it has no {', '.join(lacking)}")
@@ -112,7 +112,7 @@ def load_objects(path: Path, cloud: PointCloud, rig: Rig) -> Objects:
 
 
 def own_objects(cloud: PointCloud) -> Objects | None:
-    """The objects that a cloud knows itself, if it does."""
+    """The objects stored in a cloud, if there are any."""
     if cloud.object is None:
         return None
     names = cloud.object_names
@@ -129,7 +129,7 @@ def with_objects(path: Path, cloud: PointCloud, rig: Rig) -> PointCloud:
 def _key(
     sensor: NDArray[np.generic], ring: NDArray[np.generic], second: NDArray[np.bool_], since_ns: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """One number, near another's only if all but the time is the same."""
+    """One number per return; two are close only if sensor, ring and return are the same."""
     high = (np.asarray(sensor, np.int64) * 256 + np.asarray(ring, np.int64)) * 2 + second
     key: NDArray[np.int64] = high * (2 * LATEST_NS) + since_ns
     return key

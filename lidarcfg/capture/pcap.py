@@ -1,4 +1,4 @@
-"""Capture files: classic pcap, read and written here, and pcapng."""
+"""Capture files: reads and writes classic pcap, reads pcapng."""
 
 import itertools
 import socket
@@ -32,11 +32,11 @@ PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
 HEADER = 24  # bytes of a classic pcap before its records
 FILE_HEADER = struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, SNAPLEN, ETHERNET)
 BUFFER = 1 << 22  # bytes of a pcap, read at once
-SCANNED = 1 << 26  # bytes of a pcap whose headers are looked at together
+SCANNED = 1 << 26  # bytes of a pcap whose headers are read together
 RECORDS = 1000  # of a pcapng, read at once
-EMPTY = 1000  # records in a row without a byte: the rest of the file is taken for damaged
-RECORDS_ALIKE = 32  # in a row in a pcap: more are expected
-RECORDS_AHEAD = 1024  # looked at together then
+EMPTY = 1000  # consecutive empty records, after which the rest of the file counts as damaged
+RECORDS_ALIKE = 32  # consecutive records of one length, after which more are expected
+RECORDS_AHEAD = 1024  # records that are then compared together
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def write_pcap(path: str | Path, frames: Iterable[Frames]) -> int:
 
 
 def read_datagrams(path: str | Path, on_warning: Callable[[str], None]) -> Iterator[Datagram]:
-    """The same as `read_batches`, one by one."""
+    """The datagrams of `read_batches`, one by one."""
     for batch in read_batches(path, on_warning):
         yield from one_by_one(batch)
 
@@ -80,10 +80,9 @@ def read_batches(
 ) -> Iterator[Datagrams]:
     """The UDP datagrams of a pcap (µs or ns, either byte order) or pcapng, in pieces of the file.
 
-    With `from_ns`, what is before the first record of that host time is passed over: in a classic pcap only the headers
-    of its records are looked at. What is not UDP over IPv4 is passed over. Where the file is cut off
-    in mid-record, the records before it are read; `on_warning` gets a line on that, and on datagrams that miss
-    fragments. Raises PacketError.
+    With `from_ns`, records before that host time are skipped; in a classic pcap only their headers are read. Anything
+    but UDP over IPv4 is skipped. If the file ends within a record, the records before it are read; `on_warning` gets a
+    line on that, and on datagrams with missing fragments. Raises PacketError.
     """
     reassembly = Reassembly(0 if from_ns is None else from_ns + SECOND_NS)
     try:
@@ -147,9 +146,9 @@ def _pcap_pieces(
 
 
 def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tuple[int, int]:
-    """Where the first record of this time or later begins, or else the last one; and how many are before it.
+    """The offset of the first record of this time or later, or else of the last record; and the number before it.
 
-    Only the records' headers are looked at, in the file mapped to memory.
+    Only the records' headers are read, from the file mapped to memory.
     """
     data = np.memmap(name, np.uint8, "r")
     at, count, last = HEADER, 0, (HEADER, 0)
@@ -168,9 +167,9 @@ def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tupl
 
 
 def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np.int64], int, int]:
-    """Where the whole records at the beginning of the data start (N,), and where they end; the size last read.
+    """The offsets (N,) of the whole records at the beginning of the data, their end, and the size last read.
 
-    Once so many in a row are equally long, each step looks at as many as may be.
+    After RECORDS_ALIKE records of one length, many records are compared in each step.
     """
     captured = np.ndarray(max(len(data) - record.itemsize + 1, 0), record, data, strides=(1,))["captured"]
     read = captured.item
@@ -196,7 +195,7 @@ def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np
 
 
 def _is_hole(heads: NDArray[Any]) -> bool:
-    """Whether records are zeros that a crash or a copy has left instead of data."""
+    """Whether the records are zeros, as a crash or an incomplete copy leaves them."""
     return len(heads) > EMPTY and not heads["captured"].any()
 
 
@@ -221,9 +220,9 @@ def whole_capture(data: bytes, name: str) -> Iterator[Piece]:
 def _pcapng_pieces(
     file: IO[bytes], name: str, on_warning: Callable[[str], None], whole: Octets | None = None
 ) -> Iterator[Piece]:
-    """The frames of a pcapng, some that follow each other on one kind of link at a time; in `whole`, if that is given.
+    """The frames of a pcapng, consecutive ones of one link type at a time; as views of `whole`, if that is given.
 
-    Those of other links than are known are passed over, unless all are.
+    Frames of unknown link types are skipped. Raises PacketError if all are unknown.
     """
     frames, links = read_frames(file, name, on_warning), set[int]()
     while some := list(itertools.islice(frames, RECORDS)):

@@ -1,4 +1,4 @@
-"""pcapng: the frames in its blocks, of any number of sections and interfaces (draft-ietf-opsawg-pcapng)."""
+"""Reads the frames of pcapng files with any number of sections and interfaces (draft-ietf-opsawg-pcapng)."""
 
 import struct
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""A capture sent again over the network at its own pace, so that a driver can be tested live."""
+"""Replays a capture over the network at its own pace, to test a driver live."""
 
 import socket
 import time
@@ -31,7 +31,7 @@ def selected(path: str | Path, on_warning: Callable[[str], None], selection: Sel
 
 
 def looped(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
-    """Datagrams over and over: host times go on, from one pass to the next by their mean interval."""
+    """Repeat the datagrams endlessly. Host times continue; passes are their mean interval apart."""
     shift_ns, again = 0, True
     while again:
         count, first_ns, last_ns = 0, 0, 0
@@ -45,8 +45,8 @@ def looped(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
 def replay(datagrams: Iterable[Datagram], host: str, port: int | None, speed: float = 1.0) -> Replayed:
     """Send the datagrams to a host: to one port, or each to its own; `speed` times as fast as they were captured.
 
-    The first leaves at once, and each other as long after it as its host time says. Their source is this machine.
-    Ctrl-C ends it. Raises PacketError for an unknown host and for an empty capture.
+    The first is sent at once, each other one at its host time relative to the first. Their source is this machine.
+    Ctrl-C ends the replay. Raises PacketError for an unknown host and for an empty capture.
     """
     try:
         address = str(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])

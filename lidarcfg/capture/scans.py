@@ -1,4 +1,4 @@
-"""A capture by sensor and revolution of the head."""
+"""A capture as scans: the points of one sensor and one revolution of its head."""
 
 import math
 from collections import defaultdict
@@ -30,7 +30,7 @@ def scans(
     on_source: OnSource | None = None,
     driver: bool = False,
 ) -> Iterator[PointCloud]:
-    """The points of each sensor's revolutions in its own frame, as they end; memory does not grow with the length.
+    """The scans of a capture, each in its sensor's frame, in the order in which they end; memory is bounded.
 
     A revolution begins with the first packet whose azimuth has passed 0, as velodyne_driver has it (a VLS-128's lasers
     that fire up to 8.7 us before the packet's stamp end the one before), and is no longer than a second.
@@ -68,14 +68,14 @@ def _rows(cloud: PointCloud, rows: slice | NDArray[np.bool_], name: str) -> Poin
 
 
 class Head:
-    """Where one sensor's head was last, and when its revolutions began: device times."""
+    """The last direction of a sensor's head, and the device times at which its revolutions began."""
 
     def __init__(self) -> None:
         self.starts_ns: list[int] = []
         self._azimuth_rad, self._time_ns = 0.0, -LATE_NS
 
     def add(self, time_ns: Times, azimuth_rad: Array) -> None:
-        """Where it pointed at the start of more packets (n,), in their order."""
+        """Add the head's directions at the start of the next packets (n,)."""
         for at_rad, at_ns in zip(azimuth_rad.tolist(), time_ns.tolist(), strict=True):
             if self._time_ns - LATE_NS < at_ns <= self._time_ns:
                 continue  # came too late to be put in order

@@ -1,4 +1,4 @@
-"""What of a capture is wanted: a window of time, and sensors; only that part of the file is read."""
+"""A part of a capture: a window of time, and sensors; only that part of the file is read."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -40,7 +40,7 @@ ALL = Selection()
 
 
 def window_ns(path: str | Path, selection: Selection) -> tuple[int, int]:
-    """Host times: where the window begins, and what it ends before. Raises PacketError."""
+    """The window in host time: first nanosecond, and the first one after it. Raises PacketError."""
     if (selection.from_s, selection.to_s) == (ALL.from_s, ALL.to_s):
         return ALWAYS_NS
     batches = read_batches(path, lambda warning: None)

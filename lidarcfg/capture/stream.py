@@ -13,8 +13,8 @@ from lidarcfg.geometry import Array, transform
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Times
 
 ENOUGH = 16  # packets, to tell a model by
-HELD = 8  # packets at the end of a chunk that wait for those that they overtook
-ROWS = 1 << 14  # moved at once: BLAS starts threads of its own for more, which hinder each other
+HELD = 8  # packets at the end of a chunk that are held back, as others may have been overtaken by them
+ROWS = 1 << 14  # points transformed at once: for more, BLAS starts threads of its own
 
 OnHeads = Callable[[int, Times, Array], None]
 
@@ -45,9 +45,9 @@ class Place:
 
 
 class Stream:
-    """A source's packets: decodes what has come, but keeps packets until their successors are known.
+    """The packets of one source. Decodes them as they come, but holds the latest until their successors are known.
 
-    `open_` makes the decoder of the first packets.
+    `open_` makes a decoder from the first packets.
     """
 
     def __init__(
@@ -75,9 +75,9 @@ class Stream:
         self._times_ns.append(times_ns)
 
     def take(self, names: tuple[str, ...], last: bool) -> Callable[[], PointCloud] | None:
-        """What can be decoded now, as a function that does it; with `last`, everything.
+        """A function that decodes the packets that can be decoded now; with `last`, all of them.
 
-        Raises PacketError, ConfigError; the function itself raises PacketError for packets that make no sense.
+        Raises PacketError, ConfigError; the function raises PacketError for invalid packets.
         """
         packets, times_ns = np.concatenate(self._packets), np.concatenate(self._times_ns)
         self._packets, self._times_ns = [packets], [times_ns]
@@ -101,7 +101,7 @@ class Stream:
     def _cloud(
         self, decoder: Decoder, packets: Octets, times_ns: Times, wanted: Flags, names: tuple[str, ...]
     ) -> PointCloud:
-        """The points of the packets that are wanted; changes nothing here."""
+        """The points of the wanted packets. Has no side effects."""
         try:
             returns = decoder.decode(packets, times_ns, wanted)
         except PacketError as error:
@@ -123,7 +123,7 @@ class Stream:
         )
 
     def _sound(self, decoder: Decoder, packets: Octets) -> Flags | slice:
-        """The packets without damaged ones, which are counted. Raises PacketError if not even most make sense."""
+        """Which packets are undamaged; counts the others. Raises PacketError unless most are undamaged."""
         try:
             decoder.check(packets)
         except PacketError:
@@ -137,7 +137,7 @@ class Stream:
     def _in_order(self, decoder: Decoder, packets: Octets, times_ns: Times) -> tuple[Octets, Times, Times]:
         """The packets in the order of their device times, without duplicates; their host and device times.
 
-        A clock that is set back starts anew: only what is out of place by a few packets is put right.
+        Only packets out of order by a few places are moved; a greater step back means that the clock was set back.
         """
         device_ns = decoder.time_ns(packets, times_ns)
         gap_ns = np.diff(device_ns, prepend=device_ns[:1])
@@ -163,7 +163,7 @@ class Stream:
 
     @property
     def packets(self) -> int:
-        """How many have been taken to be decoded."""
+        """The number of packets that were decoded."""
         return self._count["packets"]
 
     def stats(self) -> SourceStats:

@@ -75,7 +75,7 @@ def write_mcap(path: Path, made: Made) -> int:
 
 
 def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
-    """Have a file written in a folder aside, and put it in its place."""
+    """A temporary path for a file, which is moved into place when the block ends."""
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
     check_replaceable(path)
@@ -148,7 +148,7 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
 def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Made:
     """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects.
 
-    Where it is not known what points are on, boxes are of all objects that have some.
+    If the points' objects are not known, there are boxes of all objects that have one.
     """
     rig = recording.drive.rig
 
@@ -185,7 +185,7 @@ def _fields(recording: Recording, scan: PointCloud) -> tuple[PointField, ...]:
 
 
 def _check_time(last_ns: int, where: Path) -> None:
-    """Raises PacketError for times that ROS 2 cannot say."""
+    """Raises PacketError for times that ROS 2 cannot represent."""
     if last_ns >= TIME_END_NS:
         raise PacketError(f"{where}: goes on after 2038-01-19 03:14:07 UTC, the last second of ROS 2")
 

@@ -1,4 +1,4 @@
-"""Captures that were exported, as drives: scans of what the packets hold, and their ground truth."""
+"""Exported captures as drives: scans from the packets, with their ground truth."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace

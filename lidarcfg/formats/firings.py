@@ -44,7 +44,7 @@ OnWarning = Callable[[str], None]
 
 
 class Counted(NamedTuple):
-    """What a recording turned into."""
+    """The size of a converted recording."""
 
     firings: int
     packets: int
@@ -117,7 +117,7 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
 
 
 def save_capture(path: Path, firings: Path) -> int:
-    """Write firings as the capture that they were, or what has been made of them; return the number of packets.
+    """Write firings, changed or not, as a capture again; return the number of packets.
 
     Raises LidarcfgError.
     """
@@ -164,7 +164,7 @@ def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
 
 
 def _said(one: Source, size: int) -> dict[str, Any]:
-    """What a source's columns need to become packets again."""
+    """What is needed to encode a source's columns as packets again."""
     return {
         "name": one.name,
         "sensor": one.sensor.model_dump(mode="json", exclude_none=True),
@@ -178,7 +178,7 @@ def _said(one: Source, size: int) -> dict[str, Any]:
 
 
 def _read_said(path: Path) -> list[dict[str, Any]]:
-    """What a file says of its sources."""
+    """The descriptions of the sources in a file."""
     found = read_arrays(path, ("sources",)).get("sources")
     try:
         said = json.loads(str(found))

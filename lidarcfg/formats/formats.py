@@ -82,7 +82,7 @@ def chosen(source: Path, output: Path, name: str | None) -> Format:
 
 
 def format_of(kind: Kind, output: Path, name: str | None) -> Format:
-    """The same of what is known to be of a kind."""
+    """The same for an input of a known kind."""
     formats = [form for form in FORMATS if form.kind == kind]
     if name:
         for form in formats:

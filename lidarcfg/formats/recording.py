@@ -1,4 +1,4 @@
-"""A drive as other tools want it: scans, and their ground truth: where the sensors are, the boxes of objects."""
+"""A drive for export to other tools: scans, the sensors' poses, and the boxes of objects."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A capture, byte by byte, and the packets that are cut out of it: of pcap and pcapng, whole or in IP fragments."""
+"""The bytes of a pcap or pcapng, and the packets that are cut out of it, whole or in IP fragments."""
 
 import struct
 from collections import defaultdict
@@ -71,7 +71,7 @@ class Records:
         return Taken(packets, np.array([one.time_ns for one in found], np.int64), found)
 
     def take(self, mine: Taken, rows: NDArray[np.int64], number: int) -> None:
-        """Leave these of the packets to source `number`."""
+        """Assign these packets to source `number`."""
         for packet, row in enumerate(rows.tolist()):
             one = mine.datagrams[row]
             self.cuts.extend(
@@ -79,7 +79,7 @@ class Records:
             )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What a file holds of them: without the packets that are taken, and where those were."""
+        """The arrays for a file: the bytes without those of taken packets, and the places of these."""
         cuts = np.array(sorted(self.cuts), np.int64).reshape(-1, len(CUTS))
         starts, sizes = cuts[:, 0], cuts[:, 4]
         froms = np.append(0, starts + sizes)
@@ -147,7 +147,7 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, int, int, int, bool, An
 
 
 class _Found(NamedTuple):
-    """What an IP packet holds of a UDP header and its payload."""
+    """The part of a UDP datagram in one IP packet."""
 
     at: int  # in the file
     first: int  # its first byte in the datagram
@@ -155,7 +155,7 @@ class _Found(NamedTuple):
     octets: bytes
 
     def is_of(self, datagram: bytes) -> bool:
-        """Whether it is a piece of it; a fragment with the same id that came of another is not."""
+        """Whether it is a piece of this datagram, and not of another one with the same id."""
         return datagram[self.first : self.first + len(self.octets)] == self.octets
 
 

@@ -19,7 +19,7 @@ LASERS_MAX = 256  # a byte says which one
 
 
 class Bare(Timing):
-    """A sensor whose sequences stand for packets. It has every return mode."""
+    """A sensor without packets: each firing sequence counts as one. It has every return mode."""
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor = sensor

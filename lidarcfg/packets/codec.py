@@ -1,7 +1,7 @@
 """The interface that every family of packets implements, and the registry of families.
 
-A family is a subclass of `Codec`, entered in `FAMILIES`. Outside `packets/` nobody knows its bytes: the simulator sees
-`Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a small one.
+A family is a subclass of `Codec`, registered in `FAMILIES`. Its bytes are known inside `packets/` only: the simulator
+sees `Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a minimal family.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ Flags = NDArray[np.bool_]
 
 
 class Known(Protocol):
-    """The catalogue's sensors of a family, or that with a name, if there is one: read when they are asked for."""
+    """Reads the catalogue's sensors of a family: all of them, or the one with a name, if there is one."""
 
     def __call__(self, name: str | None = None) -> Sequence[Sensor]: ...
 
@@ -61,18 +61,18 @@ class Batch:
 
 @dataclass(frozen=True)
 class Measurements:
-    """What packets say of their N firings, as `Codec.encode` takes it."""
+    """The contents of packets, by their N firings, as `Codec.encode` takes them."""
 
     return_mode: str
     batch: Batch
     range_m: Array  # (N, R) inf: no return
     reflectivity: Octets  # (N, R) also where there is no return
-    more: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # what a family's packets say besides
+    more: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # the other contents of a family's packets
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How a sensor sends."""
+    """The rate at which a sensor sends packets."""
 
     period_ns: int  # from one packet to the next
     firings: int  # in a packet
@@ -92,14 +92,14 @@ class Payloads:
 
 
 def chosen(packets: Octets, wanted: Flags) -> Octets:
-    """Those packets that are wanted; a view, if they follow each other."""
+    """The wanted packets; a view, if they are consecutive."""
     rows = np.flatnonzero(wanted)
     together = len(rows) > 0 and rows[-1] - rows[0] < len(rows)
     return packets[rows[0] : rows[-1] + 1] if together else packets[wanted]
 
 
 class Returns(NamedTuple):
-    """What packets hold: one entry a return, in the order of the packets. Kernels fill it in."""
+    """The returns in packets, in their order. Kernels fill the columns in."""
 
     xyz_m: Array  # (N, 3) in the sensor frame
     range_m: Array  # (N,) along the beam, or empty
@@ -112,13 +112,13 @@ class Returns(NamedTuple):
 
     @classmethod
     def room(cls, size: int, polar: bool = False) -> "Returns":
-        """For so many; without `polar`, ranges and azimuths are empty."""
+        """Columns for this many returns; without `polar`, ranges and azimuths are empty."""
         few = size if polar else 0
         octets = (np.empty(size, np.uint8) for _ in range(4))
         return cls(np.empty((size, 3)), np.empty(few), np.empty(few), np.empty(size, np.int64), *octets)
 
     def first(self, count: int) -> "Returns":
-        """The first so many."""
+        """The first `count` returns."""
         return Returns._make(column[:count] for column in self)
 
 
@@ -156,7 +156,7 @@ TYPES = {
 
 
 def types(return_mode: str) -> tuple[int, ...]:
-    """The types of the returns that a mode reports."""
+    """The types of the returns that a return mode reports."""
     return TYPES[return_mode]
 
 
@@ -176,23 +176,23 @@ class Decoder(Protocol):
         return
 
     def sound(self, packets: Octets) -> Flags:
-        """(P,) of packets that `check` refuses: whether each may stay. A few that may not are damaged ones."""
+        """(P,) which of the packets that `check` refuses are valid. If only a few are not, these are damaged."""
         return np.zeros(len(packets), np.bool_)
 
     def count(self, packets: Octets, wanted: Flags) -> None:
-        """Count those packets that are wanted (P,) of successive ones, and what is missing before each."""
+        """Count the wanted ones (P,) of successive packets, and the packets lost before each."""
 
     def tally(self) -> Tally:
-        """What has been counted."""
+        """The counts so far."""
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
-        """The returns of the packets that are wanted (P,); the others only give the head's motion. Changes no state.
+        """The returns of the wanted packets (P,); the others only give the head's motion. Changes no state.
 
-        Raises PacketError, without saying where.
+        Raises PacketError, without file and endpoint.
         """
 
     def driver_columns(self, packets: Octets, wanted: Flags) -> Mapping[str, NDArray[Any]]:
-        """For the same returns, the columns that the family's `point_fields` have besides the cloud's."""
+        """The columns of the family's `point_fields` that clouds do not have, for the same returns."""
         return {}
 
 
@@ -200,9 +200,9 @@ class Timing(Protocol):
     """When the lasers of a sensor fire."""
 
     def check(self, mount: "Mount") -> None:
-        """Raises ConfigError if the mount cannot be exported: its mode, its settings, its sensor.
+        """Raises ConfigError if the mount cannot be exported because of its mode, its settings or its sensor.
 
-        A family that has more than the strongest returns, or settings, checks its own.
+        Families with settings, or with more than the strongest returns, override this.
         """
         if mount.return_mode != "strongest":
             raise ConfigError(f"sensor {mount.sensor.name!r} has no {mount.return_mode} returns")
@@ -211,14 +211,14 @@ class Timing(Protocol):
         """The packet rate and size of the mount."""
 
     def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        """The firings of so many packets' time, `chunk` packets at a time; fewer if the field of view is narrow."""
+        """The firings in the time of this many packets, `chunk` packets at a time; fewer in a narrow field of view."""
 
     def pattern(self, mount: "Mount") -> Pattern:
-        """Where the mount's lasers fire in a revolution: what is scheduled, but for where it starts."""
+        """Where the mount's lasers fire in a revolution: as in `schedule`, for any start."""
 
 
 class Codec(Timing, Protocol):
-    """The packets of one sensor. Made from the sensor; raises ConfigError if its file says too little."""
+    """The packets of one sensor. The constructor raises ConfigError if the sensor's file lacks facts."""
 
     point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
     facts_model: ClassVar[type[Model]]  # what stands in a sensor's file under the family's name
@@ -232,15 +232,15 @@ class Codec(Timing, Protocol):
         """The packets of a batch with ranges (N, R; inf: no return) and reflectivities (N, R).
 
         R is 2 with dual returns: strongest and last, first and last, first and strongest, or strongest and second
-        strongest, equal where there is one return only; if the last, or the first, is the strongest, the second
-        strongest comes with it. Ranges that the sensor or the packet cannot hold are no returns.
+        strongest. Both are equal if there is one return only. If the last, or the first, is also the strongest, the
+        other one is the second strongest. Ranges that the sensor or the packet cannot hold are no returns.
         """
 
     def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
-        """(N, R): which ranges became returns in the packets; of an identical pair, the first."""
+        """(N, R) which ranges are returns in the packets; of an identical pair, only the first."""
 
     def return_types(self, mount: "Mount", range_m: Array, reflectivity: Octets) -> Octets:
-        """(N, R): the types of returns that are encoded so, as packets tell them apart: see `Returns`.
+        """(N, R) the types of the encoded returns, as far as packets distinguish them: see `Returns`.
 
         The second strongest of a pair counts as its strongest.
         """
@@ -253,7 +253,7 @@ class Codec(Timing, Protocol):
         return iter(())
 
     def companions(self, mount: "Mount") -> Mapping[str, bytes]:
-        """The files that a reader needs beside the capture, by the end of their names."""
+        """The files that a reader needs beside the capture, by the suffixes of their names."""
         return {}
 
     # reading
@@ -267,30 +267,30 @@ class Codec(Timing, Protocol):
         """Which of the family's known sensors sends these packets (P, size). Raises PacketError."""
 
     def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
-        """For a source that begins with these packets. If `trusted`, they must say that they are the sensor's.
+        """The decoder for a source that begins with these packets. If `trusted`, they must be the sensor's.
 
         Raises PacketError.
         """
 
     def return_modes(self, source: Source, packets: Octets) -> Times:
-        """(P,) numbers: packets (P, size) of a source with the same one are of one return mode."""
+        """(P,) a number for the return mode of each packet (P, size) of a source."""
         return np.zeros(len(packets), np.int64)
 
     def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
-        """The firings of packets (P, size) of one source and number of a mode: `encode` makes them of these again.
+        """The contents of packets (P, size) of one source and one number of `return_modes`; `packed` is the inverse.
 
-        Raises PacketError; ConfigError if the family has no such way back.
+        Raises PacketError; ConfigError if the family cannot do this.
         """
         raise ConfigError(f"the packets of {type(self).__name__} cannot be taken apart into firings")
 
     def packed(self, mount: "Mount", found: Measurements) -> Octets:
-        """(P, size): the packets of measurements, as `encode` makes them."""
+        """(P, size) the packets with these contents."""
         return self.encode(mount, found.batch, found.range_m, found.reflectivity).data
 
     # for reports and placement
 
     def firing_ns(self) -> Times:
-        """(L,) when each laser fires after the first, in one firing of all."""
+        """(L,) when each laser fires, relative to the first, when all fire once."""
 
 
 FAMILIES = {  # module and class, loaded when they are needed
@@ -311,14 +311,14 @@ def family(name: str) -> type[Codec]:
 
 
 def codec(sensor: Sensor) -> Codec:
-    """The sensor's codec. Raises ConfigError if it has none, or for what its file says of its packets."""
+    """The sensor's codec. Raises ConfigError if it has none, or for invalid facts in its file."""
     if sensor.codec is None:
         raise ConfigError(f"sensor {sensor.name!r} has no codec, and so no packets")
     return family(sensor.codec)(sensor)
 
 
 def timing(sensor: Sensor) -> Timing:
-    """When its lasers fire, by its codec or without one. Raises ConfigError."""
+    """The timing of the sensor's lasers, by its codec or without one. Raises ConfigError."""
     if sensor.codec:
         return codec(sensor)
     from lidarcfg.packets.bare import Bare

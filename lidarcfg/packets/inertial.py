@@ -1,4 +1,4 @@
-"""What inertial sensors inside a LiDAR measure along a trajectory, gravity included."""
+"""Measurements of the inertial sensors inside a LiDAR along a trajectory, gravity included."""
 
 from typing import TYPE_CHECKING
 

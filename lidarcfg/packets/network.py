@@ -19,7 +19,7 @@ def _check_address(value: str) -> str:
 
 
 class Header(Model):
-    """What the IP and UDP headers of a stream of datagrams say."""
+    """The IP and UDP headers of a stream of datagrams."""
 
     ttl: Byte
     dont_fragment: bool
@@ -29,7 +29,7 @@ class Header(Model):
 
 
 class Network(Model):
-    """To whom the sensor sends, and its half of the MAC address."""
+    """The destination of the sensor's packets, and the maker's half of its MAC address."""
 
     source: str = ""
     mac_prefix: Annotated[str, Field(pattern=MAC.format(2))]  # the other half is its address's, but for the first octet

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Spin:
-    """The firing pattern of a packet: all lasers fire in a sequence, which is repeated."""
+    """The firing pattern of a packet: a sequence in which all lasers fire, repeated."""
 
     offset_ns: Times  # (L,) when each laser fires, after its sequence's stamp
     sequence_ns: int  # from one sequence to the next
@@ -49,7 +49,7 @@ class Spin:
 
 
 def pattern(spin: Spin, mount: "Mount") -> Pattern:
-    """Where lasers fire in a revolution: see `Codec`. A field of view takes sequences that share an azimuth or none."""
+    """Where lasers fire in a revolution: see `Codec`. Sequences that share an azimuth are all in view or none is."""
     sequences = 1 if mount.azimuth_fov_deg is None else spin.per_azimuth
     turned_rad = 2 * math.pi * mount.rpm / MINUTE_NS  # in a nanosecond
     since_ns = (np.arange(sequences)[:, None] * spin.sequence_ns + (spin.offset_ns - spin.offset_ns.min())).ravel()
@@ -62,7 +62,7 @@ def pattern(spin: Spin, mount: "Mount") -> Pattern:
 
 
 class Spinning(Codec, Protocol):
-    """A codec of a head that turns: `spin` says all of when its lasers fire."""
+    """A codec of a sensor with a rotating head, whose timing follows from `spin`."""
 
     def spin(self, dual: bool) -> Spin:
         """The firing pattern of a packet."""
@@ -101,10 +101,10 @@ def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: fl
 
 
 def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase_deg: float | None) -> Array:
-    """(P,): how far the head has turned at the stamps of the packets with these numbers; at the first, not at all.
+    """(P,) how far the head has turned at the stamps of the packets with these numbers, since the first one's.
 
-    With a phase lock it points to `phase_deg` at each whole second instead, for which `rpm` must be whole revolutions
-    a second. Revolutions are counted in whole numbers, so an hour adds no drift.
+    With a phase lock it points to `phase_deg` at each whole second instead; then `rpm` must be whole revolutions per
+    second. The arithmetic is in whole numbers, so that an hour adds no drift.
     """
     revolution_ns = MINUTE_NS / Fraction(rpm)
     whole, part = revolution_ns.numerator, revolution_ns.denominator
@@ -113,10 +113,10 @@ def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase
 
 
 def batches(spin: Spin, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-    """The firings of so many packets' time, `chunk` packets at a time. Without a field of view each chunk is full.
+    """The firings in the time of this many packets, `chunk` packets at a time.
 
-    With one, only the sequences whose azimuth is within it are fired, and packets are filled with them across the gap,
-    as a VLP-32C's are in a recording; what does not fill a packet is not sent.
+    With a field of view, only the sequences whose azimuth is within it are fired. Packets are filled with them across
+    the gap, as in a recording of a VLP-32C; firings that do not fill a packet are not sent.
     """
     lasers = len(spin.offset_ns)
     together = spin.per_azimuth * lasers  # firings that share an azimuth

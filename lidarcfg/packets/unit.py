@@ -1,4 +1,4 @@
-"""What families share: a sensor with its facts, the firing sequence of a head that turns, read-only views."""
+"""Shared by the families: a sensor with its facts, the firing sequence of a rotating head, read-only arrays."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, TypeVar
@@ -32,7 +32,7 @@ class AnyUnit(Generic[F]):
 
     @property
     def name(self) -> str:
-        """The model's."""
+        """The name of the model."""
         return self.sensor.name
 
     @property
@@ -49,7 +49,7 @@ class AnyUnit(Generic[F]):
 
     @property
     def resolution_m(self) -> float:
-        """Of one unit on the wire. Raises ConfigError if it is not known."""
+        """The distance of one unit on the wire. Raises ConfigError if it is not known."""
         if self.range.resolution_m is None:
             raise ConfigError(f"sensor {self.name!r} has no range.resolution_m, the unit of distances in its packets")
         return self.range.resolution_m

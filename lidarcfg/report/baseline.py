@@ -1,4 +1,4 @@
-"""A rig that stands beside a result in every table of a report, with what differs."""
+"""A rig that every table of a report shows beside the result, with the differences."""
 
 import re
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ class Baseline:
 
 
 def beside(table: Table | None, baseline: Table | None) -> Table | None:
-    """A table whose rows are followed by the baseline's of the same number, and by this rig's less the baseline's."""
+    """The table with two more rows after each: the baseline's, and the difference."""
     if table is None or baseline is None:
         return table
     rows: list[Sequence[object]] = []
@@ -40,7 +40,7 @@ def beside(table: Table | None, baseline: Table | None) -> Table | None:
 
 
 def difference(own: object, other: object) -> str:
-    """How much more the number is that a cell begins with, to as many digits; empty where either has none."""
+    """The difference of the numbers that two cells begin with, to their digits; empty if one has no number."""
     found = [NUMBER.match(str(cell)) for cell in (own, other)]
     if found[0] is None or found[1] is None:
         return ""

@@ -42,7 +42,7 @@ def draw_sensor(sensor: Sensor) -> "Figure":
 
 
 def _mark(axes: "Axes", across: np.ndarray, elevation: np.ndarray, numbered: bool) -> None:
-    """A mark for each laser; where all stand at one place across, in the middle of a degree or a microsecond."""
+    """A mark for each laser; if all have one abscissa, it is centred in a degree or a microsecond."""
     axes.margins(x=0.08)
     axes.plot(across, elevation, "o", color=COLOURS[0], ms=3 if len(across) > NUMBERED else 5)
     if np.ptp(across) == 0:

@@ -1,4 +1,4 @@
-"""What a report shows of blind spots: volumes by the number of LiDARs, and contours around the vehicle from above."""
+"""Blind spots in a report: volumes by the number of LiDARs, and contours around the vehicle from above."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -35,7 +35,7 @@ MARGIN_M = 0.5  # shown around the largest contour
 
 
 def volumes_table(blind: BlindSpots) -> Table:
-    """The volume that exactly so many LiDARs see."""
+    """The volume by the number of LiDARs that see it."""
     total = float(blind.seen_by_m3.sum())
     rows = [[f"{n}", f"{volume:,.2f}", f"{volume / total:.2%}"] for n, volume in enumerate(blind.seen_by_m3.tolist())]
     return Table("The region's volume by the number of LiDARs that see it", ("LiDARs", "volume (m³)", "part"), rows)
@@ -83,7 +83,7 @@ def contours_view(axes: "Axes", region: Region, rig: Rig, contours: Sequence[Con
 
 
 def _ring(around: Directions, beyond_m: Array | float) -> tuple[Array, Array]:
-    """A closed line (AZIMUTHS + 1,) around the reference point, so far beyond the outline."""
+    """A closed line (AZIMUTHS + 1,) around the reference point, at these distances beyond the outline."""
     angle = np.append(np.arange(AZIMUTHS), 0) * (2 * np.pi / AZIMUTHS)
     reach = around.outline_m + beyond_m
     reach = np.append(reach, reach[0])
@@ -91,7 +91,7 @@ def _ring(around: Directions, beyond_m: Array | float) -> tuple[Array, Array]:
 
 
 def window(contours: Sequence[Contour], rigs: Sequence[Rig]) -> tuple[Array, Array]:
-    """The corners (2,) of what is worth showing: contours, body and sensors."""
+    """The corners (2,) of a window around contours, body and sensors."""
     rings = [np.stack(_ring(c.directions, np.nan_to_num(c.distance_m)), axis=1) for c in contours]
     sensors = np.array([mount.position_m[:2] for rig in rigs for mount in rig.mounts])
     points = np.concatenate([*rings, sensors])
@@ -100,7 +100,7 @@ def window(contours: Sequence[Contour], rigs: Sequence[Rig]) -> tuple[Array, Arr
 
 
 def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Markup:
-    """The contours around the body; and how high what no LiDAR sees stands at each position."""
+    """The contours around the body, and a map of the blind height at each position."""
     region = subspaces.region
     low, high = window(blind.contours, [rig])
     width, height = high - low
@@ -121,7 +121,7 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
 
 
 def _draw_heights(figure: "Figure", axes: "Axes", subspaces: Subspaces, rig: Rig) -> None:
-    """A map of how many metres of each upright line of cuboids no LiDAR sees."""
+    """A map of the metres of each upright line of cuboids that no LiDAR sees."""
     region = subspaces.region
     blind = (subspaces.seen_by == 0) & region.included
     metres = np.where(region.included.any(axis=2), blind.sum(axis=2) * region.cuboid_m[2], np.nan)

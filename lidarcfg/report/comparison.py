@@ -43,7 +43,7 @@ COLUMNS_MAX = 4  # rigs in a row, so that a table fits a printed page
 class Contender:
     """A rig that is compared."""
 
-    letter: str  # identifies it, even if the same rig stands twice
+    letter: str  # identifies it, even if the same rig is compared twice
     rig: Rig
     file: str
     details: Details
@@ -65,7 +65,7 @@ class Row:
 
     what: str
     values: list[str]
-    best: list[bool]  # none if all are alike, or if more is neither better nor worse
+    best: list[bool]  # none if all are equal, or if more is neither better nor worse
 
 
 def check_count(rigs: int) -> None:
@@ -89,7 +89,7 @@ def with_baseline(rig: Rig, file: Path, details: Details, baseline: Baseline) ->
 
 
 def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
-    """What is compared, rig by rig."""
+    """The rows of the comparison, rig by rig."""
 
     def row(what: str, form: str, value: Callable[[Contender], float], sign: int = 0) -> Row:
         texts = [format(value(rig), form) for rig in rigs]
@@ -129,7 +129,7 @@ def _zone(i: int, rig: Contender) -> float:
 
 
 def _robust_rows(rigs: Sequence[Contender], row: Callable[..., Row]) -> list[Row]:
-    """What failures and mounting errors do at most; none where that was omitted."""
+    """The worst effects of failures and mounting errors; none if they were omitted."""
     known = [rig.found.robustness for rig in rigs]
     if None in known:
         return []

@@ -45,7 +45,7 @@ Facts = list[tuple[str, object]]
 
 @dataclass(frozen=True)
 class Commands:
-    """What was typed, and what gives the same result on any machine."""
+    """The command as typed, and one that gives the same result on any machine."""
 
     typed: str
     again: str
@@ -62,9 +62,7 @@ def report(
 ) -> str:
     """The report of a rig; `values` is its result.json, and `placement` the search that found it, if any.
 
-    With a baseline every table shows that as well.
-
-    Raises ConfigError if SOURCE_DATE_EPOCH is not a time.
+    Every table also shows the baseline, if there is one. Raises ConfigError if SOURCE_DATE_EPOCH is not a time.
     """
     found = details.evaluation
     own = _tables(study, rig, details)

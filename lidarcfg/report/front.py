@@ -78,7 +78,7 @@ def _point(point: Point) -> dict[str, Any]:
 def save_front(
     study: Study, found: Front, folder: Path, commands: Commands, on_point: Callable[[int, Point], None] | None = None
 ) -> None:
-    """Write front.html, front.json, front.png, history.csv, search.npz, and the folder points/ with one a point.
+    """Write front.html, front.json, front.png, history.csv, search.npz, and points/ with a folder for each point.
 
     `on_point` is called before each point's folder is written.
     """
@@ -99,7 +99,7 @@ def save_front(
 
 
 def _save_point(point: Point, folder: Path, commands: Commands) -> None:
-    """Write what `optimize` writes of the combination's study, and the study."""
+    """Write the study of a combination, and the results of its search as `optimize` writes them."""
     study, found = point.combination.study, point.placement
     shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
     write_text(as_yaml(study.file) + "\n", folder / STUDY)
@@ -241,7 +241,7 @@ def _candidates_table(found: Front) -> Table:
 
 
 def _standing(found: Front, one: Candidate) -> str:
-    """Whether it is on the front, and if not, what dominates it."""
+    """Whether it is on the front, or which point dominates it."""
     if one.on_front:
         return "on the front"
     if not math.isfinite(one.objective):

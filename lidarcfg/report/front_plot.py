@@ -47,7 +47,7 @@ def _height_in(study: Study, found: Front) -> float:
 
 
 def _tall(low: Array, high: Array) -> float:
-    """The height of a picture, in widths."""
+    """The height of a picture as a fraction of its width."""
     return float(np.clip((high[1] - low[1]) / (high[0] - low[0]), 0.3, 2.0))
 
 
@@ -118,7 +118,7 @@ def _marker(model: int) -> str:
 
 
 def _extent(study: Study, found: Front) -> tuple[Array, Array]:
-    """The corners of all pictures: what the vehicle and the sensors take up."""
+    """The corners of all pictures: the extent of the vehicle and the sensors."""
     at = [mount.position_m[:2] for point in found.points for mount in point.placement.rig.mounts]
     points = np.array([*at, *_outline(study)])
     low, high = points.min(axis=0), points.max(axis=0)

@@ -30,7 +30,7 @@ from lidarcfg.rig import Rig, rig_to_dict, save_rig
 
 
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:
-    """What `evaluate --json` prints and every result.json contains."""
+    """The values that `evaluate --json` prints and every result.json contains."""
     return {
         "measure": "faces",
         "max_vsr_m": found.max_vsr_m,
@@ -89,7 +89,7 @@ def _contour(contour: Contour) -> dict[str, Any]:
 
 
 def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> dict[str, Any]:
-    """What `optimize` writes as result.json."""
+    """The values of result.json that `optimize` writes."""
     rigs, cut = found.evaluated * study.rigs[0], study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
         "objective": found.objective,
@@ -117,7 +117,7 @@ def to_json(values: dict[str, Any]) -> str:
 
 
 def baseline_dict(study: Study, baseline: Baseline) -> dict[str, Any]:
-    """What result.json says of a baseline."""
+    """The values of a baseline in result.json."""
     values = evaluation_dict(study, baseline.rig, baseline.details.evaluation)
     return {"file": baseline.file} | {key: value for key, value in values.items() if key not in ("study", "version")}
 
@@ -176,10 +176,17 @@ def write_history(history: Sequence[Any], folder: Path) -> None:
 
 
 UNPRINTED = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")  # controls and directions of text
-PROGRESS = ("search.npz", "rig.yaml")  # of a search that runs
+PROGRESS = ("search.npz", "rig.yaml")  # the files of a search that is running
 EVALUATED = ("result.json", "rig.png", "report.html")  # the files of an evaluation
-FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # of a search for a front
-RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")  # of a search
+FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # the files of a front
+RESULTS = (
+    *PROGRESS,
+    "result.json",
+    "history.csv",
+    "convergence.png",
+    "rig.png",
+    "report.html",
+)  # the files of a search
 LOG = {"cost": ("f", 1), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
 
 

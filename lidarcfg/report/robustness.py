@@ -1,4 +1,4 @@
-"""What a report shows of failures, mounting errors and zones."""
+"""Failures, mounting errors and zones in a report."""
 
 from collections.abc import Sequence
 from itertools import zip_longest
@@ -36,7 +36,7 @@ def zones_table(zones: Sequence[ZoneVsr]) -> Table:
 
 
 def lost_table(found: Robustness, study: Study) -> Table:
-    """What is left with each LiDAR lost: max VSR, that of the zones, and the study's objective if it is another."""
+    """Max VSR with each LiDAR lost, in all and by zone, and the study's objective if it is another."""
     with_objective = bool(study.zones) or not study.objective.is_max_vsr
 
     def row(left: Left) -> list[str]:

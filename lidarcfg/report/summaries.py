@@ -1,4 +1,4 @@
-"""What a file is, and what it would do, in a line."""
+"""One line on what a file is, and on what it would do."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -32,7 +32,7 @@ class Summary:
 
 
 def summary(path: str | Path) -> Summary:
-    """What a study, rig, scene, sensor, vehicle or trajectory is. Raises ConfigError and SceneError if it is wrong."""
+    """The summary of one of our files. Raises ConfigError and SceneError if it has an error."""
     path = example(path)
     kind = "trajectory" if path.suffix == ".tum" else kind_of(load_keys(path))
     if kind is None:
@@ -81,7 +81,7 @@ def _rig(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _sends(mount: Mount) -> bool:
-    """Whether a mount has packets. Raises ConfigError for settings that these do not allow."""
+    """Whether a mount has packets. Raises ConfigError for invalid settings of these."""
     if mount.sensor.codec is None:
         return False
     codec(mount.sensor).check(mount)

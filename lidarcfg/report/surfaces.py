@@ -31,7 +31,7 @@ def draw_surfaces(study: Study, rig: Rig) -> Markup:
 
 
 def heights_in(study: Study) -> list[float]:
-    """How high the panel of each side is."""
+    """The heights of the sides' panels."""
     low, high = _frame(study)
     pairs = [seats[0][1].across for seats in _sides(study).values()]
     scale = (WIDTH_IN - LABELS_IN) / max(high[across] - low[across] for across, _ in pairs)
@@ -102,7 +102,7 @@ def _draw_side(axes: "Axes", seats: list[tuple[int, Surface]], rig: Rig, study: 
 
 
 def _shades(surface: Surface, low: Array, high: Array) -> NDArray[np.float64]:
-    """(rows, columns) how bright the vehicle is from a surface's side: more where it faces it; NaN beside it."""
+    """(rows, columns) the shade of the vehicle from a surface's side: bright where it faces it, NaN beside it."""
     a, b = surface.across
     pixel = max(high[a] - low[a], high[b] - low[b]) / PIXELS
     lines = [np.arange(low[axis] + pixel / 2, high[axis], pixel) for axis in (a, b)]

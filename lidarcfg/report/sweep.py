@@ -21,7 +21,7 @@ LAST = ("rig", "version", "error", "seconds")  # columns at the end; only second
 
 
 class SweepFolder:
-    """The results of a plan's runs. A run is there once its result.json is, which is written last."""
+    """The results of a plan's runs. A run is done once its result.json exists, which is written last."""
 
     def __init__(self, folder: Path, plan: Plan) -> None:
         """Raises ConfigError if it holds the runs of another plan."""
@@ -34,13 +34,13 @@ class SweepFolder:
         self._plain = {path for path in plan.varied if _is_plain([run.values[path] for run in plan.runs])}
 
     def start(self) -> None:
-        """Make it ready to be written into. Raises OSError at once, not after hours, if it cannot be."""
+        """Make the folder. Raises OSError at once, not after hours, if it cannot be written into."""
         check_writable(self.folder, (PLAN, *TABLES, PLOT))
         with replacing(self.folder / PLAN) as file:
             file.write(self._about)
 
     def row(self, run: Run) -> Row | None:
-        """A run's row of the table, if it is there."""
+        """A run's row of the table, or None if it is not done."""
         with suppress(OSError, ValueError):
             found = json.loads((self._at(run) / "result.json").read_text())
             if isinstance(found, dict):
@@ -48,7 +48,7 @@ class SweepFolder:
         return self._failed.get(run.number)
 
     def save(self, run: Run, outcome: Outcome) -> None:
-        """Keep what came of a run, unless it is worth another try."""
+        """Save the result of a run, unless another attempt may end otherwise."""
         found = outcome.found | {"rig": None, "version": versions()["lidarcfg"], "error": outcome.error or None}
         if outcome.rig:
             found["rig"] = f"runs/{run.digest}/rig.yaml"
@@ -61,7 +61,7 @@ class SweepFolder:
             file.write(to_json(found) + "\n")
 
     def save_tables(self) -> list[str]:
-        """Write all rows that are there as table.csv, with pyarrow as table.parquet too, and plot them.
+        """Write the rows of all done runs to table.csv, with pyarrow also to table.parquet, and plot them.
 
         Returns the files' names.
         """
@@ -105,6 +105,6 @@ class SweepFolder:
 
 
 def _is_plain(values: list[Any]) -> bool:
-    """Whether values are numbers, texts or truth values, all of a kind: others stand in the table as JSON."""
+    """Whether values are all numbers, all texts or all booleans; others are JSON in the table."""
     kinds = {type(value) for value in values if value is not None}
     return kinds <= {int, float} or kinds in ({str}, {bool})

@@ -1,4 +1,4 @@
-"""What reports say of rigs, studies and objects, as text and tables."""
+"""Rigs, studies and objects in words and tables, for reports."""
 
 import math
 import os
@@ -84,7 +84,7 @@ def rig_in_words(rig: Rig) -> str:
 
 
 def region_rows(region: Region) -> list[tuple[str, str]]:
-    """Its extent, its cuboids and what is excluded."""
+    """The region's extent, its cuboids and its exclusions."""
     excluded = region.included.size - int(region.included.sum())
     return [
         ("region", f"from {vector(region.min_m)} to {vector(region.max_m)} m"),
@@ -94,7 +94,7 @@ def region_rows(region: Region) -> list[tuple[str, str]]:
 
 
 def object_in_words(item: DetectionObject) -> str:
-    """Its size, where it may be, and when it counts as detected."""
+    """An object's size, where it may be, and when it counts as detected."""
     if item.returns:
         return _by_returns(item)
     where = "on the ground" if item.on_ground else "at all heights"
@@ -128,7 +128,7 @@ def _fits(found: Hiding) -> str:
 
 
 def returns_in_words(found: Returns) -> str:
-    """How many, and what the worst phase leaves."""
+    """The number of returns, on average and in the worst phase."""
     least = f"in the worst phase {found.mean_in_worst_phase:.1f}, rate {found.rate_in_worst_phase:.4f}"
     return f"{found.mean:.1f} returns on average; {least}"
 
@@ -183,7 +183,7 @@ def _terms_in_words(study: Study) -> str:
 
 
 def skips_in_words(study: Study) -> str:
-    """What lets a search settle a trial early."""
+    """When a search stops evaluating a trial early."""
     wanted = study.objective
     if study.solver.method == "cmaes":
         return "This solver ranks its trials by their costs, so each is evaluated in full."
@@ -198,7 +198,7 @@ def skips_in_words(study: Study) -> str:
 
 
 def limits_in_words(study: Study) -> str:
-    """What limits the sight of the LiDARs beside their beams; empty where nothing does."""
+    """The limits on the LiDARs' sight besides their beams; empty if there are none."""
     if study.visibility is None:
         return ""
     what = ["their ranges"] * study.visibility.range

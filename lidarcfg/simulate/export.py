@@ -33,12 +33,12 @@ def export(
     vehicle: Vehicle | None = None,
     run: Run | None = None,
 ) -> list[Iterator[Frames]]:
-    """What each sensor of the rig sends, in time order. `in_time_order` merges the streams.
+    """The frames that each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
     Sensor i of n starts i/n of a packet after the first, so that packets interleave.
-    `on_truth` gets the records of `ground_truth`, in the thread that reads, as do the functions of `run`.
+    `on_truth` is called with the records of `ground_truth`; like the functions of `run`, in the reader's thread.
     Raises ConfigError.
     """
     run = run or Run()

@@ -1,4 +1,4 @@
-"""What makes echoes rough, and loses some: random numbers by firing and by laser, repeatable from a seed.
+"""Noise and dropouts: random numbers by firing and by laser, repeatable from a seed.
 
 The figures of real sensors stand in `sensors/*.yaml`; tools/measure_realism.py measures them.
 """
@@ -18,7 +18,7 @@ DARK = 2  # reflectivities below are of dark targets
 
 
 def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` to `first` + count of a stream, in (0, 1), the same in whatever pieces they are drawn.
+    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided.
 
     `first` and `count` are multiples of four: Philox generates four at a time.
     """
@@ -29,14 +29,14 @@ def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count
 
 
 def lose(found: "Echoes", realism: Realism, sensor_index: int, first: int) -> None:
-    """Take all echoes of some firings away; they are numbered from `first` on."""
+    """Remove all echoes of some firings; firings are numbered from `first` on."""
     if realism.dropout_fraction:
         lost = uniforms(realism, sensor_index, DROPOUT, first, len(found.range_m)) < realism.dropout_fraction
         found.range_m[lost] = np.inf
 
 
 def roughen(found: "Echoes", realism: Realism, sensor_index: int, first: int) -> None:
-    """Write the noise of each candidate, and change its reflectivity: the same where it is the strongest one."""
+    """Write the range noise of each candidate, and add noise to its reflectivity; equal echoes get equal noise."""
     dark_m = realism.range_noise_m if realism.dark_noise_m is None else realism.dark_noise_m
     if realism.range_noise_m or dark_m:
         sigma_m = np.where(found.reflectivity < DARK, dark_m, realism.range_noise_m)
@@ -69,7 +69,7 @@ def separate(pairs: "Echoes", realism: Realism, sensor_index: int, first: int) -
 
 
 def _normals(realism: Realism, sensor_index: int, stream: int, first: int, range_m: Array) -> Array:
-    """Normal numbers for candidates (N, R): one for the strongest and what is as far, one for the others."""
+    """Normal numbers for candidates (N, R): one for the strongest and those at its range, one for the others."""
     from scipy.special import ndtri
 
     count = len(range_m)

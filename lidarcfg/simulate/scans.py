@@ -1,4 +1,4 @@
-"""Points without packets: what each sensor of a rig sees, revolution by revolution, with the object of each point."""
+"""Simulated scans without packets: the points of each sensor's revolutions, and the object of each point."""
 
 import heapq
 import math
@@ -23,8 +23,8 @@ STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the ot
 def simulated_scans(drive: Drive, run: Run | None = None) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, in the order in which they end.
 
-    A revolution begins where the head passes azimuth 0, or the start of a narrower field of view. Ranges are exact, but
-    for the noise that the rig asks for: no packet has rounded them. Raises ConfigError.
+    A revolution begins where the head passes azimuth 0, or the start of a narrower field of view. Ranges are not
+    rounded as in packets; they are exact, except for the noise that the rig asks for. Raises ConfigError.
     """
     run = run or Run()
     tasks, names = prepared(drive, run.chunk_ns), object_names(drive.scene, drive.vehicle)
@@ -123,7 +123,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
 
 
 def _places(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -> Array:
-    """(N, 3) in the sensor's frame: where beams end."""
+    """(N, 3) the ends of the beams in the sensor's frame."""
     azimuth_rad, elevation_rad = encoder_rad + sensor.azimuth_offset_rad[laser], sensor.elevation_rad[laser]
     forward_m, left_m = sensor.forward_offset_m[laser], sensor.lateral_offset_m[laser]
     flat_m, c, s = range_m * np.cos(elevation_rad), np.cos(azimuth_rad), np.sin(azimuth_rad)

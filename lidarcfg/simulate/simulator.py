@@ -105,7 +105,7 @@ class Simulator:
 
 
 def _objects(tracer: Tracer, bodies: Tree) -> NDArray[np.int32]:
-    """The objects of slots, from NONE on: nothing, the ground, what is static and dynamic, and the bodies."""
+    """The objects by slot number, from NONE on: nothing, ground, static and dynamic objects, the vehicle's bodies."""
     world, own = tracer.world, len(tracer.scene.names) + bodies.object
     return np.concatenate([[NOTHING, 0], world.static.object, world.dynamic.trees.object, own], dtype=np.int32)
 

@@ -1,4 +1,4 @@
-"""The work of a simulation: what each sensor of a rig is to trace, chunk by chunk, on threads that they share."""
+"""The work of a simulation: each sensor of a rig is traced chunk by chunk, on threads that all sensors share."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Run:
-    """How an export runs, and who follows it. Nothing of it changes a byte."""
+    """How an export runs, and who is called meanwhile. None of this changes its bytes."""
 
     on_progress: Callable[[int], None] = lambda done_ns: None  # the simulated time so far, of the duration
     on_rays: OnRays = lambda counts: None  # the numbers of rays of each chunk
@@ -56,7 +56,7 @@ class Drive:
 
 
 def object_names(scene: Scene, vehicle: Vehicle | None) -> tuple[str, ...]:
-    """What the ground truth calls the objects: those of the scene, and behind `vehicle/` those of the vehicle."""
+    """The names of the objects in the ground truth: the scene's, then the vehicle's with `vehicle/` in front."""
     return scene.names + (tuple(f"vehicle/{name}" for name in vehicle.scene.names) if vehicle else ())
 
 
@@ -98,7 +98,7 @@ def prepared(drive: Drive, chunk_ns: int) -> list[Task]:
 
 
 def _ranged(mount: Mount) -> Mount:
-    """The mount; where its sensor's range is not known, with the range that the rig gives."""
+    """The mount; if its sensor's range is not known, with the range given by the rig."""
     if mount.sensor.range or not mount.range_m:
         return mount
     known = Range(source="the rig", min_m=mount.range_m[0], max_m=mount.range_m[1])
@@ -155,7 +155,7 @@ class Workers:
 
     @contextmanager
     def pool(self) -> Iterator[Executor]:
-        """The threads; they stop once all readers are done, have stopped early or were interrupted."""
+        """The threads; they stop after the last reader ends, for whatever reason."""
         self._pool = self._pool or ThreadPoolExecutor(self._threads)
         self._readers += 1
         try:
@@ -181,7 +181,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Crew:
-    """Who works on the tasks of all sensors, and follows."""
+    """The threads that work on the tasks of all sensors, and the callbacks."""
 
     workers: Workers
     progress: Progress
@@ -189,12 +189,12 @@ class Crew:
 
     @classmethod
     def of(cls, run: Run, sensors: int) -> "Crew":
-        """For a run of so many sensors."""
+        """The crew for a run with this many sensors."""
         return cls(Workers(run.threads or os.cpu_count() or 1), Progress(sensors, run.on_progress), run.on_rays)
 
 
 def worked(task: Task, crew: Crew, make: Callable[[Batch, Echoes], T]) -> Iterator[T]:
-    """What `make` makes, on threads, of the firings and echoes of each chunk that has some, in the order of time."""
+    """The results of `make` for the firings and echoes of each non-empty chunk, in the order of time, on threads."""
     timing, mount, simulator = task.timing, task.mount, task.simulator
     pace = timing.pace(mount)
     total = task.duration_ns // pace.period_ns
@@ -219,7 +219,7 @@ def worked(task: Task, crew: Crew, make: Callable[[Batch, Echoes], T]) -> Iterat
 
 
 def _numbered(batches: Iterable[Batch]) -> Iterator[tuple[Batch, int]]:
-    """Each with the number of its first firing."""
+    """Each batch with the number of its first firing."""
     first = 0
     for batch in batches:
         yield batch, first

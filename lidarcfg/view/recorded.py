@@ -1,4 +1,4 @@
-"""What an export noted beside the captures that are shown, so that nothing has to be said twice."""
+"""The records of exported captures, which complete the options of `view`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ SAME = ("rig", "trajectory", "at", "start")  # of captures that are shown togeth
 
 @dataclass(frozen=True)
 class Recorded:
-    """What recorded the captures, where and when; of each part None if it is not known."""
+    """What recorded the captures, where and when; unknown parts are None."""
 
     rig: Path | None = None
     scene: Path | None = None
@@ -25,9 +25,9 @@ class Recorded:
 
 
 def recorded(files: Sequence[Path], given: Recorded, on_warning: Callable[[str], None]) -> tuple[list[Path], Recorded]:
-    """The files with the scene that was recorded, and what is given, filled up by the records beside the captures.
+    """The files, with the recorded scene if no other is given, and `given` completed by the captures' records.
 
-    A file of a record that is needed, and that has changed since, is a warning, and missing. Raises ConfigError.
+    If a file of a record has changed since the export, it is omitted with a warning. Raises ConfigError.
     """
     kinds = [kind_of(example(path)) for path in files]
     captures = [path for path, kind in zip(files, kinds, strict=True) if kind == "capture"]

@@ -1,4 +1,4 @@
-"""The file that a rig came from: moved poses are written into its text, and all else of it stays as it is."""
+"""The file that a rig came from: changed poses are written into its text; everything else stays as it is."""
 
 import math
 import os
@@ -32,7 +32,7 @@ class RigSource:
 
     @classmethod
     def of(cls, path: Path) -> "RigSource | None":
-        """What is at the path; None unless it is a file that can be read again. Raises OSError."""
+        """The source at a path; None unless it is a regular file. Raises OSError."""
         return cls(path, path.read_bytes().decode("utf-8", "replace")) if path.is_file() else None
 
     def saved(self, poses: Array) -> "RigSource":
@@ -52,7 +52,7 @@ class RigSource:
         return changed
 
     def _is_there(self) -> bool:
-        """Whether the file is as it was; one of another size, however large, is not read."""
+        """Whether the file is unchanged; a file of another size is not read."""
         text = self.text.encode()
         return self.path.is_file() and self.path.stat().st_size == len(text) and self.path.read_bytes() == text
 
@@ -83,7 +83,7 @@ class RigSource:
         raise ConfigError(f"{self.path}: its text cannot take other poses; {ELSE}")
 
     def _edits(self, numbers: Any, old: list[float], new: list[float], uses: Counter[int]) -> list[Edit]:
-        """The numbers of a list that change. Raises ConfigError for one that stands for others, too."""
+        """The edits of the numbers that change in a list. Raises ConfigError for a number that an alias shares."""
         edits = []
         for node, before, after in zip(numbers.value, old, new, strict=True):
             if before != after:
@@ -94,7 +94,7 @@ class RigSource:
         return edits
 
     def _inserted(self, mapping: Any, angles_deg: list[float]) -> Edit:
-        """The key that a sensor without angles gets, before its position."""
+        """The edit that inserts angles before the position of a sensor without angles."""
         key = next(key for key, _ in mapping.value if key.value == "position_m")
         at, quote = key.start_mark.index, '"' if key.style else ""
         end = ", " if mapping.flow_style else ("\r\n" if "\r\n" in self.text else "\n") + " " * key.start_mark.column
@@ -108,7 +108,7 @@ def _poses(text: str, path: Path) -> list[list[float]]:
 
 
 def _uses(node: Any) -> list[int]:
-    """Every node, as often as it is part of another, or stands for one."""
+    """The ids of all nodes, each as often as it is used."""
     found = [id(node)]
     if isinstance(node, yaml.MappingNode):
         return found + [one for pair in node.value for part in pair for one in _uses(part)]

@@ -146,7 +146,7 @@ class Shape(NamedTuple):
 
 
 def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, worst: int) -> int:
-    """Blend the translucent bodies into the image where they are in front of its points; how many pixels."""
+    """Blend the translucent bodies into the image in front of its points; returns the number of pixels."""
     shapes = _shapes(stage, worst)
     if not shapes:
         return 0
@@ -165,7 +165,7 @@ def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, w
 
 
 def _shapes(stage: Stage, worst: int) -> list[Shape]:
-    """Scenes, the vehicle, where bases may be on it and where they are, what the region excludes, worst subspaces."""
+    """Scenes, the vehicle with the bases and where they fit, exclusions of the region, worst subspaces."""
     shapes: list[Shape] = []
     for scene in stage.scenes:
         vertices, corners_of = mesh_at(scene, stage.first_ns - stage.zero_ns)
@@ -197,7 +197,7 @@ def _halved(quads: Array) -> Array:
 
 
 def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height: int, **look: Any) -> int:
-    """Draw lines (L, 2, 3), some of them maybe behind the camera; how many are in the picture."""
+    """Draw lines (L, 2, 3), clipped at the camera; returns how many are in the picture."""
     from matplotlib.collections import LineCollection
 
     view = camera.view(ends_m)

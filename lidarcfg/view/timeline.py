@@ -17,7 +17,7 @@ SHOWN_S = 10.0  # of a motion without an end, where there are no points
 
 @dataclass(frozen=True)
 class Timeline:
-    """Frames of equal length; those that hold no point are not among them."""
+    """Frames of equal length, without those that hold no point."""
 
     start_ns: int
     unit_ns: int  # of the points' times
@@ -33,7 +33,7 @@ class Timeline:
 
 
 def timeline(stage: Stage) -> Timeline | None:
-    """The frames of a stage: those of its points or else of what moves; None where nothing has a time."""
+    """The frames of a stage: of its points, or else of its motion; None if nothing has a time."""
     length_ns = round(6e10 / min(mount.rpm for mount in stage.rigs[0].mounts)) if stage.rigs else FRAME_NS
     time_ns = stage.cloud.time_ns
     if len(time_ns):

@@ -1,4 +1,4 @@
-"""The boxes of a scene's objects: of those that move, and of those whose category has boxes in data sets."""
+"""The boxes of a scene's dynamic objects, and of objects whose category has boxes in data sets."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from lidarcfg.world.scene import Box, Cylinder, Ground, Plane, Scene, SceneObjec
 
 @dataclass(frozen=True)
 class Boxed:
-    """An object with a box, which turns and moves with it."""
+    """An object with a box that moves and rotates with it."""
 
     index: int  # of the scene's objects
     name: str
     category: str | None
-    path: MotionPath | None  # none: it is static
+    path: MotionPath | None  # None: it is static
     place_m: Array  # (3,) about which it rotates
     center_m: Array  # (3,) of the box at rest
     size_m: Array  # (3,) along its own axes
@@ -38,7 +38,7 @@ class Boxed:
 
 @dataclass(frozen=True)
 class Boxes:
-    """The boxes of N objects, each at the mean time of its returns in a scan: its points are there."""
+    """The boxes of N objects, each at the mean time of its returns in a scan, so that it encloses its points."""
 
     objects: tuple[Boxed, ...]
     time_ns: NDArray[np.int64]  # (N,)
@@ -46,7 +46,7 @@ class Boxes:
     returns: NDArray[np.int64]  # (N,) in the scan
 
     def with_returns(self) -> "Boxes":
-        """Those of objects that were hit."""
+        """The boxes of objects that were hit."""
         hit = np.flatnonzero(self.returns)
         return Boxes(tuple(self.objects[i] for i in hit), self.time_ns[hit], self.T_world_box[hit], self.returns[hit])
 
@@ -87,7 +87,7 @@ Hits = tuple[NDArray[np.int32], NDArray[np.int64]]  # of a scan's points (P,): t
 
 
 def boxes_at(objects: tuple[Boxed, ...], scans: Sequence[Hits], zero_ns: int, stamp_ns: int) -> Boxes:
-    """The boxes in scans that belong together: each at the mean time of the returns in the first scan that has some.
+    """The boxes in scans of one moment: each at the mean time of its returns in the first scan that has some.
 
     An object that was not hit is where it was at the stamp. Raises ConfigError outside timed poses.
     """

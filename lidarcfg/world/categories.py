@@ -1,4 +1,4 @@
-"""What kinds of objects there are, and what data sets call them."""
+"""The categories of objects, and their names in data sets."""
 
 from typing import Literal, NamedTuple
 
@@ -10,7 +10,7 @@ Category = Literal[
 
 
 class Names(NamedTuple):
-    """Of one category."""
+    """The names of a category in data sets."""
 
     label: int  # SemanticKITTI's (semantic-kitti.yaml)
     moving: int  # the same of a dynamic object

@@ -1,4 +1,4 @@
-"""What a glTF file (version 2.0) says of its nodes: those that readers show otherwise are refused by name."""
+"""Checks of the nodes in a glTF file (version 2.0): those that readers would show wrongly are refused by name."""
 
 import json
 import struct
@@ -34,7 +34,7 @@ def said(path: Path) -> dict[str, Any]:
 
 
 def buffers(path: Path) -> list[Path]:
-    """The files beside a whole glTF file that hold its numbers, if it is one."""
+    """The files beside a glTF file that hold its numbers; none for other files."""
     if path.suffix.lower() not in SUFFIXES:
         return []
     names = (one["uri"] for one in said(path).get("buffers", ()) if not one.get("uri", "data:").startswith("data:"))
@@ -42,7 +42,7 @@ def buffers(path: Path) -> list[Path]:
 
 
 def check_nodes(path: Path, wanted: Collection[str] | None = None) -> frozenset[str]:
-    """The names of a glTF file's nodes. Raises SceneError for one, of those wanted, that readers show otherwise."""
+    """The names of a glTF file's nodes. Raises SceneError for a wanted node that readers would show wrongly."""
     whole = said(path)
     try:
         nodes = whole.get("nodes", [])

@@ -29,7 +29,7 @@ GREY, BITS = 0, (8, 16)
 
 
 def height_field_mesh(item: "HeightField", folder: Path) -> Mesh:
-    """The triangles of a height field in the world frame, seen from above; a cell is cut from south-west to north-east.
+    """The triangles of a height field in the world frame, facing up; cells are cut from south-west to north-east.
 
     Raises SceneError if its file cannot be used.
     """
@@ -49,7 +49,7 @@ def height_field_mesh(item: "HeightField", folder: Path) -> Mesh:
 
 
 def read_heights(path: Path) -> Array:
-    """(rows, columns): the grid in a file, as it stands there. Raises SceneError."""
+    """(rows, columns) the grid in a file, unscaled. Raises SceneError."""
     check_readable(path, FILE_MAX)
     if path.suffix.lower() not in SUFFIXES:
         raise SceneError(f"{path}: is no height field; allowed: {', '.join(SUFFIXES)}")
@@ -62,7 +62,7 @@ def read_heights(path: Path) -> Array:
 
 
 def _npy(path: Path) -> Array:
-    """The array of a .npy file, unread until its size is known."""
+    """The array of a .npy file, which is read once its size is checked."""
     mapped: NDArray[np.generic] = np.load(path, mmap_mode="r", allow_pickle=False)
     if mapped.ndim != 2 or mapped.dtype.kind not in "iuf":
         raise SceneError(f"{path}: has {mapped.ndim} axes of {mapped.dtype}; allowed: 2, rows and columns, of numbers")
@@ -89,7 +89,7 @@ def _png(path: Path) -> Array:
 
 
 def _check_size(path: Path, rows: int, columns: int) -> None:
-    """Raises SceneError for a grid without a cell, or with more than are used."""
+    """Raises SceneError for a grid with no cell, or with too many."""
     if min(rows, columns) < 2:
         raise SceneError(f"{path}: has {rows} × {columns} heights; allowed: at least 2 × 2")
     cells = (rows - 1) * (columns - 1)

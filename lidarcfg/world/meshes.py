@@ -1,4 +1,4 @@
-"""Triangle meshes: of the shapes of a scene, and from files."""
+"""Triangle meshes of the shapes in a scene, and of files."""
 
 import math
 import os
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.scene import Box, Cylinder, MeshFile, Plane, Sphere
 
 _CLOUD = "a point cloud has no surfaces; give it under surfels, with a radius, in a scene"
-NO_MESHES = {  # by suffix, what some other file is, and what to do
+NO_MESHES = {  # by suffix: what the file is instead, and what to do
     ".xodr": "an OpenDRIVE map has lanes and no triangles; export a mesh of it, for example an OBJ with libOpenDRIVE",
     **dict.fromkeys((".pcd", ".las", ".laz", ".npz"), _CLOUD),
     **dict.fromkeys((".xyz", ".pts", ".e57", ".bin"), f"{_CLOUD}, as PLY, PCD, LAS or npz"),
@@ -126,7 +126,7 @@ def read_mesh(path: Path) -> Mesh:
 
 
 def _binary_ply(path: Path) -> Mesh | None:
-    """The mesh in a binary PLY file of triangles, as most are; None of others, for which Open3D is worth its second."""
+    """The mesh in a binary PLY file of triangles, without loading Open3D for a second; None for other files."""
     with path.open("rb") as file:
         if not re.match(rb"ply\r?\nformat binary_", file.read(20)):
             return None
@@ -142,7 +142,7 @@ def _binary_ply(path: Path) -> Mesh | None:
 
 
 def check_mesh(what: str, mesh: Mesh) -> None:
-    """Raises SceneError for vertices that are not finite and triangles of vertices that are not there."""
+    """Raises SceneError for vertices that are not finite, and for triangles with missing vertices."""
     vertices, triangles = mesh
     if not np.isfinite(vertices).all():
         raise SceneError(f"{what}: vertex {np.argwhere(~np.isfinite(vertices))[0][0]} is not finite")
@@ -153,7 +153,7 @@ def check_mesh(what: str, mesh: Mesh) -> None:
 
 @contextmanager
 def silent() -> Iterator[None]:
-    """What a library's C code prints to stderr is thrown away meanwhile."""
+    """Discard what a library's C code prints to stderr."""
     kept = os.dup(2)
     try:
         with open(os.devnull, "w") as nowhere:
@@ -165,9 +165,9 @@ def silent() -> Iterator[None]:
 
 
 def check_readable(path: Path, most: int) -> None:
-    """Raises SceneError for what is no regular file of at most so many bytes that can be opened.
+    """Raises SceneError unless the path is a readable regular file of at most `most` bytes.
 
-    Open3D does not tell a file that it cannot open from one without triangles.
+    Open3D reports a file that it cannot open as one without triangles.
     """
     try:
         check_regular(path, most)

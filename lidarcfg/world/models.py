@@ -1,4 +1,4 @@
-"""glTF files of several nodes, each of which becomes an object. Read by trimesh."""
+"""glTF files, of which each node becomes an object; read by trimesh."""
 
 import struct
 from collections import Counter
@@ -65,9 +65,9 @@ def model_objects(item: "GltfModel", folder: Path) -> list[tuple["GltfModel", Me
 
 
 def read_parts(path: Path, wanted: Collection[str] | None = None) -> list[Part]:
-    """The triangles of a glTF file by node and material, where its nodes' transforms have them. Raises SceneError.
+    """The triangles of a glTF file by node and material, transformed by its nodes. Raises SceneError.
 
-    Of nodes that are not wanted, some may be otherwise than the file means them.
+    Nodes that are not wanted are not checked, and may be wrong.
     """
     import trimesh
 
@@ -86,7 +86,7 @@ def read_parts(path: Path, wanted: Collection[str] | None = None) -> list[Part]:
 
 
 def _pieces(path: Path, scene: "trimesh.Scene") -> Iterator[tuple[str, str, str, Mesh]]:
-    """Node, material, trimesh's name and triangles of everything that the nodes show."""
+    """Node, material, trimesh's name and triangles of every geometry."""
     for name in scene.graph.nodes_geometry:
         T_scene_node, geometry = scene.graph[name]
         shape = scene.geometry[str(geometry)]

@@ -1,4 +1,4 @@
-"""Motion: where an object or a vehicle is at each time, by a constant velocity, an arc, or timed poses."""
+"""The motion of an object or a vehicle: a constant velocity, an arc, or timed poses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class Arc(Model):
 
 
 class TimedPose(Model):
-    """Where an object is at a time."""
+    """The pose of an object at a time."""
 
     time_s: Annotated[float, Field(ge=-TIME_LIMIT_S, le=TIME_LIMIT_S)]
     position_m: tuple[Metres, Metres, Metres]
@@ -60,7 +60,7 @@ class TimedPose(Model):
 
 
 class Motion(Model):
-    """One of the three; the frame is that of the object at time 0, times are seconds since the start.
+    """A motion, of one of three kinds, in the object's frame at time 0; times are seconds since the start.
 
     Between timed poses the position moves along a straight line and the attitude rotates about one axis, both at a
     constant rate.
@@ -88,7 +88,7 @@ STANDING = Motion(velocity_m_s=(0.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class MotionPath:
-    """A motion in a form that gives poses at any times."""
+    """A motion prepared for computing poses at any time."""
 
     motion: Motion
     times_s: Array  # (K,) of the timed poses; empty for the other kinds
@@ -97,7 +97,7 @@ class MotionPath:
     rotation_vectors_rad: Array  # (K, 3) from each pose to the next; 0 for the last
 
     def at(self, seconds: Array) -> tuple[Array, Array]:
-        """R (n, 3, 3) and t (n, 3) at the times (n,), with 1 for n where the rotation, or the position, is constant.
+        """R (n, 3, 3) and t (n, 3) at the times (n,); R is (1, 3, 3) if the rotation is constant, t likewise.
 
         Raises ConfigError outside the timed poses.
         """
@@ -115,13 +115,13 @@ class MotionPath:
 
     @property
     def is_static(self) -> bool:
-        """Whether the motion is none: a velocity of zero."""
+        """Whether the object stands: its velocity is zero."""
         return self.motion == STANDING
 
     def check_span(self, first_s: float, last_s: float, prefix: str = "") -> None:
         """Raises ConfigError if the motion is timed poses and they do not cover these times.
 
-        The first and the last segment go on for EDGE_S: a sensor may fire shortly before its first packet's time.
+        The first and the last segment are extended by EDGE_S: a sensor may fire shortly before its packet's time.
         """
         if len(self.times_s) and not self.times_s[0] - EDGE_S <= first_s <= last_s <= self.times_s[-1] + EDGE_S:
             span = f"{self.times_s[0]:g} to {self.times_s[-1]:g} s"
@@ -168,7 +168,7 @@ def _path(motion: Motion, times_s: Array, positions_m: Array, rotations: Array) 
 
 
 def packed(paths: Sequence[MotionPath]) -> "Paths":
-    """Motions in one table, for compiled loops."""
+    """Motions as one table for compiled loops."""
     from lidarcfg.world.motion_kernels import ARC, POSES, STANDING, VELOCITY, Paths
 
     kinds, values = [], np.zeros((len(paths), 3))
@@ -195,14 +195,14 @@ def packed(paths: Sequence[MotionPath]) -> "Paths":
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Where the vehicle is in the world at each time."""
+    """The poses of the vehicle in the world over time."""
 
     T_world_start: Array  # (4, 4) the frame in which the motion is described
     path: MotionPath
     zero_ns: int  # the motion's time 0
 
     def world(self, points: Array, time_ns: NDArray[np.int64]) -> Array:
-        """Points (n, 3) of the vehicle frame, each seen at its time (n,), in the world: deskewed.
+        """Points (n, 3) of the vehicle frame, each measured at its time (n,), in the world frame: deskewed.
 
         Raises ConfigError outside the timed poses.
         """
@@ -252,7 +252,7 @@ def load_motion(path: str | Path) -> Motion:
 
 
 def load_path(path: str | Path | None) -> MotionPath:
-    """The path of the motion in a file; of None, one that stands. Raises ConfigError."""
+    """The path of the motion in a file; None: a path that stands. Raises ConfigError."""
     if path is None:
         return prepared(STANDING)
     path = example(path)
@@ -264,7 +264,7 @@ def load_path(path: str | Path | None) -> MotionPath:
 
 
 def _read_tum(path: Path) -> Array:
-    """(K, 8): the checked rows of the file. Raises ConfigError with the line that is none."""
+    """(K, 8) the checked rows of a .tum file. Raises ConfigError with the first invalid line."""
     try:
         text = read_regular(path, TUM_MAX)
         if (count := text.count(b"\n")) > TUM_LINES_MAX:

@@ -120,20 +120,20 @@ class GltfModel(MeshFile):
 
 
 class Surfels(MeshFile):
-    """A disc around each point of a file, across the normal that the file gives or its neighbours suggest."""
+    """A disc at each point of a file, across its normal, which is in the file or estimated from neighbours."""
 
     radius_m: Size
 
 
 class Weather(Model):
-    """Uniform fog and rain; simulate/echoes.py models what they do to a beam."""
+    """Uniform fog and rain; simulate/echoes.py models their effect on a beam."""
 
     fog_visibility_m: Annotated[float, Field(ge=1)] | None = None  # meteorological
     rain_mm_h: Positive | None = None
 
 
 class GeoOrigin(Model):
-    """Where on Earth the world's origin is; x points east and y north."""
+    """The place of the world's origin on Earth; x points east and y north."""
 
     latitude_deg: Annotated[float, Field(ge=-89, le=89)] = 0.0
     longitude_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
@@ -163,7 +163,7 @@ class SceneFile(Model):
 
 
 def check_names(file: Model) -> None:
-    """A model's validator: no two of the objects of any kind have one name, nor is one called as the ground."""
+    """A model's validator: objects of all kinds have different names, and none has the ground's."""
     names = {GROUND}
     for kind in dict.fromkeys((*KINDS, *FILES)):
         for i, item in enumerate(getattr(file, kind, ())):
@@ -218,13 +218,13 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def files_of(file: Model, folder: Path) -> list[Path]:
-    """The files that a scene, or a vehicle, in a folder is made from besides its own: they have been read."""
+    """The files that a scene or a vehicle in a folder names, with those that these need."""
     paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if item.file]
     return [one for path in paths for one in (path, *buffers(path))]
 
 
 def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
-    """The scene that stands in a file under the key `at`; meshes are beside it. Raises as load_scene does."""
+    """The scene of a file's values; `path` and `at` are their file and key. Raises as load_scene does."""
     objects: list[Placed] = [(file.ground, NO_MESH)] if file.ground else []
     objects += [(box, box_mesh(box)) for box in file.boxes]
     objects += [(item, NO_MESH) for item in (*file.spheres, *file.cylinders)]
@@ -253,7 +253,7 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
 
 
 def _unlike(made: list[Placed], taken: set[str]) -> list[Placed]:
-    """What is made from a file, if no object has one of its names; they are taken then. Raises SceneError."""
+    """The objects made from a file; adds their names to `taken`. Raises SceneError if one is taken already."""
     for item, _ in made:
         name = getattr(item, "name", GROUND)
         if name in taken:

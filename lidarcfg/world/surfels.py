@@ -50,7 +50,7 @@ def discs(points: Array, normals: Array, radius: float) -> Mesh:
 
 
 def read_points(path: Path) -> tuple[Array, Array]:
-    """Places (N, 3) and unit normals (N, 3) of a file's points; missing normals are estimated. Raises SceneError."""
+    """Positions (N, 3) and unit normals (N, 3) of a file's points; estimates missing normals. Raises SceneError."""
     check_readable(path, FILE_MAX)
     if path.suffix.lower() not in SUFFIXES:
         raise SceneError(f"{path}: is no cloud of points; allowed: {', '.join(SUFFIXES)}")
@@ -74,7 +74,7 @@ def read_points(path: Path) -> tuple[Array, Array]:
 
 
 def _read(path: Path) -> Points:
-    """What the file says of its points. Raises CloudError, and ConversionError without laspy."""
+    """The positions and normals in a file. Raises CloudError, and ConversionError without laspy."""
     suffix = path.suffix.lower()
     if suffix in (".las", ".laz"):
         return read_xyz(path, POINTS_MAX), None
@@ -105,7 +105,7 @@ def _check_finite(path: Path, rows: Array) -> None:
 
 
 def _estimated(path: Path, points: Array) -> Array:
-    """(N, 3): across the plane that fits a point's nearest neighbours best."""
+    """(N, 3) the normal of the best plane through each point's nearest neighbours."""
     import open3d as o3d
 
     if len(points) < 3:

@@ -1,4 +1,4 @@
-"""What rays hit first in a scene, and how far away, in float64.
+"""Traces rays in a scene: what they hit first, and at which range, in float64.
 
 Ground, spheres and cylinders are hit in closed form, everything else by its triangles.
 
@@ -23,7 +23,7 @@ from lidarcfg.world.world_kernels import NOTHING, Dynamics, Found, World, cast, 
 
 
 class Hits(NamedTuple):
-    """What N rays hit first."""
+    """The first hits of N rays."""
 
     range_m: Array  # (N,) inf: nothing
     object: NDArray[np.int32]  # (N,) -1: nothing
@@ -40,7 +40,7 @@ class Dynamic:
 
 
 class Tracer:
-    """A scene to trace rays in, fastest near `origin_m` (3,) of the world; motions have their time 0 at `zero_ns`."""
+    """Traces rays in a scene; fastest near `origin_m` (3,) of the world. `zero_ns` is time 0 of its motions."""
 
     def __init__(self, scene: Scene, origin_m: Array, zero_ns: int = 0) -> None:
         self.scene, self.zero_ns = scene, zero_ns
@@ -62,7 +62,7 @@ class Tracer:
         time_ns: NDArray[np.int64] | None = None,
         limit_m: float = np.inf,
     ) -> Hits:
-        """Rays (N, 3) from points of the world along unit vectors at times (N,): what each hits first within a limit.
+        """The first hits, within a limit, of rays from points (N, 3) of the world along unit vectors at times (N,).
 
         Without times, all objects are where they are at time 0. Raises ConfigError outside timed poses.
         """
@@ -78,7 +78,7 @@ class Tracer:
         return Hits(found.range_m, objects, triangles, found.normal)
 
     def blocked(self, origins_m: Array, targets_m: Array) -> NDArray[np.bool_]:
-        """(N,): whether anything static, except the ground, is between points (N, 3) of the world, ends excluded."""
+        """(N,) whether any static object but the ground is between pairs of points (N, 3), ends excluded."""
         origins = np.broadcast_to(origins_m, targets_m.shape).T
         starts = np.ascontiguousarray(origins - self.origin_m[:, None])
         out = np.empty(len(targets_m), np.bool_)

@@ -47,7 +47,7 @@ NONE = "none"  # in place of a file: no vehicle, whatever the rig says
 
 
 class Body(Model):
-    """What the parts of a vehicle have beyond the objects of a scene; they do not move."""
+    """The keys of a vehicle's body besides those of a scene's object; it does not move."""
 
     reflectivity: Byte = 20
     category: None = None
@@ -86,7 +86,7 @@ class BodyMesh(Body, MeshFile):
 
 
 class VehicleFile(Model):
-    """A vehicle, as a study says it: a scene's own keys, in the vehicle frame."""
+    """A vehicle in a file: the keys of a scene's objects, in the vehicle frame."""
 
     kind: ClassVar[str] = "vehicle"
     boxes: tuple[BodyBox, ...] = ()
@@ -123,7 +123,7 @@ class Solid:
         return np.asarray(flat & (points_m[:, 2] > self.low_m[2]) & (points_m[:, 2] < self.high_m[2]))
 
     def holds(self, low_m: Array, high_m: Array) -> bool:
-        """Whether a box is inside for certain."""
+        """Whether a box is certainly inside."""
         if isinstance(self.shape, tuple):
             return holds(self.shape, low_m, high_m)
         corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
@@ -143,12 +143,12 @@ class Vehicle:
 
     @property
     def section(self) -> Section:
-        """The same as a part of a rig's file."""
+        """The vehicle as the section of a rig's file."""
         return Section(self.file.model_dump(exclude_defaults=True))
 
     @cached_property
     def tracer(self) -> Tracer:
-        """Its bodies, to trace rays in."""
+        """A tracer of its bodies."""
         vertices = self.scene.mesh()[0]
         return Tracer(self.scene, 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
 
@@ -172,7 +172,7 @@ class Vehicle:
         return tuple(found)
 
     def inside(self, name: str, x: Array, y: Array, z: Array) -> Inside:
-        """(nx, ny, nz): which points of a grid are inside a body; x, y and z ascend. Nothing is inside an open one."""
+        """(nx, ny, nz) which points of a grid are inside a body; x, y and z ascend. Nothing is inside an open body."""
         found = np.zeros((len(x), len(y), len(z)), np.bool_)
         solid = next((solid for solid in self.solids if solid.name == name), None)
         if solid:
@@ -188,12 +188,12 @@ class Vehicle:
         return found
 
     def around(self, point_m: Array) -> str | None:
-        """The name of a body that a point (3,) is inside of, if any."""
+        """The name of a body that contains a point (3,), or None."""
         points = np.asarray(point_m, np.float64)[None]
         return next((solid.name for solid in self.solids if solid.inside(points)[0]), None)
 
     def depth_m(self, points_m: Array) -> Array:
-        """(N,) how deep points (N, 3) are inside closed bodies, to the nearest side of a body's bounds; 0: outside."""
+        """(N,) the depth of points (N, 3) in closed bodies, from the nearest side of the body's bounds; 0 outside."""
         out = np.zeros(len(points_m))
         for solid in self.solids:
             depth = np.minimum(points_m - solid.low_m, solid.high_m - points_m).min(axis=1)
@@ -203,12 +203,12 @@ class Vehicle:
         return out
 
     def holds(self, low_m: Array, high_m: Array) -> str | None:
-        """The name of a body that holds a whole box, from low (3,) to high (3,), for certain; None: no body does."""
+        """The name of a body that certainly contains the box from low (3,) to high (3,), or None."""
         return next((solid.name for solid in self.solids if solid.holds(low_m, high_m)), None)
 
 
 def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
-    """The vehicle that stands in a file under a key. Raises ConfigError for a bad mesh, and to exclude an open one."""
+    """The vehicle under a key of a file. Raises ConfigError for an invalid mesh, and for an open body to exclude."""
     began = time.perf_counter()
     scene = built(SceneFile(name="vehicle", **{kind: getattr(file, kind) for kind in KINDS}), path, at)
     closed, warnings = dict[str, Mesh](), list[str]()
@@ -239,7 +239,7 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
 
 
 def load_vehicle(path: str | Path) -> Vehicle:
-    """The vehicle in a YAML file of its keys, or the body in a mesh file. Raises ConfigError."""
+    """The vehicle in a YAML file, or one whose only body is a mesh file. Raises ConfigError."""
     path = example(path)
     if path.suffix in (".yaml", ".yml"):
         return vehicle(load(path, VehicleFile), path, ())
@@ -253,7 +253,7 @@ def rig_vehicle(rig: Rig) -> Vehicle | None:
 
 
 def carried(rig: Rig | None, path: Path | None) -> Vehicle | None:
-    """The vehicle in a file; where that is called none, none at all; without it the rig's. Raises ConfigError."""
+    """The vehicle in a file, or the rig's if `path` is None; no vehicle if it is `none`. Raises ConfigError."""
     if path is None:
         return rig_vehicle(rig) if rig else None
     return None if str(path) == NONE else load_vehicle(path)
@@ -274,7 +274,7 @@ def mesh_of(scene: Scene, index: int) -> Mesh:
 
 
 def _open(item: SceneObject, edges: Array) -> str:
-    """That a body is open, and where."""
+    """A message that a body is open, and where."""
     shown = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
     source = f" of {item.file}" if isinstance(item, MeshFile) else ""
     return (
@@ -291,14 +291,14 @@ def _warning(path: Path, key: Key, what: str) -> str:
 
 
 def likely_scale(size: Array) -> float:
-    """Which of the UNITS a vehicle's mesh of a size (3,) is in, as its scale."""
+    """The likely scale of a vehicle's mesh of a size (3,): one of UNITS."""
     if LEAST_M <= size.max() <= MOST_M or size.max() == 0:
         return 1.0
     return min(UNITS, key=lambda one: abs(math.log(float(size.max()) * one / TYPICAL_M)))
 
 
 def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
-    """What looks wrong with the size of a vehicle's mesh: the unit of its file may be another one."""
+    """A warning if the size of a vehicle's mesh suggests another unit."""
     size_m = np.ptp(mesh[0], axis=0)
     if LEAST_M <= size_m.max() <= MOST_M or (scale := likely_scale(size_m / item.scale)) == item.scale:
         return []

@@ -1,4 +1,4 @@
-"""Hesai's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
+"""Hesai's packets: an implementation of `lidarcfg.packets.codec`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -113,7 +113,7 @@ class Hesai(Codec):
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
-        """By how it begins: which model it is, `recognise` says, or why not."""
+        """By its first bytes only; `recognise` finds the model."""
         return claims(size, payload)
 
     @classmethod
@@ -136,7 +136,7 @@ class Hesai(Codec):
         return HesaiDecoder(source.where, Unit(sensor, self.unit.facts))
 
     def firing_ns(self) -> Times:
-        """See `Codec`; of a laser that rests in the first loop, in the second."""
+        """See `Codec`; for a laser that rests in the first loop, in the second."""
         fires, offset_ns = self.unit.fires, self.unit.offset_ns
         return np.asarray(np.where(fires[0], offset_ns[0], offset_ns[-1]))
 

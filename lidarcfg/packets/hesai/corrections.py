@@ -17,7 +17,7 @@ ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
 
 
 def written(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
-    """The mount's angles as Hesai's own files have them, by the end of the file's name."""
+    """The mount's angles in the format of Hesai's own files, by the suffix of the file's name."""
     sensor = unit.sensor
     rows = zip(sensor.beams.elevation_deg, sensor.beams.azimuth_offset_deg or (0.0,) * unit.count, strict=True)
     lines = [
@@ -28,9 +28,9 @@ def written(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
 
 
 def found(source: Source, count: int) -> Beams | None:
-    """The angles in the file beside the capture: the one named after the source, else one that is named after none.
+    """The angles in the file beside the capture: the one named after the source, or else one named after no source.
 
-    Raises PacketError for a file that does not say the angles of so many channels, or if several may be meant.
+    Raises PacketError for a file without the angles of this many channels, or if several files fit.
     """
     files = source.companions(SUFFIX)
     own = [name for name in files if name.endswith(f"-{source.host}-{source.port}{SUFFIX}")]

@@ -11,7 +11,7 @@ POLYNOMIAL, BITS, SLICES = 0x04C11DB7, 0xFFFFFFFF, 4
 
 
 def _tables() -> NDArray[np.uint32]:
-    """(SLICES, 256): what a byte does that stands so many bytes before the end of a slice."""
+    """(SLICES, 256) the effect on the CRC of a byte at each distance from the end of a slice."""
     out = np.zeros((SLICES, 256), np.uint32)
     for byte in range(256):
         value = byte << 24

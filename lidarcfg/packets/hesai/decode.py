@@ -1,4 +1,4 @@
-"""Points of packets."""
+"""Decodes packets into points."""
 
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
@@ -26,7 +26,7 @@ PAIR = {  # the nearer return, the farther
 
 
 class HesaiDecoder(Decoder):
-    """Packets of one Hesai sensor."""
+    """Decodes the packets of one Hesai sensor."""
 
     def __init__(self, where: str, unit: Unit) -> None:
         self._where, self._unit, self._losses = where, unit, Losses(unit)
@@ -100,14 +100,14 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
 
 
 def check(unit: Unit, packets: Packets) -> None:
-    """Raises PacketError for packets that are not this model's, or say what makes no sense."""
+    """Raises PacketError for packets that are not this model's, or are invalid."""
     for wrong, said, describe in _mistakes(unit, packets):
         if wrong.any():
             raise PacketError(describe(int(said[wrong][0])))
 
 
 def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.integer], Callable[[int], str]]]:
-    """Which packets (P,) are wrong, what they say, and a sentence about it; for each mistake that there may be."""
+    """For each kind of mistake: which packets (P,) have it, their values, and a sentence about it."""
     header, name = packets["header"], unit.name
     major, minor = map(int, unit.facts.packet.protocol.split("."))
     for key, right in (

@@ -1,4 +1,4 @@
-"""Packets of firings and what they measured."""
+"""Encodes firings and their measurements as packets."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""What a sensor's file says under `hesai`."""
+"""The key `hesai` of a sensor's file: the facts of its packets."""
 
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -68,14 +68,14 @@ class Packet(Model):
 
 
 class Headers(Network):
-    """What stands before the sensor's datagrams."""
+    """The network headers of the sensor's datagrams."""
 
     source: str = ""
     data: Header
 
 
 class Facts(Model):
-    """All that a sensor's file says under `hesai`."""
+    """The key `hesai` of a sensor's file."""
 
     firing: Firing
     packet: Packet
@@ -83,7 +83,7 @@ class Facts(Model):
 
 
 class Settings(Model):
-    """All that a rig's file says of a mount under `hesai`: nothing yet."""
+    """The key `hesai` of a mount in a rig's file; it has no keys yet."""
 
 
 class Unit(AnyUnit[Facts]):
@@ -96,7 +96,7 @@ class Unit(AnyUnit[Facts]):
 
     @property
     def unit_mm(self) -> int:
-        """What the header says of distances. Raises ConfigError if it cannot."""
+        """The unit of distances in the header, in mm. Raises ConfigError if the header cannot hold it."""
         unit_mm = round(self.resolution_m * 1000)
         if not 1 <= unit_mm <= 255 or abs(unit_mm - self.resolution_m * 1000) > 1e-9:
             what = f"{self.resolution_m:g} m is not in whole millimetres, 1 to 255"
@@ -104,12 +104,12 @@ class Unit(AnyUnit[Facts]):
         return unit_mm
 
     def columns(self, return_mode: str) -> tuple[int, ...]:
-        """Which of the returns that are given stands in each block of those that share an azimuth."""
+        """The index of the return in each of the blocks that share an azimuth."""
         pairs = {pair.mode: pair.blocks for pair in self.facts.packet.pairs if pair.mode == return_mode}
         return tuple(COLUMNS[mode].index(which) for mode, blocks in pairs.items() for which in blocks) or (0,)
 
     def groups(self, dual: bool) -> int:
-        """How often all lasers fire in a packet."""
+        """The number of times that all lasers fire in a packet."""
         return self.facts.packet.blocks // (1 + dual)
 
     def period_ns(self, dual: bool = False) -> int:
@@ -143,7 +143,7 @@ class Unit(AnyUnit[Facts]):
 
 @lru_cache(64)
 def unit(sensor: Sensor) -> Unit:
-    """The sensor with what its file says under `hesai`. Raises ConfigError with file, line and key."""
+    """The sensor with the key `hesai` of its file. Raises ConfigError with file, line and key."""
     section = sensor.section
     facts = section.checked(Facts)
     for i, loop in enumerate(facts.firing.loops):

@@ -73,7 +73,7 @@ BASE_YEAR = 1900
 
 @lru_cache
 def packet(protocol: Protocol, lasers: int, blocks: int) -> np.dtype[np.void]:
-    """The packet with so many lasers and blocks, with a UDP sequence number."""
+    """The dtype of a packet with this many lasers and blocks, and with a UDP sequence number."""
     block = np.dtype([("azimuth", "<u2"), ("returns", RETURN, (lasers,))])
     head = [("header", HEADER), ("blocks", block, (blocks,))]
     if protocol == "6.1":

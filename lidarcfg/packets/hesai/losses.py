@@ -1,4 +1,4 @@
-"""What successive packets say of their source: return modes, the motor's speed, packets that are missing."""
+"""The statistics of a source: return modes, the motor's speed, lost packets."""
 
 import math
 
@@ -22,7 +22,7 @@ class Losses:
         self.lost = 0  # packets, by the gaps of the UDP sequence
 
     def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count those that are wanted (P,) of successive packets, together with what went before them."""
+        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
         tail = packets["tail"]
         self._modes |= {MODES[code] for code in set(tail["return_mode"][wanted].tolist()) if code in MODES}
         self._speeds += int(tail["rpm"][wanted].sum(dtype=np.int64))
@@ -35,7 +35,7 @@ class Losses:
 
     @property
     def return_modes(self) -> tuple[str, ...]:
-        """By name."""
+        """The return modes by name."""
         return tuple(sorted(self._modes))
 
     @property

@@ -1,4 +1,4 @@
-"""Ouster's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
+"""Ouster's packets: an implementation of `lidarcfg.packets.codec`."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -114,7 +114,7 @@ class Ouster(Codec):
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
-        """By metadata beside the capture, or, so that its lack is an error, by a usual size and a header that fits."""
+        """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
         names = [name for name, usual in USUAL if usual == size and _fits(name, payload)]
         return bool(names) or any(_fits(one.layout.name, payload) for one in _metadata(source, size))
 
@@ -155,13 +155,13 @@ def _fits(profile: str, payload: bytes) -> bool:
 
 
 def _metadata(source: Source, size: int) -> list[Metadata]:
-    """The metadata beside the capture that is of packets of this size."""
+    """The metadata beside the capture whose packets are of this size."""
     found = [read(name, content) for name, content in source.companions(SUFFIX).items()]
     return [one for one in found if one and one.layout.size == size]
 
 
 def _of(source: Source, packets: Octets) -> Metadata:
-    """The metadata of the source's packets. Raises PacketError if there is none, or none that fits them alone."""
+    """The metadata of the source's packets. Raises PacketError if there is none, or if several fit."""
     size, payload = packets.shape[1], packets[0].tobytes()
     beside = _metadata(source, size)
     if not beside:
@@ -186,7 +186,7 @@ def _serial(one: Metadata, packets: Octets) -> int:
 
 
 def _alike(one: Metadata, other: Metadata) -> bool:
-    """Whether both make the same points."""
+    """Whether both metadata give the same points."""
     return (
         (one.layout, one.start_m, one.window) == (other.layout, other.start_m, other.window)
         and np.array_equal(one.elevation_rad, other.elevation_rad)
@@ -196,7 +196,7 @@ def _alike(one: Metadata, other: Metadata) -> bool:
 
 
 def _unknown(found: Metadata, like: Sensor) -> Sensor:
-    """A sensor that no catalogue has, for decoding alone: its beams are the metadata's, the rest is of another."""
+    """A sensor outside the catalogue, for decoding only: beams from the metadata, all else from another model."""
     beams = Beams(
         source=found.name,
         elevation_deg=tuple(np.degrees(found.elevation_rad).tolist()),

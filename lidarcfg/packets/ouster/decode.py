@@ -1,4 +1,4 @@
-"""Points of an Ouster's packets, by the metadata beside them."""
+"""Decodes an Ouster's packets into points, by the metadata beside them."""
 
 import math
 from typing import Any

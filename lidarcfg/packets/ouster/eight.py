@@ -1,6 +1,7 @@
-"""Eight pixels of a column at a time, in LLVM's vectors, of which it makes what the processor has.
+"""Operations on eight pixels of a column at a time, as LLVM vectors, which fit any processor.
 
-Loops would say the same, but there LLVM does not know that what is read and what is written lie apart.
+Plain loops would do the same, but there LLVM does not know that input and output do not overlap, so it does not
+vectorise them.
 """
 
 # mypy: disallow-untyped-calls=False
@@ -17,7 +18,7 @@ STEPS = 1, 2, 3, 4  # words of a pixel
 
 
 def _which(_: Any, words: Any, at: Any, step: Any, mask: Any) -> Any:
-    """The word `at` of each pixel of `step` words, under a mask: for which of the eight it is not 0, as bits."""
+    """One bit for each of eight pixels of `step` words: whether its word `at`, under a mask, is not 0."""
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         found = builder.icmp_unsigned("!=", _masked(context, builder, signature, given), ir.Constant(WORDS, None))
@@ -29,10 +30,10 @@ def _which(_: Any, words: Any, at: Any, step: Any, mask: Any) -> Any:
 def _place(
     _: Any, words: Any, at: Any, step: Any, mask: Any, unit_m: Any, ways: Any, i: Any, how: Any, out: Any, n: Any
 ) -> Any:
-    """Write x, y, z of eight returns, from number n on: such words are their ranges, their beams those from i on.
+    """Write x, y, z of eight returns to `out`, from row n on. Ranges are the words of `_which`; beams begin at i.
 
-    `ways` are the beams' parts ahead, right and up; `how` are cosine and sine of the encoder's angle, what is added to
-    x, y and z, and what is taken from the ranges.
+    `ways` holds the components of the beams ahead, right and up. `how` holds cosine and sine of the encoder's angle,
+    the offsets added to x, y and z, and the offset subtracted from the ranges.
     """
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -56,7 +57,7 @@ def _place(
 
 
 def _copy(_: Any, words: Any, at: Any, step: Any, shift: Any, out: Any, n: Any) -> Any:
-    """Write an octet of such words, which begins with this bit, from number n on."""
+    """Write one octet of each of eight words, from bit `shift` on, to `out` from index n on."""
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         values = _words(builder, _pointer(context, builder, signature.args[0], given[0], given[1]), given[2])
@@ -68,7 +69,7 @@ def _copy(_: Any, words: Any, at: Any, step: Any, shift: Any, out: Any, n: Any) 
 
 
 def _same(_: Any, octets: Any, i: Any, out: Any, n: Any) -> Any:
-    """Write the octets from number i on, from number n on."""
+    """Copy eight octets from index i on to `out` from index n on."""
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         values = _load(builder, _pointer(context, builder, signature.args[0], given[0], given[1]), OCTETS)
@@ -99,7 +100,7 @@ def _masked(context: Any, builder: Any, signature: Any, given: Any) -> Any:
 
 
 def _words(builder: Any, pointer: Any, step: Any) -> Any:
-    """Eight words, from one every `step` words: out of the vectors in which they lie."""
+    """Eight words, one every `step` words, shuffled out of the vectors that contain them."""
     found, end, other = [], builder.append_basic_block(), builder.append_basic_block()
     switch = builder.switch(step, other)
     for one in STEPS:
@@ -124,7 +125,7 @@ def _words(builder: Any, pointer: Any, step: Any) -> Any:
 
 
 def _woven(builder: Any, rows: list[Any], part: int) -> Any:
-    """A third of x, y, z, x, y, z … of eight points, whose rows are given."""
+    """One third of the sequence x, y, z, x, y, z … of eight points, from the rows of x, y and z."""
     places = [divmod(COUNT * part + k, 3) for k in range(COUNT)]
     two = builder.shuffle_vector(rows[0], rows[1], _lanes([point + COUNT * (row == 1) for point, row in places]))
     return builder.shuffle_vector(
@@ -137,7 +138,7 @@ def _lanes(lanes: list[int]) -> Any:
 
 
 def _everywhere(builder: Any, value: Any) -> Any:
-    """A vector of one value."""
+    """A vector with the value in every lane."""
     kind = ir.VectorType(value.type, COUNT)
     one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.IntType(32)(0))
     return builder.shuffle_vector(one, one, _lanes([0] * COUNT))

@@ -1,4 +1,4 @@
-"""An Ouster's packets of firings and what they measured."""
+"""Encodes firings and their measurements as an Ouster's packets."""
 
 import numpy as np
 

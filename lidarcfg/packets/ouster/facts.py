@@ -1,4 +1,4 @@
-"""What a sensor's file says under `ouster`, and what a rig's file says there of a mount."""
+"""The key `ouster`: of a sensor's file, the facts of its packets; of a mount in a rig's file, its settings."""
 
 import zlib
 from dataclasses import dataclass
@@ -58,14 +58,14 @@ class Product(Model):
 
 
 class Headers(Network):
-    """What stands before the sensor's datagrams."""
+    """The network headers of the sensor's datagrams."""
 
     data: Header
     imu: Header
 
 
 class Facts(Model):
-    """All that a sensor's file says under `ouster`."""
+    """The key `ouster` of a sensor's file."""
 
     imu: Imu
     signal: Signal
@@ -74,7 +74,7 @@ class Facts(Model):
 
 
 class Settings(Model):
-    """All that a rig's file says of a mount under `ouster`."""
+    """The key `ouster` of a mount in a rig's file."""
 
     profile: ProfileName | None = None  # none: the single or the dual one of 19 bits, by return_mode
     columns: Literal[512, 1024, 2048] = 1024
@@ -133,7 +133,7 @@ class Mode:
 
 @lru_cache(64)
 def unit(sensor: Sensor) -> Unit:
-    """The sensor with what its file says under `ouster`. Raises ConfigError with file, line and key."""
+    """The sensor with the key `ouster` of its file. Raises ConfigError with file, line and key."""
     facts = sensor.section.checked(Facts)
     if sensor.count > LASERS_MAX:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""What packets say of their firings and besides, one by one, and packets of that again."""
+"""The contents of packets, by their firings, and packets from these contents."""
 
 import json
 from dataclasses import asdict

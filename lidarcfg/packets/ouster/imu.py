@@ -39,7 +39,7 @@ FRAMED_KIND = 2  # of the packet, in its header
 def legacy_payloads(
     unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
-    """A packet of 48 bytes every 10 ms: three times, of the system and of both sensors, which are the same; values."""
+    """A packet of 48 bytes every 10 ms: three equal times, of the system and both sensors, then the values."""
     total = -(-duration_ns // PERIOD_NS)
     for first in range(0, total, CHUNK):
         time_ns = start_ns + np.arange(first, min(first + CHUNK, total)) * PERIOD_NS

@@ -1,4 +1,4 @@
-"""Where an Ouster's packets hold what, as ouster-sdk's parsing.cpp has it: little endian, bits from the lowest."""
+"""The layout of an Ouster's packets, as in ouster-sdk's parsing.cpp: little endian, bits from the lowest."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ LEGACY_VALID = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class Field:
-    """Bits of a pixel. Of its value the lowest `dropped` bits are not sent."""
+    """A field in a pixel's bits. The lowest `dropped` bits of its value are not sent."""
 
     bit: int
     bits: int
@@ -33,7 +33,7 @@ class Profile:
 
     @property
     def returns(self) -> int:
-        """How many a pixel holds."""
+        """The number of returns in a pixel."""
         return 1 + ("range2" in self.fields)
 
 
@@ -105,7 +105,7 @@ class Heads:
 
 @dataclass(frozen=True)
 class Columns:
-    """What C columns of each of P packets say besides their pixels."""
+    """The headers of the C columns in each of P packets."""
 
     time_ns: Times  # (P, C)
     measurement: Times  # (P, C)
@@ -114,7 +114,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the packets of a sensor's mode hold what."""
+    """The layout of the packets in one mode of a sensor."""
 
     name: str  # the profile's
     pixels: int  # of a column: the sensor's beams
@@ -153,7 +153,7 @@ class Layout:
 
     @property
     def frames(self) -> int:
-        """How far frames are counted before they begin again."""
+        """The number of frames after which the frame counter wraps."""
         return 1 << 32 if self.profile.header == "fusa" else 1 << 16
 
     @property
@@ -174,12 +174,12 @@ class Layout:
 
 
 def values(packets: Octets, dtype: str, at: int) -> NDArray[Any]:
-    """(P,) numbers that stand at a byte of each packet; a view."""
+    """(P,) the numbers at a byte of each packet; a view."""
     return np.ndarray((len(packets),), np.dtype(dtype), packets, at, packets.strides[:1])
 
 
 def column_values(layout: Layout, packets: Octets, dtype: str, at: int) -> NDArray[Any]:
-    """(P, C) numbers that stand at a byte of each column; a view."""
+    """(P, C) the numbers at a byte of each column; a view."""
     if not len(packets):
         return np.empty((0, layout.columns_per_packet), np.dtype(dtype))
     shape, strides = (len(packets), layout.columns_per_packet), (packets.strides[0], layout.column)
@@ -187,7 +187,7 @@ def column_values(layout: Layout, packets: Octets, dtype: str, at: int) -> NDArr
 
 
 def columns(layout: Layout, packets: Octets) -> Columns:
-    """What the columns say."""
+    """The headers of the columns."""
     if layout.legacy:
         valid = column_values(layout, packets, "<u4", layout.column - 4) == LEGACY_VALID
     else:
@@ -201,7 +201,7 @@ def columns(layout: Layout, packets: Octets) -> Columns:
 
 
 def heads(layout: Layout, packets: Octets) -> Heads:
-    """What the headers say; of serial, states and countdowns the first packet's."""
+    """The headers of the packets; serial number, states and countdowns are the first packet's."""
     if layout.legacy:
         return Heads(values(packets, "<u2", 10).astype(np.int64), 0, 0)
     fusa = layout.profile.header == "fusa"

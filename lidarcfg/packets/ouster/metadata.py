@@ -1,4 +1,4 @@
-"""The sensor's metadata, a JSON file beside the capture: without it nobody can read an Ouster's packets."""
+"""The sensor's metadata, a JSON file beside the capture, without which an Ouster's packets cannot be decoded."""
 
 import json
 import math
@@ -37,7 +37,7 @@ BUILT = "2026-01-01T00:00:00Z"
 
 @dataclass(frozen=True)
 class Metadata:
-    """What a metadata file says, as far as decoding needs it."""
+    """The contents of a metadata file that decoding needs."""
 
     name: str  # the file's
     layout: Layout
@@ -54,7 +54,7 @@ class Metadata:
 
     @property
     def model(self) -> str:
-        """As the catalogue would call it: os1-128."""
+        """The model as the catalogue names it, such as os1-128."""
         found = re.match(r"OS-([0-9])-([0-9]+)", self.line)
         return f"os{found[1]}-{found[2]}" if found else self.line.lower() or "ouster"
 
@@ -75,7 +75,7 @@ def read(name: str, content: bytes) -> Metadata | None:
 
 
 def _flat(said: dict[str, Any]) -> dict[str, Any]:
-    """The keys of all parts in one; firmware before 3 wrote them so."""
+    """The keys of all parts in one flat map, as firmware before 3 writes them."""
     flat = dict(said)
     for part in ("beam_intrinsics", "lidar_intrinsics", "sensor_info", "config_params"):
         flat |= said.get(part, {})
@@ -149,7 +149,7 @@ def _whole(said: dict[str, Any], key: str, least: int, most: int) -> int:
 
 
 def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
-    """The metadata of a mount's sensor, in the parts that firmware 3 has and ouster-sdk needs."""
+    """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
     layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
     ahead_mm, up_mm = unit.start_mm
     azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count

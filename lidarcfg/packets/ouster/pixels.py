@@ -1,4 +1,4 @@
-"""Fields to packets and back, with the packet's CRC: everything that packets say, for any of the profiles."""
+"""Conversion between fields and packets of any profile, with the packet's CRC."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -25,7 +25,7 @@ def fields(layout: Layout, packets: Octets) -> dict[str, NDArray[np.uint32]]:
 
 
 def packed(layout: Layout, said: Heads, columns: Columns, pixels: Mapping[str, NDArray[Any]], footer: Footer) -> Octets:
-    """(P, size): the packets that say this; `pixels` are fields (P, C, pixels) as `fields` gives them."""
+    """(P, size) the packets with these contents; `pixels` are fields (P, C, pixels) as `fields` returns them."""
     names = list(layout.profile.fields)
     shape = (len(pixels), len(columns.time_ns) * layout.columns_per_packet * layout.pixels)
     raw = np.empty(shape, np.uint32)
@@ -42,7 +42,7 @@ def assembled(
     rows: NDArray[np.int64],
     footer: Footer,
 ) -> Octets:
-    """(P, size): the packets with these fields (F, N) as they stand there, which are `rows` of the layout's."""
+    """(P, size) the packets with these raw fields (F, N), which are `rows` of the layout's."""
     packets = np.zeros((len(columns.time_ns), layout.size), np.uint8)
     write_heads(layout, packets, said)
     write_columns(layout, packets, columns)
@@ -83,5 +83,5 @@ def words_of(packets: Octets) -> NDArray[np.uint32]:
 
 
 def place(layout: Layout) -> tuple[int, int, int]:
-    """Where pixels are, in 32-bit words: the first, and from one column and one pixel to the next."""
+    """The place of pixels in 32-bit words: the first one, the step per column, and the step per pixel."""
     return (layout.head + layout.column_head) // 4, layout.column // 4, layout.profile.pixel // 4

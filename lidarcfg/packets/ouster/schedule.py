@@ -1,4 +1,4 @@
-"""When each column of an Ouster is measured, and by which packet it is sent."""
+"""When each column of an Ouster is measured, and which packet sends it."""
 
 from collections.abc import Iterator
 
@@ -10,10 +10,11 @@ from lidarcfg.units import SECOND_NS
 
 
 def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: float | None) -> Iterator[Batch]:
-    """The firings of so many packets' time, `chunk` packets at a time.
+    """The firings in the time of this many packets, `chunk` packets at a time.
 
-    The first packet begins with column 0, which points backwards; with a phase lock, with the one that is due. Packets
-    without a column in the azimuth window are not sent. Packet numbers count from the start of the first revolution.
+    The first packet begins with column 0, which points backwards; with a phase lock, with the column that is due.
+    Packets without a column in the azimuth window are not sent. Packet numbers count from the start of the first
+    revolution.
     """
     zero_ns, first = phase(mode, start_ns, phase_deg)
     end_ns = start_ns + packets * mode.period_ns

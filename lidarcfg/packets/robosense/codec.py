@@ -1,4 +1,4 @@
-"""RoboSense's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
+"""RoboSense's packets: an implementation of `lidarcfg.packets.codec`."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -100,7 +100,7 @@ class Robosense(Spinning):
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
-        """By size and first bytes: those of DIFOP packets are others."""
+        """By size and first bytes, which differ from those of DIFOP packets."""
         return size == SIZE and payload.startswith(MSOP_ID)
 
     @classmethod

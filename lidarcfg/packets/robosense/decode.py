@@ -1,4 +1,4 @@
-"""Points of MSOP packets."""
+"""Decodes MSOP packets into points."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ SINGLE = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single r
 
 @dataclass(frozen=True)
 class Reading:
-    """How the packets of a source are to be read."""
+    """The tables by which the packets of a source are decoded."""
 
     unit: Unit
     elevation_rad: Array  # (L,)
@@ -50,7 +50,7 @@ def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> 
 
 
 class RobosenseDecoder(Decoder):
-    """Packets of one RoboSense sensor."""
+    """Decodes the packets of one RoboSense sensor."""
 
     def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
         self._where, self._reading = source.where, reading
@@ -87,7 +87,7 @@ class RobosenseDecoder(Decoder):
 
 
 def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
-    """The returns of successive packets (P, 1248) that are wanted (P,); the others only say how the head turns."""
+    """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
     unit, dual = reading.unit, reading.dual
     spin, packets, layout = unit.spin(dual), packets_of(octets), slots(reading.unit, dual)
     azimuth = np.ascontiguousarray(packets["blocks"]["azimuth"][:, :: layout.blocks], np.int64)

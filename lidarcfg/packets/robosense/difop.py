@@ -1,4 +1,4 @@
-"""DIFOP packets: what a sensor says of itself once a second. Its angles are those that returns are decoded with."""
+"""DIFOP packets, in which a sensor describes itself once a second; returns are decoded with their angles."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ UNUSED = 0xFF
 
 @dataclass(frozen=True)
 class Difop:
-    """What a DIFOP packet says, as far as decoding needs it."""
+    """The contents of a DIFOP packet that decoding needs."""
 
     elevation_rad: Array  # (L,) by laser, as many as have angles
     azimuth_offset_rad: Array  # (L,)
@@ -44,7 +44,7 @@ class Difop:
 
     @property
     def lasers(self) -> int:
-        """How many lasers have angles."""
+        """The number of lasers with angles."""
         return len(self.elevation_rad)
 
 
@@ -58,7 +58,7 @@ def difop_payloads(unit: Unit, mount: "Mount", start_ns: int, duration_ns: int) 
 
 
 def difop_packets(unit: Unit, mount: "Mount", times_ns: np.ndarray) -> Packets:
-    """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot say."""
+    """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot hold."""
     octets = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
     packets: Packets = octets.view(DIFOP)[:, 0]
     headers = unit.facts.headers
@@ -97,7 +97,7 @@ def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
 
 
 def find(source: Source) -> Difop | None:
-    """What the source's host says of it near the capture's start; of several LiDARs behind a host, by the port."""
+    """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
     others: list[Packets] = []
     seen = 0
     for octets in source.payloads(None, SIZE):
@@ -116,7 +116,7 @@ def find(source: Source) -> Difop | None:
 
 
 def every(source: Source) -> Packets:
-    """All that a source's host says of it in a capture, in their order: see `find`."""
+    """All DIFOP packets of a source in a capture, in their order: see `find`."""
     found = [octets[(octets[:, :8] == list(DIFOP_ID)).all(axis=1)] for octets in source.payloads(None, SIZE)]
     said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
     mine: Packets = said[said["msop_port"][:, 0] == source.port]

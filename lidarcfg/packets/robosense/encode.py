@@ -1,4 +1,4 @@
-"""MSOP packets of firings and what they measured."""
+"""Encodes firings and their measurements as MSOP packets."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from lidarcfg.packets.unit import matrix
 
 
 def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
-    """Packets (P,) of N firings and what they measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
+    """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
     from lidarcfg.packets.robosense import encode_kernels  # decoding needs none of them
 
     spin, fired = unit.spin(dual), batch.firings
@@ -45,7 +45,7 @@ def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: O
 
 
 def sent(unit: Unit, dual: bool, octets: Octets) -> Flags:
-    """(N, 1) or (N, 2): which are returns in the packets; of two that are alike there, the first."""
+    """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     at = places(unit, dual)
     high, low, intensity = (octets[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     found: Flags = (high | low) != 0

@@ -1,4 +1,4 @@
-"""What a sensor's file says under `robosense`."""
+"""The key `robosense` of a sensor's file: the facts of its packets."""
 
 from functools import lru_cache
 from typing import Annotated
@@ -31,14 +31,14 @@ class Difop(Model):
 
 
 class Headers(Network):
-    """What stands before the sensor's datagrams."""
+    """The network headers of the sensor's datagrams."""
 
     msop: Header
     difop: Header
 
 
 class Facts(Model):
-    """All that a sensor's file says under `robosense`."""
+    """The key `robosense` of a sensor's file."""
 
     firing: Firing
     packet: Packet
@@ -59,7 +59,7 @@ class Unit(AnyUnit[Facts]):
 
 @lru_cache(64)
 def unit(sensor: Sensor) -> Unit:
-    """The sensor with what its file says under `robosense`. Raises ConfigError with file, line and key."""
+    """The sensor with the key `robosense` of its file. Raises ConfigError with file, line and key."""
     section = sensor.section
     facts = section.checked(Facts)
     if sensor.count not in (16, 32):

@@ -1,4 +1,4 @@
-"""What packets say of their firings, one by one: the inverse of encoding."""
+"""The inverse of encoding: the contents of packets, by their firings."""
 
 import numpy as np
 

@@ -66,7 +66,7 @@ def write_time(packets: Packets, time_ns: Times) -> None:
 
 
 def read_time_ns(packets: Packets) -> Times:
-    """(P,) the stamps; those beyond what nanoseconds can say are the last that they can."""
+    """(P,) the stamps; those beyond the range of int64 nanoseconds become its last value."""
     wide = np.zeros((len(packets), 8), np.uint8)
     wide[:, 2:] = packets["seconds"]
     seconds = np.minimum(wide.view(">u8")[:, 0], 9 * 10**9).astype(np.int64)

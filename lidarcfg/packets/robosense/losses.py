@@ -1,4 +1,4 @@
-"""What successive packets say of their source: packets that are missing, and the head's speed."""
+"""The statistics of a source: lost packets, and the head's speed."""
 
 import math
 
@@ -25,7 +25,7 @@ class Losses:
         self._turned, self._passed_ns = 0, 0
 
     def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count those that are wanted (P,) of successive packets, together with what went before them."""
+        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
         counter: Times = packets["count"].astype(np.int64)
         step = np.diff(counter) % 2**32
         gap_ns = np.diff(read_time_ns(packets))
@@ -41,10 +41,10 @@ class Losses:
 
     @property
     def lost(self) -> int:
-        """Packets."""
+        """The number of lost packets."""
         return self._counted if self._counts else self._by_stamps * self._full_fov
 
     @property
     def rpm(self) -> float:
-        """The head's mean speed; NaN where no two packets follow each other."""
+        """The head's mean speed; NaN without two consecutive packets."""
         return self._turned / REVOLUTION / (self._passed_ns / MINUTE_NS) if self._passed_ns else math.nan

@@ -1,4 +1,4 @@
-"""Which return mode each MSOP packet is of: DIFOP packets say it once a second, and layouts where it changes."""
+"""The return mode of each MSOP packet: by the DIFOP packets, once a second, and by the layout between them."""
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def return_modes(unit: Unit, source: Source, octets: Octets) -> Times | None:
 
 
 def _latest(at: Times, said_ns: Times, codes: Times) -> Times:
-    """(P,) what was said last at these times (P,); before anything was said, the first."""
+    """(P,) the latest value at these times (P,); before the first value, that one."""
     order = np.argsort(said_ns, kind="stable")
     last = np.searchsorted(said_ns[order], at, side="right") - 1
     return codes[order][np.maximum(last, 0)]

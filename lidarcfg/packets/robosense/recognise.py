@@ -12,14 +12,14 @@ from lidarcfg.packets.robosense.layout import BLOCK_ID, HELIOS, MSOP_ID, Packets
 
 
 def sound(packets: Packets) -> Flags:
-    """(P,) whether each is an MSOP packet of a Helios, of the model that most say."""
+    """(P,) whether each is an MSOP packet of a Helios, and of the model that most packets name."""
     models, counts = np.unique(packets["model"], return_counts=True)
     right = (packets["id"] == MSOP_ID) & (lidar_type(packets) == HELIOS) & (packets["model"] == models[counts.argmax()])
     return np.asarray(right & (packets["blocks"]["id"] == BLOCK_ID).all(axis=1))
 
 
 def undamaged(packets: Packets) -> Packets:
-    """Those that are sound, if most are; else all."""
+    """The sound packets, if most are; else all."""
     which = sound(packets)
     return packets[which] if 2 * which.sum() > len(packets) else packets
 

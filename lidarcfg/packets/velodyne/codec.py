@@ -1,4 +1,4 @@
-"""Velodyne's packets, as every family offers its own: see `lidarcfg.packets.codec`."""
+"""Velodyne's packets: an implementation of `lidarcfg.packets.codec`."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -102,7 +102,7 @@ class Velodyne(Spinning):
 
     @classmethod
     def claims(cls, source: Source, size: int, payload: bytes) -> bool:
-        """By the size alone: whose they are, `recognise` says, or why not."""
+        """By its size only; `recognise` finds the model."""
         return size == PACKET.itemsize
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Points of packets."""
+"""Decodes packets into points."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -30,7 +30,7 @@ from lidarcfg.packets.velodyne.status import Carried
 
 
 class VelodyneDecoder(Decoder):
-    """Packets of one Velodyne sensor. What status bytes carry stands in for the catalogue's example unit."""
+    """Decodes the packets of one Velodyne sensor, with the calibration in their status bytes if there is one."""
 
     def __init__(self, where: str, unit: Unit, found: Carried | None, known: Known, trusted: bool) -> None:
         self._where, self._known, self._trusted = where, known, trusted
@@ -97,7 +97,7 @@ def decode(
 
 
 def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
-    """The same of packets that are all dual, or all not."""
+    """The same for packets that are all dual or all single."""
     facts = unit.packet
     order, span = slots(facts, dual), unit.span(dual)
     used = packets["blocks"][:, : len(order)]
@@ -129,7 +129,7 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
 
 @lru_cache
 def _tables(unit: Unit, dual: bool) -> tuple[kernels.Slots, kernels.Lasers]:
-    """What the kernels know of a packet's slots, and of the lasers."""
+    """The kernels' tables of a packet's slots and of the lasers."""
     numbers, width = slots(unit.packet, dual).ravel(), unit.span(dual) * SLOTS
     fired, group = numbers // (1 + dual), np.arange(numbers.size) // width
     offset_ns = unit.offsets_ns(dual).ravel()[fired]

@@ -1,4 +1,4 @@
-"""Packets of firings and what they measured."""
+"""Encodes firings and their measurements as packets."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ def encode(
     reflectivity: Octets,
     pps: PpsState = "locked",
 ) -> Packets:
-    """Packets (P,) of N firings and what they measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says.
+    """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`.
 
     Distances and intensities are those of which decoding makes the nearest there are. Raises ConfigError.
     """
@@ -80,7 +80,7 @@ def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np
 
 
 def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
-    """(N, 1) or (N, 2): which are returns in the packets; of two that are alike there, the first."""
+    """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     distance, intensity = returned(unit, return_mode, packets)
     found: Flags = distance > 0
     if found.shape[1] == 2:

@@ -27,7 +27,7 @@ PpsState = Literal["absent", "synchronising", "locked", "error"]
 
 
 class Calibration(Model):
-    """By laser id, how distances and intensities are corrected. A table that is not given corrects nothing."""
+    """The corrections of distances and intensities by laser id; a missing table corrects nothing."""
 
     distance_offset_mm: tuple[Millimetres, ...] = ()  # added to what the packet says
     near_x_offset_mm: tuple[Millimetres, ...] = ()  # instead of it, at 2.4 m to the side
@@ -115,7 +115,7 @@ class Packet(Model):
 
     @property
     def product_ids(self) -> tuple[int, ...]:
-        """What the product id byte may be; nothing if status bytes stand there."""
+        """The allowed product ids; empty if status bytes take their place."""
         return () if self.product_id is None else (self.product_id, *self.old_product_ids)
 
 
@@ -137,14 +137,14 @@ class PositionPacket(Model):
 
 
 class Headers(Network):
-    """What stands before the sensor's datagrams."""
+    """The network headers of the sensor's datagrams."""
 
     data: Header
     position: Header | None = None
 
 
 class Facts(Model):
-    """All that a sensor's file says under `velodyne`."""
+    """The key `velodyne` of a sensor's file."""
 
     firing: Firing
     packet: Packet
@@ -164,7 +164,7 @@ class Facts(Model):
 
 
 class Settings(Model):
-    """All that a rig's file says of a mount under `velodyne`."""
+    """The key `velodyne` of a mount in a rig's file."""
 
     pps: PpsState = "locked"  # what position packets and status bytes say of the GPS receiver's pulse
     fix_rate_hz: Literal[1, 2, 4, 5, 10, 20] = 1  # of the receiver: its sentences say hundredths of a second
@@ -210,7 +210,7 @@ class Unit(AnyUnit[Facts]):
         return Spin(offset_ns, self.firing.sequence_ns, BLOCKS // self.span(dual) * per_block, per_block)
 
     def span(self, dual: bool) -> int:
-        """How many blocks hold one block's time of all lasers."""
+        """The number of blocks that hold one firing of all lasers."""
         return len(self.packet.block_flags) * (1 + dual)
 
     @property
@@ -239,7 +239,7 @@ class Unit(AnyUnit[Facts]):
 
 @lru_cache(64)
 def unit(sensor: Sensor) -> Unit:
-    """The sensor with what its file says under `velodyne`. Raises ConfigError with file, line and key."""
+    """The sensor with the key `velodyne` of its file. Raises ConfigError with file, line and key."""
     section = sensor.section
     facts = section.checked(Facts)
     check_firing(section, facts.firing, sensor)

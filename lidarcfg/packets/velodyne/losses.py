@@ -26,7 +26,7 @@ class Losses:
         self._edges: Counter[int] = Counter()  # degrees where a field of view ends; two say that it does
 
     def add(self, packets: Packets, wanted: Flags) -> None:
-        """Count those that are wanted (P,) of successive packets, together with what went before them."""
+        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
         facts = self._unit.packet
         if facts.return_modes:
             codes = {code: name for name, code in facts.return_modes.codes.items()}
@@ -55,12 +55,12 @@ class Losses:
 
     @property
     def return_modes(self) -> tuple[str, ...]:
-        """By name."""
+        """The return modes by name."""
         return tuple(sorted(self._modes))
 
     @property
     def lost(self) -> int:
-        """Packets, by the gaps between stamps."""
+        """The number of lost packets, by the gaps between stamps."""
         lost = 0
         for degree, packets in self._gaps:
             near = sum(self._edges[(degree + step) % (REVOLUTION // DEGREE)] for step in (-1, 0, 1))
@@ -69,5 +69,5 @@ class Losses:
 
     @property
     def rpm(self) -> float:
-        """The head's mean speed; NaN where no two packets follow each other."""
+        """The head's mean speed; NaN without two consecutive packets."""
         return self._turned / REVOLUTION / (self._passed_us / 6e7) if self._passed_us else math.nan

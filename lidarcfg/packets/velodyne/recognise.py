@@ -39,12 +39,12 @@ def identify(where: str, packets: Packets, known: Sequence[Unit]) -> Unit:
 
 
 def alike(unit: Unit, known: Sequence[Unit]) -> tuple[str, ...]:
-    """The names of the sensor and of those known whose packets are the same, as a Puck LITE's are."""
+    """The names of the known sensors with the same packets as this one, such as a VLP-16 and a Puck LITE."""
     return (unit.name, *(other.name for other in known if other.packet.sent_as == unit.name))
 
 
 def check_one_id(where: str, packets: Packets) -> None:
-    """Raises PacketError if these packets (P,) say that they are of two models."""
+    """Raises PacketError if these packets (P,) name more than one model."""
     ids = packets["product_id"]
     other = ids != ids[0]
     if other.any():

@@ -56,7 +56,7 @@ CALIBRATION = {  # the same of the calibration's tables
 
 @dataclass(frozen=True)
 class Carried:
-    """What status bytes say of the unit that sends them."""
+    """The contents of the status bytes of a unit."""
 
     beams: Beams
     calibration: Calibration
@@ -80,9 +80,9 @@ def crc16(data: bytes) -> int:
 
 @lru_cache
 def calibration(unit: Unit, status: Status, return_mode: str) -> bytes:
-    """The calibration of a sensor's beams, as its status bytes carry it. Times and thresholds are zero.
+    """The calibration of a sensor's beams in the format of status bytes. Times and thresholds are zero.
 
-    Raises ConfigError for what they cannot say; digits beyond theirs are rounded away.
+    Values are rounded to the format's digits. Raises ConfigError for values that it cannot hold.
     """
     if unit.count != LASERS:
         raise ConfigError(f"sensor {unit.name!r} has {unit.count} beams; status bytes say those of {LASERS}")
