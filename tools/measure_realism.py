@@ -3,7 +3,7 @@
     tools/measure_realism.py RECORDING.pcap EXPORT.pcap ...
 
 measures the same figures on each file, side by side: on planes that RANSAC (Open3D's segment_plane) finds in single
-revolutions, and on all firings. What is meant by each is said in docs/capture.md.
+revolutions, and on all firings. What is meant by each is said in docs/realism.md.
 """
 
 import argparse

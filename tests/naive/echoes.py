@@ -1,4 +1,4 @@
-"""The echoes of one wide beam in plain loops, by the words of docs/capture.md, "Sensors that are not perfect"."""
+"""The echoes of one wide beam in plain loops, by the words of docs/realism.md, "Several echoes"."""
 
 import math
 
