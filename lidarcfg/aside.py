@@ -10,14 +10,12 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-try:
-    import fcntl
-except ImportError:  # Windows: nothing is locked, and what a killed run has left stays
-    fcntl = None  # type: ignore[assignment]  # mypy checks it as on Linux
-
+# Windows has none: nothing is locked there, and what a killed run has left stays.
+fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 SUFFIX = ".part"
 DIGITS = 8  # hexadecimal, in the name
 _HEXADECIMAL = set("0123456789abcdef")

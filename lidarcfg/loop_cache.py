@@ -12,10 +12,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from lidarcfg.aside import fcntl
 from lidarcfg.compiling import compiling
 
 FunctionCache: Any = import_module("numba.core.caching").FunctionCache  # numba has no types
-fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 AGAIN_S, PATIENCE_S = 0.02, 90.0
 _files: dict[Path, int | None] = {}  # of locks, by folder: closing one would give up all locks in it
 

@@ -1,5 +1,6 @@
 """A few of each of the attacks of tools/attack.py that take little time, and what the names of things may not do."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -33,6 +34,34 @@ def test_attacks_find_planted_faults():
     words = [sys.executable, str(ROOT / "tools/attack_faults.py"), *faults]
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_rows_of_a_group_that_was_stopped_are_kept(tmp_path, monkeypatch):
+    """The second of three attacks is interrupted; then the group is done again, and after that no more."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    attack = importlib.import_module("attack")
+    rows, made = tmp_path / "rows.jsonl", []
+
+    def attacks(name, folder, given):
+        for number in range(3):
+            made.append(number)
+            if made == [0, 1]:
+                raise KeyboardInterrupt
+            yield attack.Row(f"attack {number}", cases=len(made))
+
+    monkeypatch.setattr(attack, "rows", attacks)
+    words = ["names", "--rows", str(rows)]
+
+    def kept():
+        return [(row["what"], row["cases"], row["group"]) for row in map(json.loads, rows.read_text().splitlines())]
+
+    with pytest.raises(KeyboardInterrupt):
+        attack.main(words)
+    assert kept() == [("attack 0", 1, "names")]
+    for _ in range(2):
+        assert attack.main(words) == 0
+        assert made == [0, 1, 0, 1, 2]
+        assert kept() == [("attack 0", 3, "names"), ("attack 1", 4, "names"), ("attack 2", 5, "names")]
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,8 @@ def rows(name: str, folder: Path, given: argparse.Namespace) -> Iterator[Row]:
 
 def written(names: list[str], folder: Path, given: argparse.Namespace, kept: "Kept") -> Iterator[list[Row]]:
     """The rows of each command that writes, but for those that are there."""
+    if not names:
+        return
     if given.quick:  # otherwise not: forks of a process that has loaded less are faster
         load_libraries()
     prepare(folder)
@@ -112,7 +114,10 @@ def write_page(lines: list[str]) -> None:
 
 
 class Kept:
-    """The rows of a table in a file, a line of JSON each: what is there is not done again."""
+    """The rows of a table in a file, a line of JSON each: what is there is not done again.
+
+    Of a group that was stopped the rows that were finished are there, as `open`; it is done again, and replaces them.
+    """
 
     def __init__(self, path: Path | None, quick: bool) -> None:
         self._path, self.rows = path, list[dict[str, Any]]()
@@ -124,21 +129,35 @@ class Kept:
     @property
     def done(self) -> set[tuple[str, str]]:
         """What was attacked: the group, and the command of those that write."""
-        return {(row["group"], row["command"]) for row in self.rows}
+        return {(row["group"], row["command"]) for row in self.rows if not row.get("open")}
 
     def add(self, found: Iterable[Row]) -> None:
         """More rows, which are there together or not at all."""
+        self.rows += map(self._told, found)
+        self._save()
+
+    def follow(self, group: str, found: Iterable[Row]) -> None:
+        """The rows of a group, each as it comes."""
         for row in found:
-            of = f" ({row.command})" if row.command and row.command not in row.what else ""
-            print(f"{row.what}{of}: {row.cases:,} cases, {len(row.failures):,} failures; {row.seen}", flush=True)
-            for failure in row.failures if row.command else ():  # the others have said so
-                print(f"  {row.what}: {failure}", file=sys.stderr, flush=True)
-            self.rows.append({"commit": self._commit, "date": time.strftime("%Y-%m-%d")} | asdict(row))
-        if self._path:
+            self.rows = [one for one in self.rows if (one["group"], one["what"]) != (group, row.what)]
+            self.rows.append(self._told(replace(row, group=group)) | {"open": True})
             self._save()
+        for one in self.rows:
+            if one["group"] == group:
+                one.pop("open", None)
+        self._save()
+
+    def _told(self, row: Row) -> dict[str, Any]:
+        """Print a row; returns it as the file has it."""
+        of = f" ({row.command})" if row.command and row.command not in row.what else ""
+        print(f"{row.what}{of}: {row.cases:,} cases, {len(row.failures):,} failures; {row.seen}", flush=True)
+        for failure in row.failures if row.command else ():  # the others have said so
+            print(f"  {row.what}: {failure}", file=sys.stderr, flush=True)
+        return {"commit": self._commit, "date": time.strftime("%Y-%m-%d")} | asdict(row)
 
     def _save(self) -> None:
-        assert self._path
+        if not self._path:
+            return
         aside = self._path.with_suffix(".part")
         aside.write_text("".join(json.dumps(row) + "\n" for row in self.rows))
         aside.replace(self._path)
@@ -173,7 +192,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name in names:
         if name not in WRITES and (name, "") not in kept.done:
             with tempfile.TemporaryDirectory() as folder:
-                kept.add(replace(row, group=name) for row in rows(name, Path(folder), given))
+                kept.follow(name, rows(name, Path(folder), given))
     cases, failures = sum(row["cases"] for row in kept.rows), sum(len(row["failures"]) for row in kept.rows)
     print(f"{cases:,} attacks, {failures:,} failures, in {(time.perf_counter() - began) / 60:.0f} minutes")
     if not given.quick and (given.write or not given.names):
