@@ -235,7 +235,7 @@ def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> P
     if xyz.shape == (0, 3) and not allow_empty:
         raise CloudError(f"{path}: the cloud is empty")
     if xyz.shape[1:] != (3,) or any(columns[key].shape != xyz.shape[:1] for key in FIELDS if key != "xyz"):
-        raise CloudError(f"{path}: the fields are not of one length")
+        raise CloudError(f"{path}: the fields differ in length")
     far = np.flatnonzero(~(abs(xyz) <= XYZ_MAX_M).all(axis=1))
     if len(far):
         what = f"beyond {XYZ_MAX_M:g} m" if np.isfinite(xyz[far[0]]).all() else "not finite"

@@ -29,7 +29,7 @@ def read_xyz(path: Path, most: int) -> Array:
                 raise CloudError(f"{path}: has {count:,} points; allowed: at most {most:,}")
             rows = reader.read_points(count)
             if len(rows) != count:
-                raise ValueError(f"{count} points are announced, and not there")
+                raise ValueError(f"{count} points are announced but missing")
             with np.errstate(over="ignore", invalid="ignore"):  # of absurd scales; what they make is not finite
                 return np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)
     except OSError as error:
@@ -48,7 +48,7 @@ def check_header(path: Path) -> None:
         size = file.seek(0, os.SEEK_END)
         vlrs, points_at = _unpacked(file, VLRS_AT, "<I")[0], _unpacked(file, POINTS_AT, "<I")[0]
         if vlrs * VLR_HEAD > size:
-            raise ValueError(f"{vlrs} VLRs are announced, and not there")
+            raise ValueError(f"{vlrs} VLRs are announced but missing")
         if not _unpacked(file, FORMAT_AT, "<B")[0] & COMPRESSED:
             return
         (table_at,) = _unpacked(file, points_at, "<q")
@@ -56,7 +56,7 @@ def check_header(path: Path) -> None:
             (table_at,) = _unpacked(file, size - 8, "<q")
         chunks = _unpacked(file, table_at, "<II")[1]  # after its version
         if chunks * CHUNK_LEAST > size:
-            raise ValueError(f"{chunks} chunks are announced, and not there")
+            raise ValueError(f"{chunks} chunks are announced but missing")
         (at,) = _unpacked(file, HEADER_AT, "<H")
         for _ in range(vlrs):
             length = _unpacked(file, at + VLR_RECORD_AT, "<HH")[1]

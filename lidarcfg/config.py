@@ -49,7 +49,7 @@ SENTENCES = {  # by pydantic's error type, with the limits of its context
     "dict_type": "{got} is not a map of keys",
     "model_type": "{got} is not a map of keys",
     "literal_error": "{got} is not allowed; allowed: {expected}",
-    "none_required": "{got} is not allowed here; leave the key out",
+    "none_required": "{got} is not allowed here; remove the key",
     "greater_than": "{got} is too small; allowed: above {gt}",
     "greater_than_equal": "{got} is too small; allowed: at least {ge}",
     "less_than": "{got} is too large; allowed: below {lt}",
@@ -70,7 +70,7 @@ def check_names(names: Iterable[str], what: str, *at: str | int) -> None:
     seen: set[str] = set()
     for i, name in enumerate(names):
         if name in seen:
-            raise fault(f"{name!r} is {what} already; each name may stand once", *at, i, "name")
+            raise fault(f"{name!r} is {what} already; each name may be given once", *at, i, "name")
         seen.add(name)
 
 

@@ -90,7 +90,7 @@ class MountFile(Model):
         if self.phase_deg is not None and self.rpm % 60:
             raise fault(f"needs whole revolutions a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg")
         if self.rpy_rad is not None and self.rpy_deg is not None:
-            raise fault("stands beside rpy_rad; give one of them", "rpy_deg")
+            raise fault("conflicts with rpy_rad; give only one of them", "rpy_deg")
         if self.host is not None:
             try:
                 ipaddress.IPv4Address(self.host)
@@ -117,7 +117,7 @@ def one_of(model: Model, *keys: str) -> None:
     """A model's validator: exactly one of some keys is given."""
     given = [k for k in keys if getattr(model, k) is not None]
     if len(given) > 1:
-        raise fault(f"stands beside {given[0]}; give one of them", given[1])
+        raise fault(f"conflicts with {given[0]}; give only one of them", given[1])
     if not given:
         raise fault(f"missing; give {', '.join(keys[:-1])} or {keys[-1]}")
 
@@ -229,7 +229,8 @@ def load_rig(path: str | Path) -> Rig:
                 raise error_at(path, ("sensors", i), what)
             if host == other.host and (data_port == other.telemetry_port or telemetry_port == other.data_port):
                 shared = data_port if data_port == other.telemetry_port else telemetry_port
-                what = f"{host}:{shared} would be data_port of one, telemetry_port of the other, it and {other.name!r}"
+                both = f"this and {other.name!r}"
+                what = f"{host}:{shared} is the data_port of one and the telemetry_port of the other, {both}"
                 raise error_at(path, ("sensors", i), what)
         mounts.append(
             Mount(

@@ -44,7 +44,7 @@ def _check_elevations(value: tuple[float, ...]) -> tuple[float, ...]:
         if not -90 <= angle <= 90:
             raise fault(f"{angle:g} is outside the allowed -90 to 90", i)
         if (same := beams.setdefault(angle, i)) != i:
-            raise fault(f"{angle:g} is beam {same} already; each may stand once", i)
+            raise fault(f"{angle:g} is beam {same} already; each may be given once", i)
     return value
 
 

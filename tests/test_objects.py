@@ -1,6 +1,5 @@
 """The objects that come with the package: what the script makes, closed, of the sizes it says, on the ground."""
 
-import importlib
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +23,8 @@ VOLUME_M3 = {  # a body's mass by its density of 1 kg/l; a car's clearance below
 }
 
 
-def test_the_files_are_what_the_script_makes(monkeypatch, tmp_path):
-    monkeypatch.syspath_prepend(str(OBJECTS.parents[1] / "tools"))
-    importlib.import_module("make_objects").main(tmp_path)
+def test_the_files_are_what_the_script_makes(tool, tmp_path):
+    tool("make_objects").main(tmp_path)
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == sorted(path.name for path in OBJECTS.iterdir())
     for name in names:

@@ -55,7 +55,7 @@ def test_defaults(tmp_path):
         (MINIMAL.replace("]}", "], return_mode: both}"), "return_mode: 'both' is not allowed; allowed: 'strongest'"),
         (
             MINIMAL.replace("]}", "], rpy_rad: [0, 0, 0], rpy_deg: [0, 0, 0]}"),
-            "rpy_deg: stands beside rpy_rad",
+            "rpy_deg: conflicts with rpy_rad",
         ),
         (
             MINIMAL.replace("position_m", "position"),
@@ -71,7 +71,7 @@ def test_defaults(tmp_path):
         ),
         (
             MINIMAL + "  - {name: b, model: vlp-16, position_m: [0, 0, 0], host: 192.168.1.201, data_port: 8308}\n",
-            "rig.yaml:4:5: sensors[1]: 192.168.1.201:8308 would be data_port of one, telemetry_port of the other, it and 'a'",
+            "rig.yaml:4:5: sensors[1]: 192.168.1.201:8308 is the data_port of one and the telemetry_port of the other, this and 'a'",
         ),
         (MINIMAL.replace("[1, 2, 3]", "[1, 2]"), "sensors[0].position_m[2]: missing"),
         ("name: r\nsensors: []\n", "rig.yaml:2:1: sensors: has 0 values; allowed: at least 1"),

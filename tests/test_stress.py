@@ -3,7 +3,6 @@
 tools/stress.py runs the same cases by the million.
 """
 
-import importlib
 import json
 import math
 from dataclasses import replace
@@ -696,10 +695,9 @@ def test_every_number_of_a_file_made_odd(name, folder):
     assert any(one != "an answer" for one in said)
 
 
-def test_the_long_run_in_small(monkeypatch, capsys):
+def test_the_long_run_in_small(tool, capsys):
     """It runs, fails nothing, and leaves the docs alone unless all of it is run."""
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    stress, page = importlib.import_module("stress"), (ROOT / "docs/accuracy.md").read_text()
+    stress, page = tool("stress"), (ROOT / "docs/accuracy.md").read_text()
     with pytest.raises(SystemExit) as ended:
         stress.main(["--quick", "poses", "random", "cuboids", "rays"])
     assert not ended.value.code

@@ -1,6 +1,5 @@
 """The validation of the measures: its statistics by scipy, its places by hand, and a small run of all of it."""
 
-import importlib
 import json
 import sys
 from pathlib import Path
@@ -25,9 +24,8 @@ solver: {method: auto, evaluations: 20}
 
 
 @pytest.fixture
-def tool(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    return importlib.import_module("validate_measure")
+def validate(tool):
+    return tool("validate_measure")
 
 
 @pytest.fixture
@@ -36,22 +34,25 @@ def path(tmp_path):
     return tmp_path / "cab.yaml"
 
 
-def test_correlations_are_scipys(tool):
+def test_correlations_are_scipys(validate):
     rng = np.random.default_rng(1)
     one = rng.normal(size=60)
     for other in (one + rng.normal(size=60), np.round(one), rng.normal(size=60)):
-        rho, low, high = tool.correlation(one, other)
+        rho, low, high = validate.correlation(one, other)
         assert rho == pytest.approx(spearmanr(one, other).statistic, abs=1e-12)
         assert low <= rho <= high
         few = [spearmanr(one[rows], other[rows]).statistic for rows in rng.integers(60, size=(400, 60))]
         assert (low, high) == pytest.approx(np.quantile(few, (0.025, 0.975)), abs=0.1)
-    assert tool.correlation(one, 3 * one + 1) == pytest.approx((1, 1, 1))
+    assert validate.correlation(one, 3 * one + 1) == pytest.approx((1, 1, 1))
 
 
-def test_places_are_clear_of_the_body_and_in_their_rings(tool, path):
+def test_places_are_clear_of_the_body_and_in_their_rings(validate, path):
     study = load_study(path)
     for low, high, places in zip(
-        tool.EDGES_M[:-1], tool.EDGES_M[1:], tool.drawn_places(study, np.array([1.8, 0.6, 1.7]), 40), strict=True
+        validate.EDGES_M[:-1],
+        validate.EDGES_M[1:],
+        validate.drawn_places(study, np.array([1.8, 0.6, 1.7]), 40),
+        strict=True,
     ):
         assert len(places) == (40 if low < 12 else len(places))
         far = np.hypot(places[:, 0], places[:, 1])
@@ -63,26 +64,26 @@ def test_places_are_clear_of_the_body_and_in_their_rings(tool, path):
         assert (places[:, 2] == 0).all()
 
 
-def test_a_small_validation(tool, path, tmp_path, monkeypatch):
+def test_a_small_validation(validate, path, tmp_path, monkeypatch):
     """Its measures are evaluate's, objects in the dark are undetected, and a second run reads the first one's results."""
-    monkeypatch.setattr(tool, "BUDGETS", (10, 12))
-    monkeypatch.setattr(tool, "OBJECTS", ("pedestrian", "tyre"))
-    monkeypatch.setattr(tool, "MESHES", tmp_path)
+    monkeypatch.setattr(validate, "BUDGETS", (10, 12))
+    monkeypatch.setattr(validate, "OBJECTS", ("pedestrian", "tyre"))
+    monkeypatch.setattr(validate, "MESHES", tmp_path)
     for name, size in (("pedestrian", (0.5, 0.6, 1.75)), ("tyre", (0.6, 0.6, 0.2))):
         o3d.io.write_triangle_mesh(str(tmp_path / f"{name}.ply"), o3d.geometry.TriangleMesh.create_box(*size))
-    monkeypatch.setattr(tool, "EDGES_M", np.array([0.0, 6.0, 9.0]))
-    monkeypatch.setattr(tool, "RINGS", ("near", "far"))
+    monkeypatch.setattr(validate, "EDGES_M", np.array([0.0, 6.0, 9.0]))
+    monkeypatch.setattr(validate, "RINGS", ("near", "far"))
     page = tmp_path / "page.md"
     page.write_text("\n".join(f"<!-- {name}: {end} -->" for name in ("studies", "parts") for end in ("begin", "end")))
     asked = ["--rigs", "5", "--places", "4", "--results", f"{tmp_path / 'r'}", "--plots", f"{tmp_path}"]
     monkeypatch.setattr(sys, "argv", ["validate_measure.py", str(path), *asked, "--page", str(page)])
-    tool.main()
+    validate.main()
     first = page.read_text()
     assert "| cab | blind volume |" in first
     assert "| pedestrian |" in first
     assert (tmp_path / "cab.png").stat().st_size > 10_000
     study = load_study(path)
-    rigs, searched = tool.drawn_rigs(study, 5)
+    rigs, searched = validate.drawn_rigs(study, 5)
     assert searched == [False, False, False, True, True]
     with np.load(tmp_path / "r/cab.npz") as found:
         assert json.loads(str(found["asked"])) == {"rigs": 5, "places": 4, "least": 10}
@@ -94,6 +95,6 @@ def test_a_small_validation(tool, path, tmp_path, monkeypatch):
             assert found["below_two"][n] == pytest.approx(part[:2].sum())
         assert found["undetected"].shape == (5, 2, 2)
         assert ((found["undetected"] >= 0) & (found["undetected"] <= 1)).all()
-    monkeypatch.setattr(tool, "validate", None)
-    tool.main()
+    monkeypatch.setattr(validate, "validate", None)
+    validate.main()
     assert page.read_text().splitlines()[3:] == first.splitlines()[3:]

@@ -1,6 +1,5 @@
 """The vehicles that come with the package: what the script makes, closed, of the sizes it says, clear of the sensors."""
 
-import importlib
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,6 @@ SIZES_M = {  # x, y with mirrors, z
     "truck": (7.2, 2.716, 3.2),
     "shuttle": (4.4, 2.0, 2.5),
 }
-
-
-@pytest.fixture
-def tool(monkeypatch):
-    """A module of tools/ by its name."""
-    monkeypatch.syspath_prepend(str(VEHICLES.parents[1] / "tools"))
-    return importlib.import_module
 
 
 def read(name):

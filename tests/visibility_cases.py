@@ -7,7 +7,7 @@ import numpy as np
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.world.meshes import box_mesh, lathe
+from lidarcfg.world.meshes import box_mesh, joined, lathe
 from lidarcfg.world.scene import Box
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
@@ -26,14 +26,6 @@ class Seen(NamedTuple):
     pairs: int
     differ: int
     wrong: int
-
-
-def joined(meshes):
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    return (
-        np.concatenate([vertices for vertices, _ in meshes]),
-        np.concatenate([triangles + start for (_, triangles), start in zip(meshes, starts, strict=False)]),
-    )
 
 
 def body(count):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 FOOT_M = -1.2  # walls go on into the ground, which is not level
 EAVES_M = 0.4  # by which a roof hangs over
+WINDOW_M = 1.3  # the height of a window
 
 
 class Relief(NamedTuple):
@@ -37,10 +38,10 @@ class House(NamedTuple):
 Quads = dict[str, list[Array]]  # by material, corners (4, 3)
 
 
-def windows(xs: Iterable[float], zs: Iterable[float], width_m: float = 1.2, height_m: float = 1.3) -> list[Relief]:
-    """Windows whose lower left corners are at all of these."""
+def windows(xs: Iterable[float], zs: Iterable[float], width_m: float = 1.2) -> list[Relief]:
+    """Windows of one height whose lower left corners are at all of these."""
     zs = tuple(zs)
-    return [Relief((x, x + width_m), (z, z + height_m), -0.22, "glass") for x in xs for z in zs]
+    return [Relief((x, x + width_m), (z, z + WINDOW_M), -0.22, "glass") for x in xs for z in zs]
 
 
 def designs() -> tuple[House, ...]:

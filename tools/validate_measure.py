@@ -179,9 +179,9 @@ def validate(path: Path, count: int, places: int, least: int) -> Rigs:
     return Rigs(path.stem, np.array(searched), measures, np.array(missed))
 
 
-def correlation(one: Array, other: Array, seed: int = 1) -> tuple[float, float, float]:
+def correlation(one: Array, other: Array) -> tuple[float, float, float]:
     """Spearman's rank correlation of two columns (R,), and the ends of its 95 % interval by bootstrap over rows."""
-    draw = np.random.default_rng(seed).integers(len(one), size=(RESAMPLES, len(one)))
+    draw = np.random.default_rng(1).integers(len(one), size=(RESAMPLES, len(one)))
     rows = np.concatenate([np.arange(len(one))[None], draw])
     a, b = (rankdata(column[rows], axis=1) for column in (one, other))
     a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)

@@ -98,7 +98,7 @@ def decode(
         file = rig_file(path, rig)
         rig = load_rig(file) if file else None
     if motion and not rig:
-        raise ConfigError(f"{path}: to deskew needs the rig, which says where the sensors are on the vehicle")
+        raise ConfigError(f"{path}: deskewing needs the rig, which says where the sensors are on the vehicle")
     cloud = concatenate(list(decode_pcap(path, on_warning, rig)))
     return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
 

@@ -50,7 +50,7 @@ class GroundTruth:
             raise CloudError(f"{path}: is not a ground-truth file: its names are not lists of texts")
         sensors, names = (tuple(record.pop(key).tolist()) for key in NAMES)
         if len({column.shape for column in record.values()}) != 1 or record["time_ns"].ndim != 1:
-            raise CloudError(f"{path}: the fields are not of one length")
+            raise CloudError(f"{path}: the fields differ in length")
         ring = _rings(path, sensors, rig)
         if len(record["time_ns"]) == 0:
             raise CloudError(f"{path}: no return has an object")

@@ -108,9 +108,9 @@ def read_batches(
     except OSError as error:
         raise PacketError.from_os(path, error) from None
     if reassembly.cut:
-        on_warning(f"{path}: {reassembly.cut} datagrams passed over: the capture has only their beginnings")
+        on_warning(f"{path}: {reassembly.cut} datagrams skipped: the capture has only their beginnings")
     if reassembly.incomplete:
-        on_warning(f"{path}: {reassembly.incomplete} datagrams passed over: fragments of theirs are missing or damaged")
+        on_warning(f"{path}: {reassembly.incomplete} datagrams skipped: fragments of theirs are missing or damaged")
 
 
 def _pcap_pieces(
@@ -142,7 +142,7 @@ def _pcap_pieces(
         _check_size(size, name)
         count, left = count + len(start), data[at:]
     if len(left) or read:
-        on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
+        on_warning(f"{name}: cut off or damaged after {count} records; the whole records were read")
 
 
 def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tuple[int, int]:

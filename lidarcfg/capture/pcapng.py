@@ -71,9 +71,9 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
                 yield Frame(link.link, link.time_ns(high, low), block.at + PACKET_HEAD, octets)
                 count += 1
             elif block.kind == SIMPLE_PACKET:
-                raise PacketError(f"{name}: has simple packet blocks, which say no time; allowed: enhanced ones")
+                raise PacketError(f"{name}: has simple packet blocks, which have no times; allowed: enhanced ones")
     except (ValueError, IndexError, struct.error):
-        on_warning(f"{name}: cut off or damaged after {count} records; what is whole was read")
+        on_warning(f"{name}: cut off or damaged after {count} records; the whole records were read")
 
 
 def _blocks(file: IO[bytes], name: str) -> Iterator[_Block]:

@@ -90,7 +90,7 @@ class Record(Model):
         known = catalogue()
         for name, digest in (self.models or {}).items() if key == "rig" else ():
             if name not in known or _sha256(known[name]) != digest:
-                what = f"{name} is another in this catalogue than in the export's; {hint}"
+                what = f"{name} differs between this catalogue and that of the export; {hint}"
                 raise error_at(record, ("models", name), what)
         return record.parent / given.file
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lidarcfg.capture.pcap import Datagram, one_by_one
-from lidarcfg.capture.selection import ALL, Selection, around, window_ns
+from lidarcfg.capture.selection import Selection, around, window_ns
 from lidarcfg.errors import PacketError
 
 LEAST_NS = 1_000  # from the end of a pass to the next
@@ -23,7 +23,7 @@ class Replayed:
     interrupted: bool = False  # by Ctrl-C
 
 
-def selected(path: str | Path, on_warning: Callable[[str], None], selection: Selection = ALL) -> Iterator[Datagram]:
+def selected(path: str | Path, on_warning: Callable[[str], None], selection: Selection) -> Iterator[Datagram]:
     """The datagrams of a window of a capture, from any sensor. Raises PacketError."""
     begin_ns, end_ns = window_ns(path, selection)
     for batch in around(path, on_warning, (begin_ns, end_ns)):
@@ -51,7 +51,7 @@ def replay(datagrams: Iterable[Datagram], host: str, port: int | None, speed: fl
     try:
         address = str(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
     except (OSError, UnicodeError):
-        raise PacketError(f"{host!r} is not a host that is known here") from None
+        raise PacketError(f"{host!r} is not a known host") from None
     count, latest_s, first_ns, began = 0, 0.0, 0, time.perf_counter()
     interrupted = False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:

@@ -159,7 +159,7 @@ class Stream:
     def damaged(self) -> str:
         """A warning of packets that were passed over, or nothing."""
         count = self._count["damaged"]
-        return f"{self._place.where}: {count} damaged packets are passed over" if count else ""
+        return f"{self._place.where}: {count} damaged packets are skipped" if count else ""
 
     @property
     def packets(self) -> int:

@@ -75,7 +75,7 @@ def convert(
         raise click.UsageError("--rig and --truth are not for firings, which are of each sensor alone")
     if rig and (truth or form.name in formats.FOLDERS):
         what = "--truth goes" if truth else f"{form.name} goes"
-        raise click.UsageError(f"{what} by the record beside an exported capture, which names the rig; leave --rig out")
+        raise click.UsageError(f"{what} by the record beside an exported capture, which names the rig; remove --rig")
     warnings: list[str] = []
     drive = None if rig or form.kind != "capture" or form.name == "firings" else _drive(source, form.name, truth)
     if drive:
@@ -108,7 +108,9 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
             raise ConfigError(f"{beside}: there is no record of the capture; --truth and {', '.join(FOLDERS)} need it")
         return None
     if name in FOLDERS and not truth:
-        raise click.UsageError(f"{name} says what points are on; give --truth, as export wrote it with the capture")
+        raise click.UsageError(
+            f"{name} needs the objects of points; give the --truth that export wrote with the capture"
+        )
     record = load_record(capture)
     hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
     rig, scene, trajectory, vehicle = (

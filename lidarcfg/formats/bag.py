@@ -138,9 +138,9 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
             seen.add(name)
             yield _points(messages, scan, family(families[name]).point_fields, names[name])
         if not seen:
-            raise PacketError(f"{source}: holds no returns to convert")
+            raise PacketError(f"{source}: has no returns to convert")
         if absent := [name for name in names if name not in seen]:
-            on_warning(f"{source}: holds nothing of {', '.join(absent)}")
+            on_warning(f"{source}: has no returns from {', '.join(absent)}")
 
     return made
 

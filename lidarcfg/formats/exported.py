@@ -35,8 +35,8 @@ def recording(capture: Path, drive: Drive, truth: Path | None, model: str | None
             seen.update(scan.sensor_names)
             yield replace(scan, object=known.objects(scan), object_names=known.names) if known else scan
         if not seen:
-            raise PacketError(f"{capture}: holds no returns to convert")
+            raise PacketError(f"{capture}: has no returns to convert")
         if absent := [mount.name for mount in drive.rig.mounts if mount.name not in seen]:
-            on_warning(f"{capture}: holds nothing of {', '.join(absent)}")
+            on_warning(f"{capture}: has no returns from {', '.join(absent)}")
 
     return replace(made, scans=found())

@@ -107,9 +107,9 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
             rest = counted.rest + len(columns["rest"])
             counted = Counted(counted.firings + len(columns["laser"]), counted.packets + len(packets), rest)
     if not sources:
-        raise ConversionError(f"{capture}: nothing can be taken apart into firings; {'; '.join(kept)}")
+        raise ConversionError(f"{capture}: no packets can be converted to firings; {'; '.join(kept)}")
     if kept:
-        on_warning(f"{capture}: what is not taken apart is kept as it is; {'; '.join(kept)}")
+        on_warning(f"{capture}: packets that are not converted are kept as they are; {'; '.join(kept)}")
     arrays |= {**records.arrays(), "sources": np.array(json.dumps({"version": VERSION, "sources": sources}))}
     with replacing(path, "wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
@@ -251,7 +251,7 @@ def _packets(
     found = Measurements(said["return_mode"], batch, columns["range_m"], columns["reflectivity"], more)
     made = Source(str(said["name"]), sensor, found).packets()
     if made.shape != (said["packets"], said["size"]):
-        raise ConversionError(f"{path}: {number}: its firings make packets of another number or size than recorded")
+        raise ConversionError(f"{path}: {number}: its firings give packets of a different number or size than recorded")
     made = np.ascontiguousarray(made)
     made.ravel()[columns["rest_at"]] = columns["rest"]
     return made

@@ -91,8 +91,8 @@ def _offsets(path: Path, xyz: Array) -> Array:
     return np.asarray(midpoint)
 
 
-def load_las(path: str | Path, on_warning: Callable[[str], None], chunk: int = CHUNK) -> PointCloud:
-    """The cloud in a .las or .laz, ours or another's, read `chunk` points at a time.
+def load_las(path: str | Path, on_warning: Callable[[str], None]) -> PointCloud:
+    """The cloud in a .las or .laz, ours or another program's.
 
     `on_warning` gets the fields that the file lacks, which are then 0. Raises CloudError, and ConversionError without
     laspy.
@@ -103,7 +103,7 @@ def load_las(path: str | Path, on_warning: Callable[[str], None], chunk: int = C
         check_regular(path)
         check_header(path)
         with laspy.open(path, read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
-            columns, header = _read(laspy, reader, chunk), reader.header
+            columns, header = _read(laspy, reader), reader.header
         given = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == (VLR_USER, VLR_RECORD)]
         names = json.loads(given[0].record_data) if given else None
         week = header.global_encoding.gps_time_type == laspy.header.GpsTimeType.WEEK_TIME
@@ -129,17 +129,17 @@ def load_las(path: str | Path, on_warning: Callable[[str], None], chunk: int = C
     return checked(path, columns | {"sensor_names": names}, allow_empty=True)
 
 
-def _read(laspy: Any, reader: Any, chunk: int) -> dict[str, NDArray[Any]]:
+def _read(laspy: Any, reader: Any) -> dict[str, NDArray[Any]]:
     """All the points' columns that we keep. Raises ValueError where there are fewer than the header announces."""
     header = reader.header
     check_memory(f"a cloud of {header.point_count:,} points", POINT_BYTES * header.point_count)
     chunks = [_columns(laspy.ScaleAwarePointRecord.zeros(0, header=header))]
     left = header.point_count
     while left:
-        wanted = min(left, chunk, max(1, CHUNK_BYTES // header.point_format.size))
+        wanted = min(left, CHUNK, max(1, CHUNK_BYTES // header.point_format.size))
         chunks.append(_columns(reader.read_points(wanted)))
         if len(chunks[-1]["xyz"]) != wanted:
-            raise ValueError(f"{header.point_count} points are announced, and not there")
+            raise ValueError(f"{header.point_count} points are announced but missing")
         left -= wanted
     return {key: np.concatenate([part[key] for part in chunks]) for key in chunks[0]}
 

@@ -281,7 +281,7 @@ class Codec(Timing, Protocol):
 
         Raises PacketError; ConfigError if the family cannot do this.
         """
-        raise ConfigError(f"the packets of {type(self).__name__} cannot be taken apart into firings")
+        raise ConfigError(f"the packets of {type(self).__name__} cannot be converted to firings")
 
     def packed(self, mount: "Mount", found: Measurements) -> Octets:
         """(P, size) the packets with these contents."""
@@ -330,6 +330,6 @@ def pattern(mount: "Mount") -> Pattern:
     """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
     sensor = mount.sensor
     if sensor.codec is None and sensor.firing is None:
-        what = "has no codec, which would say where its lasers fire; give its file firing"
+        what = "has no codec, which would say where its lasers fire; add firing to its file"
         raise ConfigError(f"sensor {sensor.name!r} {what}")
     return timing(sensor).pattern(mount)

@@ -150,7 +150,7 @@ def analytic(
         raise ConfigError(f"tolerance {tolerance:g}; allowed: above 0")
     if 8 * region.included.size > cuboids_max:
         raise ConfigError(
-            f"a tolerance wants half the region's edges, and {8 * region.included.size:,} cuboids; "
+            f"the tolerance needs cuboids with half the edges, that is {8 * region.included.size:,} cuboids; "
             f"allowed: at most {cuboids_max:,}"
         )
     finer = f"the first grid for a tolerance, of {8 * region.included.size:,} cuboids,"

@@ -57,12 +57,12 @@ class DetectionObject(Model):
             return self
         one_of(self, "size_m", "mesh")
         if "threshold" in given:
-            raise fault("stands beside returns; give one of them", "threshold")
+            raise fault("conflicts with returns; give only one of them", "threshold")
         if "on_ground" in given and not self.on_ground:
             raise fault("false is not allowed beside returns; the object is on the region's floor", "on_ground")
         for key in ("step_m", "headings_deg"):
             if self.samples and getattr(self, key) is not None:
-                raise fault("stands beside samples, which are drawn anywhere, at any heading", key)
+                raise fault("conflicts with samples, which are drawn anywhere, at any heading", key)
         return self
 
     @property
@@ -139,7 +139,7 @@ def detection(subspaces: Subspaces, item: DetectionObject, counted: Counted | No
         detected, places = int(counted.detected.sum()), int(counted.places.sum())
         found = Detection(detected / max(places, 1), places, 0.0)
     if found.places == 0:
-        raise ConfigError(f"{item.name}: finds no free place in the region")
+        raise ConfigError(f"{item.name}: has no free place in the region")
     return found
 
 
@@ -182,7 +182,7 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
     free: the result of `free_places`. Raises ConfigError if the object has no place.
     """
     if sum(free) == 0 or (item.samples and len(free) < 2):
-        raise ConfigError(f"{item.name}: finds no free place in the region")
+        raise ConfigError(f"{item.name}: has no free place in the region")
     if not item.samples:
         places = free[0]
         enough = ALL if limit > 1.0 else max(int(limit * places) - 2, 0)

@@ -77,7 +77,7 @@ class PlanFile(Model):
                 raise fault("has no values; allowed: at least one", "vary", path)
             _check_values(values, ("vary", path))
             if self.together and path in self.together[0]:
-                raise fault("stands in together, too; give it in one of them", "vary", path)
+                raise fault("is also in together; give it in only one of them", "vary", path)
         self._check_paths()
         if self.count > RUNS_MAX:
             what = f"asks for {self.count:,} runs; allowed: at most {RUNS_MAX:,}"
@@ -90,7 +90,7 @@ class PlanFile(Model):
                 raise fault("is not the path of a key, such as sensors[0].count", *at)
         for above, path in permutations(self.paths, 2):
             if parsed(above) == parsed(path)[: len(parsed(above))]:
-                raise fault(f"is a part of {above}, which varies, too; vary one of them", *self.paths[path])
+                raise fault(f"is a part of {above}, which also varies; vary only one of them", *self.paths[path])
 
 
 def _check_values(values: tuple[Any, ...], at: Key) -> None:
@@ -98,7 +98,7 @@ def _check_values(values: tuple[Any, ...], at: Key) -> None:
     seen = set()
     for i, value in enumerate(values):
         if (text := json.dumps(_normal(value), sort_keys=True)) in seen:
-            raise fault(f"{shown(value)} is there already; each may stand once", *at, i)
+            raise fault(f"{shown(value)} is there already; each may be given once", *at, i)
         seen.add(text)
 
 
@@ -168,9 +168,7 @@ class Studies:
         if key not in self._digests:
             study = self.of(file)
             if study.to_choose:
-                what = (
-                    "choose has a front for an answer, not a rig; vary sensors[…].model instead, or optimize the study"
-                )
+                what = "choose gives a front, not one rig; vary sensors[…].model instead, or optimize the study"
                 raise error_at(self.path, ("sensors",), what)
             if not study.free.any():
                 raise error_at(self.path, ("sensors",), "nothing is free to move; every bound is equal")

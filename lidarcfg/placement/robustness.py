@@ -45,12 +45,12 @@ class Robust(Model):
         if sigmas == [None, None]:
             for key in ("samples", "quantile"):
                 if getattr(self, key) is not None:
-                    raise fault(f"draws need errors to draw; give {' or '.join(SIGMAS)}", key)
+                    raise fault(f"needs errors to draw; give {' or '.join(SIGMAS)}", key)
             if self.lost is None:
                 raise fault(f"asks for nothing; allowed: lost, {', '.join(SIGMAS)}")
         elif not any(sigmas):
             key = SIGMAS[0] if self.position_sigma_m is not None else SIGMAS[1]
-            raise fault("without any error all draws are alike; allowed: one of the two sigmas above 0", key)
+            raise fault("all errors are 0; allowed: at least one of the sigmas above 0", key)
         return self
 
     @property

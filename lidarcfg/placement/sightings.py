@@ -147,7 +147,7 @@ def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
     ]
     which = np.array(free, bool)
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
-        raise ConfigError(f"{item.name}: finds no free place in the region")
+        raise ConfigError(f"{item.name}: has no free place in the region")
     return Sought(item, target, np.ascontiguousarray(places[which]), part[which], low, grid)
 
 

@@ -115,6 +115,6 @@ def check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
         name = None if bodies.allow_inside or group.on else bodies.holds(low, high)
         if name:
             what = (
-                f"every place within its bounds is inside the vehicle's {name!r}; move them, or say allow_inside: true"
+                f"every place within its bounds is inside the vehicle's {name!r}; move them, or set allow_inside: true"
             )
             raise error_at(path, ("sensors", i), what)

@@ -78,7 +78,7 @@ class GroupFile(Model):
         one_of(self, "model", "elevation_deg", "choose")
         for i, model in enumerate(self.choose or ()):
             if model in (self.choose or ())[:i]:
-                raise fault(f"{model!r} is a choice already; each may stand once", "choose", i)
+                raise fault(f"{model!r} is a choice already; each may be given once", "choose", i)
         if self.choose == (NONE,):
             raise fault("the only choice is none; give a model, or remove the sensor", "choose")
         if self.mirror_y_m is not None and self.count % 2:
@@ -92,7 +92,7 @@ class GroupFile(Model):
     def _check_place(self) -> None:
         for key in ("min", "max"):
             if self.on and getattr(self, key):
-                raise fault("stands beside on; give min and max, or on", key)
+                raise fault("conflicts with on; give min and max, or on", key)
             if not self.on and not getattr(self, key):
                 raise fault("missing; give min and max, or on", key)
         for key in ANGLES:
@@ -201,7 +201,7 @@ class StudyFile(Model):
         for name in self.objective.detection:
             if name not in names:
                 allowed = ", ".join(names) or "none, as the study has no detection"
-                raise fault(f"no object is called so; allowed: {allowed}", "objective", "detection", name)
+                raise fault(f"no such object; allowed: {allowed}", "objective", "detection", name)
         return self
 
     def _check_prices(self) -> None:

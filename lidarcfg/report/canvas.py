@@ -194,7 +194,7 @@ def number_places(axes: "Axes", places: Array, texts: Sequence[str], colours: Se
         drawn.set(fontsize=NUMBER_PT, weight="bold")
 
 
-def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float = 5) -> None:
+def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float) -> None:
     """Mark the sensors."""
     across, up = VIEWS[view]
     for i, mount in enumerate(rig.mounts):

@@ -56,9 +56,9 @@ def report(
     rig: Rig,
     details: Details,
     values: dict[str, Any],
-    placement: Placement | None = None,
-    commands: Commands | None = None,
-    baseline: Baseline | None = None,
+    placement: Placement | None,
+    commands: Commands | None,
+    baseline: Baseline | None,
 ) -> str:
     """The report of a rig; `values` is its result.json, and `placement` the search that found it, if any.
 

@@ -76,7 +76,7 @@ def _point(point: Point) -> dict[str, Any]:
 
 
 def save_front(
-    study: Study, found: Front, folder: Path, commands: Commands, on_point: Callable[[int, Point], None] | None = None
+    study: Study, found: Front, folder: Path, commands: Commands, on_point: Callable[[int, Point], None]
 ) -> None:
     """Write front.html, front.json, front.png, history.csv, search.npz, and points/ with a folder for each point.
 
@@ -86,8 +86,7 @@ def save_front(
     values, names = front_dict(study, found), {point.combination.name for point in found.points}
     with together(gone=(path for path in _points(folder) if path.parent.name not in names)):
         for number, point in enumerate(found.points):
-            if on_point:
-                on_point(number, point)
+            on_point(number, point)
             _save_point(point, folder / "points" / point.combination.name, commands)
         write_text(to_json(values) + "\n", folder / "front.json")
         write_history(found.history, folder)

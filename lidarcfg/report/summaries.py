@@ -36,7 +36,7 @@ def summary(path: str | Path) -> Summary:
     path = example(path)
     kind = "trajectory" if path.suffix == ".tum" else kind_of(load_keys(path))
     if kind is None:
-        raise ConfigError(f"{path}: is none of our files; allowed: {', '.join(sorted({*MARKS, 'rig'}))}")
+        raise ConfigError(f"{path}: is not one of lidarcfg's files; allowed: {', '.join(sorted({*MARKS, 'rig'}))}")
     text, warnings = SUMMARIES[kind](path)
     return Summary(kind, text, tuple(warnings))
 

@@ -87,7 +87,7 @@ def prepared(drive: Drive, chunk_ns: int) -> list[Task]:
     ]
     end_ns = max(starts_ns) + drive.duration_ns
     if start_ns < 0 or (end_ns + 500) // 1000 * 1000 >= TIME_END_NS:
-        raise ConfigError("start and duration leave the time that a pcap can say, 1970 to 2106-02-07T06:28:16 UTC")
+        raise ConfigError("start and duration exceed the times of a pcap, 1970 to 2106-02-07T06:28:16 UTC")
     tracer = Tracer(drive.scene, _checked_start(trajectory, start_ns, end_ns), start_ns)
     tracer.check_span(0, (end_ns - start_ns) / SECOND_NS)
     bodies = Tracer(drive.vehicle.scene, np.zeros(3)) if drive.vehicle else None
@@ -114,7 +114,7 @@ def checked_timing(mount: Mount, duration_ns: int) -> Timing:
     except ConfigError as error:
         raise error.of(mount.name) from None
     if sensor.range is None:
-        what = f"sensor {sensor.name!r} has no range; give its file range: {{max_m: ...}}, or the rig range_m"
+        what = f"sensor {sensor.name!r} has no range; add range: {{max_m: ...}} to its file, or range_m to the rig"
         raise ConfigError(f"{mount.name}: {what}")
     period_ns = found.pace(mount).period_ns
     if duration_ns < period_ns:

@@ -38,7 +38,7 @@ def recorded(files: Sequence[Path], given: Recorded, on_warning: Callable[[str],
     for other_path, other in found[1:]:
         for key in SAME:
             if getattr(given, key) is None and _differ(getattr(record, key), getattr(other, key)):
-                raise ConfigError(f"{other_path}: is of another {key} than {path}; say which with --{key}")
+                raise ConfigError(f"{other_path}: is of another {key} than {path}; choose one with --{key}")
 
     def noted(key: str) -> Path | None:
         try:

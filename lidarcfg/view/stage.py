@@ -163,12 +163,12 @@ def load_stage(
     loaded = load_study(study) if study else None
     captures, truth = of("capture"), _only(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
-        raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? say so with --rig")
+        raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? choose one with --rig")
     if selection != ALL and not captures:
-        raise ConfigError("--from, --to and --sensor choose from a capture; there is none among the files")
+        raise ConfigError("--from, --to and --sensor select a part of a capture; there is none among the files")
     trajectory = at if isinstance(at, Trajectory) else standing(at)
     if captures and not rigs and not trajectory.path.is_static:
-        raise ConfigError(f"{captures[0]}: to be deskewed needs the rig that recorded it; say so with --rig")
+        raise ConfigError(f"{captures[0]}: deskewing needs the rig that recorded it; give it with --rig")
     clouds = [load_cloud(path, on_warning) for path in of("cloud")]
     for path in captures:
         clouds.extend(decode_pcap(path, on_warning, rigs[0] if rigs else None, model, selection=selection))
@@ -209,7 +209,7 @@ def _first_pose(clouds: list[PointCloud], trajectory: Trajectory) -> Array:
             seconds = (time_ns - trajectory.zero_ns) / SECOND_NS
             raise ConfigError(
                 f"a point is {abs(seconds):.6g} s {'after' if seconds > 0 else 'before'} the trajectory's start; "
-                f"allowed: at most {APART_S:g} s after it; say with --start when it starts"
+                f"allowed: at most {APART_S:g} s after it; give its start with --start"
             )
     R, t = trajectory.motion(np.array([min(times, default=first_ns(trajectory))]))
     T[:3, :3], T[:3, 3] = R[0], t[0]

@@ -20,7 +20,7 @@ def has_screen() -> bool:
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def show_window(stage: Stage, by: By = "sensor") -> None:
+def show_window(stage: Stage, by: By) -> None:
     """Open Open3D's window on the stage. Raises CloudError where there is no screen."""
     import open3d as o3d
 

@@ -52,7 +52,7 @@ class TimedPose(Model):
     @model_validator(mode="after")
     def _check(self) -> "TimedPose":
         if self.rpy_deg is not None and self.quaternion_xyzw is not None:
-            raise fault("stands beside rpy_deg; give one of them", "quaternion_xyzw")
+            raise fault("conflicts with rpy_deg; give only one of them", "quaternion_xyzw")
         length = np.linalg.norm(self.quaternion_xyzw or (1,))
         if not abs(length - 1) <= UNIT:
             raise fault(f"is of length {length:g}; allowed: 1", "quaternion_xyzw")
@@ -75,7 +75,7 @@ class Motion(Model):
     def _check(self) -> "Motion":
         given = [key for key in ("velocity_m_s", "arc", "poses") if getattr(self, key) is not None]
         if len(given) != 1:
-            what = f"stands beside {given[0]}" if given else "missing"
+            what = f"conflicts with {given[0]}" if given else "missing"
             raise fault(f"{what}; give one of velocity_m_s, arc, poses", *given[1:2])
         for i, (before, after) in enumerate(zip(self.poses or (), (self.poses or ())[1:], strict=False), 1):
             if not after.time_s > before.time_s:

@@ -101,7 +101,9 @@ class HeightField(SceneObject):
     @model_validator(mode="after")
     def _check(self) -> "HeightField":
         if (self.file is None) == (self.heights_m is None):
-            raise fault("stands beside file; give one of them" if self.file else "missing; or give a file", "heights_m")
+            raise fault(
+                "conflicts with file; give only one of them" if self.file else "missing; or give a file", "heights_m"
+            )
         if self.heights_m and self.scale != 1.0:
             raise fault("belongs to a file; heights_m are metres", "scale")
         rows = self.heights_m or ()

@@ -220,11 +220,11 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
                 closed[item.name] = mesh
             elif item.exclude:
                 raise error_at(
-                    path, (*at, kind, i, "exclude"), f"{_open(item, edges)}; close the mesh, or leave exclude out"
+                    path, (*at, kind, i, "exclude"), f"{_open(item, edges)}; close the mesh, or remove exclude"
                 )
             elif kind == "meshes":
                 solid = sum(not len(open_edges(part)) for part in parts(mesh))
-                what = f"{_open(item, edges)}; {solid} closed parts; beams are blocked all the same"
+                what = f"{_open(item, edges)}; {solid} closed parts; it still blocks beams"
                 warnings.append(_warning(path, (*at, kind, i), what))
             if kind == "meshes":
                 warnings += [_warning(path, (*at, kind, i, "file"), what) for what in _oddities(item, mesh)]
@@ -264,7 +264,7 @@ def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = 
     for i, mount in enumerate(mounts):
         body = None if bodies.allow_inside else bodies.around(np.array(mount.position_m))
         if body:
-            what = f"{mount.name} is inside the vehicle's {body!r}; move it, or say allow_inside: true"
+            what = f"{mount.name} is inside the vehicle's {body!r}; move it, or set allow_inside: true"
             raise error_at(path, ("sensors", i), what) if path else ConfigError(what)
 
 
@@ -303,7 +303,7 @@ def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
     if LEAST_M <= size_m.max() <= MOST_M or (scale := likely_scale(size_m / item.scale)) == item.scale:
         return []
     size = " × ".join(f"{value:.4g}" for value in size_m)
-    return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, say scale: {scale:g}"]
+    return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, set scale: {scale:g}"]
 
 
 def obstacles(scenes: Sequence[Scene], origin_m: Array) -> Tree:

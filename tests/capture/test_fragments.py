@@ -77,7 +77,7 @@ def test_any_order_and_repetition(tmp_path_factory, data):
     expected = sorted((key for key in rows if key not in damaged), key=lambda key: ends[key])
     assert found == [(key[0], rows[key]) for key in expected]
     begun = {key for key, _ in kept} & damaged
-    what = "datagrams passed over: fragments of theirs are missing or damaged"
+    what = "datagrams skipped: fragments of theirs are missing or damaged"
     assert warnings == ([f"{path}: {len(begun)} {what}"] if begun else [])
 
 

@@ -141,7 +141,7 @@ def test_other_traffic_is_passed_over(tmp_path):
             writer.writepkt(bytes(other), 5)
     warnings: list[str] = []
     assert len(list(read_datagrams(tmp_path / "b.pcap", warnings.append))) == 1
-    assert warnings == [f"{tmp_path}/b.pcap: 1 datagrams passed over: fragments of theirs are missing or damaged"]
+    assert warnings == [f"{tmp_path}/b.pcap: 1 datagrams skipped: fragments of theirs are missing or damaged"]
 
 
 @pytest.mark.parametrize("cut", [1, 15, 16, 17, 1000, 1263])
@@ -151,7 +151,7 @@ def test_cut_in_mid_record(tmp_path, cut):
     path.write_bytes(path.read_bytes()[: 24 + 2 * 1264 + cut])
     warnings: list[str] = []
     assert [d.payload[0] for d in read_datagrams(path, warnings.append)] == [0, 1]
-    assert warnings == [f"{path}: cut off or damaged after 2 records; what is whole was read"]
+    assert warnings == [f"{path}: cut off or damaged after 2 records; the whole records were read"]
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_zeros_that_a_crash_has_left_behind_end_the_file(tmp_path):
         found = [one.payload[0] for batch in read_batches(path, warnings.append, from_ns) for one in one_by_one(batch)]
         assert found == [0, 1, 2]
         assert len(warnings) == 1
-        assert re.search("cut off or damaged after [0-9]+ records; what is whole was read$", warnings[0])
+        assert re.search("cut off or damaged after [0-9]+ records; the whole records were read$", warnings[0])
 
 
 def test_no_such_file(tmp_path):
@@ -262,7 +262,7 @@ def test_interfaces_and_sections_of_a_pcapng(tmp_path):
 @pytest.mark.parametrize(
     ("raw", "message"),
     [
-        (section() + block("<", 3, "I", len(FRAME), octets=FRAME), "has simple packet blocks, which say no time"),
+        (section() + block("<", 3, "I", len(FRAME), octets=FRAME), "has simple packet blocks, which have no times"),
         (section() + interface("<", 195) + packet("<", 0, 5, FRAME), "link type 195 is not known"),
         (section() + struct.pack("<III", 6, 1 << 25, 0), "a block of 33554432 bytes; allowed: at most 16777216"),
     ],
@@ -290,7 +290,7 @@ def test_a_damaged_block_ends_a_pcapng(tmp_path, damaged):
     (tmp_path / "a.pcapng").write_bytes(raw + damaged + packet("<", 0, 6, FRAME))
     warnings: list[str] = []
     assert len(list(read_datagrams(tmp_path / "a.pcapng", warnings.append))) == 1
-    assert warnings == [f"{tmp_path}/a.pcapng: cut off or damaged after 1 records; what is whole was read"]
+    assert warnings == [f"{tmp_path}/a.pcapng: cut off or damaged after 1 records; the whole records were read"]
 
 
 def test_frames_of_which_the_beginning_was_kept_are_counted(tmp_path):
@@ -303,7 +303,7 @@ def test_frames_of_which_the_beginning_was_kept_are_counted(tmp_path):
             writer.writepkt(frame if frame is whole[2] else frame[:600], 5)
     warnings: list[str] = []
     assert [len(one.payload) for one in read_datagrams(tmp_path / "b.pcap", warnings.append)] == [512, 1206]
-    assert warnings == [f"{tmp_path}/b.pcap: 2 datagrams passed over: the capture has only their beginnings"]
+    assert warnings == [f"{tmp_path}/b.pcap: 2 datagrams skipped: the capture has only their beginnings"]
 
 
 @pytest.mark.parametrize(

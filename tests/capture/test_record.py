@@ -126,7 +126,9 @@ def test_a_change_in_what_inputs_name_is_noticed(tmp_path):
             (tmp_path / name).write_bytes(content)
         assert record.path(key, record_path(capture)) == tmp_path / f"{key}.yaml"
     other = record.model_copy(update={"models": {"vlp-16": "0" * 64}})
-    with pytest.raises(ConfigError, match=r"models.vlp-16: vlp-16 is another in this catalogue than in the export's"):
+    with pytest.raises(
+        ConfigError, match=r"models.vlp-16: vlp-16 differs between this catalogue and that of the export"
+    ):
         other.path("rig", record_path(capture))
     lidarcfg(*words, "--vehicle", "none", "-o", "b.pcap", cwd=tmp_path)
     values = yaml.safe_load((tmp_path / "b.pcap.yaml").read_text())

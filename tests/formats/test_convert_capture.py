@@ -297,7 +297,7 @@ def test_a_rig_that_does_not_fit(capture, tmp_path):
     third = replace(rig.mounts[0], name="third", host="192.168.1.99")
     warnings = []
     save_mcap(tmp_path / "a.mcap", capture, Rig("three", (*rig.mounts, third)), None, warnings.append)
-    assert warnings[-1] == f"{capture}: holds nothing of third"
+    assert warnings[-1] == f"{capture}: has no returns from third"
     clash = Rig("clash", (replace(rig.mounts[0], name="a.b"), replace(rig.mounts[1], name="a-b")))
     with pytest.raises(ConversionError, match="'a-b' would be a_b in ROS"):
         save_mcap(tmp_path / "b.mcap", capture, clash, None, lambda warning: None)
@@ -380,7 +380,7 @@ def test_nothing_to_hand_over(tmp_path):
         for time_ns, packet in zip(times_ns, packets, strict=True)
     ]
     write_datagrams(tmp_path / "a.pcap", datagrams)
-    with pytest.raises(PacketError, match=r"a\.pcap: holds no returns to convert"):
+    with pytest.raises(PacketError, match=r"a\.pcap: has no returns to convert"):
         save_mcap(tmp_path / "a.mcap", tmp_path / "a.pcap", None, None, no_warning)
     assert [item.name for item in tmp_path.iterdir()] == ["a.pcap"]
 

@@ -159,7 +159,7 @@ def test_what_is_refused(folder):
         return done.stderr
 
     kitti = ("-o", "no", "--to", "kitti-odometry")
-    assert "kitti-odometry says what points are on; give --truth" in message("a.pcap", *kitti)
+    assert "kitti-odometry needs the objects of points; give the --truth" in message("a.pcap", *kitti)
     assert "--truth goes by the record beside an exported capture" in message(
         "a.pcap", "--rig", "rig.yaml", "--truth", "a.npz", "-o", "no.mcap"
     )

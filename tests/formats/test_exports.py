@@ -62,7 +62,7 @@ def test_a_record_of_a_drive_says_all_that_reading_it_needs(tmp_path):
     assert np.ptp(far_m) > 0.9
     moved = skewed.xyz + far_m[:, None] * (1, 0, 0)
     np.testing.assert_allclose(deskewed.xyz, moved @ T[:3, :3].T + T[:3, 3], rtol=0, atol=1e-9)
-    with pytest.raises(LidarcfgError, match="to deskew needs the rig"):
+    with pytest.raises(LidarcfgError, match="deskewing needs the rig"):
         lidarcfg.decode(out, "none", deskew=True)
 
 

@@ -110,7 +110,7 @@ def test_ousters_come_back_whole(name, tmp_path):
         save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
     columns["0/more/said"] = np.array(str(columns["0/more/said"]).replace('"columns"', '"columns_per_pocket"'))
     np.savez(tmp_path / "b.npz", **columns)
-    with pytest.raises(LidarcfgError, match="what is said of an Ouster's packets makes no sense"):
+    with pytest.raises(LidarcfgError, match="the description of an Ouster's packets is invalid"):
         save_capture(tmp_path / "b.pcap", tmp_path / "b.npz")
 
 
@@ -350,7 +350,7 @@ def test_packets_of_a_mode_that_is_not_known_are_kept(tmp_path):
     write_datagrams(tmp_path / "a.pcap", datagrams)
     done = lidarcfg("convert", "a.pcap", "-o", "a.npz", cwd=tmp_path)
     assert (
-        "what is not taken apart is kept as it is; 192.168.1.201:2368: 3 packets: pandar-xt16: return mode 0x7F"
+        "packets that are not converted are kept as they are; 192.168.1.201:2368: 3 packets: pandar-xt16: return mode 0x7F"
         in done.stderr
     )
     assert "of 197 packets" in done.stdout

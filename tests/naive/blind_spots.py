@@ -2,6 +2,8 @@
 
 import math
 
+from tests.naive.vectors import cross, dot, minus
+
 
 def crosses(a, b, triangle):
     """Whether the open segment from a to b passes through a triangle: the plane's point lies on one side of all edges."""
@@ -44,15 +46,3 @@ def distance(center, angle, z, first, last, step, hidden):
     while end < last and hidden((center[0] + end * math.cos(angle), center[1] + end * math.sin(angle), z)):
         end += step / 1000
     return min(end, last) - first
-
-
-def minus(a, b):
-    return [a[n] - b[n] for n in range(3)]
-
-
-def dot(a, b):
-    return sum(x * y for x, y in zip(a, b, strict=True))
-
-
-def cross(a, b):
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

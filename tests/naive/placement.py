@@ -15,11 +15,12 @@ def matrix(rpy):
     rx = [[1, 0, 0], [0, cr, -sr], [0, sr, cr]]
     ry = [[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]
     rz = [[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]
-
-    def times(a, b):
-        return [[sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
-
     return times(rz, times(ry, rx))
+
+
+def times(a, b):
+    """The product of two 3×3 matrices."""
+    return [[sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
 
 
 def local(point, position, rpy):

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from tests.naive.vectors import cross, dot, minus
+
 BESIDE = 1e-12  # of a triangle, by which a ray may pass beside it
 
 
@@ -49,15 +51,15 @@ def exact(corners, origin, ray):
     points, scale = whole([*corners.ravel(), *origin])
     d, ray_scale = whole(ray)
     a, b, c = (minus(points[k : k + 3], points[9:]) for k in (0, 3, 6))
-    n = times(minus(b, a), minus(c, a))
-    volumes = [dot(d, times(p, q)) for p, q in ((a, b), (b, c), (c, a))]
+    n = cross(minus(b, a), minus(c, a))
+    volumes = [dot(d, cross(p, q)) for p, q in ((a, b), (b, c), (c, a))]
     along, height = dot(n, d), dot(n, a)
     range_m = float(Fraction(height, along) * Fraction(ray_scale, scale)) if along else None
     inside = any(volumes) and (min(volumes) >= 0 or max(volumes) <= 0)
     beside = [
         abs(volume) / length / scale
         for volume, (p, q) in zip(volumes, ((a, b), (b, c), (c, a)), strict=True)
-        if (length := norm(times(d, minus(q, p))))
+        if (length := norm(cross(d, minus(q, p))))
     ]
     sine = abs(along) / (norm(n) * norm(d)) if along else 0.0
     return Exact(bool(inside and along and range_m > 0), range_m, sine, min(beside, default=math.inf))
@@ -68,18 +70,6 @@ def whole(values):
     ratios = [float(value).as_integer_ratio() for value in values]
     scale = max(ratio[1] for ratio in ratios)
     return [number * (scale // divisor) for number, divisor in ratios], scale
-
-
-def minus(p, q):
-    return [x - y for x, y in zip(p, q, strict=True)]
-
-
-def times(p, q):
-    return [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
-
-
-def dot(p, q):
-    return sum(x * y for x, y in zip(p, q, strict=True))
 
 
 def norm(p):

@@ -62,15 +62,10 @@ def without(region, lidars, lost, zones=()):
     return max(max_vsr(region, list(rig), zones) for rig in left)
 
 
-def times(a, b):
-    """The product of two matrices."""
-    return [[sum(a[i][k] * b[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
-
-
 def off(lidar, error):
     """A LiDAR moved by the first three of six errors, and turned about its own axes by the others."""
     t, r, beams = lidar
-    return [t[n] + error[n] for n in range(3)], times(r, naive.matrix(error[3:])), beams
+    return [t[n] + error[n] for n in range(3)], naive.times(r, naive.matrix(error[3:])), beams
 
 
 def quantile(region, lidars, draws, fraction, zones=()):

@@ -84,7 +84,7 @@ def test_the_papers_sampling_agrees():
 def test_objects_that_do_not_fit():
     with pytest.raises(ConfigError, match=r"o: size_m\[2\]: 3 is more than the region's 2 along z"):
         detection(SPACES, item((1.0, 1.0, 3.0)))
-    with pytest.raises(ConfigError, match="o: finds no free place in the region"):
+    with pytest.raises(ConfigError, match="o: has no free place in the region"):
         detection(SPACES, item((6.0, 4.0, 2.0)))
 
 

@@ -201,7 +201,7 @@ def replace_samples(robust, samples):
 def test_a_lidar_turns_about_its_own_axes(rpy_deg):
     pose, error = np.array([[1, 2, 3, *np.radians(rpy_deg)]]), np.array([[0.1, 0.2, 0.3, 0.01, -0.02, 0.03]])
     moved = mounted(pose, error)[0]
-    expected = naive.times(naive_placement.matrix(pose[0, 3:]), naive_placement.matrix(error[0, 3:]))
+    expected = naive_placement.times(naive_placement.matrix(pose[0, 3:]), naive_placement.matrix(error[0, 3:]))
     assert moved[:3].tolist() == pytest.approx([1.1, 2.2, 3.3])
     assert np.array(naive_placement.matrix(moved[3:])) == pytest.approx(np.array(expected), abs=1e-7)
     error[0, 3:] = 0
@@ -214,9 +214,9 @@ def test_a_lidar_turns_about_its_own_axes(rpy_deg):
         ("robust: {lost: 3}\n", "robust.lost: to lose 3 of 3 LiDARs leave none; allowed: 1 to 2"),
         ("robust: {lost: 0}\n", "robust.lost: 0 is too small; allowed: at least 1"),
         ("robust: {}\n", "robust: asks for nothing; allowed: lost, position_sigma_m, angle_sigma_deg"),
-        ("robust: {lost: 1, samples: 4}\n", "robust.samples: draws need errors to draw"),
+        ("robust: {lost: 1, samples: 4}\n", "robust.samples: needs errors to draw"),
         ("robust: {position_sigma_m: -0.1}\n", "robust.position_sigma_m: -0.1 is too small"),
-        ("robust: {position_sigma_m: 0, angle_sigma_deg: 0.0}\n", "robust.position_sigma_m: without any error"),
+        ("robust: {position_sigma_m: 0, angle_sigma_deg: 0.0}\n", "robust.position_sigma_m: all errors are 0"),
         ("robust: {angle_sigma_deg: 0.1, samples: 0}\n", "robust.samples: 0 is too small; allowed: at least 1"),
         ("robust: {angle_sigma_deg: 0.1, samples: 1001}\n", "robust.samples: 1001 is too large"),
         ("robust: {angle_sigma_deg: 0.1, quantile: 0}\n", "robust.quantile: 0 is too small; allowed: above 0"),

@@ -169,7 +169,10 @@ def test_results_and_words(tmp_path):
 FAULTS = [
     (("returns: 20", "returns: 0"), ":19:44: detection[0].returns: 0 is too small; allowed: at least 1"),
     (("returns: 20", "returns: -3"), "detection[0].returns: -3 is too small"),
-    (("returns: 20", "returns: 20, threshold: 2"), "detection[0].threshold: stands beside returns; give one of them"),
+    (
+        ("returns: 20", "returns: 20, threshold: 2"),
+        "detection[0].threshold: conflicts with returns; give only one of them",
+    ),
     (("returns: 20", "returns: 20, on_ground: false"), "detection[0].on_ground: false is not allowed beside returns"),
     (("[0, 60]", "[0, 361]"), "detection[0].headings_deg[1]: 361 is too large; allowed: at most 360"),
     (("[0, 60]", "[-1]"), "detection[0].headings_deg[0]: -1 is too small; allowed: at least 0"),
@@ -178,9 +181,9 @@ FAULTS = [
     (("size_m: [0.6, 0.4, 0.3], returns", "returns"), "detection[0]: missing; give size_m or mesh"),
     (
         ("size_m: [0.6, 0.4, 0.3], ret", "mesh: a.ply, size_m: [1, 1, 1], ret"),
-        "detection[0].mesh: stands beside size_m",
+        "detection[0].mesh: conflicts with size_m",
     ),
-    (("samples: 200", "samples: 200, step_m: 1"), "detection[1].step_m: stands beside samples"),
+    (("samples: 200", "samples: 200, step_m: 1"), "detection[1].step_m: conflicts with samples"),
     (
         ("[0.5, 0.5, 0.5], on_ground", "[0.5, 0.5, 0.5], headings_deg: [0], on_ground"),
         "headings_deg: is for objects that",
@@ -196,7 +199,7 @@ FAULTS = [
         "open.ply: is not closed: 3 of its edges bound an odd number",
     ),
     (("size_m: [0.6, 0.4, 0.3], r", "mesh: empty.ply, r"), "empty.ply: no triangles that Open3D can read"),
-    (("size_m: [0.6, 0.4, 0.3], r", "size_m: [18, 12, 0.3], samples: 99, r"), "stands beside samples"),
+    (("size_m: [0.6, 0.4, 0.3], r", "size_m: [18, 12, 0.3], samples: 99, r"), "conflicts with samples"),
     (("step_m: 1.5", "step_m: 0.01"), "crate: 4,320,000 places; allowed: at most 1,000,000; give a larger step_m"),
     (("samples: 200", "samples: 4000000"), "child: 4,000,000 places; allowed: at most 1,000,000; give fewer samples"),
     (("model: SENSOR", "elevation_deg: [-1, 1]"), "sensors[0]: lidar_0: sensor 'custom' has no codec"),

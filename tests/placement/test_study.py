@@ -266,5 +266,5 @@ def test_objectives(tmp_path, objective, by_hand):
 
 
 def test_an_objective_of_an_object_that_is_none(tmp_path):
-    with pytest.raises(ConfigError, match=r"objective.detection.bus: no object is called so; allowed: box"):
+    with pytest.raises(ConfigError, match=r"objective.detection.bus: no such object; allowed: box"):
         study(tmp_path, SMALL + "objective: {detection: {bus: 1}}\n")

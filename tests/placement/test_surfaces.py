@@ -301,7 +301,7 @@ BOUNDS = "min: {position_m: [0, 0, 0], rpy_deg: [0, 0, 0]}, max: {position_m: [1
             "-1.8, -0.8, 0], max_m: [-0.2",
             "on.within: holds nothing of 'cab' as seen from",
         ),
-        ("yaw_deg: [0, 9]", BOUNDS, "min: stands beside on; give min and max, or on"),
+        ("yaw_deg: [0, 9]", BOUNDS, "min: conflicts with on; give min and max, or on"),
         ("yaw_deg: [0, 9]", "yaw_deg: [9, 0]", "yaw_deg[1]: 0 is below 9; allowed: at or above it"),
         ("yaw_deg: [0, 9]", "roll_deg: [0, 9]", "roll_deg: goes with upright: true; this sensor's axis is the normal"),
         (WALL, BOUNDS, "yaw_deg: goes with on; otherwise min and max bound the angles"),

@@ -208,7 +208,7 @@ def test_a_sensor_inside_a_body(tmp_path):
     rig, _ = at(allowed)
     assert (evaluate(allowed, rig).subspaces.seen_by == 1).sum() == 8 * 4 * 2  # the cuboids in the car
     outside = study(tmp_path, STUDY + CAR.replace("MORE", ""))
-    with pytest.raises(ConfigError, match="lidar_0 is inside the vehicle's 'car'; move it, or say allow_inside: true"):
+    with pytest.raises(ConfigError, match="lidar_0 is inside the vehicle's 'car'; move it, or set allow_inside: true"):
         evaluate(outside, rig)
     wide = STUDY.replace("max: {position_m: [1, 2, 1]", "count: 3, max: {position_m: [9, 3, 1.2]")
     loaded = study(tmp_path, wide.replace("[1, 2, 1]", "[1, 1, 0.1]") + CAR.replace("MORE", ""))

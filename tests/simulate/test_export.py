@@ -338,7 +338,7 @@ def test_the_last_seconds_of_a_pcap(street, tmp_path):
         (TIME_END_NS - 2 * SECOND_NS, 3 * SECOND_NS),
         (-1, duration_ns),
     ):
-        with pytest.raises(ConfigError, match="leave the time that a pcap can say, 1970 to 2106-02-07T06:28:16 UTC"):
+        with pytest.raises(ConfigError, match="exceed the times of a pcap, 1970 to 2106-02-07T06:28:16 UTC"):
             export(rig, street, np.eye(4), length_ns, start_ns)
 
 

@@ -87,7 +87,9 @@ def test_beams_in_the_rig_and_its_range(tmp_path):
     check(load_cloud(folder / "a.pcd", no_warning), by_hand(55_556, [0] * 4, 600, 200_000_000 // 55_556))
     folder_with(tmp_path, elevation_deg=[-10, 0])
     result = exported(folder, "b.ply", code=2)
-    assert "top: sensor 'custom' has no range; give its file range: {max_m: ...}, or the rig range_m" in result.stderr
+    assert (
+        "top: sensor 'custom' has no range; add range: {max_m: ...} to its file, or range_m to the rig" in result.stderr
+    )
     assert "write points instead: .ply, .pcd, .npz, .mcap or a folder" in exported(folder, "c.pcap", code=2).stderr
     assert not any((folder / name).exists() for name in ("b.ply", "c.pcap"))
 
@@ -136,7 +138,7 @@ def test_placement_knows_the_field_of_view(tmp_path):
 def test_returns_are_counted_where_the_file_says_how_it_fires(tmp_path):
     folder = folder_with(tmp_path)
     with pytest.raises(
-        ConfigError, match="'mine' has no codec, which would say where its lasers fire; give its file firing"
+        ConfigError, match="'mine' has no codec, which would say where its lasers fire; add firing to its file"
     ):
         pattern(load_rig(folder / "rig.yaml").mounts[0])
     folder_with(tmp_path, {"firing": {"step_deg": 0.5}})

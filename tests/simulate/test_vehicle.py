@@ -227,7 +227,7 @@ def test_the_command_takes_the_rigs_vehicle_another_one_or_none(tmp_path):
 def test_a_sensor_inside_the_body_is_an_error(tmp_path, sedan):
     inside = Rig("r", (mount(0, (0.0, 0.0, 1.8)), mount(1, (0.0, 0.0, 1.0))))
     with pytest.raises(
-        ConfigError, match=r"^lidar_1 is inside the vehicle's 'body'; move it, or say allow_inside: true$"
+        ConfigError, match=r"^lidar_1 is inside the vehicle's 'body'; move it, or set allow_inside: true$"
     ):
         export(inside, scene(tmp_path, WORLD), T_WORLD_START, SECOND_NS, vehicle=sedan)
     allowed = replace(sedan, allow_inside=True)

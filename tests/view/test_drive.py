@@ -237,7 +237,7 @@ def test_what_is_noted_may_be_said_otherwise(here):
     (here / "b.pcap").write_bytes((here / "drive.pcap").read_bytes())
     (here / "b.pcap.yaml").write_text(other)
     told = lidarcfg("view", "drive.pcap", "b.pcap", "--html", "no.html", code=2, cwd=here).stderr
-    assert "b.pcap.yaml: is of another at than drive.pcap.yaml; say which with --at" in told
+    assert "b.pcap.yaml: is of another at than drive.pcap.yaml; choose one with --at" in told
 
 
 @pytest.mark.parametrize(
@@ -247,9 +247,9 @@ def test_what_is_noted_may_be_said_otherwise(here):
         (("--trajectory", "top.yaml"), "top.yaml:1:1: this is a rig; a trajectory belongs here"),
         (("--trajectory", "short.yaml"), "a pose is needed at"),
         (("--start", "noon"), "'noon' is not a time such as 2026-01-01T00:00:00"),
-        (("--start", "2026-04-01T00:00:00"), "s after the trajectory's start; allowed: at most 86400 s after it; say with --start"),
+        (("--start", "2026-04-01T00:00:00"), "s after the trajectory's start; allowed: at most 86400 s after it; give its start with --start"),
         (("--start", "2026-05-01T10:00:05"), "s before the trajectory's start; allowed: at most"),
-        ((), "bare.pcap: to be deskewed needs the rig that recorded it; say so with --rig"),
+        ((), "bare.pcap: deskewing needs the rig that recorded it; give it with --rig"),
         (("--at", "1,2"), "'1,2' is not three numbers X,Y,YAW_DEG"),
     ],
 )  # fmt: skip

@@ -233,7 +233,7 @@ def test_a_truth_of_another_capture_is_refused(tmp_path):
         ({"object": [0.5]}, "is not a ground-truth file: its columns are not integers"),
         ({"sensor_names": 3.0}, "is not a ground-truth file: its names are not lists of texts"),
         ({"object_names": [[b"a"]]}, "is not a ground-truth file: its names are not lists of texts"),
-        ({"time_ns": [5, 6]}, "the fields are not of one length"),
+        ({"time_ns": [5, 6]}, "the fields differ in length"),
         ({"time_ns": None}, "is not a ground-truth file: it has no time_ns"),
     ],
 )
@@ -286,7 +286,7 @@ def test_a_window_and_a_sensor_of_a_recording():
     assert (part.cloud.xyz == whole.cloud.xyz[inside]).all()
     assert (last - first) / 1e9 == pytest.approx(0.1, abs=0.003)
     assert first - whole.cloud.time_ns.min() == pytest.approx(1e8, abs=3e6)
-    with pytest.raises(ConfigError, match="choose from a capture; there is none"):
+    with pytest.raises(ConfigError, match="select a part of a capture; there is none"):
         load_stage([ROOF], None, None, np.eye(4), no_warning, Selection(sensors=("left",)))
 
 

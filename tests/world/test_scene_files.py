@@ -87,7 +87,7 @@ def test_a_png_an_array_and_heights_written_in_the_scene_are_one_field(tmp_path,
     ("given", "message"),
     [
         ("cell_m: 1", "heights_m: missing; or give a file"),
-        ("file: a.npy, heights_m: [[1, 2], [3, 4]], cell_m: 1", "heights_m: stands beside file; give one of them"),
+        ("file: a.npy, heights_m: [[1, 2], [3, 4]], cell_m: 1", "heights_m: conflicts with file; give only one of them"),
         ("heights_m: [[1, 2], [3, 4]], cell_m: 1, scale: 2", "scale: belongs to a file; heights_m are metres"),
         ("heights_m: [[1, 2], [3]], cell_m: 1", "heights_m[1]: has 1 heights; allowed: 2, as in the first row"),
         ("heights_m: [[1], [3]], cell_m: 1", "heights_m[0]: has 1 heights; allowed: at least 2"),

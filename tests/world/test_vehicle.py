@@ -126,7 +126,7 @@ def test_open_edges_by_hand(tmp_path):
         f"{where}'body' of box.ply is not closed, so that nothing is inside: 4 of its edges bound an odd number of triangles, "
         f"the first from {message.partition('first from ')[2]}"
     )
-    assert message.endswith("; 0 closed parts; beams are blocked all the same")
+    assert message.endswith("; 0 closed parts; it still blocks beams")
     first = [
         float(number)
         for number in message.partition("first from ")[2]
@@ -138,7 +138,7 @@ def test_open_edges_by_hand(tmp_path):
     (tmp_path / "v.yaml").write_text(vehicle_text("box.ply", ", exclude: true"))
     with pytest.raises(
         ConfigError,
-        match=r"v\.yaml:1:\d+: meshes\[0\]\.exclude: 'body' of box\.ply is not closed.* 4 of its edges .*\(.* to \(.*; close the mesh, or leave exclude out",
+        match=r"v\.yaml:1:\d+: meshes\[0\]\.exclude: 'body' of box\.ply is not closed.* 4 of its edges .*\(.* to \(.*; close the mesh, or remove exclude",
     ):
         load_vehicle(tmp_path / "v.yaml")
 
@@ -162,7 +162,7 @@ def test_a_mesh_in_another_unit_is_told_by_its_size(tmp_path, factor, scale, uni
     size = " × ".join(f"{value * factor:.4g}" for value in (4.7998, 2.0552, 1.5))
     assert (
         message
-        == f"{tmp_path / 'body.stl'}: 'body' of body.stl is {size} m large; if its unit is the {unit}, say scale: {scale:g}"
+        == f"{tmp_path / 'body.stl'}: 'body' of body.stl is {size} m large; if its unit is the {unit}, set scale: {scale:g}"
     )
     (tmp_path / "v.yaml").write_text(vehicle_text("body.stl", f", scale: {scale}"))
     assert load_vehicle(tmp_path / "v.yaml").warnings == ()
@@ -172,7 +172,7 @@ def test_a_mesh_in_metres_that_is_scaled_down_is_told(tmp_path):
     (tmp_path / "v.yaml").write_text(vehicle_text(SEDAN, ", scale: 0.001"))
     (message,) = load_vehicle(tmp_path / "v.yaml").warnings
     assert re.match(rf"{tmp_path}/v.yaml:1:\d+: meshes\[0\].file: 'body' of ", message)
-    assert message.endswith("is 0.0048 × 0.002055 × 0.0015 m large; if its unit is the metre, say scale: 1")
+    assert message.endswith("is 0.0048 × 0.002055 × 0.0015 m large; if its unit is the metre, set scale: 1")
 
 
 @pytest.mark.parametrize(

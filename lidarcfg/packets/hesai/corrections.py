@@ -60,7 +60,7 @@ def read(name: str, content: bytes) -> Beams:
         except ValueError:
             raise PacketError(f"{name}:{number}: {line[:40]!r} is not channel,elevation,azimuth") from None
         if channel in angles:
-            raise PacketError(f"{name}:{number}: channel {channel} stands there twice")
+            raise PacketError(f"{name}:{number}: channel {channel} is given twice")
         angles[channel] = elevation, azimuth
     if sorted(angles) != list(range(1, len(angles) + 1)) or not angles:
         raise PacketError(f"{name}: its channels are not 1, 2 and on")

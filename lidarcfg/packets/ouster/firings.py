@@ -77,7 +77,7 @@ def _facts(found: Measurements) -> dict[str, Any]:
     except (ValueError, TypeError, KeyError, AttributeError):
         sound = False
     if not sound:
-        raise PacketError("what is said of an Ouster's packets makes no sense")
+        raise PacketError("the description of an Ouster's packets is invalid")
     return facts
 
 

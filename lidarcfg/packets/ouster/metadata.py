@@ -71,7 +71,7 @@ def read(name: str, content: bytes) -> Metadata | None:
         return _read(name, _flat(said))
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
-        raise PacketError(f"{name}: no metadata of an Ouster: {what}") from None
+        raise PacketError(f"{name}: not the metadata of an Ouster: {what}") from None
 
 
 def _flat(said: dict[str, Any]) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def check_ids(where: str, unit: Unit, packets: Packets, trusted: bool) -> None:
     if trusted and wrong.any():
         raise PacketError(
             f"{where} sends product id 0x{packets['product_id'][wrong][0]:02X}, not "
-            f"{unit.name}'s 0x{facts.product_id:02X}; --model says what it is all the same"
+            f"{unit.name}'s 0x{facts.product_id:02X}; --model decodes it anyway"
         )
     check_one_id(where, packets)
 

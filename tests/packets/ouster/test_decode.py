@@ -138,7 +138,7 @@ def test_damaged_metadata(tmp_path, old, new, message):
     text = metadata.read_text()
     assert old in text
     (tmp_path / "a.json").write_text(text.replace(old, new))
-    with pytest.raises(PacketError, match=rf"a\.json: no metadata of an Ouster: .*{message}"):
+    with pytest.raises(PacketError, match=rf"a\.json: not the metadata of an Ouster: .*{message}"):
         list(decode_pcap(tmp_path / "a.pcap", no_warning))
 
 
