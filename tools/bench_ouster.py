@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How fast an OS1-128's packets are read, beside ouster-sdk, and written; and its exports, beside the bare tracer.
 
-    .venv/bin/python tools/bench_ouster.py             # prints the tables of docs/ouster.md
+    .venv/bin/python tools/bench_ouster.py             # prints the tables of docs/benchmarks.md
 
 Decoding is from packets in memory to x, y, z and all fields, none of which is kept. ouster-sdk's FrameBatcher and
 XYZLut are one thread, fill the same frame again and again, and give a place to every pixel. Ours give the cloud's
