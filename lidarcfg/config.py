@@ -5,6 +5,7 @@ Unknown keys, missing keys, values of a wrong type and values outside their limi
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -12,7 +13,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.kinds import OTHERS, kind_of
 from lidarcfg.yaml_document import Document, Key, document, read_text
 
@@ -101,6 +102,15 @@ def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
         return document(path).error(key, str(what))
     except ConfigError:  # a pipe cannot be read twice
         return ConfigError(f"{path}: {what}")
+
+
+@contextmanager
+def errors_at(path: str | Path, *key: str | int) -> Iterator[None]:
+    """Report errors that occur inside at a key of the loaded file at `path`."""
+    try:
+        yield
+    except LidarcfgError as error:
+        raise error_at(path, key, error) from None
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,11 @@ from lidarcfg.config import (
     Vec3,
     check_names,
     error_at,
+    errors_at,
     fault,
     load,
     unknown_key,
 )
-from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism, RealismOrName, resolved
@@ -181,10 +181,9 @@ def resolve_sensor(
     """
     if model is None:
         return custom_sensor(elevation_deg or ()), None
-    try:
-        return load_sensor(model, path.parent), model if model in catalogue() else os.path.realpath(path.parent / model)
-    except ConfigError as error:
-        raise error_at(path, ("sensors", index, *(at or ("model",))), error) from None
+    with errors_at(path, "sensors", index, *(at or ("model",))):
+        sensor = load_sensor(model, path.parent)
+    return sensor, model if model in catalogue() else os.path.realpath(path.parent / model)
 
 
 def ports(sensor: Sensor) -> tuple[int, int]:

@@ -75,7 +75,7 @@ def write_mcap(path: Path, made: Made) -> int:
 
 
 def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
-    """A temporary path for a file, which is moved into place when the block ends."""
+    """Have a file written in a temporary folder, then move it into place; returns what `write` counted."""
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
     check_replaceable(path)

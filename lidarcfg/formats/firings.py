@@ -1,6 +1,6 @@
-"""Recordings as firings, and back: what each laser measured, and everything else as it was recorded, in one .npz.
+"""Recordings as firings in one .npz, and back: what each laser measured, and all other bytes as they were recorded.
 
-Columns that stand for a source's packets are encoded again; what they do not say is kept byte by byte beside them.
+The packets of a source are encoded from its columns again; bytes that the columns do not determine are kept.
 """
 
 import json

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.config import error_at, load
-from lidarcfg.errors import ConfigError, LidarcfgError, SceneError
+from lidarcfg.config import error_at, errors_at, load
+from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.firing import Patterns
 from lidarcfg.geometry import Array, up
@@ -294,11 +294,9 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
         check_bounds(file, path, bodies)
     surroundings, zones = _surroundings(file, path), _zones(file, region, path)
-    try:
-        if file.robust:
+    if file.robust:
+        with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
-    except ConfigError as error:
-        raise error_at(path, ("robust", "lost"), error) from None
     sought_for = _sought(file, region, path)
     study = Study(
         name=path.stem,
@@ -322,32 +320,26 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
     )
     if sought_for and patterns:
         for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
-            sensors = [choice.sensor for choice in slot.choices if choice] or [slot.sensor]
-            try:
-                for sensor in sensors:
+            for sensor in [choice.sensor for choice in slot.choices if choice] or [slot.sensor]:
+                with errors_at(path, "sensors", number):
                     study.scans([replace(mount, sensor=sensor)])
-            except ConfigError as error:
-                raise error_at(path, ("sensors", number), error) from None
     return study
 
 
 def _surroundings(file: StudyFile, path: Path) -> Scene | None:
     """The study's surroundings."""
-    if file.surroundings is None:
-        return None
-    try:
-        return load_scene(path.parent / file.surroundings)
-    except LidarcfgError as error:
-        raise error_at(path, ("surroundings",), error) from None
+    scene = None
+    if file.surroundings is not None:
+        with errors_at(path, "surroundings"):
+            scene = load_scene(path.parent / file.surroundings)
+    return scene
 
 
 def _zones(file: StudyFile, region: Region, path: Path) -> tuple[Zone, ...]:
     found = []
     for i, given in enumerate(file.zones):
-        try:
+        with errors_at(path, "zones", i):
             found.append(zone(given, region))
-        except ConfigError as error:
-            raise error_at(path, ("zones", i), error) from None
     return tuple(found)
 
 
@@ -355,13 +347,11 @@ def _sought(file: StudyFile, region: Region, path: Path) -> tuple[Sought, ...]:
     """The objects that are detected by returns. Raises ConfigError for any object that the region does not hold."""
     found = []
     for i, item in enumerate(file.detection):
-        try:
+        with errors_at(path, "detection", i, *(("mesh",) if item.mesh else ())):
             if item.returns:
                 found.append(sought(region, item, target(item, region, path.parent)))
             else:
                 check_fits(item, region)
-        except (ConfigError, SceneError) as error:
-            raise error_at(path, ("detection", i, *(("mesh",) if item.mesh else ())), error) from None
     return tuple(found)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Metres, Model, Name, Position, Positive, Vec3, error_at, fault, load
+from lidarcfg.config import COORDINATE_MAX_M, Metres, Model, Name, Position, Positive, Vec3, errors_at, fault, load
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
@@ -234,10 +234,8 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     taken = {getattr(item, "name", GROUND) for item, _ in objects}
     for kind in FILES:
         for i, item in enumerate(getattr(file, kind)):
-            try:
+            with errors_at(path, *at, kind, i, "file"):
                 objects += _unlike(_from_file(item, path.parent), taken)
-            except SceneError as error:
-                raise error_at(path, (*at, kind, i, "file"), error) from None
     if not objects:
         raise SceneError(f"{path}: the scene is empty; give a ground or an object")
     vertices_m, triangles = joined([mesh for _, mesh in objects])
