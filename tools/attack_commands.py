@@ -125,6 +125,11 @@ COMMANDS = (
 )
 
 
+def capture(mark: str) -> list[str]:
+    """The command that makes the capture of a name, with its record."""
+    return f"export {mark}-rig.yaml --scene scene.yaml --duration 0.2 -o {mark}.pcap --quiet".split()
+
+
 def prepare(folder: Path) -> None:
     """The inputs of both names."""
     os.environ["SOURCE_DATE_EPOCH"] = "0"
@@ -137,9 +142,9 @@ def prepare(folder: Path) -> None:
         (folder / f"{mark}-rig.yaml").write_text(RIG.format(mark, 1.8 + i / 10))
         (folder / f"{mark}-two.yaml").write_text(TWO.format(mark, 1.8 + i / 10))
         for words in (
-            f"export {mark}-rig.yaml --scene scene.yaml --duration 0.2 -o {mark}.pcap --quiet",
-            f"decode {mark}.pcap -o {mark}.ply --quiet",
-            f"convert {mark}.pcap -o {mark}-firings.npz --quiet",
+            capture(mark),
+            f"decode {mark}.pcap -o {mark}.ply --quiet".split(),
+            f"convert {mark}.pcap -o {mark}-firings.npz --quiet".split(),
         ):
-            if (ended := run(words.split(), folder)).code:
+            if (ended := run(words, folder)).code:
                 raise SystemExit(ended.errors)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from attack_commands import COMMANDS, MARKS, STUDY, prepare
+from attack_commands import COMMANDS, MARKS, STUDY, capture, prepare
 from attack_run import Ended, Row, run, run_in_terminal, warm_up
 
 ENCODINGS = "ascii", "latin-1", "cp1252"
@@ -17,8 +17,8 @@ NAME = "Dach-ü→中😀"
 FIRST = MARKS[0]
 TABLES = (  # what prints tables, progress or lists
     "optimize {0}.yaml -o o",
-    "optimize {0}-choices.yaml -o f",
     "optimize {0}.yaml -o o --resume o",
+    "optimize {0}-choices.yaml -o f",
     "evaluate {0}.yaml {0}-rig.yaml",
     "evaluate {0}.yaml {0}-rig.yaml --tolerance 0.1",
     "evaluate {0}.yaml {0}-rig.yaml --baseline {0}-rig.yaml -o e",
@@ -92,6 +92,8 @@ def named(folder: Path) -> None:
     (folder / f"{FIRST}.yaml").write_text(STUDY.format(FIRST, 0).replace("name: box", f'name: "{NAME}"'))
     rig = f'name: "{NAME}"\nsensors:\n  - {{name: {FIRST}, model: vlp-16, position_m: [0, 0, 1.8]}}\n'
     (folder / f"{FIRST}-rig.yaml").write_text(rig)
+    if (ended := run(capture(FIRST), folder)).code:  # whose record names the rig
+        raise SystemExit(ended.errors)
 
 
 def terminals(folder: Path, quick: bool) -> Row:
@@ -239,7 +241,7 @@ def sizes(folder: Path, quick: bool) -> Row:
         "sensors-1000.yaml": (_sensors(1000), ("validate {0}", "convert {0} -o r.urdf", "evaluate {2} {0}")),
         "sensors-20000.yaml": (_sensors(20_000), ("validate {0}", "convert {0} -o r.urdf", "evaluate {2} {0}")),
         "poses.tum": (_poses, ("export {3} --scene scene.yaml --duration 0.1 -o x.pcap --trajectory {0}",)),
-        "none.yaml": (Path.touch, ("view {3} --png p.png --size 16384x16384", "view {3} --png p.png --size 8192x8192")),
+        "none.yaml": (Path.touch, ("view {3} --png p.png --size 16384x16384", "view {3} --png p.png --size 7680x4320")),
     }
     study, rig = folder / f"{FIRST}.yaml", folder / f"{FIRST}-rig.yaml"
     for name, (make, commands) in list(made.items())[:: 5 if quick else 1]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # as lidarcfg.view.colours and placement.evaluation have them, which take a second to load
 COLOURS = ("sensor", "intensity", "ring", "height", "time", "object")
-SIDE_MIN, SIDE_MAX = 16, 8192
+SIDE_MIN, SIDE_MAX, PIXELS_MAX = 16, 8192, 36_000_000
 WORST_MAX = 10
 
 
@@ -36,9 +36,11 @@ def size(text: str) -> tuple[int, int]:
     sides = text.lower().replace("×", "x").split("x")
     if len(sides) == 2 and all(side.isascii() and side.isdigit() for side in sides):
         width, height = map(int, sides)
-        if min(width, height) >= SIDE_MIN and max(width, height) <= SIDE_MAX:
+        if min(width, height) >= SIDE_MIN and max(width, height) <= SIDE_MAX and width * height <= PIXELS_MAX:
             return width, height
-    raise click.BadParameter(f"{text!r} is not WxH in pixels, each {SIDE_MIN} to {SIDE_MAX}")
+    raise click.BadParameter(
+        f"{text!r} is not WxH in pixels, each {SIDE_MIN} to {SIDE_MAX} and {PIXELS_MAX:,} in all at most"
+    )
 
 
 def camera_numbers(text: str) -> tuple[float, ...]:

@@ -38,13 +38,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SIZE = (1920, 1080)
-PIXEL_BYTES = 80  # of memory to draw one, measured
+PIXEL_BYTES = 22  # of memory to draw one, measured
+BAND = 256  # rows of pixels that labels and lines are blended into at a time
 NEAR_M = 0.05
 GROUND_M = 200.0  # of the ground, to each side of the vehicle
 AXIS_M = 0.6
 SEAT_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
 PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
+ABOVE = (0.04, 0.055, 0.95, 0.35)  # its left, bottom, width and height in such a picture
 
 
 def save_still(
@@ -60,26 +62,42 @@ def save_still(
     Raises CloudError if there is nothing to draw, or nothing in view; LidarcfgError where memory
     does not hold the picture.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from PIL import Image
 
     if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
         raise CloudError("the cloud is empty; there is nothing to draw")
     width, height = size
     check_memory(f"a picture of {width} x {height} pixels", PIXEL_BYTES * width * height)
     colours = point_colours(stage, by)
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=NIGHT)
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor="none")  # lines and labels only
+    canvas: Any = FigureCanvasAgg(figure)  # matplotlib has no types here
+    pixels = np.full((height, width, 3), rgb([NIGHT])[0], np.uint8)
     if camera:
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        _draw_perspective(axes, stage, colours, camera, width, height, worst)
+        _draw_perspective(axes, pixels, stage, colours, camera, worst)
     else:
         center, reach_m = _center(stage)
         axes = figure.add_axes((0.0, 1 - PERSPECTIVE_FRACTION, 1.0, PERSPECTIVE_FRACTION))
         camera = Camera(center + np.array([-21.0, -7.0, 7.5]), center + np.array([8.0, 0.5, 0.5]), 74.0)
-        _draw_perspective(axes, stage, colours, camera, width, round(height * PERSPECTIVE_FRACTION), worst)
-        _draw_above(figure.add_axes((0.04, 0.055, 0.95, 0.35)), stage, colours, center, reach_m, size, worst)
+        _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], stage, colours, camera, worst)
+        left, bottom, wide, high = np.round(np.multiply(ABOVE, (width, height, width, height))).astype(int)
+        above = pixels[height - bottom - high : height - bottom, left : left + wide]
+        _draw_above(figure.add_axes(ABOVE), above, stage, colours, center, reach_m, height, worst)
     _legend(axes, stage, by, height, worst)
+    drawn, _ = canvas.print_to_buffer()  # RGBA
+    _blend(np.frombuffer(drawn, np.uint8).reshape(height, width, 4), pixels)
     with replacing(path, "wb") as file:
-        figure.savefig(file, format="png", facecolor=NIGHT)
+        Image.fromarray(pixels).save(file, format="png")
+
+
+def _blend(drawn: NDArray[np.uint8], pixels: NDArray[np.uint8]) -> None:
+    """Blend what was drawn, (H, W, 4) with its opacity last, into pixels (H, W, 3)."""
+    for top in range(0, len(pixels), BAND):
+        band = slice(top, top + BAND)
+        opacity = drawn[band, :, 3:].astype(np.uint32)
+        pixels[band] = (drawn[band, :, :3] * opacity + pixels[band] * (255 - opacity) + 127) // 255
 
 
 def _faded(colours: NDArray[np.uint8], depth: Array) -> NDArray[np.uint8]:
@@ -110,12 +128,13 @@ def _center(stage: Stage) -> tuple[Array, float]:
 
 
 def _draw_perspective(
-    axes: "Axes", stage: Stage, colours: NDArray[np.uint8], camera: Camera, width: int, height: int, worst: int
+    axes: "Axes", pixels: NDArray[np.uint8], stage: Stage, colours: NDArray[np.uint8], camera: Camera, worst: int
 ) -> None:
+    height, width = pixels.shape[:2]
     column, row, depth = camera.project(stage.cloud.xyz, width, height)
     faded = _faded(colours, depth)
-    image = np.full((height, width, 3), BACKGROUND, np.float64)
-    nearest_m = np.full((height, width), np.inf)
+    image = np.full((height, width, 3), BACKGROUND, np.float32)
+    nearest_m = np.full((height, width), np.inf, np.float32)
     seen = np.flatnonzero((depth > 0.5) & (column > -3) & (column < width) & (row > -3) & (row < height))
     seen = seen[np.argsort(-depth[seen], kind="stable")]  # far first, so that near points cover them
     for side in range(3):  # the nearer a point, the larger its square
@@ -127,7 +146,7 @@ def _draw_perspective(
                 image[r[fits], c[fits]] = faded[near[fits]]
                 nearest_m[r[fits], c[fits]] = depth[near[fits]]
     drawn = int(np.isfinite(nearest_m).sum()) + _draw_bodies(image, nearest_m, stage, camera, worst)
-    axes.imshow(image.astype(np.uint8), aspect="auto", extent=(0, width, height, 0), interpolation="nearest")
+    pixels[:] = image
     axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
     drawn += _draw_region(axes, stage, camera, width, height) + _draw_mounts(axes, stage, camera, width, height)
@@ -145,7 +164,9 @@ class Shape(NamedTuple):
     ahead_m: float = 0.0  # of what is as far away, in the order of drawing
 
 
-def _draw_bodies(image: Array, nearest_m: Array, stage: Stage, camera: Camera, worst: int) -> int:
+def _draw_bodies(
+    image: NDArray[np.float32], nearest_m: NDArray[np.float32], stage: Stage, camera: Camera, worst: int
+) -> int:
     """Blend the translucent bodies into the image in front of its points; returns the number of pixels."""
     shapes = _shapes(stage, worst)
     if not shapes:
@@ -270,27 +291,27 @@ def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
 
 def _draw_above(
     axes: "Axes",
+    pixels: NDArray[np.uint8],
     stage: Stage,
     colours: NDArray[np.uint8],
     center: Array,
     reach_m: float,
-    size: tuple[int, int],
+    picture_height: int,
     worst: int,
 ) -> None:
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
-    xyz, width, height = stage.cloud.xyz, round(0.95 * size[0]), round(0.35 * size[1])
+    xyz, (height, width) = stage.cloud.xyz, pixels.shape[:2]
     scale = width / (2 * reach_m)
     column = np.floor((xyz[:, 0] - center[0]) * scale + width / 2).astype(int)
     row = np.floor(height / 2 - (xyz[:, 1] - center[1]) * scale).astype(int)
-    image = np.full((height, width, 3), BACKGROUND, np.uint8)
+    pixels[:] = BACKGROUND
     fits = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
     fits = fits[np.argsort(xyz[fits, 2], kind="stable")]  # low first
-    image[row[fits], column[fits]] = colours[fits]
+    pixels[row[fits], column[fits]] = colours[fits]
     side = height / 2 / scale
     extent = (center[0] - reach_m, center[0] + reach_m, center[1] - side, center[1] + side)
-    axes.imshow(image, extent=extent, aspect="auto", interpolation="nearest")
     for quads, code in _bodies(stage, worst):
         flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
         axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
@@ -299,9 +320,11 @@ def _draw_above(
         axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=EXCLUDED, lw=0.8))
     for mount in _mounts(stage):
         at = mount.position_m
-        axes.plot(at[0], at[1], "o", color=stage.colours[mount.name], ms=1 + 6 * size[1] / 1080, mec="w", mew=1.2)
-    text = 3 + 7 * size[1] / 1080
-    axes.set(xlim=extent[:2], ylim=extent[2:], facecolor=NIGHT)
+        axes.plot(
+            at[0], at[1], "o", color=stage.colours[mount.name], ms=1 + 6 * picture_height / 1080, mec="w", mew=1.2
+        )
+    text = 3 + 7 * picture_height / 1080
+    axes.set(xlim=extent[:2], ylim=extent[2:], facecolor="none")
     axes.set_xlabel("x (m)", color="0.8", fontsize=text)
     axes.set_ylabel("y (m)", color="0.8", fontsize=text)
     axes.tick_params(colors="0.8", labelsize=text)

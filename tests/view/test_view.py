@@ -321,7 +321,8 @@ def test_at_places_the_vehicle_in_the_scene():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--size", "10x10"), "'10x10' is not WxH in pixels, each 16 to 8192"),
+        (("--size", "10x10"), "'10x10' is not WxH in pixels, each 16 to 8192 and 36,000,000 in all at most"),
+        (("--size", "8192x8192"), "'8192x8192' is not WxH in pixels, each 16 to 8192 and 36,000,000 in all at most"),
         (("--size", "wide"), "'wide' is not WxH in pixels"),
         (("--size", "1e3x500"), "'1e3x500' is not WxH in pixels"),
         (("--camera", "1,2,3"), "'1,2,3' is not EYEX,EYEY,EYEZ,X,Y,Z[,FIELD_DEG]"),
