@@ -40,7 +40,7 @@ def main() -> None:
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end quietly if the reader of our output is gone
     sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):  # where a terminal's encoding lacks a character, there is a ? instead
+    for stream in (sys.stdout, sys.stderr):  # print ? for characters that the terminal's encoding lacks
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
@@ -53,8 +53,8 @@ def main() -> None:
         _fail(f"{message} (see {_command_path(error)} --help)")
     except LidarcfgError as error:
         _fail(str(error))
-    except (click.Abort, KeyboardInterrupt):  # before RuntimeError, which click's is
-        for name in INTERRUPTS:  # once more, by somebody impatient, does not keep files from being removed
+    except (click.Abort, KeyboardInterrupt):  # before RuntimeError, of which click.Abort is one
+        for name in INTERRUPTS:  # a second Ctrl-C does not stop the clean-up
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.SIG_IGN)
         from lidarcfg.aside import remove_own
@@ -62,7 +62,7 @@ def main() -> None:
         remove_own()
         click.echo("interrupted", err=True)
         sys.stdout.flush()
-        os._exit(130)  # without waiting for threads that still cast
+        os._exit(130)  # without waiting for threads that still trace rays
     except (OSError, MemoryError, ImportError, RuntimeError) as error:
         _fail(_of_the_system(error, interrupts.doing))
     sys.exit(code or 0)
@@ -74,7 +74,7 @@ def _check_environment() -> None:
         check_memory("any command", 0.0, reserved=LIBRARIES_BYTES)
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         raise ConfigError("NUMBA_DISABLE_JIT: is set, and nothing works without compiled loops; unset it")
-    os.environ["MPLBACKEND"] = "agg"  # of all commands; matplotlib would refuse what it does not know
+    os.environ["MPLBACKEND"] = "agg"  # for all commands; matplotlib would reject an unknown backend
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not epoch.isdecimal() or len(epoch) > EPOCH_DIGITS:
         raise ConfigError(f"SOURCE_DATE_EPOCH: {epoch[:40]!r} is not a number of seconds since 1970")

@@ -38,7 +38,7 @@ PLY_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<i4"), ("time_s", "<f8"), ("time
 PCD_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<u2"), ("time_ns", "<i8")])
 OBJECT_ROW = [("object", "<i4")]
 PLY_TYPES = {np.dtype("<f8"): "double", np.dtype("<i4"): "int", np.dtype("u1"): "uchar"}
-UNPACKED_MIN, UNPACKED_RATIO = 1 << 26, 20  # bytes; and so many times the archive's: real arrays hardly pack
+UNPACKED_MIN, UNPACKED_RATIO = 1 << 26, 20  # bytes; and multiples of the archive's size: real arrays hardly compress
 UNPACKED_COPIES = 3  # of the arrays, in memory at once
 FILE_COPIES = 4  # of a PLY or PCD file
 XYZ_MAX_M = np.float64(1e9)
@@ -61,9 +61,7 @@ class PointCloud:
     time_ns: NDArray[np.int64]  # (N,) device time since 1970
     sensor: NDArray[np.uint16]  # (N,) index into sensor_names
     sensor_names: tuple[str, ...]
-    return_type: NDArray[
-        np.uint8
-    ]  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
+    return_type: NDArray[np.uint8]  # (N,) 0 strongest, 1 last, 2 second strongest if the last is the strongest, 3 first
     driver: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) what a maker's driver has; no file keeps it
     object: NDArray[np.int32] | None = None  # (N,) index into object_names, -1: none of them; None: not known
     object_names: tuple[str, ...] = ()

@@ -30,7 +30,7 @@ def read_xyz(path: Path, most: int) -> Array:
             rows = reader.read_points(count)
             if len(rows) != count:
                 raise ValueError(f"{count} points are announced but missing")
-            with np.errstate(over="ignore", invalid="ignore"):  # of absurd scales; what they make is not finite
+            with np.errstate(over="ignore", invalid="ignore"):  # absurd scales give values that are not finite
                 return np.stack([rows.x, rows.y, rows.z], axis=1).astype(np.float64)
     except OSError as error:
         raise CloudError.from_os(path, error) from None
@@ -52,7 +52,7 @@ def check_header(path: Path) -> None:
         if not _unpacked(file, FORMAT_AT, "<B")[0] & COMPRESSED:
             return
         (table_at,) = _unpacked(file, points_at, "<q")
-        if table_at == -1:  # written as a stream: it is at the end
+        if table_at == -1:  # the file was written as a stream, with the table at its end
             (table_at,) = _unpacked(file, size - 8, "<q")
         chunks = _unpacked(file, table_at, "<II")[1]  # after its version
         if chunks * CHUNK_LEAST > size:

@@ -23,7 +23,7 @@ class Pattern:
     laser: NDArray[np.int64]  # (F,)
     lag_rad: Array  # (F,) how far the head has turned since the cycle's start when each fires
     decides_rad: Array  # (F,) how far, when the sensor decides whether the firing is in the field of view
-    start_rad: float | None = None  # where the first cycle starts, where the encoder triggers it; None: anywhere
+    start_rad: float | None = None  # where the first cycle starts, if the encoder triggers it; None: anywhere
 
     def heads_rad(self, phases: int) -> Array:
         """Where the head is when cycles start, for this many revolutions at evenly shifted phases, cycle by cycle.

@@ -5,7 +5,7 @@ from typing import Any
 
 OBJECTS = {"boxes", "spheres", "cylinders", "planes", "meshes"}
 MOTIONS = {"velocity_m_s", "arc", "poses"}
-MARKS = {  # the keys that only one kind has, the first that fits
+MARKS = {  # keys that only one kind has; the first kind that matches counts
     "sensor": {"beams"},
     "record of a capture": {"rig", "scene", "duration_s"},
     "plan": {"vary", "together"},

@@ -41,7 +41,7 @@ ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-
 SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
 FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
-DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # where neither rig nor sensor says others
+DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # defaults if neither rig nor sensor gives others
 RETURN_MODE: ReturnMode = "strongest"
 
 
@@ -138,15 +138,13 @@ class Mount:
     sensor: Sensor
     position_m: Vec3  # of the sensor's origin in the vehicle frame
     rpy_rad: Vec3  # roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll)
-    model: str | None  # what a file calls the sensor; None: its beams stand inline
+    model: str | None  # the sensor's name in files; None: its beams are given inline
     host: str  # the address it sends from
     data_port: int
     telemetry_port: int
     rpm: float
     return_mode: ReturnMode
-    azimuth_fov_deg: tuple[float, float] | None = (
-        None  # from, to, clockwise: nothing is fired outside; None: all around
-    )
+    azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise, where it fires; None: all around
     range_m: tuple[float, float] | None = None  # least, greatest, in placement; None: the sensor's
     phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
     settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads

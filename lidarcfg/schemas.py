@@ -33,7 +33,7 @@ class _Untitled(GenerateJsonSchema):
 def schema(kind: str) -> dict[str, Any]:
     """The JSON Schema (2020-12) of one of the `KINDS` of files."""
     models = {KINDS[kind]: _model(kind)}
-    sections: dict[str, tuple[str, str, type[Model]]] = {}  # where a model has keys that others read
+    sections: dict[str, tuple[str, str, type[Model]]] = {}  # keys of a model that other models describe
     if kind == "rig":
         sections["vehicle"] = "RigFile", "vehicle", _model("vehicle")
     if kind in ("rig", "sensor"):

@@ -29,9 +29,9 @@ from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets
-RETURNED_BYTES = (1 << 25) - (1 << 13)  # of memory: just what glibc takes into account
+RETURNED_BYTES = (1 << 25) - (1 << 13)  # of memory: the largest block that raises glibc's thresholds
 COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
-CLAIMED_BY = 3  # packets of a source at most that tell whose they are
+CLAIMED_BY = 3  # packets of a source, at most, that are examined to find its family
 
 Job = Callable[[], PointCloud]
 OnSource = Callable[[str, str], None]
@@ -138,8 +138,8 @@ class Capture:
         self._catalogue = cache(_catalogued)
         self._window_ns = window_ns(path, selection)
         self._others: Counter[int] = Counter()  # sizes of other datagrams
-        self._families: dict[int, type[Codec] | None] = {}  # by host, port and size; none: these are no LiDAR's
-        self._streams: dict[int, Stream | None] = {}  # the same of LiDARs; none: passed over
+        self._families: dict[int, type[Codec] | None] = {}  # by host, port and size; None: not a LiDAR's
+        self._streams: dict[int, Stream | None] = {}  # by the same; None: not selected
         if rig:
             for name in selection.sensors:
                 if not any(name in (mount.name, f"{mount.host}:{mount.data_port}") for mount in rig.mounts):
@@ -318,7 +318,7 @@ def _fail(error: LidarcfgError) -> PointCloud:
     try:
         raise error
     finally:
-        del error  # else its traceback holds it, and the packets with it, until the garbage is collected
+        del error  # its traceback refers to it, which keeps the packets in memory until the next garbage collection
 
 
 def _together(jobs: list[Job], names: tuple[str, ...]) -> PointCloud:

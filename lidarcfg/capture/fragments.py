@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 from lidarcfg.units import SECOND_NS
 
-TIMEOUT_NS = 30 * SECOND_NS  # of host time, for the fragments of a datagram to come
-SETTLED_MAX = 16  # whole and damaged datagrams that are remembered, to know what comes late of them
+TIMEOUT_NS = 30 * SECOND_NS  # of host time, to wait for the fragments of a datagram
+SETTLED_MAX = 16  # whole and damaged datagrams that are remembered, to recognise their late fragments
 PENDING_MAX = 1024  # datagrams that wait for fragments: at most 64 MB
 DATAGRAM_MAX = 65535 - 20  # bytes after the IP header
 
@@ -41,9 +41,9 @@ class Reassembly:
 
     def __init__(self, from_ns: int = 0) -> None:
         self._pending: dict[bytes, _Datagram] = {}  # the oldest first
-        self._settled: dict[bytes, dict[int, bytes] | None] = {}  # the last, the oldest first: parts; none: damaged
+        self._settled: dict[bytes, dict[int, bytes] | None] = {}  # the latest, oldest first: their parts; None: damaged
         self._dropped, self._from_ns = 0, from_ns
-        self.cut = 0  # datagrams that never came whole: of which the capture has the beginning only
+        self.cut = 0  # datagrams of which the capture has only the beginning
 
     @property
     def incomplete(self) -> int:

@@ -143,7 +143,7 @@ def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
     octets = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
     if octets.shape[1] % 2:
         octets = np.pad(octets, ((0, 0), (0, 1)))
-    total = octets.view("<u2").sum(axis=1, dtype=np.uint64)  # in the wrong order of octets, which commutes with folding
+    total = octets.view("<u2").sum(axis=1, dtype=np.uint64)  # octets in the wrong order, which commutes with folding
     folded = (total % 0xFFFF + 0xFFFF * (total > 0) * (total % 0xFFFF == 0)).astype(np.uint32)
     return np.asarray((folded & 255) << 8 | folded >> 8)
 
@@ -169,10 +169,10 @@ class IpPackets(NamedTuple):
     ip: NDArray[np.int64]  # (N,) where the IP header is in the data
     head: NDArray[Any]  # (N,) the header
     length: NDArray[np.int64]  # (N,) its bytes, options too
-    end: NDArray[np.int64]  # (N,) bytes from the header to where the packet ends, as far as they are there
+    end: NDArray[np.int64]  # (N,) bytes from the header to the end of the packet, as far as captured
     whole: NDArray[np.bool_]  # (N,) whether it holds a UDP datagram
     part: NDArray[np.bool_]  # (N,) whether it holds a fragment of one
-    cut: int  # how many others hold a datagram's beginning only, as the capture keeps no more bytes of a frame
+    cut: int  # how many others hold only the beginning of a datagram, because the capture truncates frames
 
 
 def ip_packets(piece: Piece) -> IpPackets:
@@ -201,7 +201,7 @@ def ip_packets(piece: Piece) -> IpPackets:
     end = np.where(head["length"] > 0, np.minimum(head["length"], left), left)
     part = head["flags"] & (MORE_FRAGMENTS | FRAGMENT_OFFSET) != 0
     whole = good & ~part & (left >= length + UDP.itemsize)
-    cut = whole.copy()  # by UDP's length, as IP's is wrong in position packets of 2014
+    cut = whole.copy()  # by UDP's length: IP's is wrong in position packets of 2014
     cut[whole] = gathered(data, (ip + length)[whole], UDP)["length"] > (left - length)[whole]
     return IpPackets(which, ip, head, length, end, whole & ~cut, part & good & (end > length), int(cut.sum()))
 
@@ -307,7 +307,7 @@ def _runs(
     follows &= offset[1:] == offset[:-1] + size[:-1]
     edges = np.flatnonzero(~follows) + 1
     first, last = np.append(0, edges), np.append(edges, len(key)) - 1
-    mixed = (key * np.uint64(65537) + number)[first]  # nearly unique: if two are alike, both are passed over
+    mixed = (key * np.uint64(65537) + number)[first]  # nearly unique: if two are equal, the reassembly handles both
     _, inverse, count = np.unique(mixed, return_inverse=True, return_counts=True)
     good = (count[inverse] == 1) & (offset[first] == 0) & ~more[last]
     good &= (offset[last] + size[last] <= DATAGRAM_MAX) & (offset[last] + size[last] >= UDP.itemsize)

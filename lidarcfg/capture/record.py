@@ -23,7 +23,7 @@ from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import Scene, files_of
 from lidarcfg.world.vehicle import NONE, Vehicle
 
-SUFFIX = ".yaml"  # behind the capture's name: a rig may be called as the capture is
+SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
 BESIDE = ".rig.yaml", ".scene.yaml", ".trajectory.yaml", ".trajectory.tum"  # likewise: inputs that were in no file
 READ = 1 << 20  # bytes of a file at once
 

@@ -10,7 +10,7 @@ from lidarcfg.capture.pcap import Datagram, one_by_one
 from lidarcfg.capture.selection import Selection, around, window_ns
 from lidarcfg.errors import PacketError
 
-LEAST_NS = 1_000  # from the end of a pass to the next
+LEAST_NS = 1_000  # between two passes, at least
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Replayed:
 
     packets: int
     seconds: float  # of the real clock
-    latest_s: float  # by how much a datagram left after its time, at most
+    latest_s: float  # the largest delay of a datagram
     interrupted: bool = False  # by Ctrl-C
 
 

@@ -16,8 +16,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
 from lidarcfg.rig import Rig
 
-BACK_RAD = math.radians(1)  # the head has passed 0 where the azimuth falls by more
-LATE_NS = 10**8  # a packet later than that was not overtaken: the clock was set back
+BACK_RAD = math.radians(1)  # a drop of the azimuth by more means that the head has passed 0
+LATE_NS = 10**8  # a packet later than this was not overtaken; instead, the clock was set back
 LONGEST_NS = 10**9  # a head that does not turn makes no revolutions
 
 

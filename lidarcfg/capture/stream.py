@@ -66,7 +66,7 @@ class Stream:
         self._decoder: Decoder | None = None  # not known until enough packets have come
         self._packets: list[Octets] = []
         self._times_ns: list[Times] = []
-        self._decoded = 0  # of the packets kept: 1 for the one before those that are to come
+        self._decoded = 0  # how many of the kept packets are decoded: 1, the one before the next, or 0
         self._count: Counter[str] = Counter()
 
     def add(self, packets: Octets, times_ns: Times) -> None:

@@ -127,7 +127,7 @@ def export(
     start_ns = nanoseconds(start) if start else START_NS
     moved = load_trajectory(trajectory, at, start_ns)
     drive = Drive(mounted, world, moved, bodies, start_ns, round(duration * SECOND_NS))
-    total = [0, 0]
+    counted: list[Counts] = []
     files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
     values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
     values |= {"vehicle": NONE} if vehicle and not bodies else {}
@@ -138,28 +138,25 @@ def export(
     if output.suffix == ".pcap" and name is None:
         if deskew:
             raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
-        lines = _export_packets(drive, output, split, truth, record, total, quiet)
+        lines = _export_packets(drive, output, split, truth, record, counted, quiet)
     else:
         if split or truth:
             raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
-        lines = _export_points(drive, output, name, deskew, record, total, quiet)
+        lines = _export_points(drive, output, name, deskew, record, counted, quiet)
     for line in [] if quiet else lines:
         click.echo(line)
     if stats:
-        rays, hits = total
+        rays, hits = sum(chunk.rays for chunk in counted), sum(chunk.hits for chunk in counted)
         click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
 
 
 @contextmanager
-def _run(duration_ns: int, total: list[int], quiet: bool) -> "Iterator[Run]":
-    """How an export runs: with a progress bar, counting rays."""
+def _run(duration_ns: int, counted: "list[Counts]", quiet: bool) -> "Iterator[Run]":
+    """A run with a progress bar, which adds the rays of each chunk to `counted`."""
     from lidarcfg.compiling import clock
     from lidarcfg.simulate.tasks import Run
 
     began = clock()
-
-    def on_rays(counts: "Counts") -> None:
-        total[:] = map(sum, zip(total, counts, strict=True))
 
     with progress(quiet) as on_fraction:
 
@@ -168,11 +165,17 @@ def _run(duration_ns: int, total: list[int], quiet: bool) -> "Iterator[Run]":
             on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
 
         on_fraction(0.0, "simulating")
-        yield Run(on_progress, on_rays)
+        yield Run(on_progress, counted.append)
 
 
 def _export_packets(
-    drive: "Drive", output: Path, split: bool, truth: Path | None, record: "OnPath", total: list[int], quiet: bool
+    drive: "Drive",
+    output: Path,
+    split: bool,
+    truth: Path | None,
+    record: "OnPath",
+    counted: "list[Counts]",
+    quiet: bool,
 ) -> list[str]:
     """Write one pcap, or one of each sensor, and what readers need besides. Returns what to print."""
     from contextlib import ExitStack
@@ -187,7 +190,7 @@ def _export_packets(
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
     mounts = drive.rig.mounts
     names = [mount.name for mount in mounts]
-    with _run(drive.duration_ns, total, quiet) as run, ExitStack() as stack:
+    with _run(drive.duration_ns, counted, quiet) as run, ExitStack() as stack:
         stack.enter_context(together())
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
@@ -219,7 +222,7 @@ def _export_packets(
 
 
 def _export_points(
-    drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", total: list[int], quiet: bool
+    drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", counted: "list[Counts]", quiet: bool
 ) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.files import together
@@ -236,7 +239,7 @@ def _export_points(
         for mount in drive.rig.mounts
         if not (mount.sensor.codec or mount.sensor.firing)
     ]
-    with _run(drive.duration_ns, total, quiet) as run, together():
+    with _run(drive.duration_ns, counted, quiet) as run, together():
         recording = Recording(drive, simulated_scans(drive, run))
         found = formats.save_recording(output, form, recording, deskew, warnings.append)
         record(output)

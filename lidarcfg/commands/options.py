@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 FILE = click.Path(path_type=Path)
-SAVE_EVERY_S = 5.0  # of a search: what is found so far
+SAVE_EVERY_S = 5.0  # between two saves of a running search
 START = "2026-01-01T00:00:00"
 START_HELP = f"ISO 8601; UTC unless it names a zone.  [default: {START}]"
 

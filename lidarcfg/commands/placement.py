@@ -119,7 +119,7 @@ def optimize(
         beside = _baseline(loaded, baseline, on_progress)
     with progress(quiet) as on_progress:
         found, shown = _search(loaded, threads, log, folder, on_progress)
-        if not found.interrupted:  # then an update would raise what was dealt with
+        if not found.interrupted:  # an update would raise KeyboardInterrupt again
             on_progress(1.0, f"writing {folder}")
         again = _repeat_command(study, folder, loaded.solver, found)
         report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again), beside)

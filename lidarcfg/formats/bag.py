@@ -28,7 +28,7 @@ from lidarcfg.rig import Rig
 from lidarcfg.units import SECOND_NS
 
 TIME_END_NS = 2**31 * SECOND_NS  # builtin_interfaces/Time counts its seconds in an int32
-BAG_VERSION: Final = 8  # of metadata.yaml: QoS as text, as rosbag2 had it before Jazzy
+BAG_VERSION: Final = 8  # of metadata.yaml: with QoS as text, as in rosbag2 before Jazzy
 TF, TF_STATIC = "/tf", "/tf_static"
 TF_STEP_NS = 10_000_000  # from one pose of the vehicle to the next
 FOREVER = 9223372036, 854775807  # seconds and ns: rmw's infinite time

@@ -33,11 +33,11 @@ COLUMNS = {  # of a source, and their types; N firings in P packets, R returns o
     "reflectivity": "|u1",  # (N, R)
     "number": "<i8",  # (P,)
     "host_ns": "<i8",  # (P,)
-    "rest_at": "<i8",  # (K,) bytes of the source's packets, one after the other, that firings do not say
-    "rest": "|u1",  # (K,) and what they are
+    "rest_at": "<i8",  # (K,) offsets, in the concatenated packets, of bytes that the firings do not determine
+    "rest": "|u1",  # (K,) these bytes
 }
-FILE_COLUMNS = CUTS | {"raw": "|u1"}  # where the file has the packets, and all else in it
-KEYS = "name", "sensor", "return_mode", "firings", "order", "packets", "size", "more"  # what is said of a source
+FILE_COLUMNS = CUTS | {"raw": "|u1"}  # the places of the packets in the file, and all its other bytes
+KEYS = "name", "sensor", "return_mode", "firings", "order", "packets", "size", "more"  # of a source's description
 ANY_RANGE = Reported(source="as recorded", min_m=0, max_m=COORDINATE_MAX_M)
 
 OnWarning = Callable[[str], None]

@@ -65,7 +65,7 @@ class _WholeFolder(Whole):
     """A finished folder under its temporary name, ready to be moved into place."""
 
     def check(self) -> None:
-        pass  # as it was checked before it was written
+        pass  # it was checked before it was written
 
     def move(self) -> None:
         new, whole, old = self.temporary, self.path, self.temporary.with_name(old_name(self.path))

@@ -17,14 +17,14 @@ from lidarcfg.errors import CloudError, PacketError
 from lidarcfg.inputs import check_memory, check_regular, read_regular
 from lidarcfg.packets.codec import Octets, Times
 
-SIZE_MAX, COPIES = 4_000_000_000, 60  # bytes of a capture, and how many for each are needed to take it apart
-CUTS = {  # of what is cut out of a file, K pieces in its order, and their types
-    "at": "<i8",  # (K,) where it belongs in what is left
-    "source": "<i2",  # (K,) whose packet it is a piece of
-    "packet": "<i4",  # (K,) which of its packets
-    "first": "<i4",  # (K,) the first byte of the packet that it holds: 0 but for fragments
+SIZE_MAX, COPIES = 4_000_000_000, 60  # bytes of a capture, and bytes of memory per byte
+CUTS = {  # columns, with types, of the K pieces that are cut out of a file, in its order
+    "at": "<i8",  # (K,) its offset in the remaining bytes
+    "source": "<i2",  # (K,) the source of the packet that it is a piece of
+    "packet": "<i4",  # (K,) the index of that packet
+    "first": "<i4",  # (K,) its offset in the packet: 0 except for fragments
     "size": "<i4",  # (K,) its bytes
-    "headers": "<i4",  # (K,) bytes of IP and UDP headers before it with a checksum that is made anew; 0: there is none
+    "headers": "<i4",  # (K,) bytes of the IP and UDP headers before it whose checksum is recomputed; 0: it has none
 }
 
 Endpoint = tuple[str, int]  # host:port, and the size of payloads
@@ -44,7 +44,7 @@ class Datagram(NamedTuple):
     time_ns: int
     payload: bytes
     parts: list[Part]
-    headers: int  # bytes before the first part that hold a checksum, which is right; 0: none is
+    headers: int  # bytes of the headers before the first part, if their checksum is right; else 0
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Records:
 
     data: bytes
     datagrams: Mapping[Endpoint, list[Datagram]]
-    cuts: list[tuple[int, ...]] = field(default_factory=list)  # as CUTS has them, but with places in the file
+    cuts: list[tuple[int, ...]] = field(default_factory=list)  # the columns of CUTS, but with offsets in the file
 
     def of(self, name: str, size: int) -> Taken:
         """The packets of a source, host:port, of this size."""

@@ -49,7 +49,7 @@ class Firings:
 class Batch:
     """P successive packets of one sensor before they are encoded."""
 
-    firings: Firings  # packet by packet; as many in each, but for lasers that do not fire
+    firings: Firings  # packet by packet, the same number in each except for lasers that do not fire
     number: Times  # (P,) as the family counts its packets
     sent_ns: Times  # (P,) host time at which each leaves
 
@@ -87,8 +87,8 @@ class Payloads:
     port: int
     network: Network
     header: Header
-    first: int = 0  # how many went to this port before: IP ids count on
-    fragments: bool = True  # above the MTU they leave as IP fragments, else whole
+    first: int = 0  # the number of packets sent to this port before, from which IP ids continue
+    fragments: bool = True  # whether packets above the MTU are sent as IP fragments
 
 
 def chosen(packets: Octets, wanted: Flags) -> Octets:
@@ -221,8 +221,10 @@ class Codec(Timing, Protocol):
     """The packets of one sensor. The constructor raises ConfigError if the sensor's file lacks facts."""
 
     point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
-    facts_model: ClassVar[type[Model]]  # what stands in a sensor's file under the family's name
-    settings_model: ClassVar[type[Model]] = Model  # and in a rig's, for a mount; by default nothing
+    facts_model: ClassVar[type[Model]]  # of the key in a sensor's file that is named after the family
+    settings_model: ClassVar[type[Model]] = (
+        Model  # of the same key of a mount in a rig's file; by default it has no keys
+    )
 
     def __init__(self, sensor: Sensor) -> None: ...
 

@@ -35,7 +35,7 @@ from lidarcfg.world.scene import Cylinder, Sphere
 from lidarcfg.world.solids import parts
 from lidarcfg.world.vehicle import Vehicle, mesh_of
 
-WIDER = 1e-9  # rad, by which what is sorted by direction is wider than it is
+WIDER = 1e-9  # rad, by which directions are widened before sorting
 CHUNK = 8192  # lines
 
 

@@ -23,8 +23,8 @@ from lidarcfg.yaml_document import Key
 STEPS = 5  # places along each axis of a sensor's bounds that are tried
 MANY = 0.1  # of these, inside the vehicle
 SLOW = 100  # times the evaluation of max VSR
-FEW_S = 0.01  # an evaluation that is as quick as this is not slow
-STEEPEST_RAD = 0.6  # no beam table is as narrow as this in degrees: elevations within look like radians
+FEW_S = 0.01  # an evaluation this quick is never called slow
+STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
 
 def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
@@ -91,7 +91,7 @@ def _places(path: Path, index: int, group: GroupFile, study: Study, excluded: tu
             yield str(error_at(path, ("sensors", index), what))
     for number, box in enumerate(excluded):
         inside = ((grid >= box.min_m) & (grid < box.max_m)).all(axis=1)
-        if inside.any() and (study.vehicle or not inside.all()):  # the paper's sensors stand in what is excluded
+        if inside.any() and (study.vehicle or not inside.all()):  # the paper's sensors are inside an exclusion
             how = "are inside" if inside.all() else "reach into"
             what = f"its bounds {how} region.exclude[{number}], which blocks no beams"
             yield str(error_at(path, ("sensors", index), what))

@@ -18,7 +18,7 @@ class Choice:
     model: str  # its name in files
     sensor: Sensor
     price: float
-    surface: Surface | None = None  # that it sits on, as its housing fits
+    surface: Surface | None = None  # the surface that it sits on, with its own base
 
 
 Choices = tuple[Choice | None, ...]  # None: no sensor

@@ -20,7 +20,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.rig import Rig
 
 CHEAP_CUBOIDS = 100_000  # up to this size another evaluation takes a fraction of a second
-ONE_HALVING = 1.0  # a tolerance that the first halving of the cuboids reaches
+ONE_HALVING = 1.0  # a tolerance that the first halving of the cuboids always reaches
 RINGS_MAX = 12
 RING_M = (1, 2, 5)  # times a power of ten
 
@@ -51,7 +51,7 @@ class Details:
     volume_m3: Array  # (n,) by subspace
     sphere_m: float  # radius of the largest sphere inside any subspace
     coverage: Coverage
-    vehicle_m: Array  # (2,) from where distances are measured
+    vehicle_m: Array  # (2,) the origin of distances
     rings: dict[str, Rings]  # by object
     places: dict[str, Places]  # by object without `samples`
     hiding: dict[str, Hiding]  # by object that is a box

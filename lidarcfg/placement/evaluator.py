@@ -30,7 +30,7 @@ from lidarcfg.placement.zones import worth_m
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
-RESTS = 10  # so many batches go without witnesses after one in which they refuted less than a quarter
+RESTS = 10  # batches without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
@@ -79,7 +79,9 @@ class Evaluator:
         self._witness = np.empty((0, self._witnesses), np.int64)  # (sources, …)
         self._last: deque[tuple[Index, Array, Index]] = deque(maxlen=remembered)
         self._rest = 0  # see RESTS
-        self.on_evaluated: Callable[[int], None] | None = None  # is told that so many more evaluations have ended
+        self.on_evaluated: Callable[[int], None] | None = (
+            None  # called with the number of evaluations that have just ended
+        )
         self.full_evaluations = 0
         self.cuboids = 0  # evaluated
         self.segments = 0  # cast from LiDARs to cuboids, at most

@@ -59,8 +59,8 @@ class Placement:
     evaluations: int  # trials, not counting first sources and scouts
     first_evaluations: int
     scout_evaluations: int
-    evaluated: int  # of all these, those that keep the constraints and are not of a search that was resumed
-    full_evaluations: int  # how many rigs were evaluated in full, several a trial where it has to withstand something
+    evaluated: int  # of all these, those that meet the constraints and were not replayed from a log
+    full_evaluations: int  # rigs evaluated in full: several per trial with failures or mounting errors
     cuboids: int  # evaluated
     segments: int  # cast from sensors to cuboids, at most
     log: Log
@@ -215,7 +215,7 @@ class Run:
         if cost[best] < self.best_cost:
             self.best_x, self.best_cost = trials.x[best].copy(), float(cost[best])
         cycles = search.cycles
-        if len(cost) == len(trials.x):  # one cut short is not told: a resumed run asks for all of it
+        if len(cost) == len(trials.x):  # a batch cut short is not told: a resumed run asks for all of it again
             search.tell(cost)
         if search.cycles == cycles and kind != "first" and not budget.spent(self.evaluations, search.cycles):
             return False

@@ -137,7 +137,7 @@ class Plan:
     """A plan all of whose runs are possible."""
 
     path: Path
-    study: str  # what it calls its study; empty if it has one inline
+    study: str  # the study's file as the plan names it; empty for an inline study
     varied: tuple[str, ...]  # paths
     runs: tuple[Run, ...]
     studies: "Studies"
@@ -268,7 +268,7 @@ def _run(number: int, places: Places, plan: Document, base: Document, studies: S
         file = checked(varied, StudyFile)
         try:
             digest = studies.digest(file)
-        except ConfigError as error:  # of a key: it is somewhere else if it was replaced
+        except ConfigError as error:  # at a key that may have been replaced, and so is in the plan
             if error.at and error.at[0] == str(studies.path):
                 raise varied.error(*error.at[1:]) from None
             raise
@@ -284,7 +284,7 @@ def _placed(error: ConfigError, plan: Document, base: Document, places: Places, 
         return error
     for path, at in places:
         top = parsed(path)[0]
-        if key and key[-1] == top and top not in base.value:  # a key that is there for the path alone
+        if key and key[-1] == top and top not in base.value:  # a key that only the path has added
             return plan.error(at, f"{top}: {what}")
     where = ", ".join(f"{path}: {shown(value)}" for path, value in values.items())
     return ConfigError(f"{error} (with {where})")

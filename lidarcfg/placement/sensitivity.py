@@ -15,7 +15,7 @@ from lidarcfg.placement.zones import ELSEWHERE, rest_max_vsr_m
 from lidarcfg.rig import Rig
 
 CUBOIDS_MAX = 1_000_000  # for larger regions it is omitted
-STEP_M, STEP_DEG, OFFSETS = 0.01, 0.1, (-5, -1, 1, 5)  # a coordinate is so many steps off
+STEP_M, STEP_DEG, OFFSETS = 0.01, 0.1, (-5, -1, 1, 5)  # steps by which a coordinate is off
 HUGE = float(np.finfo(np.float64).max)  # to beat: everything does
 
 

@@ -29,7 +29,7 @@ class Subspaces:
     label: NDArray[np.int32]  # (nx, ny, nz), −1 for excluded cuboids
     cuboids: NDArray[np.int64]  # (n,) in each
     internal: NDArray[np.int64]  # (n, 3) faces inside each, across x, y and z
-    gap: NDArray[np.int64]  # (n, lidars) the beam gap each lies in: cones of that LiDAR at or below it, or BLIND
+    gap: NDArray[np.int64]  # (n, lidars) the beam gap of each: the number of the LiDAR's cones at or below it, or BLIND
     first: NDArray[np.int64]  # (n,) the first cuboid of each, as an index into the flat region
     seen: NDArray[np.integer] | None = None  # (nx, ny, nz) by how many LiDARs, 0 if excluded; None: by all
 

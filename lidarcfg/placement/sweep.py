@@ -24,7 +24,7 @@ from lidarcfg.placement.workers import Workers, check_versions
 from lidarcfg.rig import Rig
 
 ATTEMPTS = 5  # of a run whose workers are killed
-LOOK_S = 2.0  # between two looks at who is there
+LOOK_S = 2.0  # between two checks of the workers
 TRIALS = 300  # evaluations by which the time of a search is estimated
 DRAWS = 100  # of poses, for one that meets the constraints
 
@@ -134,7 +134,7 @@ class Pace:
 
     evaluation_s: float
     cycle_s: float
-    rest_s: float  # what a run takes beside its search
+    rest_s: float  # of a run besides its search
 
     def seconds(self, solver: Solver) -> float:
         """The estimated duration of a run with this solver's budgets."""

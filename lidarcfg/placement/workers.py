@@ -141,7 +141,7 @@ class Cluster:
             raise ConfigError("distributed is not installed; pip install 'lidarcfg[sweep]'") from None
         if not ADDRESS.fullmatch(address):
             raise ConfigError(f"scheduler {address!r}: is not an address such as tcp://192.168.1.9:8786")
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it says is said here in a line
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its messages are summarised here in one line
         self._address, self._known = address, set[str]()
         if address.startswith("tls") and not Security().get_connection_args("client")["ssl_context"]:
             raise self._error("Dask's configuration names no certificates for it, see distributed.comm.tls")

@@ -179,14 +179,8 @@ UNPRINTED = re.compile(r"[\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]
 PROGRESS = ("search.npz", "rig.yaml")  # the files of a search that is running
 EVALUATED = ("result.json", "rig.png", "report.html")  # the files of an evaluation
 FRONT = ("search.npz", "front.json", "history.csv", "front.png", "front.html")  # the files of a front
-RESULTS = (
-    *PROGRESS,
-    "result.json",
-    "history.csv",
-    "convergence.png",
-    "rig.png",
-    "report.html",
-)  # the files of a search
+# The files of a search.
+RESULTS = (*PROGRESS, "result.json", "history.csv", "convergence.png", "rig.png", "report.html")
 LOG = {"cost": ("f", 1), "seconds": ("f", 0), "asked": ("U", 0)}  # kind and dimensions of the arrays of search.npz
 
 

@@ -20,7 +20,7 @@ FITS = "#2a9d5c"
 MARGIN_M = 0.15
 HALO_PT = 2.5  # around numbers, which may lie on green
 PIXELS = 500  # along the longer edge of the picture of a body
-FROM_BEHIND = ("left", "rear")  # from where the axis that is drawn across points to the left
+FROM_BEHIND = ("left", "rear")  # sides from which the horizontal axis points to the left
 LABELS_IN, TITLE_IN = 0.9, 0.55  # beside a panel, and above and below it
 
 

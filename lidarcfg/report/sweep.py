@@ -26,7 +26,7 @@ class SweepFolder:
     def __init__(self, folder: Path, plan: Plan) -> None:
         """Raises ConfigError if it holds the runs of another plan."""
         self.folder, self._plan = folder, plan
-        self._failed: dict[int, Row] = {}  # of runs that are worth another try
+        self._failed: dict[int, Row] = {}  # of runs that another attempt may complete
         known = folder / PLAN
         self._about = to_json({"study": plan.study, "varied": sorted(plan.varied)}) + "\n"
         if known.exists() and known.read_bytes() != self._about.encode():

@@ -19,7 +19,7 @@ from lidarcfg.report.words import counted, price, returns_in_words
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.front import Front  # it loads CMA-ES, and that matplotlib
+    from lidarcfg.placement.front import Front  # which loads CMA-ES, and so matplotlib
 
 
 def print_placement(found: Placement, evaluation: Evaluation) -> None:

@@ -20,9 +20,8 @@ from lidarcfg.world.scene import Weather
 
 PULSE_M = 0.75  # half the length of a 5 ns pulse: a guess, no maker states it
 CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog can send an echo from
-LIDAR_RATIO_SR = (
-    18.8  # extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004)
-)
+# Extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004).
+LIDAR_RATIO_SR = 18.8
 KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), at 903 nm as in visible light
 RAIN_DB_KM, RAIN_EXPONENT = 1.076, 0.67  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
 DECIBEL = 10 / math.log(10)

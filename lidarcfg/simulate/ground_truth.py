@@ -23,7 +23,7 @@ RECORD = np.dtype(
         ("return_type", "u1"),  # 0 strongest, 1 last, 3 first; of a pair 0 and 1, of an Ouster's 0 and 2; alike: 0
         ("object", "<i4"),  # index into object_names; -1: rain or fog
         ("range_m", "<f8"),  # exact, along the beam
-        ("noise_m", "<f8"),  # added to it before it was rounded
+        ("noise_m", "<f8"),  # added to the range before it is rounded
     ]
 )
 

@@ -48,7 +48,7 @@ def recorded(files: Sequence[Path], given: Recorded, on_warning: Callable[[str],
             return None
 
     rig = given.rig or (None if "rig" in kinds else noted("rig"))
-    known = rig is not None or "rig" in kinds  # else points are in their sensors' frames
+    known = rig is not None or "rig" in kinds  # otherwise points are in their sensors' frames
     scene = None if "scene" in kinds else noted("scene")
     filled = Recorded(
         rig=rig,

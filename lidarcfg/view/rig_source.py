@@ -18,7 +18,7 @@ from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
 from lidarcfg.rig import RigFile, angles_rad
 
-EXACT = 1e-12  # metres and radians, within which poses that are written read back
+EXACT = 1e-12  # metres and radians, to which written poses read back
 ELSE = "download the rig instead"
 Edit = tuple[int, int, str]  # from, to, the text between them
 

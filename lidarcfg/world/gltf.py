@@ -11,7 +11,7 @@ from urllib.parse import unquote
 from lidarcfg.errors import SceneError
 
 SUFFIXES = ".gltf", ".glb"
-MAGIC, HEAD = b"glTF", 20  # of a .glb: what it begins with, and bytes before its JSON
+MAGIC, HEAD = b"glTF", 20  # of a .glb: its first bytes, and the bytes before its JSON
 INSTANCES = "EXT_mesh_gpu_instancing"
 SHAPES = "apply them, so that the mesh has the shape that is meant, and export it again"
 

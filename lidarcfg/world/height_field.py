@@ -24,7 +24,7 @@ SUFFIXES = ".png", ".npy"
 CELLS_MAX = 10_000_000
 CELL_BYTES = 600  # of memory a cell while the tracer's tree is built
 PNG = b"\x89PNG\r\n\x1a\n"
-IHDR = struct.Struct(">16xIIBB")  # what stands before it, then width, height, bits and colour type
+IHDR = struct.Struct(">16xIIBB")  # 16 bytes, then width, height, bits and colour type
 GREY, BITS = 0, (8, 16)
 
 

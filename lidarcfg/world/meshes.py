@@ -62,7 +62,7 @@ def sphere_mesh(sphere: "Sphere", tolerance_m: float) -> Mesh:
     facets = _facets(sphere.radius_m, tolerance_m / 2)  # half along the rings, half across
     angle = np.linspace(0, math.pi, facets // 2 + 1)
     profile = sphere.radius_m * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    profile[[0, -1], 0] = 0.0  # sin(pi) is not, and would leave a hole of 1e-16 m
+    profile[[0, -1], 0] = 0.0  # sin(pi) is not 0, and would leave a hole of 1e-16 m
     return lathe(profile, facets, sphere.center_m)
 
 

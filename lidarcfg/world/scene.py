@@ -118,7 +118,7 @@ class GltfModel(MeshFile):
     """A glTF file each of whose nodes becomes an object NAME/NODE; its y up becomes z up."""
 
     nodes: tuple[str, ...] | None = None  # only these
-    materials: dict[str, Byte] = Field(default_factory=dict)  # by name; the others reflect what the model does
+    materials: dict[str, Byte] = Field(default_factory=dict)  # by name; all others have the model's reflectivity
 
 
 class Surfels(MeshFile):

@@ -94,7 +94,7 @@ def _read(path: Path) -> Points:
 
 
 def _columns(rows: NDArray[Any], names: Iterable[str]) -> Array:
-    with np.errstate(invalid="ignore"):  # of bytes that are no number; they are found out later
+    with np.errstate(invalid="ignore"):  # invalid numbers, which are checked later
         return np.stack([rows[name] for name in names], axis=1, dtype=np.float64)
 
 

@@ -9,7 +9,7 @@ from lidarcfg.packets.hesai.facts import Unit
 from lidarcfg.packets.hesai.layout import MODES, Packets, device_time_ns
 
 SEQUENCES = 1 << 32
-SLACK = 8  # packets more than the time allows: beyond that the sensor started anew
+SLACK = 8  # lost packets beyond those that fit the elapsed time; with more, the sensor was restarted
 
 
 class Losses:

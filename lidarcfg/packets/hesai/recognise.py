@@ -24,7 +24,7 @@ def claims(size: int, payload: bytes) -> bool:
 def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
     """Which of the known sensors sends these packets (P, size). Raises PacketError, which begins with `where`."""
     headers, counts = np.unique(packets[:, : HEADER.itemsize], axis=0, return_counts=True)
-    header = headers[counts.argmax()].view(HEADER)[0]  # what most say: one may be damaged
+    header = headers[counts.argmax()].view(HEADER)[0]  # the most frequent header: a packet may be damaged
     protocol = f"{header['major']}.{header['minor']}"
     size = packets.shape[1]
     for unit in known:

@@ -12,8 +12,8 @@ from lidarcfg.packets.ouster import pixels
 from lidarcfg.packets.ouster.layout import PROFILES, Columns, Heads, Layout, columns, heads
 from lidarcfg.packets.ouster.pixels import CONSTANT, Footer, crc64
 
-MEASURED = "range", "reflectivity"  # of each return; other fields stand beside
-END = "", "2"  # of the names of the first return's fields and the second's
+MEASURED = "range", "reflectivity"  # of each return; the other fields are in `more`
+END = "", "2"  # the ends of the names of the first and of the second return's fields
 
 
 def measurements(layout: Layout, packets: Octets, host_ns: Times) -> Measurements:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 COLUMNS_MAX, PACKET_COLUMNS_MAX = 8192, 64
 IMAGES = {"2.3": "ousteros-image-prod-aries-v2.3.0", "3.2": "ousteros-image-prod-bootes-v3.2.0"}
-FIXED_CONFIG = {  # what a sensor says that nobody has configured, as recordings have it
+FIXED_CONFIG = {  # as in recordings of sensors that nobody has configured
     "multipurpose_io_mode": "OFF",
     "nmea_baud_rate": "BAUD_9600",
     "nmea_ignore_valid_char": 0,

@@ -9,7 +9,7 @@ from lidarcfg.packets.robosense.layout import REVOLUTION, Packets, read_time_ns
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
-RESTART = 2**16  # a counter that jumps further was set anew
+RESTART = 2**16  # a counter that jumps further was reset
 
 
 class Losses:

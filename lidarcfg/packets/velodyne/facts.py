@@ -103,7 +103,7 @@ class Packet(Model):
     sequences_per_block: Annotated[int, Field(ge=1, le=32)]
     return_modes: ReturnModes | None = None
     status: Status | None = None
-    sent_as: str = ""  # the model whose packets these are, byte for byte: captures are taken for its
+    sent_as: str = ""  # the model that sends the same packets, byte for byte; captures are recognised as that one
     dual: Dual | None = None  # none: the sensor has no such mode
 
     @model_validator(mode="after")

@@ -50,7 +50,7 @@ class Losses:
                 self._edges[degree] += 2
                 continue
             self._gaps.append((degree, round(gap_us[i] / period_us[i]) - 1))
-            if wide < used and not steps[:-1].any():  # a packet of one azimuth cannot go on elsewhere
+            if wide < used and not steps[:-1].any():  # all blocks have one azimuth: the gap begins there
                 self._edges[degree] += 1
 
     @property

@@ -25,7 +25,7 @@ CHUNK = 1024  # position packets at a time
 YEAR_2000_NS = 946_684_800 * 10**9
 KNOT_M_S = 1852 / 3600
 HUNDREDTH_NS = SECOND_NS // 100
-SLOWEST_M_S = 0.1  # a vehicle that is slower has its heading for a course
+SLOWEST_M_S = 0.1  # below this speed the course is the vehicle's heading
 
 
 def position_payloads(

@@ -157,7 +157,9 @@ def carried(status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8])
     at = stream.find(MARK)
     while at >= 0 and len(stream) >= LENGTH:
         found = stream[at : at + LENGTH]
-        found += stream[len(stream) - LENGTH : at][: LENGTH - len(found)]  # what is cut off came a round before
+        found += stream[len(stream) - LENGTH : at][
+            : LENGTH - len(found)
+        ]  # the part that is cut off is in the cycle before
         records = [found[HEAD + i * RECORD :][:RECORD] for i in range(LASERS)]
         checksum = crc16(b"".join(record[1:21] for record in records)) if status.checksum == "crc16" else LENGTH
         table = np.frombuffer(b"".join(record[: LASER.itemsize] for record in records), LASER)

@@ -8,7 +8,7 @@ from lidarcfg.placement.solvers.search import Trials, checked
 
 STEP = 0.25  # the initial standard deviation, in the unit cube
 HUGE = 1e300  # stands for inf, as cma subtracts costs
-FEWEST = 2  # dimensions that cma can do; one has another beside it that changes nothing
+FEWEST = 2  # dimensions that cma needs; a single one gets a dummy dimension beside it
 
 
 class CmaEs:
