@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from accuracy_page import ROOT, table
 from accuracy_rays import exact_ranges
+from page import ROOT, table
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap

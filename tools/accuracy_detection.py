@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from accuracy_optimum import recut
-from accuracy_page import ROOT, table
+from page import ROOT, table
 from scipy.stats import qmc
 
 from lidarcfg.geometry import Array

@@ -8,7 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from accuracy_page import ROOT, table
+from page import ROOT, table
 from scipy.stats import spearmanr
 
 from lidarcfg.geometry import Array

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import open3d as o3d
-from accuracy_page import ROOT, table
 from accuracy_rays import facets
 from numba import njit
 from numpy.typing import NDArray
+from page import ROOT, table
 
 from lidarcfg.geometry import Array, directions
 from lidarcfg.placement.cones import Lidar

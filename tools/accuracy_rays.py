@@ -3,8 +3,8 @@
 import sys
 
 import numpy as np
-from accuracy_page import ROOT
 from numpy.typing import NDArray
+from page import ROOT
 
 sys.path.insert(0, str(ROOT))
 

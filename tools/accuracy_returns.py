@@ -12,7 +12,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from accuracy_page import ROOT
+from page import ROOT
 
 sys.path.insert(0, str(ROOT))
 

@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from accuracy_page import ROOT, table
+from page import ROOT, table
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.optimize import optimize

@@ -18,9 +18,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from accuracy_page import ROOT, heading, table
+from page import ROOT, heading, table, write_section
 
-from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Level, error_bar, level
 from lidarcfg.placement.cones import Lidar
@@ -263,15 +262,6 @@ def coverage(pairs: dict[str, Array]) -> list[str]:
     ]
 
 
-def write(name: str, lines: list[str]) -> None:
-    """Put lines between a pair of markers of docs/measure.md."""
-    text = PAGE.read_text()
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    before, rest = text.split(begin)
-    with replacing(PAGE, "w") as file:
-        file.write("\n".join([before + begin, *lines, end]) + rest.split(end)[1])
-
-
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="tiny sizes; prints only")
@@ -304,7 +294,7 @@ def show(sections: dict[str, list[str]], quick: bool) -> None:
     for name, lines in sections.items():
         print(*lines, "", sep="\n", flush=True)
         if not quick:
-            write(name, lines)
+            write_section(name, lines, PAGE)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import time
 from importlib import import_module
 from pathlib import Path
 
-from accuracy_page import PAGE, heading, write_section
+from page import PAGE, heading, write_section
 
 SECTIONS = [
     name

@@ -9,8 +9,6 @@ driven along the paving, to and fro.
 """
 
 import argparse
-import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -21,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 import open3d as o3d
+from page import ROOT, machine
 
-import lidarcfg
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
@@ -35,7 +33,6 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.scene import Scene, load_scene
 
-ROOT = Path(__file__).parent.parent
 RUNS = 5
 RIG = """
 name: roof corners
@@ -227,8 +224,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0, help="simulated in each run (30)")
     parser.add_argument("--long", type=float, metavar="SECONDS", help="also measure the memory of so long a capture")
     arguments = parser.parse_args()
-    cpu = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
-    print(f"lidarcfg {lidarcfg.__version__}, {cpu}, medians of {RUNS} runs of {arguments.seconds:g} s")
+    print(f"{machine()}, medians of {RUNS} runs of {arguments.seconds:g} s")
     with tempfile.TemporaryDirectory() as folder:
         writing(Path(folder), arguments.seconds)
         if arguments.long:

@@ -10,20 +10,18 @@ run is a process of its own; the first on the study's own cuboids does not count
 
 import argparse
 import os
-import platform
 import re
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
+from page import ROOT, machine
 
 from lidarcfg.placement.study import load_study
 from lidarcfg.rig import save_rig
 
-ROOT = Path(__file__).parent.parent
 STUDIES = {"liu2018-4x16": "4 × 16 beams, 3 objects", "sedan": "the sedan with its body, 4 objects"}
 EDGES_M = ("0.5, 0.25, 0.08", "0.2, 0.125, 0.04", "0.12, 0.08, 0.032", "0.08, 0.04, 0.02")
 LIMIT_S = 170
@@ -59,10 +57,7 @@ def main() -> None:
     parser.add_argument("--beside", type=Path, metavar="CHECKOUT", help="another version, measured in turns")
     beside = parser.parse_args().beside
     roots = [beside.resolve(), ROOT.resolve()] if beside else [ROOT.resolve()]
-    print(
-        f"{time.strftime('%Y-%m-%d')}, Python {platform.python_version()}, {platform.machine()}, {os.cpu_count()} "
-        f"cores, load {os.getloadavg()[0]:.1f}\n\n| study | cuboids {'| processor (s) | clock (s) | GB ' * len(roots)}|"
-    )
+    print(f"{machine()}\n\n| study | cuboids {'| processor (s) | clock (s) | GB ' * len(roots)}|")
     print("|---" * (2 + 3 * len(roots)) + "|")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

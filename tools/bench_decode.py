@@ -9,8 +9,6 @@ what each decoder takes to start is measured with few packets, and taken off.
 """
 
 import argparse
-import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -21,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 import velodyne_decoder as vd
+from page import machine
 
-import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
 from lidarcfg.capture.pcap import FILE_HEADER
@@ -161,8 +159,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--long", type=float, metavar="S", help="also a capture of so many seconds")
     args = parser.parse_args()
-    versions = f"lidarcfg {lidarcfg.__version__}, velodyne-decoder {version('velodyne-decoder')}"
-    print(f"{versions}, Python {platform.python_version()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    print(f"{machine()}, velodyne-decoder {version('velodyne-decoder')}")
     with tempfile.TemporaryDirectory() as name:
         against(Path(name))
         if args.long:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 import open3d as o3d
-from accuracy_page import ROOT
+from page import ROOT
 
 sys.path.insert(0, str(ROOT))
 

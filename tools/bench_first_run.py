@@ -16,7 +16,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
+from page import ROOT, machine
+
 COMMANDS = {
     "optimize, 5 s of search": "optimize data/studies/sedan.yaml --seconds 5 -o OUT/search",
     "export of 1 s": "export data/rigs/roof.yaml --scene data/scenes/street.yaml --duration 1 -o OUT/c.pcap",
@@ -65,7 +66,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=1, help="of each kind; the medians are printed")
     runs = parser.parse_args().runs
     os.chdir(ROOT)
-    print(f"{os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}, median of {runs}")
+    print(f"{machine()}, median of {runs}")
     print("\n| command | first: s | processors | longest blank | again: s | processors | longest blank |")
     print("|---|---|---|---|---|---|---|")
     fresh: dict[str, list[Run]] = {name: [] for name in COMMANDS}

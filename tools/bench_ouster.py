@@ -14,7 +14,6 @@ ouster-sdk's frames and their points, or as decode's one cloud. The tracer casts
 
 import argparse
 import os
-import platform
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -28,6 +27,7 @@ from typing import Any
 import numpy as np
 from bench_capture import seconds
 from ouster.sdk import core, open_source
+from page import ROOT, machine
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
@@ -47,7 +47,6 @@ from lidarcfg.world.motion import standing
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import Tracer
 
-ROOT = Path(__file__).parent.parent
 RUNS, REVOLUTIONS, PACKETS = 9, 8, 64  # packets of a revolution
 AGAIN = 8  # times that all of them are decoded in a run: threads take their time to start
 QUARTER = PACKETS // 4
@@ -276,10 +275,7 @@ def main() -> None:
     parser.add_argument("--decode", action="store_true", help="decoding and writing only")
     parser.add_argument("--seconds", type=float, default=2.0, help="simulated in each export (2)")
     arguments = parser.parse_args()
-    versions = (
-        f"lidarcfg {lidarcfg.__version__}, ouster-sdk {version('ouster-sdk')}, Python {platform.python_version()}"
-    )
-    print(f"{versions}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, medians of {RUNS} runs")
+    print(f"{machine()}, ouster-sdk {version('ouster-sdk')}, medians of {RUNS} runs")
     scene = load_scene(ROOT / "data/scenes/street.yaml")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -10,8 +10,6 @@ Python, reads the PandarXT-32's packets in the same run.
 """
 
 import argparse
-import os
-import platform
 import statistics
 import tempfile
 import time
@@ -21,8 +19,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from page import machine
 
-import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
@@ -114,8 +112,7 @@ def cell(values: list[float]) -> str:
 def main() -> None:
     """Print the machine and the table."""
     argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
-    load = f"load {os.getloadavg()[0]:.1f}, medians of {RUNS} runs and their spread"
-    print(f"lidarcfg {lidarcfg.__version__}, Python {platform.python_version()}, {os.cpu_count()} cores, {load}")
+    print(f"{machine()}, medians of {RUNS} runs and their spread")
     measured: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
     with tempfile.TemporaryDirectory() as name:
         captures = {(model, mode): Capture(Path(name), model, mode) for model in MODELS for mode in MODES}

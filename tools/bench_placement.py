@@ -8,8 +8,6 @@ Prints the tables of docs/benchmarks.md.
 """
 
 import json
-import os
-import platform
 import resource
 import statistics
 import subprocess
@@ -23,8 +21,8 @@ from pathlib import Path
 
 import cc3d
 import numpy as np
+from page import ROOT, machine
 
-import lidarcfg
 from lidarcfg.placement import flood, rows
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_of_counts
@@ -33,7 +31,6 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.study import Study, load_study, with_solver
 
-ROOT = Path(__file__).parent.parent
 SEED, RIGS = 1, 5
 
 
@@ -273,10 +270,7 @@ def papers_run() -> None:
 
 def main() -> None:
     study = load_study(ROOT / "data/studies/liu2018-4x16.yaml")
-    print(
-        f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, Python {platform.python_version()}, "
-        f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, seed {SEED}"
-    )
+    print(f"{machine()}, seed {SEED}")
     papers_run()  # first: a child's peak is no less than what its parent had
     best_known()
     with_a_body()

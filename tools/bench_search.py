@@ -19,8 +19,9 @@ import os
 import signal
 import statistics
 import time
-from pathlib import Path
 from typing import Any
+
+from page import ROOT, write_section
 
 import lidarcfg
 from lidarcfg.files import replacing
@@ -28,7 +29,6 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report import COLOURS, new_figure, save_figure
 
-ROOT = Path(__file__).parent.parent
 RUNS = ROOT / "out/search.jsonl"
 KNOWN = ROOT / "data/reference/best_known.json"
 LIDARS = (1, 2, 3, 4, 5)
@@ -99,14 +99,6 @@ def record(run: Run) -> None:
         file.write("\n")
 
 
-def write(page: Path, name: str, lines: list[str]) -> None:
-    """Replace what stands between a page's markers."""
-    marks = (f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->\n")
-    before, rest = page.read_text().split(marks[0])
-    with replacing(page) as file:
-        file.write(before + marks[0] + "\n".join(lines) + "\n" + marks[1] + rest.split(marks[1])[1])
-
-
 def best_known() -> None:
     """The table of docs/paper.md, and its picture."""
     known = json.loads(KNOWN.read_text())
@@ -128,7 +120,7 @@ def best_known() -> None:
         one = known[study]
         title = study.replace("x", " × ")
         lines.append(f"| {title} | {one['max_vsr_m']:.4f} | {one['found_by']} | {one['searched_s'] / 60:.0f} |")
-    write(ROOT / "docs/paper.md", "best known", lines)
+    write_section("best known", lines, ROOT / "docs/paper.md")
 
 
 def compared(runs: list[Run], methods: list[str], known: dict[str, Any]) -> list[str]:
@@ -203,7 +195,7 @@ def compare(given: argparse.Namespace) -> None:
         "",
         *compared(runs, given.methods, json.loads(KNOWN.read_text())),
     ]
-    write(ROOT / "docs/benchmarks.md", "search", lines)
+    write_section("search", lines, ROOT / "docs/benchmarks.md")
     best_known()
     print("\n".join(lines))
 

@@ -14,9 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
-import lidarcfg
+from page import ROOT, machine
 
-ROOT = Path(__file__).parent.parent
 PLAN = f"""
 study: {ROOT}/data/studies/liu2018-3x8.yaml
 vary:
@@ -38,7 +37,7 @@ def seconds(plan: Path, workers: int) -> float:
 
 def main() -> None:
     rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 3
-    print(f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, {os.cpu_count()} processors, 16 runs")
+    print(f"{machine()}, 16 runs")
     with tempfile.TemporaryDirectory() as folder:
         plan = Path(folder) / "plan.yaml"
         plan.write_text(PLAN)

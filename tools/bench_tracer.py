@@ -4,8 +4,6 @@
 .venv/bin/python tools/bench_tracer.py             # prints the table of docs/benchmarks.md
 """
 
-import os
-import platform
 import resource
 import tempfile
 import time
@@ -17,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 from bench_capture import pave, rays_of
+from page import machine
 
-import lidarcfg
 from lidarcfg.geometry import Array
 from lidarcfg.rig import load_rig
 from lidarcfg.world.bvh import TRIANGLE, build, corners
@@ -168,8 +166,7 @@ def building() -> None:
 
 
 def main() -> None:
-    cpu = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
-    print(f"lidarcfg {lidarcfg.__version__}, {cpu}, Open3D {o3d.__version__} with one thread, medians of {RUNS} runs\n")
+    print(f"{machine()}, Open3D {o3d.__version__} with one thread, medians of {RUNS} runs\n")
     print("| million a second | ours | Open3D | ratio | spread | required |\n|---|---|---|---|---|---|")
     building()
     with tempfile.TemporaryDirectory() as folder:

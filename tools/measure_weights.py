@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from accuracy_page import ROOT, table, write_section
+from page import ROOT, table, write_section
 
 import lidarcfg
 from lidarcfg.placement.study import Study

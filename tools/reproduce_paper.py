@@ -10,9 +10,9 @@ Writes docs/paper.md's tables between its markers and the plots in docs/paper/.
 import argparse
 import json
 import time
-from pathlib import Path
 
 import numpy as np
+from page import ROOT, write_section
 from rich.progress import Progress
 from scipy.stats import spearmanr
 
@@ -23,11 +23,9 @@ from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import segment
 from lidarcfg.report import COLOURS, draw_convergence, draw_rig, new_figure, save_figure
 
-ROOT = Path(__file__).parent.parent
 REFERENCE = json.loads((ROOT / "data/reference/liu2018.json").read_text())
 BEAMS, LIDARS = (4, 8, 16), (1, 2, 3, 4, 5)
 SMALL = DetectionObject(name="box", size_m=(0.5, 0.5, 0.5))
-MARKS = ("<!-- reproduced: begin -->", "<!-- reproduced: end -->")
 
 
 def paper_study(lidars: int, beams: int, cycles: int) -> Study:
@@ -122,8 +120,7 @@ def main() -> None:
         f"the paper's bounds: {rank.statistic:.3f} (p = {rank.pvalue:.1e}).",
     ]
     page = ROOT / "docs/paper.md"
-    before, rest = page.read_text().split(MARKS[0])
-    page.write_text(before + MARKS[0] + "\n" + "\n".join(lines) + "\n" + MARKS[1] + rest.split(MARKS[1])[1])
+    write_section("reproduced", lines, page)
     print("\n".join(lines))
 
 

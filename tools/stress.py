@@ -19,8 +19,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from accuracy_page import heading, table, write_section
 from hypothesis import HealthCheck, given, settings
+from page import heading, table, write_section
 from stress_rays import SEED, Row, rays
 from stress_sight import visibility
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from accuracy_page import ROOT
 from bench_capture import pave
+from page import ROOT
 
 sys.path.insert(0, str(ROOT))
 

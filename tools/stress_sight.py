@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 
 import numpy as np
-from accuracy_page import ROOT
+from page import ROOT
 from stress_rays import SEED, Row
 
 sys.path.insert(0, str(ROOT))

@@ -16,9 +16,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from accuracy_page import ROOT, table, write_section
 from draw_scenes import save
 from numpy.typing import NDArray
+from page import ROOT, table, write_section
 from PIL import Image
 from scipy.stats import qmc, rankdata
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from accuracy_page import ROOT, table, write_section
 from numpy.typing import NDArray
+from page import ROOT, table, write_section
 
 import lidarcfg
 from lidarcfg.cli import cli

@@ -1,6 +1,7 @@
-"""What the sections of the accuracy benchmark share: docs/accuracy.md, which they write into, and its tables."""
+"""Pages of results in docs/: the sections that tools write into them, their tables, and where they were measured."""
 
 import os
+import platform
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -17,8 +18,16 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
     return ["| " + " | ".join(map(str, row)) + " |" for row in (header, ["---"] * len(header), *rows)]
 
 
+def machine() -> str:
+    """The line above a benchmark: date, versions, machine and load."""
+    return (
+        f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, Python {platform.python_version()}, "
+        f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
+    )
+
+
 def heading(seconds: float) -> str:
-    """When and on what a section was run."""
+    """The line above a section of the accuracy benchmark, which took this long."""
     load = os.getloadavg()[0]
     return (
         f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, {seconds:.0f} s on {os.cpu_count()} cores "
@@ -27,7 +36,7 @@ def heading(seconds: float) -> str:
 
 
 def write_section(name: str, lines: Sequence[str], page: Path = PAGE) -> None:
-    """Replace what stands between the section's markers in a page, docs/accuracy.md unless said."""
+    """Replace the lines between the markers of a section in a page, by default docs/accuracy.md."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     before, rest = page.read_text().split(begin)
     after = rest.split(end)[1]
