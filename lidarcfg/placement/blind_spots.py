@@ -37,8 +37,9 @@ def seen_by_m3(region: Region, seen_by: NDArray[np.integer] | None, lidars: int)
     if seen_by is None:
         count[lidars] = np.count_nonzero(region.included)
     else:
-        for layer, included in zip(seen_by, region.included, strict=True):
-            count += np.bincount(layer[included], minlength=lidars + 1)
+        for number in range(1, lidars + 1):
+            count[number] = sum(np.count_nonzero(layer == number) for layer in seen_by)
+        count[0] = np.count_nonzero(region.included) - count.sum()  # what is excluded is seen by none, too
     volume: Array = count * np.prod(region.cuboid_m, dtype=np.float64)
     return volume
 

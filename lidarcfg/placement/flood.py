@@ -32,6 +32,8 @@ from lidarcfg.placement.rows import (
 )
 from lidarcfg.placement.visibility_kernels import Looks, Sight, new_looks, seen_of_row
 
+AGAIN = 4  # layers along x
+AGAIN = 4  # layers along x
 Labels = NDArray[np.int32]
 
 
@@ -380,15 +382,32 @@ def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array
 
 @outer()
 def _label(
-    grid: Grid, walls: Walls, floods: Floods, label: Labels, first: Counts, cuboids: Counts, internal: Counts
+    grid: Grid,
+    walls: Walls,
+    floods: Floods,
+    label: Labels,
+    first: Counts,
+    cuboids: Counts,
+    internal: Counts,
+    some: Words,
 ) -> int:
-    """Write what `components` returns, for as many as there are; label (nx, ny, nz) of −1 and floods are new."""
+    """Write what `components` returns, for as many as there are.
+
+    label (nx, ny, nz) of −1 and floods are new; some (ny,) is scratch memory.
+    """
     nx, ny, nz = label.shape
     step_y, step_z = steps(grid)
     total = 0
     for i in range(nx):
-        for j in range(ny):
+        if i % AGAIN == 0:  # which layers along x of 64 have something left, by row along y, so that not all are read
+            for j in range(ny):
+                some[j] = NONE
             for k in range(nz):
+                row = (k + 1) * step_z + step_y + (i >> 6)
+                for j in range(ny):
+                    some[j] |= floods.left[row + j * step_y]
+        for j in range(ny):
+            for k in range(nz if some[j] & BIT[i & 63] else 0):
                 row = (k + 1) * step_z + (j + 1) * step_y + (i >> 6)
                 if floods.left[row] & BIT[i & 63] == NONE:
                     continue
@@ -420,7 +439,9 @@ def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[L
     """
     out, most = np.full(shape, -1, np.int32), math.prod(shape)
     first, cuboids, internal = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.int64)
-    total = _label(grid, joined(links), flood_room(grid, 0), out, first, cuboids, internal)
+    total = _label(
+        grid, joined(links), flood_room(grid, 0), out, first, cuboids, internal, np.empty(shape[1], np.uint64)
+    )
     return out, cuboids[:total].copy(), internal[:total].copy(), first[:total].copy()
 
 

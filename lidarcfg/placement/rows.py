@@ -9,7 +9,7 @@ Rows are numbered ((k + 1)(ny + 2) + j + 1) · chunks + c, so that every neighbo
 """
 
 # mypy: disallow-untyped-decorators=False
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -92,20 +92,24 @@ def packed(bits: NDArray[np.bool_]) -> Words:
     return words
 
 
-def layers(region: Region, words: Words) -> Iterator[NDArray[np.bool_]]:
-    """The bits of words (rows,), by layer along x: (ny, nz) each."""
-    nx, ny, nz = region.shape
-    chunks = words.reshape(nz + 2, ny + 2, -1)[1:-1, 1:-1].T
-    for first in range(0, nx, 64):
-        chunk = np.ascontiguousarray(chunks[first // 64])
-        for bit in BIT[: nx - first]:
-            yield chunk & bit != NONE
-
-
 def unpacked(region: Region, words: Words) -> NDArray[np.bool_]:
     """(…, nx, ny, nz) the bits of words (…, rows)."""
-    every = [list(layers(region, one)) for one in words.reshape(-1, words.shape[-1])]
+    every = [counted(region, one[None]).astype(np.bool_) for one in words.reshape(-1, words.shape[-1])]
     return np.array(every, np.bool_).reshape(*words.shape[:-1], *region.shape)
+
+
+def counted(region: Region, words: Words) -> NDArray[np.integer]:
+    """(nx, ny, nz) in how many of several words (n, rows) each cuboid is set."""
+    _, ny, nz = region.shape
+    out = np.empty(region.shape, np.min_scalar_type(len(words)))
+    chunks = words.reshape(len(words), nz + 2, ny + 2, -1)[:, 1:-1, 1:-1].astype("<u8", copy=False)
+    for j in range(ny):
+        for chunk in range(chunks.shape[3]):
+            octets = np.ascontiguousarray(chunks[:, :, j, chunk]).view(np.uint8).reshape(len(words), nz, 8)
+            count = np.unpackbits(octets, axis=2, bitorder="little").sum(axis=0, dtype=out.dtype)
+            part = out[64 * chunk : 64 * chunk + 64, j]
+            part[:] = count.T[: len(part)]
+    return out
 
 
 def cuboid_number(grid: Grid, index: tuple[Counts, Counts, Counts]) -> Counts:

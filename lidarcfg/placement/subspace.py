@@ -102,8 +102,4 @@ def _subspaces(
     i, j, k = index
     number = rows.cuboid_number(grid, (i, j, k))
     gap[(seen_words[:, number >> 6] >> (number & 63).astype(np.uint64) & rows.ONE).T == 0] = BLIND
-    seen_by = np.zeros(region.shape, np.min_scalar_type(len(lidars)))
-    for words in seen_words:
-        for layer, seen in zip(seen_by, rows.layers(region, words), strict=True):
-            layer += seen
-    return Subspaces(region, label, cuboids, internal, gap, first, seen_by)
+    return Subspaces(region, label, cuboids, internal, gap, first, rows.counted(region, seen_words))

@@ -53,6 +53,9 @@ def _near(xs, first, y, z, cones, limits, lidar, ground_m):
     dy, dz = y - cones[lidar, 1], z - cones[lidar, 2]
     if min(z, cones[lidar, 2]) < ground_m < max(z, cones[lidar, 2]):
         return NONE
+    start, end = xs[first] - x, xs[first + ROW - 1] - x
+    if dy * dy + dz * dz >= least and (max(start * start, end * end) + dy * dy) + dz * dz <= most:
+        return ALL  # rounding is monotonic, so the ends speak for what is between
     for i in range(ROW):
         dx = xs[first + i] - x
         square = (dx * dx + dy * dy) + dz * dz
