@@ -23,6 +23,7 @@ from lidarcfg.yaml_document import Key
 STEPS = 5  # places along each axis of a sensor's bounds that are tried
 MANY = 0.1  # of these, inside the vehicle
 SLOW = 100  # times the evaluation of max VSR
+MANY_CUBOIDS = 5_000_000  # with more, an evaluation takes a tenth of a second or more
 FEW_S = 0.01  # an evaluation this quick is never called slow
 STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
@@ -114,7 +115,13 @@ def _snapped(path: Path, index: int, box: BoxFile, region: Region) -> Iterator[s
 
 
 def _slow(path: Path, study: Study) -> Iterator[str]:
-    """An objective whose evaluation takes a hundred times as long as that of max VSR."""
+    """A region of which one evaluation takes long, or an objective that takes a hundred times as long as max VSR."""
+    if (cuboids := study.region.included.size) > MANY_CUBOIDS:
+        what = f"{cuboids:,} cuboids: a search evaluates thousands of rigs, each in a tenth of a second or more"
+        yield str(
+            error_at(path, ("region", "cuboid_m"), f"{what}; search with larger cuboids, and evaluate with these")
+        )
+        return
     if study.is_max_vsr:
         return
     poses: Array = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]

@@ -30,6 +30,7 @@ from lidarcfg.placement.zones import worth_m
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
+SLICE, SLICE_CUBOIDS = 100, 5e7  # trials between two looks at the clock, and the most cuboids in them
 RESTS = 10  # batches without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -38,6 +39,11 @@ Flags = NDArray[np.bool_]
 def max_vsr(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> float:
     """The paper's cost: the largest volume-to-surface ratio over all subspaces, in metres (eq. 10)."""
     return float(vsr_m(segment(region, lidars, visibility)).max())
+
+
+def slice_of(cuboids: int, threads: int) -> int:
+    """Trials of so many cuboids between two looks at the clock: one for each thread at least."""
+    return min(SLICE, max(threads, int(SLICE_CUBOIDS / cuboids)))
 
 
 class Evaluator:
@@ -92,6 +98,11 @@ class Evaluator:
 
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
+
+    @property
+    def slice(self) -> int:
+        """How many trials are evaluated between two looks at the clock, where there is a deadline."""
+        return slice_of(self._region.included.size * len(self._kept), self._threads)
 
     def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
         """(n,) the costs, or inf where one is not below `to_beat` (n,).

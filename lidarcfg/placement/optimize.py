@@ -19,7 +19,6 @@ from lidarcfg.placement.study_file import Solver
 from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.rig import Rig
 
-SLICE = 100  # trials between two looks at the clock, where there is a deadline
 INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
 
 
@@ -273,7 +272,7 @@ def costs(
     """
     source_poses = study.poses(sources)
     slices = []
-    step = count if deadline == math.inf else SLICE
+    step = count if deadline == math.inf else evaluator.slice
     for first in range(0, count, step):
         part = slice(first, min(first + step, count))
         poses, source, to_beat = study.poses(trials.x[part]), trials.source[part], trials.to_beat[part]

@@ -62,6 +62,11 @@ class StudyEvaluator:
         return [one for one in (self._at_rest, self._off) if one]
 
     @property
+    def slice(self) -> int:
+        """How many trials are evaluated between two looks at the clock, where there is a deadline."""
+        return min(max(one.slice // max(self._drawn * (one is self._off), 1), 1) for one in self._parts)
+
+    @property
     def full_evaluations(self) -> int:
         """The number of rigs evaluated in full: several per trial with failures or mounting errors."""
         return sum(one.full_evaluations for one in self._parts)

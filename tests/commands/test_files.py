@@ -286,6 +286,15 @@ def test_a_slow_objective_is_said_with_what_it_costs(tmp_path, monkeypatch):
     assert re.search(r":6:1: objective: one evaluation takes 1 s, 1000 times that of max_vsr; coarser", line)
 
 
+def test_a_search_on_very_many_cuboids_is_not_tried_to_say_that_it_is_slow(tmp_path, monkeypatch):
+    """By the region's own size: 12 × 12 × 4 m in cubes of 1 m."""
+    path = study(tmp_path, constraints="objective: {inscribed_radius: 1}")
+    monkeypatch.setattr("lidarcfg.placement.checks.MANY_CUBOIDS", 575)
+    monkeypatch.setattr("lidarcfg.placement.checks.max_vsr", None)  # would be called to take the time
+    (line,) = study_warnings(path, load_study(path))
+    assert ": region.cuboid_m: 576 cuboids: a search evaluates thousands of rigs" in line
+
+
 def test_mounting_errors_cost_as_many_evaluations_as_they_draw(tmp_path, monkeypatch):
     """300 draws of 2 s each, though max VSR is all that is minimised; 101 of 1 s are the fewest that are slow."""
     for samples, own_s, slow in ((300, 2, 600), (101, 1, 101), (100, 1, None)):

@@ -53,6 +53,19 @@ def test_skipping_changes_nothing(tmp_path, count, beams, limit, seed):
         assert runs[1].cuboids < runs[0].cuboids
 
 
+@pytest.mark.parametrize(("robust", "trials"), [("", 4), ("robust: {lost: 1}\n", 2)])
+def test_a_deadline_is_kept_between_a_few_rigs_of_many_cuboids(tmp_path, monkeypatch, robust, trials):
+    """2,304 cuboids in 1 rig or in the 2 that may be left: 10,000 are so many trials of the first 12."""
+    path = tmp_path / "s.yaml"
+    path.write_text(STUDY.format(beams=[-5, 5], count=2, limit=1000, seed=1) + robust)
+    study = with_solver(load_study(path), seconds=1e-9)
+    assert study.region.included.size == 12 * 16 * 12
+    monkeypatch.setattr("lidarcfg.placement.evaluator.SLICE_CUBOIDS", 10_000)
+    cut = optimize(study, threads=1)
+    assert cut.evaluated == trials
+    assert cut.objective == optimize(study, threads=1, skip=False).objective
+
+
 OBJECTS = """
 detection:
   - {name: box, size_m: [1, 0.5, 0.5]}
