@@ -200,56 +200,67 @@ def load_rig(path: str | Path) -> Rig:
     path = example(path)
     file = load(path, RigFile)
     mounts: list[Mount] = []
-    for i, mount in enumerate(file.sensors):
-        sensor, model = resolve_sensor(path, i, mount.model, mount.elevation_deg)
-        host = mount.host or default_host(i)
-        if host is None:
-            raise error_at(path, ("sensors", i), f"no default address is left after {LAST_HOST}; give a host")
-        if sensor.rotation and not sensor.rotation.rpm_min <= mount.rpm <= sensor.rotation.rpm_max:
-            allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
-            what = f"{mount.rpm:g} is outside {sensor.name}'s {allowed}"
-            raise error_at(path, ("sensors", i, "rpm"), what)
-        realism = _realism(path, i, mount.realism, sensor)
-        try:
-            azimuth_fov_deg = sensor.field_of_view_deg(mount.azimuth_fov_deg)
-        except ValueError as error:
-            raise error_at(path, ("sensors", i, "azimuth_fov_deg"), str(error)) from None
-        sections = mount.model_extra or {}
-        for key in sections:
-            if key != sensor.codec:
-                raise error_at(path, ("sensors", i, key), unknown_key(key, MountFile))
-        data_port, telemetry_port = ports(sensor)
-        data_port, telemetry_port = mount.data_port or data_port, mount.telemetry_port or telemetry_port
+    for i, given in enumerate(file.sensors):
+        mount = _mount(path, i, given)
         for other in mounts:
-            if (host, data_port) == (other.host, other.data_port):
-                what = f"{host}:{data_port} is {other.name!r}'s; give each sensor its own"
-                raise error_at(path, ("sensors", i), what)
-            if host == other.host and (data_port == other.telemetry_port or telemetry_port == other.data_port):
-                shared = data_port if data_port == other.telemetry_port else telemetry_port
-                both = f"this and {other.name!r}"
-                what = f"{host}:{shared} is the data_port of one and the telemetry_port of the other, {both}"
-                raise error_at(path, ("sensors", i), what)
-        mounts.append(
-            Mount(
-                name=mount.name,
-                sensor=sensor,
-                position_m=mount.position_m,
-                rpy_rad=angles_rad(mount.rpy_rad, mount.rpy_deg),
-                model=model,
-                host=host,
-                data_port=data_port,
-                telemetry_port=telemetry_port,
-                rpm=mount.rpm,
-                return_mode=mount.return_mode,
-                azimuth_fov_deg=azimuth_fov_deg,
-                range_m=mount.range_m,
-                phase_deg=mount.phase_deg,
-                settings=Section(sections.get(sensor.codec or "", {}), str(path), ("sensors", i, sensor.codec or "")),
-                realism=realism,
-            )
-        )
+            _check_endpoints(path, i, mount, other)
+        mounts.append(mount)
     vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))
     return Rig(file.name, tuple(mounts), vehicle)
+
+
+def _mount(path: Path, index: int, given: MountFile) -> Mount:
+    """The mount that entry `index` of the file's `sensors` describes. Raises ConfigError."""
+    at = ("sensors", index)
+    sensor, model = resolve_sensor(path, index, given.model, given.elevation_deg)
+    host = given.host or default_host(index)
+    if host is None:
+        raise error_at(path, at, f"no default address is left after {LAST_HOST}; give a host")
+    if sensor.rotation and not sensor.rotation.rpm_min <= given.rpm <= sensor.rotation.rpm_max:
+        allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
+        raise error_at(path, (*at, "rpm"), f"{given.rpm:g} is outside {sensor.name}'s {allowed}")
+    realism = _realism(path, index, given.realism, sensor)
+    try:
+        azimuth_fov_deg = sensor.field_of_view_deg(given.azimuth_fov_deg)
+    except ValueError as error:
+        raise error_at(path, (*at, "azimuth_fov_deg"), str(error)) from None
+    sections = given.model_extra or {}
+    for key in sections:
+        if key != sensor.codec:
+            raise error_at(path, (*at, key), unknown_key(key, MountFile))
+    data_port, telemetry_port = ports(sensor)
+    return Mount(
+        name=given.name,
+        sensor=sensor,
+        position_m=given.position_m,
+        rpy_rad=angles_rad(given.rpy_rad, given.rpy_deg),
+        model=model,
+        host=host,
+        data_port=given.data_port or data_port,
+        telemetry_port=given.telemetry_port or telemetry_port,
+        rpm=given.rpm,
+        return_mode=given.return_mode,
+        azimuth_fov_deg=azimuth_fov_deg,
+        range_m=given.range_m,
+        phase_deg=given.phase_deg,
+        settings=Section(sections.get(sensor.codec or "", {}), str(path), (*at, sensor.codec or "")),
+        realism=realism,
+    )
+
+
+def _check_endpoints(path: Path, index: int, mount: Mount, other: Mount) -> None:
+    """Raises ConfigError if two mounts, of which this is entry `index` of the file, share an address and a port."""
+    host, data_port = mount.host, mount.data_port
+    if host != other.host:
+        return
+    if data_port == other.data_port:
+        what = f"{host}:{data_port} is {other.name!r}'s; give each sensor its own"
+        raise error_at(path, ("sensors", index), what)
+    if data_port == other.telemetry_port or mount.telemetry_port == other.data_port:
+        shared = data_port if data_port == other.telemetry_port else mount.telemetry_port
+        both = f"this and {other.name!r}"
+        what = f"{host}:{shared} is the data_port of one and the telemetry_port of the other, {both}"
+        raise error_at(path, ("sensors", index), what)
 
 
 def _realism(path: Path, index: int, given: Realism | None, sensor: Sensor) -> Realism | None:
