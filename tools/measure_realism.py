@@ -181,6 +181,23 @@ def residuals(some: Shots) -> Residuals:
     return Residuals(off.reshape(shape), plane.reshape(shape), steep.reshape(shape))
 
 
+def bent(step: Array, plane: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(T, L): whether, where a laser goes along a plane, the surface bends by more than the noise, or too few say.
+
+    The turning point test (Bienaymé 1874): of independent errors two of three are less, or more, than both neighbours;
+    on a surface that bends away from the plane fewer than one of two are.
+    """
+    both = (plane[1:] == plane[:-1]) & (plane[1:] >= 0)
+    turns = np.sign(step[1:]) != np.sign(step[:-1])
+    found = np.ones(step.shape, bool)
+    for number in range(plane.max(initial=-1) + 1):
+        on = both & (plane[1:] == number)
+        counts = on.sum(axis=0)
+        straight = (counts >= RUN) & (2 * (turns & on).sum(axis=0) >= counts)
+        found[:, straight] &= plane[:, straight] != number
+    return found
+
+
 def sigma(differences: Array) -> float:
     """Of one value, from differences of two neighbours; those of edges are clipped."""
     kept = differences[np.isfinite(differences)]
@@ -200,8 +217,9 @@ def measure(all_shots: Shots) -> Figures:
             near = same & (abs(np.diff(some.main_m, axis=0)) < JUMP_M)
         step, is_dark = np.diff(found.range_m, axis=0), (level[1:] < DARK) & (level[:-1] < DARK)
         is_light, cosine = (level[1:] >= DARK) & (level[:-1] >= DARK), np.minimum(found.cosine[1:], found.cosine[:-1])
-        steps.append((step[near & is_light], cosine[near & is_light]))
-        dark.append((step[near & is_dark], cosine[near & is_dark]))
+        flat = near & ~bent(step, np.where(near, found.plane[1:], -1))
+        steps.append((step[flat & is_light], cosine[flat & is_light]))
+        dark.append((step[flat & is_dark], cosine[flat & is_dark]))
         light.append((np.diff(level, axis=0)[near], cosine[near]))
         lost.append(_lost(some.main_m, found.plane))
         for number in range(found.plane.max() + 1):

@@ -188,6 +188,19 @@ def test_every_preset_says_where_it_is_from():
     assert all("measure_realism.py" in load_sensor(name).realism.source for name in measured)
 
 
+def test_surfaces_that_bend_by_more_than_the_noise_are_refused(tool):
+    """Firings 20 mm apart with 5 mm of noise, on a wall and on bends of 20 and 1.5 m radius: along these the range changes
+    by up to 2 and 27 mm from firing to firing. On a wall again, but of few firings."""
+    across_m = (np.arange(200) - 100) * 0.02
+    noise_m = np.random.default_rng(0).normal(0, 0.005, (200, 4))
+    bend_m = across_m[:, None] ** 2 / (2 * np.array([np.inf, 20, 1.5, np.inf]))
+    plane = np.zeros((199, 4), np.int64)
+    plane[20:, 3] = -1
+    found = tool.bent(np.diff(bend_m + noise_m, axis=0), plane)
+    assert found.all(axis=0).tolist() == [False, False, True, True]
+    assert not found[:, :2].any()
+
+
 def test_lasers_that_take_turns_are_not_measured(tool):
     with pytest.raises(SystemExit, match="qt128: its lasers take turns"):
         tool.read(recording("hesai/nebula_qt128.pcap"), None)
