@@ -15,12 +15,13 @@ from lidarcfg.simulate.fan_kernels import (
     RANGES,
     SLOTS,
     axes_of,
+    extent_of,
     fan_out,
     hit_ground,
+    lean_of,
     new_fan,
     row_of,
     trace_fan,
-    widest_of,
 )
 from lidarcfg.simulate.simulator_kernels import (
     BLOCK_NS,
@@ -97,11 +98,11 @@ def _keep(rays, which, count, width, found):
 
 
 @inner(makes_arrays=True)
-def _hit_dynamic(world, moving, packet, fan, aim, which, first, count, width, face, axis, widest, found):
+def _hit_dynamic(world, moving, packet, fan, aim, which, first, count, width, face, axis, extent, found):
     """Have rays hit dynamic objects, where they are nearer than what is written."""
     dynamic, slots, rays, one, rows = world.dynamic, len(world.static.kind), fan.rays, packet.rays, aim.rows
     packet.instances[0] = 0
-    trace_fan(moving, packet, fan, face, axis, count, width, widest)
+    trace_fan(moving, packet, fan, face, axis, count, width, extent)
     for m in range(width if packet.instances[0] else 0):
         for n in range(count):
             at = np.uint64(n * width + m)
@@ -123,7 +124,7 @@ def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, work, found):
     """As `trace_firings` does, for beams of several rays, at most FAN, the middle one of which is the axis."""
     time_ns, laser, _ = firings
     static, dynamic, ground_m, cosines = world.static, world.dynamic, world.ground_m, len(found.cosine) > 0
-    dynamics, slots, width, widest = len(dynamic.roots), len(static.kind), len(lasers.across), widest_of(lasers)
+    dynamics, slots, width, extent = len(dynamic.roots), len(static.kind), len(lasers.across), extent_of(lasers)
     group, order, cuts, first_ns = grouped(laser, time_ns, len(lasers.left_m), BLOCK_NS if dynamics else 0)
     packet, aim, own, right, lights, directions = work
     block, fan, moving = -1, new_fan(), swept(dynamic, 0.0, 0.0, aim.placed)
@@ -147,7 +148,8 @@ def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, work, found):
             shear(packet.rays)
             axis = face & 3
             fan_out(rays, aim, right, directions, done, part, width, axis)
-            some = axes_of(fan, packet, face, part, width, widest)
+            lean_of(fan, packet.rays, aim, right, done, part, extent, face)
+            some = axes_of(fan, face, part * width)
             hit_ground(ground_m, rays, face, part * width, limit_m)
             for k in range(3):
                 if some >> k & 1:
@@ -155,12 +157,12 @@ def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, work, found):
                         axis = k
                         fan_out(rays, aim, right, directions, done, part, width, axis)
                     fan.sheared[0] = False
-                    trace_fan(static, packet, fan, face, axis, part, width, widest)
+                    trace_fan(static, packet, fan, face, axis, part, width, extent)
             if cosines:
                 _cosines(static, fan, axis, part * width)
             _keep(rays, which[done:], part, width, found)
             if dynamics:
-                _hit_dynamic(world, moving, packet, fan, aim, which, done, part, width, face, axis, widest, found)
+                _hit_dynamic(world, moving, packet, fan, aim, which, done, part, width, face, axis, extent, found)
             done += part
         for m in range(width if bodies else 0):
             spread(axes, right, lasers.across[m], lasers.above[m], lights)

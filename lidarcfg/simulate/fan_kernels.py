@@ -24,7 +24,6 @@ from lidarcfg.world.tracer_kernels import (
     EDGES,
     FAR,
     FARTHEST,
-    INSIDE,
     NONE,
     ORIGIN,
     OX,
@@ -34,7 +33,9 @@ from lidarcfg.world.tracer_kernels import (
     SIZE,
     SX,
     SY,
-    enter_boxes,
+    WIDER,
+    ZERO,
+    enter,
     facing,
     round_at,
     row,
@@ -47,10 +48,11 @@ FAN = 9  # rays of a beam, at most
 OXS, OYS, OZS, DXS, DYS, DZS, SXS, SYS, SZS, RANGES, SLOTS, INSIDES, ACROSS, ABOVE, AXIS, COSINES = (
     np.uint64(row * FAN * SIZE) for row in range(16)
 )
-MIDDLE_DX, MIDDLE_INSIDE, ONE = np.uint64(DX), np.uint64(INSIDE), np.uint64(1)
-OUT, MAYBE, SURE = -1.0, 0.0, 1.0  # whether the rays of a beam hit a shape
-STEEP = 1.4143  # more than the root of 2
-ROUNDING = 1e-12  # of a product of coordinates
+MIDDLE_DX, MIDDLE_DY, MIDDLE_DZ, MIDDLE_SX, MIDDLE_SY, ROW, ONE = (np.uint64(n) for n in (DX, DY, DZ, SX, SY, SIZE, 1))
+OUT, SURE = -1.0, 1.0  # whether a ray hits a shape
+WIDE, HALF = 1.00001, np.float32(0.5)  # for float32
+ROUNDING, MORE = 1e-12, 1 + 1e-9  # of a product of coordinates; of an angle
+ANY = 1e30  # a lean
 NORMALS = 64  # that are kept
 UNKNOWN = -5.0  # no slot
 
@@ -59,7 +61,8 @@ class Fan(NamedTuple):
     """Working memory: the rays of a packet of beams, beam by beam."""
 
     rays: Array  # (16 FAN SIZE,) rows as those of a packet, and more
-    slack: Array  # (SIZE,) how far, in the plane across the largest component at distance 1, rays are from the middle
+    lean: Array  # (4 SIZE,) how far beams reach to a side and up, in the plane across their largest component at 1
+    beside: NDArray[np.float32]  # (3,) how far rays are at most beside their middle ray, along each axis at 1
     sheared: NDArray[np.bool_]  # (1,) whether their shear is known
     mixed: NDArray[np.bool_]  # (1,) whether they face different ways
     normals: Array  # (3, NORMALS) of triangles
@@ -70,8 +73,8 @@ class Fan(NamedTuple):
 def new_fan():
     """Working memory."""
     return Fan(
-        np.zeros(16 * FAN * SIZE), np.empty(SIZE), np.zeros(1, np.bool_), np.zeros(1, np.bool_),
-        np.empty((3, NORMALS)), np.full(NORMALS, UNKNOWN),
+        np.zeros(16 * FAN * SIZE), np.zeros(4 * SIZE), np.zeros(3, np.float32), np.zeros(1, np.bool_),
+        np.zeros(1, np.bool_), np.empty((3, NORMALS)), np.full(NORMALS, UNKNOWN),
     )  # fmt: skip
 
 
@@ -82,12 +85,13 @@ def row_of(axis, component):
 
 
 @inner()
-def widest_of(lasers):
-    """The tangent of the largest angle between a ray and its beam's axis."""
-    widest = 0.0
+def extent_of(lasers):
+    """The tangents of the largest angles between a ray and its beam's axis: to a side, up, and anywhere."""
+    across, above, widest = 0.0, 0.0, 0.0
     for k in range(len(lasers.across)):
-        widest = max(widest, (lasers.across[k] ** 2 + lasers.above[k] ** 2) ** 0.5)
-    return widest
+        x, y = abs(lasers.across[k]), abs(lasers.above[k])
+        across, above, widest = max(across, x), max(above, y), max(widest, math.sqrt(x * x + y * y))
+    return across, above, widest
 
 
 @inner(fastmath=FAST, error_model="numpy")
@@ -127,19 +131,45 @@ def _shear(rays, count):
         rays[SYS + n] = rays[DYS + n] / rays[DZS + n]
 
 
-@inner()
-def axes_of(fan, packet, face, count, width, widest):
-    """Which components may be the largest of a ray, as bits; and the slack of each beam."""
-    rays, middle, mixed = fan.rays, packet.rays, False
-    for n in range(SIZE):
-        x, y, z = abs(middle[DX + n]), abs(middle[DY + n]), abs(middle[DZ + n])
-        fan.slack[n] = STEEP * widest / (z - widest) if z > 1.1 * widest else 1e30
+@inner(fastmath=FAST, error_model="numpy")
+def lean_of(fan, middle, aim, right, first, count, extent, face):
+    """Find how far the rays of beams `first` to `first` + count reach beside their middle rays."""
+    lean, R, axes, mixed = fan.lean, aim.R, aim.axes, False
+    across, above, widest = extent
+    k = face & 3
+    i, j, most_i, most_j, most_k = (k + 1) % 3, (k + 2) % 3, 0.0, 0.0, 0.0
+    for n in range(np.uint64(count)):
+        b = np.uint64(first) + n
+        u, v = right[0, b], right[1, b]
+        up, vp, wp = v * axes[2, b], u * axes[2, b], u * axes[1, b] - v * axes[0, b]
+        si, ui = R[3 * i, b] * u + R[3 * i + 1, b] * v, R[3 * i, b] * up - R[3 * i + 1, b] * vp + R[3 * i + 2, b] * wp
+        sj, uj = R[3 * j, b] * u + R[3 * j + 1, b] * v, R[3 * j, b] * up - R[3 * j + 1, b] * vp + R[3 * j + 2, b] * wp
+        sk, uk = R[3 * k, b] * u + R[3 * k + 1, b] * v, R[3 * k, b] * up - R[3 * k + 1, b] * vp + R[3 * k + 2, b] * wp
+        most_i = max(most_i, across * abs(si) + above * abs(ui))
+        most_j = max(most_j, across * abs(sj) + above * abs(uj))
+        most_k = max(most_k, across * abs(sk) + above * abs(uk))
+        x, y, z = abs(middle[MIDDLE_DX + n]), abs(middle[MIDDLE_DY + n]), abs(middle[MIDDLE_DZ + n])
         mixed |= z - max(x, y) < 2.1 * widest
+        x, y, far = middle[MIDDLE_SX + n], middle[MIDDLE_SY + n], MORE / (z - widest)
+        known = z > 1.1 * widest
+        lean[n] = across * far * (si - x * sk) if known else ANY
+        lean[ROW + n] = across * far * (sj - y * sk) if known else 0.0
+        lean[2 * ROW + n] = above * far * (ui - x * uk) if known else 0.0
+        lean[3 * ROW + n] = above * far * (uj - y * uk) if known else ANY
+    for n in range(count, SIZE):
+        for m in range(4):
+            lean[m * SIZE + n] = lean[m * SIZE + count - 1]
+    fan.beside[i], fan.beside[j], fan.beside[k] = most_i * WIDE, most_j * WIDE, most_k * WIDE
     fan.mixed[0] = mixed
-    if not mixed:
+
+
+@inner()
+def axes_of(fan, face, count):
+    """Which components may be the largest of a ray, as bits."""
+    if not fan.mixed[0]:
         return 1 << (face & 3)
-    axes, x, y, z = 0, row_of(face, 0), row_of(face, 1), row_of(face, 2)
-    for n in range(np.uint64(count * width)):
+    rays, axes, x, y, z = fan.rays, 0, row_of(face, 0), row_of(face, 1), row_of(face, 2)
+    for n in range(np.uint64(count)):
         axis = facing(rays[DXS + x + n], rays[DXS + y + n], rays[DXS + z + n]) & 3
         rays[AXIS + n] = axis
         axes |= 1 << axis
@@ -173,19 +203,33 @@ def _limit(rays, slabs, first, end, width):
 
 
 @inner(fastmath=FAST)
-def _beside(boxes, node, slabs, widest):
-    """How far rays may be beside their middle ray as far away as the children of a node."""
-    for c in range(12):
-        slabs[EDGES + c] = abs(boxes[12 * node + c] - slabs[ORIGIN + c])
-    reach = np.float32(0)
-    for c in range(EDGES, EDGES + 3):
-        reach += max(max(slabs[c], slabs[c + 3]), max(slabs[c + 6], slabs[c + 9]))
-    return widest * reach + PAD
+def _enter(boxes, node, slabs, beside, face, width):
+    """As `enter_boxes`, of boxes that are larger by as much as rays may be beside their middle ray there.
+
+    That is taken for the farthest corner of both, whose distance is at most what is found here without a root.
+    """
+    at, far, most = 12 * node, ZERO, ZERO
+    for k in range(3):
+        high, low = max(boxes[at + 3 + k], boxes[at + 9 + k]), min(boxes[at + k], boxes[at + 6 + k])
+        reach = max(high - slabs[ORIGIN + 3 + k], slabs[ORIGIN + k] - low)
+        far, most = far + reach, max(most, reach)
+    far = (far + most) * HALF
+    for k in range(3):
+        pad = far * (beside[k] + WIDER) + PAD
+        slabs[EDGES + k] = boxes[at + k] - slabs[ORIGIN + k] - pad
+        slabs[EDGES + 3 + k] = boxes[at + 3 + k] - slabs[ORIGIN + 3 + k] + pad
+        slabs[EDGES + 6 + k] = boxes[at + 6 + k] - slabs[ORIGIN + k] - pad
+        slabs[EDGES + 9 + k] = boxes[at + 9 + k] - slabs[ORIGIN + 3 + k] + pad
+    return enter(slabs, face, width)
 
 
 @inner(fastmath=FAST, error_model="numpy")
-def _near_triangle(shapes, s, face, middle, slack):
-    """Find out which beams hit triangle s: the edges as the middle rays see them, and how much others may differ."""
+def _near_triangle(shapes, s, face, middle, lean):
+    """The first and the end of the beams that may hit triangle s, and how many of these hit it for sure.
+
+    The edges as the middle rays see them are compared with how much that differs for others: in proportion to how far
+    these are beside them in the plane across.
+    """
     k = face & 3
     i, j = (k + 1) % 3, (k + 2) % 3
     a, b, c = 9 * s, 9 * s + 3, 9 * s + 6
@@ -194,48 +238,49 @@ def _near_triangle(shapes, s, face, middle, slack):
     cx, cy, cz = shapes[c + i], shapes[c + j], shapes[c + k]
     most = max(max(max(abs(ax), abs(ay)), max(abs(az), abs(bx))), max(max(abs(by), abs(bz)), max(abs(cx), abs(cy))))
     most = max(most, abs(cz)) + abs(middle[OX]) + abs(middle[OY]) + abs(middle[OZ])
-    least = ROUNDING * most * most
+    least, first, end, sures = ROUNDING * most * most, SIZE, 0, 0
     for n in range(SIZE):
         ox, oy, oz, sx, sy = middle[OX + n], middle[OY + n], middle[OZ + n], middle[SX + n], middle[SY + n]
         ux, uy, uz = sheared(ax, ay, az, ox, oy, oz, sx, sy)
         vx, vy, vz = sheared(bx, by, bz, ox, oy, oz, sx, sy)
         wx, wy, wz = sheared(cx, cy, cz, ox, oy, oz, sx, sy)
         u, v, w = wx * vy - wy * vx, ux * wy - uy * wx, vx * uy - vy * ux
-        p = slack[n] * (abs(wz * vy - vz * wy) + abs(wz * vx - vz * wx)) + least
-        q = slack[n] * (abs(uz * wy - wz * uy) + abs(uz * wx - wz * ux)) + least
-        r = slack[n] * (abs(vz * uy - uz * vy) + abs(vz * ux - uz * vx)) + least
-        positive, negative = min(min(u - p, v - q), w - r) > 0, max(max(u + p, v + q), w + r) < 0
-        out = (max(max(u - p, v - q), w - r) > 0) & (min(min(u + p, v + q), w + r) < 0)
-        middle[INSIDE + n] = OUT if out else SURE if positive | negative else MAYBE
+        p = least + _differs(lean, n, vz * wy - wz * vy, wz * vx - vz * wx)
+        q = least + _differs(lean, n, wz * uy - uz * wy, uz * wx - wz * ux)
+        r = least + _differs(lean, n, uz * vy - vz * uy, vz * ux - uz * vx)
+        sure = (min(min(u - p, v - q), w - r) > 0) | (max(max(u + p, v + q), w + r) < 0)
+        maybe = (max(max(u - p, v - q), w - r) <= 0) | (min(min(u + p, v + q), w + r) >= 0)
+        first = min(first, n if sure | maybe else SIZE)
+        end = max(end, n + 1 if sure | maybe else 0)
+        sures += sure
+    return first, end, sures
+
+
+@inner(makes_arrays=True, fastmath=FAST)
+def _differs(lean, n, x, y):
+    """How much something differs between beam n's middle ray and others, if it changes so with x and y across."""
+    return abs(x * lean[n] + y * lean[SIZE + n]) + abs(x * lean[2 * SIZE + n] + y * lean[3 * SIZE + n])
 
 
 @inner(fastmath=FAST)
 def _near_round(shapes, kind, s, face, middle, widest):
-    """Find out which beams may hit a round shape."""
+    """The first and the end of the beams that may hit a round shape; of none it is known that it does."""
     radius = shapes[9 * s + 3]
     px, py, pz = shapes[9 * s], shapes[9 * s + 1], shapes[9 * s + 2]
     height = shapes[9 * s + 4] if kind[s] == CYLINDER else 0.0
     upright = 1.0 if kind[s] == CYLINDER else 0.0
-    a, b, c = np.uint64(row(face, 0)), np.uint64(row(face, 1)), np.uint64(row(face, 2))
-    for n in range(np.uint64(SIZE)):
-        x, y, z = px - middle[a + n], py - middle[b + n], pz - middle[c + n]
-        dx, dy, dz = middle[MIDDLE_DX + a + n], middle[MIDDLE_DX + b + n], middle[MIDDLE_DX + c + n]
+    a, b, c = row(face, 0), row(face, 1), row(face, 2)
+    first, end = SIZE, 0
+    for n in range(SIZE):
+        x, y, z = px - middle[OX + a + n], py - middle[OX + b + n], pz - middle[OX + c + n]
+        dx, dy, dz = middle[DX + a + n], middle[DX + b + n], middle[DX + c + n]
         lx, ly, lz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
         wide = radius + widest * (abs(x) + abs(y) + abs(z) + 2 * radius + height)
         wide *= wide * (1 + 1e-9)
         off = lz * lz + (1 - upright) * (lx * lx + ly * ly)
-        middle[MIDDLE_INSIDE + n] = OUT if off > wide * (1 - upright * dz * dz) + 1e-12 else MAYBE
-
-
-@inner()
-def _which(middle, count):
-    """The first and the end of the beams that may hit a shape, and how many hit it for sure."""
-    first, end, sure = count, 0, 0
-    for n in range(count):
-        if middle[INSIDE + n] != OUT:
+        if off <= wide * (1 - upright * dz * dz) + 1e-12:
             first, end = min(first, n), n + 1
-            sure += middle[INSIDE + n] == SURE
-    return first, end, sure
+    return first, end, 0
 
 
 @inner(fastmath=FAST, error_model="numpy")
@@ -304,21 +349,21 @@ def _test_round(shapes, kind, s, axis, rays, first, end):
 
 
 @inner(fastmath=FAST)
-def trace_fan(tree, packet, fan, face, axis, count, width, widest):
+def trace_fan(tree, packet, fan, face, axis, count, width, extent):
     """Keep what the rays of beams hit first of a tree: those whose largest component is `axis`.
 
     The walk is that of `trace`, which takes a sixth longer for thin beams where both share it.
     """
     rays, middle, slabs, codes, enter = fan.rays, packet.rays, packet.slabs, packet.codes, packet.enter
     boxes, children, shapes, kind, instances = tree.boxes, tree.children, tree.shapes, tree.kind, packet.instances
-    lanes, wide = len(slabs) // 7, np.float32(widest * 1.00001)
+    lanes, beside = len(slabs) // 7, fan.beside
     for n in range(SIZE):
         slabs[FAR + n] = -1.0
     most = _limit(rays, slabs, 0, count, width)
     code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            near, far = enter_boxes(boxes, code, slabs, face, lanes, _beside(boxes, code, slabs, wide))
+            near, far = _enter(boxes, code, slabs, beside, face, lanes)
             first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first
@@ -332,17 +377,16 @@ def trace_fan(tree, packet, fan, face, axis, count, width, widest):
             leaf = ~code
             for s in range(leaf >> 2, (leaf >> 2) + (leaf & 3)):
                 if kind[s] == TRIANGLE:
-                    _near_triangle(shapes, s, face, middle, fan.slack)
+                    begin, end, sures = _near_triangle(shapes, s, face, middle, fan.lean)
                 else:
-                    _near_round(shapes, kind, s, face, middle, widest)
-                begin, end, sure = _which(middle, count)
+                    begin, end, sures = _near_round(shapes, kind, s, face, middle, extent[2])
                 if begin >= end:
                     continue
+                sure, end = sures == end - begin, min(end, count)  # the last beam fills the rest of a packet
                 if kind[s] == TRIANGLE:
                     found = _test_triangle(
-                        shapes, s, axis, fan, np.uint64(begin * width), np.uint64(end * width), sure == end - begin,
-                        count * width,
-                    )  # fmt: skip
+                        shapes, s, axis, fan, np.uint64(begin * width), np.uint64(end * width), sure, count * width
+                    )
                 elif kind[s] == INSTANCE:
                     instances[0] += 1
                     instances[instances[0]] = tree.number[s]

@@ -143,12 +143,18 @@ def _limit(rays, slabs):
 
 
 @inner(fastmath=FAST)
-def enter_boxes(boxes, node, slabs, face, width, pad):
-    """From where on a packet may be in each child of a node; FARTHEST: nowhere. Boxes are larger by `pad`."""
+def enter_boxes(boxes, node, slabs, face, width):
+    """From where on a packet may be in each child of a node; FARTHEST: nowhere."""
     for c in range(12):
         edge = boxes[12 * node + c] - slabs[ORIGIN + c]
-        wider = abs(edge) * WIDER + pad
+        wider = abs(edge) * WIDER + PAD
         slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
+    return enter(slabs, face, width)
+
+
+@inner(fastmath=FAST, forceinline=True)
+def enter(slabs, face, width):
+    """The same, of boxes whose edges are in a packet."""
     nx, ny, nz = 3 if face & 4 else 0, 4 if face & 8 else 1, 5 if face & 16 else 2
     fx, fy, fz = 3 - nx, 5 - ny, 7 - nz
     ax, ay, az = slabs[EDGES + nx], slabs[EDGES + ny], slabs[EDGES + nz]
@@ -250,7 +256,7 @@ def trace(tree, packet, face, any_hit):
     code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            near, far = enter_boxes(boxes, code, slabs, face, width, PAD)
+            near, far = enter_boxes(boxes, code, slabs, face, width)
             first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first
@@ -402,7 +408,7 @@ def blocked(tree, packet, origins, directions, count, out):
             for n in range(SIZE):
                 rays[RANGE + n] = 1 - ENDS
             _limit(rays, slabs)
-            if tree.root < 0 or min(*enter_boxes(boxes, tree.root, slabs, face, len(slabs) // 7, PAD)) < FARTHEST:
+            if tree.root < 0 or min(*enter_boxes(boxes, tree.root, slabs, face, len(slabs) // 7)) < FARTHEST:
                 trace(tree, packet, face, True)
             for n in range(some):
                 out[waiting[face, n]] = rays[SLOT + n] >= 0

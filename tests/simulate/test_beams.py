@@ -77,6 +77,7 @@ def hit_by(trace, stage, vehicle, divergence, monkeypatch):
         ("vehicle", (20.0, 30.0)),
         ("shards", True),
         ("shards", (1e-6, 1e-6)),
+        ("shards", (5.0, 40.0)),
         ("round", (1500.0, 1200.0)),
     ],
 )
