@@ -16,7 +16,6 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from draw_scenes import save
 from numpy.typing import NDArray
 from page import ROOT, table, write_section
 from PIL import Image
@@ -256,9 +255,10 @@ def by_part(rigs: Rigs) -> list[str]:
 def draw(rigs: Rigs, path: Path) -> None:
     """Each measure against what goes undetected; and the rank correlations by object and distance."""
     keys = [key for key in MEASURES if key in rigs.measures]
-    figure = new_figure(12, 9)
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1.5, 1))
-    panels = top.subplots(2, 3, sharey=True).ravel()
+    rows = -(-len(keys) // 3)
+    figure = new_figure(12, 3.6 + 2.7 * rows)
+    top, bottom = figure.subfigures(2, 1, height_ratios=(0.75 * rows, 1))
+    panels = top.subplots(rows, 3, sharey=True).ravel()
     missed = 100 * outcome(rigs.undetected)
     for axes, key in zip(panels, keys, strict=False):
         for which, name in ((~rigs.searched, "at random"), (rigs.searched, "best of a search")):
@@ -267,7 +267,8 @@ def draw(rigs: Rigs, path: Path) -> None:
             axes.plot(of_measure(rigs, key)[which], missed[which], mark, color=colour, ms=4, alpha=0.7, label=name)
         rho, low, high = correlation(of_measure(rigs, key), outcome(rigs.undetected))
         axes.set_title(f"ρ = {rho:.2f} ({low:.2f} to {high:.2f})", fontsize=9)
-        axes.set_xlabel(MEASURES[key], fontsize=8)
+        axes.set_xlabel(MEASURES[key] + " (m)" * ("max VSR" in MEASURES[key]), fontsize=8)
+        axes.locator_params(axis="x", nbins=6)
         axes.grid(alpha=0.3)
     for axes in panels[len(keys) :]:
         axes.set_visible(False)
@@ -293,7 +294,8 @@ def draw(rigs: Rigs, path: Path) -> None:
         "rank correlation by object and distance; white: rigs hardly differ there, or the measure does not", fontsize=9
     )
     save_figure(figure, path)
-    save(Image.open(path).convert("RGB"), path)  # a third of the size
+    picture = Image.open(path).convert("RGB")
+    picture.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def saved(path: Path, study: Path, asked: dict[str, int]) -> Rigs:

@@ -50,10 +50,13 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     evaluations = [cycle.evaluations for cycle in found.history]
     axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
     axes.plot(evaluations, [cycle.mean for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
+    top = history_top(study, found)
     if study.is_max_vsr:
-        axes.axhline(found.midpoint_max_vsr_m, color="0.5", ls=":", label="midpoint of the bounds")
+        midpoint_m = found.midpoint_max_vsr_m
+        beyond = f" (above: {midpoint_m:.3f} m)" if midpoint_m > top else ""
+        axes.axhline(midpoint_m, color="0.5", ls=":", label=f"midpoint of the bounds{beyond}")
     label = "max VSR (m)" if study.is_max_vsr else "objective"
-    axes.set(xlabel="evaluations", ylabel=label, ylim=(0, history_top(study, found)))
+    axes.set(xlabel="evaluations", ylabel=label, ylim=(0, top))
     axes.set_title(
         f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
         parse_math=False,
