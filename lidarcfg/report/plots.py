@@ -53,7 +53,7 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     top = history_top(study, found)
     if study.is_max_vsr:
         midpoint_m = found.midpoint_max_vsr_m
-        beyond = f" (above: {midpoint_m:.3f} m)" if midpoint_m > top else ""
+        beyond = f" (above: {midpoint_m:.3f} m)" if top is not None and midpoint_m > top else ""
         axes.axhline(midpoint_m, color="0.5", ls=":", label=f"midpoint of the bounds{beyond}")
     label = "max VSR (m)" if study.is_max_vsr else "objective"
     axes.set(xlabel="evaluations", ylabel=label, ylim=(0, top))
