@@ -20,6 +20,16 @@ from tests.packets.velodyne.shaped import facts, with_facts
 
 STREET = Path(__file__).parents[1] / "data" / "scenes" / "street.yaml"
 AT_NS = 1_700_000_000_123_456_789
+PLY = """ply
+format ascii 1.0
+element vertex {n}
+property float x
+property float y
+property float z
+element face {m}
+property list uchar int vertex_indices
+end_header
+"""
 
 
 def mount(index: int = 0, position_m=(0.0, 0.0, 2.0), rpy_deg=(0.0, 0.0, 0.0), rpm: float = 600.0) -> Mount:
@@ -80,6 +90,13 @@ def scene(tmp_path: Path, text: str) -> Scene:
     path = tmp_path / "scene.yaml"
     path.write_text(f"name: test\n{text}\n")
     return load_scene(path)
+
+
+def room(tmp_path, centre, size=(30.0, 20.0, 8.0)):
+    """A closed box around a place, as a scene."""
+    return scene(
+        tmp_path, f"boxes: [{{name: b, center_m: {[float(c) for c in centre]}, size_m: {list(size)}, reflectivity: 9}}]"
+    )
 
 
 def recording(name: str) -> Path:

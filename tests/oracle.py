@@ -31,6 +31,15 @@ FANS = (
     (-25.0, -15.639, -11.31, -8.843, -7.254, -5.333, -4.0, -1.333, -0.667, 0.0, 0.333, 1.667, 3.333, 7.0, 15.0),
 )
 
+PLACES = {  # of a sensor, in and around the region from (0, 0, 0) to (6, 4, 2) with cuboids of (1, 0.5, 0.25) m
+    "on a centre": (2.5, 1.25, 0.625),
+    "1e-12 beside it": (2.5 + 1e-12, 1.25 - 1e-12, 0.625),
+    "on a wall": (0.0, 1.0, 0.5),
+    "1e-12 beside it, outside": (-1e-12, 1.0, 0.5),
+    "on a corner": (6.0, 4.0, 2.0),
+    "far outside": (-3e6, 1e7, 2e5),
+}
+
 
 @dataclass(frozen=True)
 class Exact:
@@ -108,6 +117,10 @@ class Line(Region):
         points, along = self.points
         x, y, z = (points[:, axis] if axis == along else points[:1, axis] for axis in range(3))
         return x.copy(), y.copy(), z.copy()
+
+
+def points_of(region):
+    return np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def angles(rng):

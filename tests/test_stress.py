@@ -1,28 +1,23 @@
-"""Where numbers go wrong: labels against 50 digits, odd poses and places, rays that graze, files full of nonsense.
+"""Where numbers go wrong: labels against 50 digits, odd poses and places, rays that graze, captures far away.
 
 tools/stress.py runs the same cases by the million.
 """
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cloud import concatenate
-from lidarcfg.config import load
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.placement import rows
-from lidarcfg.placement.cones import Lidar, gaps_at, rig_lidars
+from lidarcfg.placement.cones import Lidar, gaps_at
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.objective import Criterion
@@ -30,19 +25,15 @@ from lidarcfg.placement.optimize import costs, optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.lshade import Lshade
-from lidarcfg.placement.study import StudyFile, load_study
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
-from lidarcfg.rig import Rig, load_rig, save_rig
-from lidarcfg.sensor import load_sensor
+from lidarcfg.rig import Rig
 from lidarcfg.simulate.export import export, in_time_order
-from lidarcfg.world.scene import load_scene
-from lidarcfg.world.tracer import Tracer
 from tests import oracle
-from tests.capture_fixtures import datagrams_of, mount, no_warning, scene
+from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, scene
 from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays
 from tests.placement.solvers.test_solvers import SOLVERS
 from tests.placement.test_rows import check
-from tests.world.test_scene import PLY
 
 ROOT = Path(__file__).parents[1]
 FAN = tuple(np.arange(-15.0, 16.0, 2.0))
@@ -55,10 +46,6 @@ def labels_of(region, lidars):
     return label
 
 
-def points_of(region):
-    return np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
-
-
 # Labels against 50 digits
 
 
@@ -69,7 +56,7 @@ def test_labels_of_random_rigs():
         region = Region(low, low + (12, 10, 8) * edge, np.ones((12, 10, 8), bool))
         position = low + rng.uniform(-0.5, 1.5, 3) * (12, 10, 8) * edge
         known, exact = oracle.sensor(position, oracle.angles(rng), oracle.FANS[rng.integers(3)])
-        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
+        tally.add(exact, oracle.points_of(region), rows.beam_gaps(region, known).ravel())
     assert tally.wrong_outside == 0
 
 
@@ -119,24 +106,15 @@ def test_ties_belong_above(far):
 
 # Poses
 
-PLACES = {
-    "on a centre": (2.5, 1.25, 0.625),
-    "1e-12 beside it": (2.5 + 1e-12, 1.25 - 1e-12, 0.625),
-    "on a wall": (0.0, 1.0, 0.5),
-    "1e-12 beside it, outside": (-1e-12, 1.0, 0.5),
-    "on a corner": (6.0, 4.0, 2.0),
-    "far outside": (-3e6, 1e7, 2e5),
-}
 
-
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", oracle.PLACES)
 def test_odd_poses(place):
     rng = np.random.default_rng(3)
     region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25), (((2, 1, 0), (3, 2, 1)),))
-    points, tally = points_of(region), oracle.Tally()
+    points, tally = oracle.points_of(region), oracle.Tally()
     for angle in oracle.ANGLES:
         rpy = np.roll([angle, rng.choice(oracle.ANGLES), 0.3], rng.integers(3))
-        known, exact = oracle.sensor(PLACES[place], rpy, oracle.FANS[1])
+        known, exact = oracle.sensor(oracle.PLACES[place], rpy, oracle.FANS[1])
         assert np.linalg.norm(known.axis) == pytest.approx(1, abs=4e-16)
         tally.add(exact, points, rows.beam_gaps(region, known).ravel())
         other, _ = oracle.sensor((1.3, 2.7, 1.1), rpy[::-1], FAN)
@@ -210,7 +188,7 @@ def test_moved_and_scaled_with_rounding(scale, by):
         far, (other,) = moved(region, [known], scale, by)
         before, after = rows.beam_gaps(region, known).ravel(), rows.beam_gaps(far, other).ravel()
         labels_of(far, [other])
-        points = points_of(region)
+        points = oracle.points_of(region)
         ulp = max(np.spacing(np.abs(far.min_m).max()), np.spacing(np.abs(far.max_m).max())) / scale
         for n in np.flatnonzero(before != after):
             nearest = min(abs(exact.above(points[n], beam)) for beam in range(len(FAN)))
@@ -258,7 +236,7 @@ def test_a_thousand_beams():
     for fan in (np.arange(-500, 500) * 1e-9 + 3.0, np.linspace(-90, 90, 1000)):
         known, exact = oracle.sensor((4, 3, 1), (0.1, -0.2, 0), fan)
         tally = oracle.Tally()
-        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
+        tally.add(exact, oracle.points_of(region), rows.beam_gaps(region, known).ravel())
         assert tally.wrong_outside == 0
         labels_of(region, [known, some_rig(np.random.default_rng(1), 1)[0]])
 
@@ -278,7 +256,7 @@ def test_cuboids_a_thousand_times_longer_than_wide(edges):
         known, exact = oracle.sensor(rng.uniform(0, 8, 3) * edges, oracle.angles(rng), FAN)
         labels_of(region, [known])
         tally = oracle.Tally()
-        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
+        tally.add(exact, oracle.points_of(region), rows.beam_gaps(region, known).ravel())
         assert tally.wrong_outside == 0
 
 
@@ -447,13 +425,6 @@ def test_numbers_in_meshes_that_are_none(tmp_path, name, text):
 # Captures far away
 
 
-def room(tmp_path, centre, size=(30.0, 20.0, 8.0)):
-    """A closed box around a place, as a scene."""
-    return scene(
-        tmp_path, f"boxes: [{{name: b, center_m: {[float(c) for c in centre]}, size_m: {list(size)}, reflectivity: 9}}]"
-    )
-
-
 def walls(origins, way, centre, size=(30.0, 20.0, 8.0)):
     """How far rays from inside the room get: exactly, but for rounding."""
     with np.errstate(divide="ignore"):
@@ -503,198 +474,6 @@ def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
     np.testing.assert_allclose(there, returns.xyz_m, atol=1e-9 + slack)
 
 
-# Every loader
-
-ODD_NUMBERS = (0, -1, 1, 2, 0.5, 1e-12, 1e-300, 5e-324, 1e7, 1e8, 1e9, 1e154, 1e300, -1e300, 1.7e308, 90, -90, 360, 2**31, 2**63, 2**64, 10**30)  # fmt: skip
-ODD = st.sampled_from((*ODD_NUMBERS, "", "a", "\0", "..", "é", None, True, (), {}, ((),), "vlp-16", 1e-7)) | st.text(max_size=5)  # fmt: skip
-TEXTS = {
-    "study": """
-region: {min_m: [0, 0, 0], max_m: [4, 3, 2], cuboid_m: [1, 0.5, 0.25], exclude: [{min_m: [1, 1, 0], max_m: [2, 2, 3]}]}
-sensors:
-  - {elevation_deg: [-20, -8, 3, 12], count: 2, mirror_y_m: 1.5, min: {position_m: [1, 1, 1], rpy_deg: [-20, -20, 0]}, max: {position_m: [2, 2, 1.5], rpy_deg: [20, 20, 0]}}
-  - {model: fan-4, name: a, min: {position_m: [1, 1, 1], rpy_rad: [0, 0, 1]}, max: {position_m: [2, 1, 2], rpy_rad: [0, 0, 1]}}
-objective: {max_vsr: 1, inscribed_radius: 0.5, detection: {box: 1}}
-constraints: {max_tilt_deg: 60, min_distance_m: 0.1}
-solver: {method: abc, bees: 4, cycles: 2, limit: 3, evaluations: 10, seconds: 5, seed: 4}
-detection: [{name: box, size_m: [1, 1, 1], threshold: 1, on_ground: true}, {name: pole, size_m: [0.1, 0.1, 1], samples: 16}]
-""",
-    "rig": """
-name: r
-sensors:
-  - {name: a, model: vlp-16, position_m: [0.3, 0.5, 1.9], rpy_deg: [-5, 3, 0], host: 192.168.1.7, data_port: 2368, telemetry_port: 8308, rpm: 600, return_mode: strongest}
-  - {name: b, elevation_deg: [-3, 0, 4], position_m: [0.3, -0.5, 1.9], rpy_rad: [0.1, 0, 1]}
-""",
-    "scene": """
-name: s
-ground: {z_m: -1, reflectivity: 12}
-boxes: [{name: b, center_m: [5, 0, 0], size_m: [2, 2, 1.5], yaw_deg: 3, reflectivity: 30}]
-spheres: [{name: sphere, center_m: [0, 5, 0], radius_m: 1, reflectivity: 40}]
-cylinders: [{name: c, base_m: [0, -5, 0], radius_m: 1, height_m: 1, reflectivity: 40}]
-planes: [{name: p, center_m: [-5, 0, 0], size_m: [1, 2], rpy_deg: [0, 90, 0], reflectivity: 1}]
-meshes: [{name: m, file: m.ply, position_m: [8, 0, 0], rpy_deg: [1, 2, 3], scale: 2, reflectivity: 1}]
-geo_origin: {latitude_deg: 45, longitude_deg: 8}
-""",
-    "sensor": (ROOT / "sensors/vlp-16.yaml").read_text(),
-}
-GOOD = {name: yaml.safe_load(text) for name, text in TEXTS.items()}
-
-
-def places(value, key=()):
-    """The keys of all that stands in a document."""
-    children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
-    return [key] * bool(key) + [place for k, child in children for place in places(child, (*key, k))]
-
-
-@st.composite
-def mutated(draw, name):
-    """A good file with one to three things in it made odd, dropped, doubled, or given to others."""
-    document = json.loads(json.dumps(GOOD[name]))
-    for _ in range(draw(st.integers(1, 3))):
-        all_places = places(document)
-        if not all_places:
-            break
-        *way, last = draw(st.sampled_from(all_places))
-        parent = document
-        for key in way:
-            parent = parent[key]
-        what = draw(st.sampled_from(("odd", "odd", "odd", "scale", "drop", "double", "unknown")))
-        if what == "odd":
-            parent[last] = json.loads(json.dumps(draw(ODD)))
-        elif what == "scale" and type(parent[last]) in (int, float):
-            parent[last] = parent[last] * draw(st.sampled_from((-1, 1e-3, 1e3, 1 + 1e-15, 1e-12)))
-        elif what == "double" and isinstance(parent, list):
-            parent.append(parent[last])
-        elif what == "unknown" and isinstance(parent, dict):
-            parent[draw(st.text(max_size=5))] = parent[last]
-        elif what == "drop":
-            del parent[last]
-    return json.dumps(document, ensure_ascii=draw(st.booleans()))
-
-
-def documents(name):
-    """Mutated files, and any text; sometimes cut off."""
-    cut = st.tuples(st.just(TEXTS[name]), st.integers(0, len(TEXTS[name])), st.text(max_size=3)).map(
-        lambda t: t[0][: t[1]] + t[2] + t[0][t[1] + 1 :]
-    )
-    return mutated(name) | mutated(name) | mutated(name) | cut | st.text(max_size=80)
-
-
-CUBOIDS_MAX = 20_000  # of a study that is searched: larger ones are read only
-
-
-def use_study(path):
-    """Load it, and search for a moment: everything is a number."""
-    region = load(path, StudyFile).region
-    if math.prod((np.subtract(region.max_m, region.min_m) / region.cuboid_m).round()) > CUBOIDS_MAX:
-        return
-    study = load_study(path)
-    corners = study.poses(np.array([[0.0], [0.3], [1.0]]) * np.ones(int(study.free.sum())))
-    assert np.isfinite(corners).all()
-    assert (corners >= study.lower)[:, np.isnan(study.mirror)].all()
-    assert (corners <= study.upper)[:, np.isnan(study.mirror)].all()
-    assert np.isfinite(study.violation(corners)).all()
-    with Evaluator(study.region, [slot.lidar for slot in study.slots], threads=1) as evaluator:
-        cost = evaluator.costs(corners, np.zeros(3, int), corners[:1], np.full(3, np.inf))
-    assert (cost > 0).all()
-    assert np.isfinite(cost).all()
-    assert math.isfinite(study.cost(corners[1]))
-
-
-def use_rig(path):
-    """Load it, look with it, and write it back."""
-    rig = load_rig(path)
-    vsr = vsr_m(segment(Region.from_boxes((0, 0, 0), (4, 3, 2), (1, 0.5, 0.5)), rig_lidars(rig)))
-    assert np.isfinite(vsr).all()
-    save_rig(rig, path.with_name("again.yaml"))
-    again = load_rig(path.with_name("again.yaml"))
-    assert (again.name, again.mounts) == (rig.name, rig.mounts)
-
-
-def use_scene(path):
-    """Load it, and cast rays from where a vehicle may stand."""
-    loaded = load_scene(path)
-    assert np.isfinite(loaded.vertices_m).all()
-    way = np.array([[1.0, 0, 0], [0, 1, 0], [0, -1, 0], [-1, 0, 0], [0, 0, -1]])
-    hit = Tracer(loaded, np.zeros(3)).cast(np.zeros((5, 3)), way)[0]
-    assert (hit >= 0).all()
-
-
-def use_sensor(path):
-    """Load it, and let it send a packet, if it can."""
-    sensor = load_sensor(path)
-    assert np.isfinite(sensor.sin_elevation).all()
-    assert (np.diff(sensor.sin_elevation) >= 0).all()
-    rig = Rig("r", (replace(mount(), sensor=sensor, model=str(path)),))
-    if sensor.rotation is None or not sensor.rotation.rpm_min <= 600 <= sensor.rotation.rpm_max:
-        return
-    sent = path.with_name("sent.pcap")
-    write_pcap(sent, in_time_order(export(rig, HALL[0], np.eye(4), packet_period_ns(sensor), start_ns=10**18)))
-    data = b"".join(d.payload for d in datagrams_of(sent) if len(d.payload) == PACKET.itemsize)
-    returns = decode(sensor, np.frombuffer(data, PACKET), np.full(len(data) // PACKET.itemsize, 10**18))
-    assert np.isfinite(returns.xyz_m).all()
-
-
-USES = {"study": use_study, "rig": use_rig, "scene": use_scene, "sensor": use_sensor}
-HALL = []
-
-
-def prepare(folder):
-    """What the files of a folder name."""
-    (folder / "m.ply").write_text(PLY.format(n=3, m=1) + "0 0 0\n1 0 0\n0 2 0\n3 0 1 2\n")
-    HALL[:] = [room(folder, (0.0, 0.0, 2.0))]
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """Where the files of one test lie."""
-    prepare(tmp_path)
-    return tmp_path
-
-
-def outcome(name, text, folder):
-    """What comes of a file: "an answer" that is right, or what the error says; all else is raised."""
-    path = folder / f"{name}.yaml"
-    path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    try:
-        USES[name](path)
-    except LidarcfgError as error:
-        return str(error)
-    return "an answer"
-
-
-def one_line(said):
-    """Whether something is said, and in a line."""
-    return bool(said) and "\n" not in said
-
-
-@pytest.mark.parametrize("name", USES)
-def test_any_file_is_an_error_or_an_answer(name, folder):
-    @settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
-    @given(documents(name))
-    @example(TEXTS[name])
-    def run(text):
-        assert one_line(outcome(name, text, folder))
-
-    run()
-    assert outcome(name, TEXTS[name], folder) == "an answer"
-
-
-@pytest.mark.parametrize("name", USES)
-def test_every_number_of_a_file_made_odd(name, folder):
-    """One at a time: every key of a good file that holds a number, and the second number of every list."""
-    at = [key for key in places(GOOD[name]) if type(value_at(GOOD[name], key)) in (int, float)]
-    at = [key for key in at if not isinstance(key[-1], int) or key[-1] == 1]
-    said = []
-    for key in at:
-        for number in (0, 5e-324, -1.7e308, 2**63):
-            document = json.loads(json.dumps(GOOD[name]))
-            value_at(document, key[:-1])[key[-1]] = number
-            said.append(outcome(name, json.dumps(document), folder))
-    assert len(said) == 4 * len(at) > 0
-    assert all(map(one_line, said))
-    assert any(one != "an answer" for one in said)
-
-
 def test_the_long_run_in_small(tool, capsys):
     """It runs, fails nothing, and leaves the docs alone unless all of it is run."""
     stress, page = tool("stress"), (ROOT / "docs/accuracy.md").read_text()
@@ -709,9 +488,3 @@ def test_the_long_run_in_small(tool, capsys):
     with pytest.raises(SystemExit, match="2"):
         stress.main(["pose"])
     assert "no case is called pose; allowed: random, poses, near" in capsys.readouterr().err
-
-
-def value_at(document, key):
-    for part in key:
-        document = document[part]
-    return document

@@ -5,8 +5,8 @@
     .venv/bin/python tools/stress.py rays files       some of them: prints, leaves docs/ alone
     .venv/bin/python tools/stress.py --quick          a hundredth of the cases: prints, leaves docs/ alone
 
-Writes the table of docs/accuracy.md between its markers. The short run is part of the tests (tests/test_stress.py),
-which has the smaller cases besides. Exits with 1 if anything failed.
+Writes the table of docs/accuracy.md between its markers. The short run is part of the tests (tests/test_stress.py and
+tests/test_documents.py), which have smaller cases besides. Exits with 1 if anything failed.
 """
 
 import argparse
@@ -32,8 +32,8 @@ from lidarcfg.placement.cones import gaps_at
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
-from tests import test_stress as loaders
-from tests.oracle import ANGLES, BAND, FANS, Line, Tally, along_a_cone, angles, sensor
+from tests import documents
+from tests.oracle import ANGLES, BAND, FANS, PLACES, Line, Tally, along_a_cone, angles, points_of, sensor
 
 
 def said(what: str, tally: Tally, differ: int = 0) -> Row:
@@ -57,8 +57,7 @@ def labels_random(size: float) -> Iterator[Row]:
         region = Region(low, low + shape * edge, np.ones(shape, bool))
         position = low + rng.uniform(-0.5, 1.5, 3) * shape * edge
         known, exact = sensor(position, angles(rng), FANS[rng.integers(len(FANS))])
-        points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
-        tally.add(exact, points, rows.beam_gaps(region, known).ravel())
+        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
     yield said("cuboid–beam pairs of random rigs", tally)
 
 
@@ -66,9 +65,9 @@ def labels_posed(size: float) -> Iterator[Row]:
     """Sensors on centres, walls and corners, beside them and far away, turned by angles that have gone wrong."""
     rng, tally = np.random.default_rng(SEED), Tally()
     region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25))
-    points = loaders.points_of(region)
+    points = points_of(region)
     for number in range(max(int(3000 * size), 6)):
-        place = [*loaders.PLACES.values()][number % len(loaders.PLACES)]
+        place = [*PLACES.values()][number % len(PLACES)]
         known, exact = sensor(place, rng.choice(ANGLES, 3), FANS[rng.integers(len(FANS))])
         tally.add(exact, points, rows.beam_gaps(region, known).ravel())
     yield said("pairs of sensors in odd places, turned by odd angles", tally)
@@ -106,7 +105,7 @@ def labels_moved(size: float) -> Iterator[Row]:
         position, rpy, fan = rng.uniform(0, 1, 3) * shape * edge, angles(rng), FANS[rng.integers(len(FANS))]
         (known, exact), (moved, _) = (sensor(at, rpy, fan) for at in (position, position + by))
         digit, other = rows.beam_gaps(here, known).ravel(), rows.beam_gaps(there, moved).ravel()
-        points = np.stack(np.meshgrid(*here.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
+        points = points_of(here)
         ulp = np.spacing(max(np.abs(there.min_m).max(), np.abs(there.max_m).max()))
         for n in np.flatnonzero(digit != other).tolist():
             nearest = min(abs(exact.above(points[n], beam)) for beam in range(len(fan)))
@@ -152,11 +151,11 @@ def files(size: float) -> Iterator[Row]:
         @settings(
             max_examples=max(int(2000 * size), 1), deadline=None, database=None, suppress_health_check=list(HealthCheck)
         )
-        @given(loaders.documents(name))
+        @given(documents.documents(name))
         def one(text: str) -> None:
             try:
-                said = loaders.outcome(name, text, folder)
-                tried.append("" if loaders.one_line(said) else f"{name}: {said!r:.80}")
+                said = documents.outcome(name, text, folder)
+                tried.append("" if documents.one_line(said) else f"{name}: {said!r:.80}")
             except Exception as error:
                 tried.append(f"{name}: {error!r:.80}")
 
@@ -164,8 +163,8 @@ def files(size: float) -> Iterator[Row]:
 
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("error")
-        loaders.prepare(Path(folder))
-        for name in loaders.USES:
+        documents.prepare(Path(folder))
+        for name in documents.USES:
             all_of(name, Path(folder))
     wrong = sorted(set(filter(None, tried)))
     yield "studies, rigs, scenes and sensors made odd", len(tried), sum(map(bool, tried)), "; ".join(wrong[:5]) or "–"

@@ -13,19 +13,8 @@ from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
-from tests.capture_fixtures import STREET, scene
+from tests.capture_fixtures import PLY, STREET, scene
 from tests.refusals import refused
-
-PLY = """ply
-format ascii 1.0
-element vertex {n}
-property float x
-property float y
-property float z
-element face {m}
-property list uchar int vertex_indices
-end_header
-"""
 
 
 def volume(scene):
