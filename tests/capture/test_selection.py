@@ -15,7 +15,7 @@ from lidarcfg.cloud import FIELDS, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.velodyne.layout import PACKET
 from tests.capture_fixtures import datagrams_of, decoded, no_warning, recording, tilted_rig, write_datagrams
-from tests.packets.velodyne.test_models import sent, write
+from tests.packets.velodyne.captures import sent, write
 
 
 @pytest.fixture(scope="module")
