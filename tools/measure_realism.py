@@ -32,6 +32,7 @@ DARK = 2  # intensities below are of dark targets
 CLIP, ROUNDS = 3.5, 5  # sigma beyond which differences are of edges, not of noise
 EDGE_M = 1.0  # by which neighbours across an edge differ: returns of a pair do, at least
 NAN, WIDE = float("nan"), 36
+ACROSS = 4  # charts beside each other
 
 
 @dataclass(frozen=True)
@@ -57,15 +58,15 @@ class Figures:
 NAMES = {
     "noise_mm": "noise of a shot (mm)",
     "dark_noise_mm": "on dark targets (mm)",
-    "laser_error_mm": "constant error of a laser, sd (mm)",
-    "laser_error_max_mm": "the greatest (mm)",
+    "laser_error_mm": "constant errors of lasers, sd (mm)",
+    "laser_error_max_mm": "greatest of these errors (mm)",
     "dropout_percent": "isolated dropouts (%)",
     "intensity_levels": "intensity of a shot, sd (levels)",
     "two_distances_percent": "pairs of two distances (%)",
     "edges_percent": "edges from firing to firing (%)",
-    "two_at_edges_percent": "two distances there (%)",
+    "two_at_edges_percent": "of these, two distances (%)",
     "laser_edges_percent": "edges from laser to laser (%)",
-    "two_at_laser_edges_percent": "two distances there (%)",
+    "two_at_laser_edges_percent": "of these, two distances (%)",
     "two_elsewhere_percent": "two distances elsewhere (%)",
     "last_alone_percent": "the last return alone (%)",
     "strongest_alone_percent": "the strongest alone (%)",
@@ -315,16 +316,17 @@ def draw(columns: dict[str, Figures], path: Path) -> None:
     named = {name: values for name, values in named.items() if np.isfinite(values).any()}
     if not named:
         raise SystemExit(f"{path}: there is nothing to draw: nothing could be measured")
-    figure = new_figure(15, 5.5)
-    charts = figure.subplots(2, -(-len(named) // 2)).ravel()
+    rows = -(-len(named) // ACROSS)
+    figure = new_figure(11, 2.2 * rows + 0.5)
+    charts = figure.subplots(rows, ACROSS).ravel()
     for axes, (name, values) in zip(charts, named.items(), strict=False):
         bars = axes.bar(range(len(values)), values, color=[COLOURS[i % len(COLOURS)] for i in range(len(values))])
-        axes.set_title(NAMES[name], fontsize=8)
+        axes.set_title(NAMES[name], fontsize=10)
         axes.set_xticks([])
         axes.grid(alpha=0.3, axis="y")
     for axes in charts[len(named) :]:
         axes.set_axis_off()
-    figure.legend(bars, list(columns), loc="outside lower center", ncols=len(columns))
+    figure.legend(bars, list(columns), loc="outside lower center", ncols=3)
     save_figure(figure, path)
 
 
