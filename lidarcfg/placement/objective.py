@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lidarcfg.config import COORDINATE_MAX_M, Model
-from lidarcfg.geometry import Array
 from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
@@ -28,7 +27,7 @@ from lidarcfg.placement.returns_kernels import Scans
 from lidarcfg.placement.sightings import Sought, missed
 from lidarcfg.placement.subspace import Links, Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.zones import Weight, worth_m
+from lidarcfg.placement.zones import Weight, Weights, worth_m
 
 Flags = NDArray[np.bool_]
 EVERY_CASE = np.empty((0, 0), bool)
@@ -110,7 +109,7 @@ class MaxVsr:
 
     work = 0.0
 
-    def __init__(self, weight: Array | None) -> None:
+    def __init__(self, weight: Weights | None) -> None:
         self._weight = weight
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
@@ -255,7 +254,7 @@ class Criterion:
         objects: Sequence[DetectionObject],
         around: Directions | None = None,  # needed for a blind spot
         by_returns: Mapping[str, Missed] = MappingProxyType({}),  # needed for objects that are detected by them
-        weight: Array | None = None,  # (nx, ny, nz) of max VSR, by cuboid
+        weight: Weights | None = None,  # of max VSR, by cuboid
         kept: Flags = EVERY_CASE,  # (cases, lidars); no cases: the whole rig alone
     ) -> None:
         self.weight, self.kept = weight, kept

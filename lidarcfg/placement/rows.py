@@ -62,8 +62,8 @@ class Grid(NamedTuple):
     weighted: Words  # (levels, rows) the cuboids of each weight
 
     @classmethod
-    def of(cls, region: Region, weight: Array | None = None) -> "Grid":
-        """The grid of a region; `weight` (nx, ny, nz) by cuboid."""
+    def of(cls, region: Region, weights: tuple[Array, NDArray[np.integer]] | None = None) -> "Grid":
+        """The grid of a region; `weights` as `zones.Weights` has them: (n,), and by cuboid 1 + which of them."""
         included = packed(region.included)
         links = np.stack([included] * 3)
         links[0] &= included << ONE
@@ -73,11 +73,11 @@ class Grid(NamedTuple):
         x, y, z = region.centres()
         x = np.concatenate([x, np.full(64 * included.shape[2] - len(x), x[-1])])
         ex, ey, ez = region.cuboid_m.tolist()
-        levels = np.empty(0) if weight is None else np.unique(weight[region.included])[::-1].copy()
-        weighted = np.zeros((len(levels), included.size), np.uint64)
-        for row, level in zip(weighted, levels, strict=True):
-            row[:] = packed(region.included & (weight == level)).ravel()
-        return cls(x, y, z, included.ravel(), links.reshape(3, -1), (ex, ey, ez), levels, weighted)
+        level, number = weights or (np.empty(0), np.empty(0, np.uint8))
+        weighted = np.zeros((len(level), included.size), np.uint64)
+        for n in range(len(level)):
+            weighted[-1 - n] = packed(np.equal(number, n + 1)).ravel()
+        return cls(x, y, z, included.ravel(), links.reshape(3, -1), (ex, ey, ez), level[::-1].copy(), weighted)
 
 
 def packed(bits: NDArray[np.bool_]) -> Words:

@@ -7,7 +7,7 @@ of its zones; outside of all zones the weight is 1. Zones do not cut subspaces.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,8 @@ from lidarcfg.placement.region import BoxFile, Region
 from lidarcfg.placement.subspace import Subspaces
 
 Weight = Annotated[float, Field(ge=1e-9, le=1e9)]
+WEIGHT_BYTES = 3  # of memory for a cuboid's weight, and an eighth for each weight that there is
 ELSEWHERE = "elsewhere"  # what lies in no zone
-WEIGHT_BYTES = 32  # of memory for a cuboid's weight, and for ordering them
 
 
 class ZoneFile(BoxFile):
@@ -90,27 +90,38 @@ def rest_max_vsr_m(zones: Sequence[Zone], subspaces: Subspaces, vsr: Array) -> f
     return float(vsr[found].max()) if found.any() else None
 
 
-def weights(zones: Sequence[Zone], region: Region) -> Array | None:
-    """(nx, ny, nz) by cuboid, the greatest weight of its zones, 1 in none; None without zones. Raises LidarcfgError."""
+class Weights(NamedTuple):
+    """What cuboids weigh by their zones."""
+
+    level: Array  # (n,) the weights that there are, ascending
+    number: NDArray[np.integer]  # (nx, ny, nz) 1 + which of them; 0 where a cuboid is excluded
+
+
+def weights(zones: Sequence[Zone], region: Region) -> Weights | None:
+    """By cuboid the greatest weight of its zones, 1 in none; None without zones. Raises LidarcfgError."""
     if not zones:
         return None
-    cuboids = region.included.size
-    check_memory(f"weighing {cuboids:,} cuboids by their zones", WEIGHT_BYTES * cuboids, "use larger cuboids")
-    out = np.zeros(region.shape)
+    level, cuboids = np.unique([1.0, *(one.weight for one in zones)]), region.included.size
+    what = f"weighing {cuboids:,} cuboids by zones of {len(level)} weights"
+    check_memory(what, (WEIGHT_BYTES + len(level) / 8) * cuboids, "use larger cuboids or fewer weights")
+    number = np.zeros(region.shape, np.min_scalar_type(len(level)))
     for one in zones:
-        part = out[one.cells(region)]
-        np.maximum(part, one.weight, out=part)
-    for layer, rest, included in zip(out, the_rest(zones, region), region.included, strict=True):
-        layer[rest], layer[~included] = 1.0, 0.0
-    return out
+        part = number[one.cells(region)]
+        np.maximum(part, np.searchsorted(level, one.weight).astype(number.dtype) + number.dtype.type(1), out=part)
+    elsewhere = np.searchsorted(level, 1.0) + 1
+    for layer, rest, included in zip(number, the_rest(zones, region), region.included, strict=True):
+        layer[rest], layer[~included] = elsewhere, 0
+    return Weights(level, number)
 
 
-def worth_m(subspaces: Subspaces, weight: Array | None) -> Array:
-    """(n,) the VSR of subspaces, times the greatest `weight` (nx, ny, nz) of their cuboids."""
+def worth_m(subspaces: Subspaces, weight: Weights | None) -> Array:
+    """(n,) the VSR of subspaces, times the greatest weight of their cuboids."""
     vsr = vsr_m(subspaces)
     if weight is None:
         return vsr
-    greatest = np.zeros(len(subspaces))
-    for level in np.unique(weight[subspaces.region.included]):
-        greatest[subspaces.label[subspaces.region.included & (weight == level)]] = level
-    return vsr * greatest
+    greatest = np.zeros(len(subspaces) + 1)  # the last is for excluded cuboids, of label −1
+    for label, number in zip(subspaces.label, weight.number, strict=True):
+        for n, level in enumerate(weight.level, start=1):
+            some = label[number == n]
+            greatest[some] = np.maximum(greatest[some], level)
+    return vsr * greatest[:-1]

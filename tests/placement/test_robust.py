@@ -1,5 +1,6 @@
 """LiDARs that fail, mounting errors and zones: against loops over all of them, and with and without skipping."""
 
+import json
 import math
 from dataclasses import replace
 from itertools import product
@@ -13,6 +14,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.sensitivity import changes_m, robustness
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.zones import weights
 from lidarcfg.report.robustness import lost_table
 from tests.naive import placement as naive_placement
 from tests.naive import robust as naive
@@ -133,6 +135,21 @@ def test_a_zone_of_weight_one_is_no_zone(tmp_path):
     zoned, plain = (optimize(study(tmp_path, more)) for more in (everything, ""))
     assert zoned.rig == plain.rig
     assert [(c.best, c.mean) for c in zoned.history] == [(c.best, c.mean) for c in plain.history]
+
+
+def test_weights_are_those_of_the_zones_around_each_centre_in_a_byte_a_cuboid(tmp_path):
+    """Some weigh less than what is in no zone, some overlap; by a loop over cuboids and zones."""
+    boxes = [((0, 0, 0), (6, 8, 2), 0.5), ((4, 2, 1), (9, 6, 3), 3), ((5.5, 0, 0), (8, 4, 3), 0.25), (*FRONT, 3)]
+    keys = ("name", "min_m", "max_m", "weight")
+    zones = [dict(zip(keys, (f"z{i}", *map(list, box[:2]), box[2]), strict=True)) for i, box in enumerate(boxes)]
+    loaded = study(tmp_path, f"zones: {json.dumps(zones)}\n")
+    found = weights(loaded.zones, loaded.region)
+    assert found.number.nbytes == loaded.region.included.size
+    centres = np.stack(np.meshgrid(*loaded.region.centres(), indexing="ij"), axis=-1)
+    for index in np.ndindex(loaded.region.shape):
+        here = [w for low, high, w in boxes if (low <= centres[index]).all() and (centres[index] < high).all()]
+        counts = loaded.region.included[index]
+        assert found.number[index] == (1 + found.level.tolist().index(max(here, default=1)) if counts else 0)
 
 
 @pytest.mark.parametrize(("more", "own"), [("", False), ("robust: {lost: 1}\n", False), (ZONES, True)])
