@@ -244,11 +244,13 @@ class Run:
         if self.best_cost >= INFEASIBLE:
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
         study, rig, log = self.study, self.rig(), self.log()
+        # before the evaluation, not during it, since either may need a gigabyte
+        midpoint = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
         return Placement(
             rig=rig,
             evaluation=evaluate(study, rig),
             objective=self.best_cost,
-            midpoint_max_vsr_m=max_vsr(study.region, study.lidars(study.midpoint), study.visibility),
+            midpoint_max_vsr_m=midpoint,
             history=tuple(self.history),
             evaluations=self.evaluations,
             first_evaluations=self.asked["first"],
