@@ -258,7 +258,7 @@ def _check_constraints(file: StudyFile) -> None:
         most_m = float(np.linalg.norm(np.maximum(one[1] - other[0], other[1] - one[0])))
         if most_m < apart_m:
             which = f"two of sensors[{i}]" if i == j else f"sensors[{i}] and sensors[{j}]"
-            what = f"{apart_m:g} is impossible: {which} are {most_m:.4g} apart or less within their bounds"
+            what = f"{apart_m:g} is impossible: {which} are at most {most_m:.4g} m apart within their bounds"
             raise fault(what, "constraints", "min_distance_m")
 
 

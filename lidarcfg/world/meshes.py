@@ -26,6 +26,10 @@ NO_MESHES = {  # by suffix: what the file is instead, and what to do
     **dict.fromkeys((".pcd", ".las", ".laz", ".npz"), _CLOUD),
     **dict.fromkeys((".xyz", ".pts", ".e57", ".bin"), f"{_CLOUD}, as PLY, PCD, LAS or npz"),
     **dict.fromkeys((".tif", ".tiff", ".asc"), "heights are no mesh; give them under height_fields, as PNG or npy"),
+    **dict.fromkeys(
+        (".step", ".stp", ".iges", ".igs"), "a CAD model has no triangles; export a mesh of it, for example an STL"
+    ),
+    **dict.fromkeys((".dae", ".3ds", ".blend"), "a format that is not read; export the mesh as glTF, OBJ or STL"),
     **dict.fromkeys((".png", ".npy"), "heights are no mesh; give them under height_fields, in a scene"),
 }
 

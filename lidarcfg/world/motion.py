@@ -236,6 +236,25 @@ def standing(T_world_vehicle: Array) -> Trajectory:
     return Trajectory(T_world_vehicle, prepared(STANDING), 0)
 
 
+def timed(times_s: Array, T_world_vehicle: Array, zero_ns: int) -> Trajectory:
+    """The trajectory through poses (K, 4, 4) at times (K,), in seconds since `zero_ns`, as a .tum file has it.
+
+    Raises ConfigError for fewer than two, for times that do not ascend and for poses that are not rigid.
+    """
+    times, T = np.asarray(times_s, np.float64), np.asarray(T_world_vehicle, np.float64)
+    if times.ndim != 1 or T.shape != (len(times), 4, 4) or len(times) < 2:
+        raise ConfigError(f"times and poses are of shapes {times.shape} and {T.shape}; allowed: (K,), (K, 4, 4), K > 1")
+    if not (np.diff(times) > 0).all() or not abs(times).max() <= TIME_LIMIT_S:
+        raise ConfigError(f"times must ascend and be within {TIME_LIMIT_S:g} s of the start")
+    R = T[:, :3, :3]
+    rigid = (abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)) <= UNIT).all(axis=(1, 2))
+    rigid &= (np.cross(R[:, 0], R[:, 1]) * R[:, 2]).sum(axis=1) > 0  # no mirror
+    wrong = np.flatnonzero(~(rigid & (abs(T[:, :3, 3]) <= LIMIT).all(axis=1)))
+    if len(wrong):
+        raise ConfigError(f"pose {wrong[0]} is no rotation and shift of up to {LIMIT:g} m")
+    return Trajectory(np.eye(4), _path(Motion.model_construct(poses=()), times, T[:, :3, 3].copy(), R.copy()), zero_ns)
+
+
 def rotated(R: Array, vectors: Array) -> Array:
     """Vectors (n, 3) rotated by R: one matrix each (n, 3, 3), or one for all (1, 3, 3)."""
     out: Array = vectors @ R[0].T if len(R) == 1 else np.einsum("nij,nj->ni", R, vectors)

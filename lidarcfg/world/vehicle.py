@@ -302,7 +302,7 @@ def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
     size_m = np.ptp(mesh[0], axis=0)
     if LEAST_M <= size_m.max() <= MOST_M or (scale := likely_scale(size_m / item.scale)) == item.scale:
         return []
-    size = " × ".join(f"{value:.4g}" for value in size_m)
+    size = " × ".join(f"{value:.4g}" if value < 1e4 else f"{value:.0f}" for value in size_m)
     return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, set scale: {scale:g}"]
 
 

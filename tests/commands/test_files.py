@@ -356,8 +356,8 @@ def test_a_sensor_without_packets_is_exported_if_its_range_is_known(tmp_path, mo
     ("changes", "constraints", "what"),
     [
         ([("[2.1, 0, 1], rpy_deg: [0, 0, 0]", "[2.1, 0, 1], rpy_deg: [5, 3, 0]")], "{max_tilt_deg: 5}", r"6:15: constraints.max_tilt_deg: 5 is impossible: sensors\[1\] tilts by 5.829 or more"),
-        ([], "{min_distance_m: 3.9}", r"constraints.min_distance_m: 3.9 is impossible: sensors\[0\] and sensors\[1\] are 3.742 apart or less"),
-        ([("model: vlp-16", "count: 2, mirror_y_m: 0, model: vlp-16")], "{min_distance_m: 2.4}", r"two of sensors\[0\] are 2.291 apart or less"),
+        ([], "{min_distance_m: 3.9}", r"constraints.min_distance_m: 3.9 is impossible: sensors\[0\] and sensors\[1\] are at most 3.742 m apart"),
+        ([("model: vlp-16", "count: 2, mirror_y_m: 0, model: vlp-16")], "{min_distance_m: 2.4}", r"two of sensors\[0\] are at most 2.291 m apart"),
     ],
 )  # fmt: skip
 def test_constraints_that_nothing_keeps_are_refused_before_the_search(tmp_path, changes, constraints, what):
@@ -405,6 +405,10 @@ def test_cuboid_sizes_that_are_proposed_are_round_and_divide(length, edge, sizes
 
 
 def test_maps_that_are_no_meshes_are_refused_by_name(tmp_path):
+    for name in ("bus.step", "bus.dae"):
+        (tmp_path / name).write_text("x")
+        with pytest.raises(SceneError, match=rf"{name}: a .*; export (a mesh of it, .*STL|the mesh as .*STL)"):
+            read_mesh(tmp_path / name)
     for name, what in (("town.xodr", "OpenDRIVE map has lanes"), ("scan.pcd", "point cloud has no surfaces")):
         (tmp_path / name).write_text("x")
         with pytest.raises(SceneError, match=f"{name}: an? .*{what}"[:40]):

@@ -16,7 +16,7 @@ from lidarcfg.rig import Rig
 from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, load_path, prepared
+from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, load_path, prepared, timed
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import datagrams_of, mount, no_warning, scene, tilted_rig
 
@@ -221,6 +221,29 @@ def test_between_poses_scipy_agrees():
     np.testing.assert_allclose(R, Slerp(times, turns)(asked).as_matrix(), atol=1e-13)
     np.testing.assert_allclose(t, np.stack([np.interp(asked, times, c) for c in places.T], axis=1), atol=1e-11)
     np.testing.assert_allclose(t[1000:], places, atol=1e-12)
+
+
+def test_a_trajectory_through_arrays_of_poses_is_that_of_their_keys():
+    seconds = np.array([-0.5, 0.0, 2.0])
+    keys = [((1.0, 2.0, 0.5), (0.1, -0.2, 0.3)), ((2.0, 2.5, 0.5), (0.0, 0.1, 0.9)), ((9.0, 3.0, 0.2), (0.0, 0.0, 2.0))]
+    T = np.array([pose(position, rpy) for position, rpy in keys])
+    poses = tuple(
+        TimedPose(time_s=t, position_m=at, rpy_deg=tuple(np.degrees(rpy)))
+        for t, (at, rpy) in zip(seconds, keys, strict=True)
+    )
+    made, known = timed(seconds, T, 10**9), prepared(Motion(poses=poses))
+    asked = np.linspace(-0.5, 2.0, 31)
+    for one, other in zip(made.path.at(asked), known.at(asked), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(made.pose(10**9), T[1], rtol=0, atol=1e-12)
+    bent = T.copy()
+    bent[1, 0, 0] = np.nan
+    for times, places, what in (
+        (seconds[:1], T[:1], "K > 1"), (seconds, T[:2], "of shapes"), (seconds[::-1], T, "must ascend"),
+        (seconds, bent, "pose 1 is no rotation"), (seconds, -T, "pose 0 is no rotation"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=what):
+            timed(times, places, 0)
 
 
 def test_a_path_of_timed_lines_is_that_of_their_poses(tmp_path):

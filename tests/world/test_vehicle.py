@@ -168,6 +168,12 @@ def test_a_mesh_in_another_unit_is_told_by_its_size(tmp_path, factor, scale, uni
     assert load_vehicle(tmp_path / "v.yaml").warnings == ()
 
 
+def test_the_size_of_a_large_mesh_has_no_exponent(tmp_path):
+    save(o3d.geometry.TriangleMesh.create_box(12_000, 2550, 2900), tmp_path / "bus.stl")
+    (message,) = load_vehicle(tmp_path / "bus.stl").warnings
+    assert "is 12000 × 2550 × 2900 m large; if its unit is the millimetre, set scale: 0.001" in message
+
+
 def test_a_mesh_in_metres_that_is_scaled_down_is_told(tmp_path):
     (tmp_path / "v.yaml").write_text(vehicle_text(SEDAN, ", scale: 0.001"))
     (message,) = load_vehicle(tmp_path / "v.yaml").warnings
