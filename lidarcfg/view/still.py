@@ -352,7 +352,8 @@ def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None
         unit = {"intensity": " %", "height": " m", "time": " s"}.get(by, "")
         for fraction in (1.0, 0.5, 0.0):
             code = scaled([fraction], 0.0, 1.0)[0].astype(int)
-            entries.append((f"{by} {low + fraction * (high - low):.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
+            value = round(low + fraction * (high - low), 3) + 0.0  # no -0
+            entries.append((f"{by} {value:.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
         if by == "intensity":
             entries.append(("retro-reflector", RETRO))
     if stage.study and worst:
