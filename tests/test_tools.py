@@ -137,6 +137,15 @@ def test_a_better_rig_takes_the_place_of_the_best_known(tool, tmp_path, monkeypa
     assert [run["seed"] for run in bench.finished()] == [1000, 1001, 2]
 
 
+@pytest.mark.parametrize("name", ["objects", "vehicles"])
+def test_the_meshes_in_data_are_what_a_script_makes(tool, tmp_path, name):
+    tool(f"make_{name}").main(tmp_path)
+    made, kept = (
+        {path.name: path.read_bytes() for path in folder.iterdir()} for folder in (tmp_path, ROOT / "data" / name)
+    )
+    assert made == kept
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "tools").glob("*.py")), ids=lambda path: path.name)
 def test_tools_ask_for_what_the_package_has(path):
     """No test runs the benchmarks: at least every name that they import is there."""

@@ -97,12 +97,6 @@ def sensor_pose(folder, name):
     return next(mount.T_vehicle_sensor for mount in load_rig(folder / "rig.yaml").mounts if mount.name == name)
 
 
-def corners_inside(points, T_points_box, size_m):
-    """Which points are in a box, a millimetre larger."""
-    own = transform(np.linalg.inv(T_points_box), points)
-    return (abs(own) <= np.array(size_m) / 2 + 1e-3).all(axis=1)
-
-
 def test_each_point_has_the_object_that_it_is_on(scene, world):
     names, time_ns, xyz = world
     assert set(names) == set(LABELS)

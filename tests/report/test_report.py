@@ -67,7 +67,7 @@ class Page(HTMLParser):
     def __init__(self, text):
         super().__init__()
         self.open, self.ids, self.links, self.tags, self.text = [], [], [], [], []
-        self.captions, self.labels, self.heads = 0, [], []
+        self.labels, self.heads = [], []
         self.feed(text)
         self.close()
         assert self.open == []

@@ -74,10 +74,6 @@ def packet_period_ns(sensor, dual=False):
     return unit(sensor).period_ns(dual)
 
 
-def packet_offsets_ns(sensor, dual=False):
-    return unit(sensor).offsets_ns(dual)
-
-
 def packet_stamps_ns(sensor, fired):
     """When each packet (P,) is stamped, and when it is complete."""
     firing = facts(sensor).firing
