@@ -199,8 +199,10 @@ def _from_above(axis: Axes) -> None:
     axis.plot(*wall.T, color="0.2", linewidth=4)
     axis.annotate("last echo: a wall;\nthe beam has widened\nby its divergence", wall[1], (5.6, 4.1), ha="center",
                   va="bottom", arrowprops={"arrowstyle": "-"}, fontsize=9.5)  # fmt: skip
-    axis.add_patch(Arc((0, 0), 4.4, 4.4, theta1=0, theta2=20, color=COLOURS[5], linewidth=1.6))
-    axis.annotate("azimuth", (2.2, 0.35), (2.6, -0.65), color=COLOURS[5], fontsize=9.5)
+    axis.add_patch(Arc((0, 0), 2.2, 2.2, theta1=-102, theta2=0, color=COLOURS[5], linewidth=1.6))
+    tip, back = (1.1 * np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians((-110, -100)))
+    axis.annotate("", tip, back, arrowprops={"arrowstyle": "-|>", "color": COLOURS[5]})
+    axis.text(-0.7, -1.1, "azimuth 110°,\nclockwise from x", color=COLOURS[5], fontsize=9.5, ha="right", va="center")
     axis.annotate("", (8.1, 0), (0, 0), arrowprops={"arrowstyle": "->", "color": "0.4"})
     axis.annotate("", (0, 3.2), (0, 0), arrowprops={"arrowstyle": "->", "color": "0.4"})
     axis.text(8.15, 0, "x", va="center")
