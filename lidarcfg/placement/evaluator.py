@@ -26,7 +26,6 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import LIMITS, new_looks
-from lidarcfg.placement.zones import worth_m
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
@@ -74,8 +73,8 @@ class Evaluator:
         rows.check_room(self._grid, lidar_count, beams, self._threads)
         self._kept = criterion.kept if criterion and len(criterion.kept) else np.ones((1, len(lidars)), bool)
         if criterion and not criterion.is_max_vsr:
-            what = f"numbering {region.included.size:,} cuboids in {len(self._kept)} rigs on {self._threads} threads"
-            needed = LABEL_BYTES * region.included.size * len(self._kept) * self._threads
+            what = f"numbering {region.included.size:,} cuboids on {self._threads} threads"
+            needed = LABEL_BYTES * region.included.size * self._threads
             check_memory(what, needed, "use larger cuboids or fewer threads")
         self._witnesses = kernels.WITNESSES
         self._poses = np.empty((0, len(lidars), 6))  # of the food sources, for _witness
@@ -170,8 +169,8 @@ class Evaluator:
         values, witnesses = [np.empty(0)], [np.empty(0, np.int64)]
         for case, one in enumerate(criterion.cases(trial)):
             if one.is_cut:
-                values.append(worth_m(one.subspaces, criterion.weight))
-                i, j, k = np.unravel_index(one.subspaces.first, self._region.shape)
+                values.append(one.worth_m)
+                i, j, k = np.unravel_index(one.first, self._region.shape)
                 first = case * 64 * self._grid.included.size
                 witnesses.append(first + rows.cuboid_number(self._grid, (i, j, k)))
         worst = np.argsort(-np.concatenate(values), kind="stable")[: self._witnesses]

@@ -68,6 +68,7 @@ class Trial:
         self.region, self.lidars, self.visibility = region, lidars, visibility
         self.kept = tuple(range(len(lidars)))  # the numbers of its LiDARs in the whole rig
         self.is_cut = False  # into subspaces
+        self.worth_m, self.first = np.empty(0), np.empty(0, np.int64)  # of its subspaces; see forget
         self._whole: Trial | None = None
         self._left: dict[tuple[int, ...], Trial] = {}
 
@@ -78,6 +79,12 @@ class Trial:
         if self._whole:
             return self._whole._links.subspaces(self.kept)
         return segment(self.region, self.lidars, self.visibility)
+
+    def forget(self, weight: Weights | None) -> None:
+        """Keep of its subspaces only what they are worth and the first cuboid of each: the rest is large."""
+        found = self.__dict__.pop("subspaces", None)
+        if found:
+            self.worth_m, self.first = worth_m(found, weight), found.first
 
     @cached_property
     def _links(self) -> Links:
@@ -314,6 +321,7 @@ class Criterion:
         cost = -math.inf
         for case in dict.fromkeys((*self._refuting.items, *range(len(cases)))):
             cost = max(cost, self._of_case(cases[case], to_beat))
+            cases[case].forget(self.weight)
             if cost == math.inf:
                 self._refuting.add(case)
                 break

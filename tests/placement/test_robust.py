@@ -2,6 +2,7 @@
 
 import json
 import math
+import weakref
 from dataclasses import replace
 from itertools import product
 
@@ -14,6 +15,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.robustness import Robust, mounted
 from lidarcfg.placement.sensitivity import changes_m, robustness
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.subspace import Links
 from lidarcfg.placement.zones import weights
 from lidarcfg.report.robustness import lost_table
 from tests.naive import placement as naive_placement
@@ -150,6 +152,24 @@ def test_weights_are_those_of_the_zones_around_each_centre_in_a_byte_a_cuboid(tm
         here = [w for low, high, w in boxes if (low <= centres[index]).all() and (centres[index] < high).all()]
         counts = loaded.region.included[index]
         assert found.number[index] == (1 + found.level.tolist().index(max(here, default=1)) if counts else 0)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_thread_holds_the_subspaces_of_one_case_at_a_time(tmp_path, monkeypatch, threads):
+    """Three rigs may be left of three LiDARs; how many Subspaces there are, by weak references to all that were made."""
+    loaded, made, most = study(tmp_path, OBJECTS + "objective: {detection: {box: 1}}\nrobust: {lost: 1}\n"), [], []
+    of = Links.subspaces
+
+    def noted(links, kept):
+        found = of(links, kept)
+        made.append(weakref.ref(found))
+        most.append(sum(one() is not None for one in made))
+        return found
+
+    monkeypatch.setattr(Links, "subspaces", noted)
+    optimize(with_solver(loaded, cycles=1), threads=threads, skip=False)
+    assert len(made) >= 3 * 10
+    assert max(most) <= threads
 
 
 @pytest.mark.parametrize(("more", "own"), [("", False), ("robust: {lost: 1}\n", False), (ZONES, True)])
