@@ -1,13 +1,15 @@
 """A rig that every table of a report shows beside the result, with the differences."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from lidarcfg.placement.details import Details
 from lidarcfg.report.html import Figure, Table
 from lidarcfg.rig import Rig
 
+Row = Sequence[object]
+COUNT = re.compile(r"^\d+ ")  # before a name, such as that of the first sensor
 NUMBER = re.compile(r"(?:≥ )?(-?[\d,]+(?:\.(\d+))?)( ?%)?(?![\d.]| ?…)")  # that a cell begins with
 
 
@@ -21,13 +23,14 @@ class Baseline:
 
 
 def beside(table: Table | None, baseline: Table | None) -> Table | None:
-    """The table with two more rows after each: the baseline's, and the difference."""
+    """The table with two more rows after each: the baseline's, and the difference.
+
+    Rows of one name belong together, the others in their order.
+    """
     if table is None or baseline is None:
         return table
-    rows: list[Sequence[object]] = []
-    for i in range(max(len(table.rows), len(baseline.rows))):
-        own = table.rows[i] if i < len(table.rows) else None
-        other = baseline.rows[i] if i < len(baseline.rows) else None
+    rows: list[Row] = []
+    for own, other in _pairs(table.rows, baseline.rows):
         if own:
             rows.append(own)
         if other:
@@ -37,6 +40,25 @@ def beside(table: Table | None, baseline: Table | None) -> Table | None:
             cells = enumerate(zip(own[1:], other[1:], strict=True), 1)
             rows.append(["difference", *(difference(*pair) if table.is_number(n) else "" for n, pair in cells)])
     return Table(f"{table.caption}; below each row, the baseline's", table.head, rows, table.texts)
+
+
+def _pairs(rows: Sequence[Row], others: Sequence[Row]) -> Iterator[tuple[Row | None, Row | None]]:
+    """Each row with the one of its name, or else with the next of those that belong to none; then what is left."""
+    left = list(others)
+
+    def take(name: str) -> Row | None:
+        found = (i for i, row in enumerate(left) if _name(row) == name)
+        return left.pop(i) if (i := next(found, None)) is not None else None
+
+    known = [take(_name(row)) for row in rows]
+    for own, other in zip(rows, known, strict=True):
+        yield own, other or (left.pop(0) if left else None)
+    yield from ((None, row) for row in left)
+
+
+def _name(row: Row) -> str:
+    """What a row is of, without its number."""
+    return COUNT.sub("", str(row[0]))
 
 
 def difference(own: object, other: object) -> str:

@@ -104,6 +104,18 @@ def test_differences_are_of_what_is_printed():
     assert [difference(*pair) for pair in (("–", "1"), ("-15 … 15", "-10 … 10"), ("± 0.1", "exact"))] == ["", "", ""]
 
 
+def test_sensors_of_one_name_belong_together():
+    """Whatever their numbers; of the others the first with the first."""
+    own = Table("t", ("", "x"), [["1 roof", "4"], ["2 left", "3"], ["3 rear", "2"]], texts=())
+    more = Table("t", ("", "x"), [["1 top", "9"], ["2 rear", "8"], ["3 front", "7"], ["4 side", "6"]], texts=())
+    assert beside(own, more).rows == [
+        ["1 roof", "4"], ["baseline: 1 top", "9"], ["difference", "-5"],
+        ["2 left", "3"], ["baseline: 3 front", "7"], ["difference", "-4"],
+        ["3 rear", "2"], ["baseline: 2 rear", "8"], ["difference", "-6"],
+        ["baseline: 4 side", "6"],
+    ]  # fmt: skip
+
+
 def test_rows_that_only_one_of_them_has():
     own = Table("t", ("", "a", "b"), [["x", "1", "p"]], texts=(2,))
     more = Table("t", ("", "a", "b"), [["y", "3", "q"], ["z", "4", "r"]], texts=(2,))
