@@ -39,7 +39,7 @@ def beside(table: Table | None, baseline: Table | None) -> Table | None:
         if own and other:
             cells = enumerate(zip(own[1:], other[1:], strict=True), 1)
             rows.append(["difference", *(difference(*pair) if table.is_number(n) else "" for n, pair in cells)])
-    return Table(f"{table.caption}; below each row, the baseline's", table.head, rows, table.texts)
+    return Table(f"{table.caption.removesuffix('.')}; below each row, the baseline's", table.head, rows, table.texts)
 
 
 def _pairs(rows: Sequence[Row], others: Sequence[Row]) -> Iterator[tuple[Row | None, Row | None]]:

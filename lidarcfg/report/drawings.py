@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 MAP = "cividis"  # looks the same to colour-blind people
 WORST = "#D55E00"
 NAMES_MAX = 12  # in a legend; the table has them all
+BESIDE_PT = 11  # from a sensor to its number
 MARGINS_IN = 1.4  # for the labels of three views
 Bounds = dict[str, tuple[Array, Array]]  # by sensor: least and greatest position
 
@@ -74,11 +75,16 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
             across, up = VIEWS[view]
             axes = figure.add_subplot(place)
             shade_excluded(axes, study.region, view)
-            for i, mount in enumerate(rig.mounts):
-                _draw_mount(axes, view, i, bounds.get(mount.name), at[i], tips[i])
-            sensor_dots(axes, rig, view, 7)
             axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]))
             axes.set_aspect("equal")
+            axes.apply_aspect()
+            below = [
+                _draw_mount(axes, view, i, bounds.get(mount.name), at[i], tips[i]) for i, mount in enumerate(rig.mounts)
+            ]
+            sensor_dots(axes, rig, view, 7)
+            number_places(
+                axes, np.array(below), [str(i + 1) for i in range(len(below))], [colour(i) for i in range(len(below))]
+            )
             axes.grid(True)
             name_axes(axes, view)
         top = figure.axes[0]
@@ -101,8 +107,8 @@ def _frame(points: Array, span: float, floor_m: float) -> tuple[Array, Array]:
     return low - wider, high + wider
 
 
-def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | None, at: Array, tip: Array) -> None:
-    """Draw the i-th sensor's bounds, its axis from `at` to `tip`, and its number."""
+def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | None, at: Array, tip: Array) -> Array:
+    """Draw the i-th sensor's bounds and its axis from `at` to `tip`; returns (2,) where its number belongs."""
     across, up = VIEWS[view]
     if bounds:
         (left, right), (bottom, top) = ((bounds[0][axis], bounds[1][axis]) for axis in (across, up))
@@ -112,9 +118,9 @@ def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | N
     axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=arrow)
     length = float(np.hypot(*(end - start)))
     away = (start - end) / length if length > 0.08 * float(np.linalg.norm(tip - at)) else np.array([0.0, -1.0])
-    offset = (11 * away[0], 11 * away[1])
-    text = axes.annotate(str(i + 1), (start[0], start[1]), offset, textcoords="offset points")
-    text.set(color=colour(i), weight="bold", ha="center", va="center")
+    beside = axes.transData.transform(start) + BESIDE_PT * axes.figure.dpi / 72 * away
+    place: Array = axes.transData.inverted().transform(beside)
+    return place
 
 
 def draw_history(study: Study, found: Placement) -> Markup:
