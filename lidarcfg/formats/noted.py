@@ -43,11 +43,14 @@ class Noted:
         return cls(files, place_text(at))
 
     def gone(self, output: Path) -> list[Path]:
-        """What an earlier export may have left beside the output, and this one does not write."""
-        if self._lacks:
-            return [record_path(output), *(output.with_name(output.name + suffix) for suffix in BESIDE)]
-        kept = {given.suffix for given in self.files.values() if isinstance(given, Beside)}
-        return [output.with_name(output.name + suffix) for suffix in BESIDE if suffix not in kept]
+        """What an earlier export may have left beside the output, and this one neither writes nor was given."""
+        kept = {os.path.realpath(given) for given in self.files.values() if isinstance(given, Path)}
+        if not self._lacks:
+            suffixes = [given.suffix for given in self.files.values() if isinstance(given, Beside)]
+            kept |= {os.path.realpath(output.with_name(output.name + suffix)) for suffix in suffixes}
+            kept.add(os.path.realpath(record_path(output)))
+        own = [record_path(output), *(output.with_name(output.name + suffix) for suffix in BESIDE)]
+        return [path for path in own if os.path.realpath(path) not in kept]
 
     def save(self, output: Path, drive: Drive, on_warning: Callable[[str], None]) -> None:
         """Write the record, and what belongs to it, or say what is missing."""

@@ -132,6 +132,17 @@ def test_what_a_record_lacks_is_said(tmp_path):
         lidarcfg.export(RIG, STREET, out, 0.002, at=standing(np.eye(4)), trajectory="drive.yaml")
 
 
+def test_what_an_export_wrote_beside_another_may_be_given_to_the_next(tmp_path):
+    """It stays; what is no longer needed goes."""
+    out, own = tmp_path / "a.pcap", tmp_path / "a.pcap.rig.yaml"
+    moved = Trajectory(np.eye(4), prepared(Motion(velocity_m_s=(3, 0, 0))), START_NS)
+    lidarcfg.export(lidarcfg.load_rig(ROOF), STREET, out, 0.002, at=moved)
+    assert (tmp_path / "a.pcap.trajectory.yaml").exists()
+    lidarcfg.export(own, STREET, out, 0.002)
+    assert not (tmp_path / "a.pcap.trajectory.yaml").exists()
+    assert lidarcfg.decode(out).sensor_names == ("left", "right")
+
+
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, np.nan, np.inf, 1e6])
 def test_durations_that_are_none(tmp_path, duration_s):
     with pytest.raises(LidarcfgError, match=r"duration_s is .*; allowed: above 0, at most 86400"):
