@@ -298,8 +298,8 @@ class Capture:
             raise PacketError(f"{self._path}: no LiDAR data packets in the window")
         if not self._streams:
             sizes = ", ".join(f"{n} of {size} bytes" for size, n in sorted(self._others.items())[:5])
-            found_ = f"its UDP datagrams: {sizes}" if sizes else "no UDP datagrams at all"
-            raise PacketError(f"{self._path}: no LiDAR data packets; {found_}")
+            datagrams = f"its UDP datagrams: {sizes}" if sizes else "no UDP datagrams at all"
+            raise PacketError(f"{self._path}: no LiDAR data packets; {datagrams}")
 
 
 def _catalogued(codec: str, name: str | None = None) -> list[Sensor]:

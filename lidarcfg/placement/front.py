@@ -324,15 +324,15 @@ class FrontRun:
         """The front so far. Raises KeyboardInterrupt if there is none yet, ConfigError where no rig is allowed."""
         if not any(math.isfinite(entrant.best.best_cost) for entrant in self.entrants):
             raise KeyboardInterrupt
-        front, objectives = self.on_front(), self.objectives.tolist()
-        if not any(front):
+        on_front, objectives = self.on_front(), self.objectives.tolist()
+        if not any(on_front):
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
-        order = sorted(range(len(front)), key=lambda i: (self._prices[i], objectives[i]))
+        order = sorted(range(len(on_front)), key=lambda i: (self._prices[i], objectives[i]))
         ones = self.entrants
         return Front(
-            points=tuple(Point(ones[i].combination, ones[i].placement(interrupted)) for i in order if front[i]),
+            points=tuple(Point(ones[i].combination, ones[i].placement(interrupted)) for i in order if on_front[i]),
             candidates=tuple(
-                Candidate(ones[i].combination, objectives[i], ones[i].evaluations, front[i]) for i in order
+                Candidate(ones[i].combination, objectives[i], ones[i].evaluations, on_front[i]) for i in order
             ),
             history=tuple(self.history),
             logs=tuple(tuple(logs) for logs in self.logs()),

@@ -71,11 +71,12 @@ class Sightings:
     @property
     def detection(self) -> Detection:
         """The detection rate; for drawn places, the mean of the replicates' rates with Student's interval."""
-        missed, found = 1.0 - self.probability, Returns(
+        missed = 1.0 - self.probability
+        found = Returns(
             rate_in_worst_phase=float(np.mean(self.worst >= self.sought.enough)),
             mean=float(self.mean.mean()),
             mean_in_worst_phase=float(self.worst.mean()),
-        )  # fmt: skip
+        )
         if not self.sought.item.samples:
             return Detection(1.0 - _sum(missed) / len(missed), len(missed), 0.0, found)
         rates = [1.0 - _sum(part) / len(part) for part in np.split(missed, _ends(self.sought))]

@@ -278,8 +278,8 @@ def load_path(path: str | Path | None) -> MotionPath:
     if path.suffix != TUM:
         return prepared(load(path, Motion))
     rows = _read_tum(path)
-    timed = Motion.model_construct(poses=())  # which are in the arrays
-    return _path(timed, rows[:, 0].copy(), rows[:, 1:4].copy(), _matrices(rows[:, 4:]))
+    motion = Motion.model_construct(poses=())  # its poses are in the arrays
+    return _path(motion, rows[:, 0].copy(), rows[:, 1:4].copy(), _matrices(rows[:, 4:]))
 
 
 def _read_tum(path: Path) -> Array:

@@ -58,17 +58,19 @@ class OusterDecoder(Decoder):
         packets, layout = chosen(packets, wanted), self._layout
         frame, column = heads(layout, packets).frame, columns(layout, packets).measurement[:, 0]
         inside = np.searchsorted(self._in_frame, column // layout.columns_per_packet).clip(max=len(self._in_frame) - 1)
-        place = frame * len(self._in_frame) + inside
+        packets_sent = frame * len(self._in_frame) + inside
         times_ns = self.time_ns(packets, np.empty(0, np.int64))
-        turned = frame * layout.columns_per_frame + column
+        columns_sent = frame * layout.columns_per_frame + column
+        around = layout.frames * layout.columns_per_frame
         cycle = layout.frames * len(self._in_frame)
-        for at in zip(place.tolist(), turned.tolist(), times_ns.tolist(), strict=True):
+        for at in zip(packets_sent.tolist(), columns_sent.tolist(), times_ns.tolist(), strict=True):
             if self._before:
-                step = (at[0] - self._before[0]) % cycle
-                if 0 < step < cycle // 2 and at[2] > self._before[2]:
+                packets_on, columns_on, later_ns = (now - then for now, then in zip(at, self._before, strict=True))
+                step = packets_on % cycle
+                if 0 < step < cycle // 2 and later_ns > 0:
                     self._lost += step - 1
-                    self._columns += (at[1] - self._before[1]) % (layout.frames * layout.columns_per_frame)
-                    self._time_ns += at[2] - self._before[2]
+                    self._columns += columns_on % around
+                    self._time_ns += later_ns
             self._before = at
 
     def tally(self) -> Tally:
@@ -133,8 +135,8 @@ def _beams(metadata: Metadata) -> kernels.Beams:
     flat, azimuth, T = np.cos(metadata.elevation_rad), metadata.azimuth_rad, metadata.T_sensor_lidar
     T = T if _upright(T) else np.eye(4)
     ahead_m, up_m = metadata.start_m
-    columns = metadata.layout.columns_per_frame
-    angle = 2 * math.pi * (1 - np.arange(columns) / columns)
+    count = metadata.layout.columns_per_frame
+    angle = 2 * math.pi * (1 - np.arange(count) / count)
     heading = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ T[:2, :2].T
     kinds = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()

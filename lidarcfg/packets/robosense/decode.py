@@ -89,16 +89,15 @@ class RobosenseDecoder(Decoder):
 def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
     unit, dual = reading.unit, reading.dual
-    spin, packets, layout = unit.spin(dual), packets_of(octets), slots(reading.unit, dual)
+    spin, packets, layout = unit.spin(dual), packets_of(octets), slots(unit, dual)
     azimuth = np.ascontiguousarray(packets["blocks"]["azimuth"][:, :: layout.blocks], np.int64)
     stamp_ns, group_ns = read_time_ns(packets), spin.per_azimuth * spin.sequence_ns
     step, late_ns = kernels.steps(azimuth, stamp_ns, spin.period_ns, group_ns)
     data = read_only(np.ascontiguousarray(octets))
     out = Returns.room(kernels.count(data, wanted))
     turning = azimuth, step, late_ns, stamp_ns
-    unit_m = unit.resolution_m
     single = SINGLE[reading.return_mode]
-    found = kernels.points(data, wanted, turning, layout, _lasers(reading), group_ns, unit_m, single, out)
+    found = kernels.points(data, wanted, turning, layout, _lasers(reading), group_ns, unit.resolution_m, single, out)
     return out.first(found)
 
 

@@ -88,12 +88,12 @@ def calibration(unit: Unit, status: Status, return_mode: str) -> bytes:
         raise ConfigError(f"sensor {unit.name!r} has {unit.count} beams; status bytes say those of {LASERS}")
     table = np.zeros(LASERS, LASER)
     table["id"], table["intensity_max"] = np.arange(LASERS), 255
-    beams, calibration = unit.sensor.beams, unit.facts.calibration
+    beams, values = unit.sensor.beams, unit.facts.calibration
     _fill(table, BEAMS, beams, f"sensor {unit.name!r}: beams")
-    if not calibration.near_x_offset_mm:
-        far = calibration.distance_offset_mm
-        calibration = calibration.model_copy(update={"near_x_offset_mm": far, "near_y_offset_mm": far})
-    _fill(table, CALIBRATION, calibration, f"sensor {unit.name!r}: velodyne.calibration")
+    if not values.near_x_offset_mm:
+        far = values.distance_offset_mm
+        values = values.model_copy(update={"near_x_offset_mm": far, "near_y_offset_mm": far})
+    _fill(table, CALIBRATION, values, f"sensor {unit.name!r}: velodyne.calibration")
     for k in np.setdiff1d(table["id"], np.unique(table["elevation"], return_index=True)[1]):
         what = f"{beams.elevation_deg[k]} is another beam's already in the hundredths of status bytes"
         raise ConfigError(f"sensor {unit.name!r}: beams.elevation_deg[{k}]: {what}")
