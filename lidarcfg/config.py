@@ -4,7 +4,7 @@ Unknown keys, missing keys, values of a wrong type and values outside their limi
 """
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -98,10 +98,16 @@ def load_keys(path: str | Path) -> dict[str, Any]:
 
 def error_at(path: str | Path, key: Key, what: object) -> ConfigError:
     """The error `what` at a key of a loaded file, for checks that no single model can do."""
+    return all_errors_at(path, [(key, what)])[0]
+
+
+def all_errors_at(path: str | Path, found: Sequence[tuple[Key, object]]) -> list[ConfigError]:
+    """Errors at several keys of a loaded file, which is read once."""
     try:
-        return document(path).error(key, str(what))
+        read = document(path)
     except ConfigError:  # a pipe cannot be read twice
-        return ConfigError(f"{path}: {what}")
+        return [ConfigError(f"{path}: {what}") for _, what in found]
+    return [read.error(key, str(what)) for key, what in found]
 
 
 @contextmanager

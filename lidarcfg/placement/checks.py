@@ -3,12 +3,12 @@
 import math
 import time
 from collections.abc import Iterator
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.config import error_at, load
+from lidarcfg.config import all_errors_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import unused_prices
@@ -20,6 +20,8 @@ from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
 from lidarcfg.rig import MountFile, RigFile
 from lidarcfg.yaml_document import Key
 
+Suspect = tuple[Key, str]  # where something looks wrong, and what
+LINES = 10  # of one file
 STEPS = 5  # places along each axis of a sensor's bounds that are tried
 MANY = 0.1  # of these, inside the vehicle
 SLOW = 100  # times the evaluation of max VSR
@@ -31,37 +33,51 @@ STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations l
 def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
     """Warnings about a study that was loaded from a file."""
     path = example(path)
-    file = load(path, StudyFile)
+    yield from _lines(path, _of_study(load(path, StudyFile), study))
+
+
+def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
     for i, group in enumerate(file.sensors):
         for bound in ("min", "max"):
-            yield from _angles(path, ("sensors", i, bound), getattr(group, bound))
-        yield from _elevations(path, ("sensors", i), group)
-        yield from _places(path, i, group, study, file.region.exclude)
+            yield from _angles(("sensors", i, bound), getattr(group, bound))
+        yield from _elevations(("sensors", i), group)
+        yield from _places(i, group, study, file.region.exclude)
     for i, box in enumerate(file.region.exclude):
-        yield from _snapped(path, i, box, study.region)
+        yield from _snapped(i, box, study.region)
     for model in unused_prices(file):
-        yield str(error_at(path, ("prices", model), "is not used: no sensor of the study may be one"))
-    yield from _slow(path, study)
+        yield ("prices", model), "is not used: no sensor of the study may be one"
+    yield from _slow(study)
 
 
 def rig_warnings(path: str | Path) -> Iterator[str]:
     """Warnings about a rig's file."""
     path = example(path)
-    for i, mount in enumerate(load(path, RigFile).sensors):
-        yield from _angles(path, ("sensors", i), mount)
-        yield from _elevations(path, ("sensors", i), mount)
+    yield from _lines(path, _of_rig(load(path, RigFile)))
 
 
-def _angles(path: Path, at: Key, item: PoseBound | MountFile | None) -> Iterator[str]:
+def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
+    """The first ones, a line each, and how many more there are."""
+    yield from map(str, all_errors_at(path, list(islice(found, LINES))))
+    if more := sum(1 for _ in found):
+        yield f"{path}: {more:,} more warnings"
+
+
+def _of_rig(file: RigFile) -> Iterator[Suspect]:
+    for i, mount in enumerate(file.sensors):
+        yield from _angles(("sensors", i), mount)
+        yield from _elevations(("sensors", i), mount)
+
+
+def _angles(at: Key, item: PoseBound | MountFile | None) -> Iterator[Suspect]:
     """Degrees that look like radians, and the reverse."""
     if item is None:
         return
     if item.rpy_rad and max(map(abs, item.rpy_rad)) > 2 * math.pi + 1e-6:
-        yield str(error_at(path, (*at, "rpy_rad"), f"{list(item.rpy_rad)} is more than a turn; degrees go to rpy_deg"))
+        yield (*at, "rpy_rad"), f"{list(item.rpy_rad)} is more than a turn; degrees go to rpy_deg"
     suspects = [angle for angle in item.rpy_deg or () if _is_in_radians(angle)]
     if suspects and max(map(abs, item.rpy_deg or ())) <= math.pi + 1e-3:
         what = f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians, which go to rpy_rad"
-        yield str(error_at(path, (*at, "rpy_deg"), what))
+        yield (*at, "rpy_deg"), what
 
 
 def _is_in_radians(angle: float) -> bool:
@@ -70,15 +86,15 @@ def _is_in_radians(angle: float) -> bool:
     return round(steps) != 0 and abs(angle - round(steps) * math.pi / 12) < 6e-4 and angle != round(angle, 2)
 
 
-def _elevations(path: Path, at: Key, item: GroupFile | MountFile) -> Iterator[str]:
+def _elevations(at: Key, item: GroupFile | MountFile) -> Iterator[Suspect]:
     """Beams given in radians."""
     table = item.elevation_deg or ()
     if len(table) > 1 and 0 < max(map(abs, table)) < STEEPEST_RAD:
         what = f"all within {max(map(abs, table)):g}°; if these are radians, give degrees"
-        yield str(error_at(path, (*at, "elevation_deg"), what))
+        yield (*at, "elevation_deg"), what
 
 
-def _places(path: Path, index: int, group: GroupFile, study: Study, excluded: tuple[BoxFile, ...]) -> Iterator[str]:
+def _places(index: int, group: GroupFile, study: Study, excluded: tuple[BoxFile, ...]) -> Iterator[Suspect]:
     """Bounds that cut through a body, where no sensor may be, or that lie in an excluded part of the region."""
     if group.min is None or group.max is None:
         return
@@ -89,38 +105,36 @@ def _places(path: Path, index: int, group: GroupFile, study: Study, excluded: tu
         if count >= MANY * len(grid):
             where = "inside the vehicle, where no sensor may be"
             what = f"{count / len(grid):.0%} of the places within its bounds are {where}"
-            yield str(error_at(path, ("sensors", index), what))
+            yield ("sensors", index), what
     for number, box in enumerate(excluded):
         inside = ((grid >= box.min_m) & (grid < box.max_m)).all(axis=1)
         if inside.any() and (study.vehicle or not inside.all()):  # the paper's sensors are inside an exclusion
             how = "are inside" if inside.all() else "reach into"
             what = f"its bounds {how} region.exclude[{number}], which blocks no beams"
-            yield str(error_at(path, ("sensors", index), what))
+            yield ("sensors", index), what
 
 
-def _snapped(path: Path, index: int, box: BoxFile, region: Region) -> Iterator[str]:
+def _snapped(index: int, box: BoxFile, region: Region) -> Iterator[Suspect]:
     """Excluded boxes whose faces do not coincide with those of cuboids, and the box that each is taken for."""
     at, taken = ("region", "exclude", index), []
     for axis, (low, high, centres) in enumerate(zip(box.min_m, box.max_m, region.centres(), strict=True)):
         inside = centres[(centres >= low) & (centres < high)]
         if not len(inside):
-            yield str(error_at(path, at, f"excludes nothing: no cuboid has its centre in it along {AXES[axis]}"))
+            yield at, f"excludes nothing: no cuboid has its centre in it along {AXES[axis]}"
             return
         half = region.cuboid_m[axis] / 2
         given = max(low, float(region.min_m[axis])), min(high, float(region.max_m[axis]))
         if max(abs(inside[0] - half - given[0]), abs(inside[-1] + half - given[1])) > 1e-6:
             taken.append(f"{AXES[axis]} {inside[0] - half:.6g} to {inside[-1] + half:.6g}")
     if taken:
-        yield str(error_at(path, at, f"excludes whole cuboids: {', '.join(taken)} m"))
+        yield at, f"excludes whole cuboids: {', '.join(taken)} m"
 
 
-def _slow(path: Path, study: Study) -> Iterator[str]:
+def _slow(study: Study) -> Iterator[Suspect]:
     """A region of which one evaluation takes long, or an objective that takes a hundred times as long as max VSR."""
     if (cuboids := study.region.included.size) > MANY_CUBOIDS:
         what = f"{cuboids:,} cuboids: a search evaluates thousands of rigs, each in a tenth of a second or more"
-        yield str(
-            error_at(path, ("region", "cuboid_m"), f"{what}; search with larger cuboids, and evaluate with these")
-        )
+        yield ("region", "cuboid_m"), f"{what}; search with larger cuboids, and evaluate with these"
         return
     if study.is_max_vsr:
         return
@@ -143,4 +157,4 @@ def _slow(path: Path, study: Study) -> Iterator[str]:
         what = f"one evaluation takes {takes_s} s, {own / usual:.0f} times that of max_vsr"
         cheaper = "coarser cuboids or fewer, larger objects" + " or fewer samples" * bool(study.robust)
         key = "robust" if study.objective.is_max_vsr else "objective"
-        yield str(error_at(path, (key,), f"{what}; {cheaper} cost less"))
+        yield (key,), f"{what}; {cheaper} cost less"

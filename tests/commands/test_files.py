@@ -286,6 +286,18 @@ def test_a_slow_objective_is_said_with_what_it_costs(tmp_path, monkeypatch):
     assert re.search(r":6:1: objective: one evaluation takes 1 s, 1000 times that of max_vsr; coarser", line)
 
 
+def test_of_very_many_warnings_the_first_are_said_and_the_others_counted(tmp_path):
+    """A hundred excluded boxes of half a cuboid."""
+    boxes = ", ".join(
+        f"{{min_m: [{x}, {y}, 0], max_m: [{x + 0.5}, {y + 1}, 1]}}" for x in range(-5, 5) for y in range(-5, 5)
+    )
+    path = study(tmp_path, exclude=boxes)
+    lines = list(study_warnings(path, load_study(path)))
+    assert len(lines) == 11
+    assert all(re.search(r"region.exclude\[\d\]: excludes", line) for line in lines[:10])
+    assert lines[10] == f"{path}: 90 more warnings"
+
+
 def test_a_search_on_very_many_cuboids_is_not_tried_to_say_that_it_is_slow(tmp_path, monkeypatch):
     """By the region's own size: 12 × 12 × 4 m in cubes of 1 m."""
     path = study(tmp_path, constraints="objective: {inscribed_radius: 1}")
