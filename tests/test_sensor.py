@@ -9,6 +9,7 @@ import pytest
 from lidarcfg.config import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.velodyne.facts import unit
+from lidarcfg.report.sensors import print_sensor
 from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
 from tests.capture_fixtures import datagrams_of, recording
 from tests.refusals import exchanged, refused
@@ -196,3 +197,17 @@ def test_recordings_are_within_what_is_reported(name, model, least, most):
     metres = metres[metres > 0]
     assert (metres.min(), metres.max()) == pytest.approx((least, most), abs=1e-9)
     assert sensor.range.reported_m[0] <= metres.min() <= metres.max() <= sensor.range.reported_m[1]
+
+
+@pytest.mark.parametrize(
+    ("firing", "times"),
+    [("{step_deg: 0.2}", ["0", "0"]), ("{sequence_ns: 50000, offset_ns: [0, 700]}", ["0", "700"]), (None, ["–", "–"])],
+)
+def test_a_sensor_of_ones_own_shows_when_its_lasers_fire(tmp_path, capsys, firing, times):
+    """Each laser's row ends with it; tables that the file does not have are not listed."""
+    text = "name: own\nbeams: {elevation_deg: [-5, 5]}\n" + (f"firing: {firing}\n" if firing else "")
+    (tmp_path / "own.yaml").write_text(text)
+    print_sensor(load_sensor("own.yaml", tmp_path))
+    said = capsys.readouterr().out
+    assert [line.split()[-1] for line in said.splitlines() if line.split()[:1] in (["0"], ["1"])] == times
+    assert "[]" not in said

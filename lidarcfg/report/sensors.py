@@ -35,7 +35,11 @@ def print_sensor(sensor: Sensor) -> None:
     console = terminal()
     console.print(f"{sensor.name}  {sensor.maker}  {sensor.description}", style="bold")
     table = Table("laser", "ring", "elevation (°)", "azimuth (°)", "height (mm)", "fires at (ns)", box=SIMPLE)
-    firing_ns = codec(sensor).firing_ns().tolist() if sensor.codec else ["–"] * sensor.count
+    firing_ns: list[object] = ["–"] * sensor.count
+    if sensor.codec:
+        firing_ns = codec(sensor).firing_ns().tolist()
+    elif sensor.firing:
+        firing_ns = [*(sensor.firing.offset_ns or [0] * sensor.count)]
     for laser in range(sensor.count):
         table.add_row(
             str(laser),
@@ -55,7 +59,7 @@ def print_sensor(sensor: Sensor) -> None:
 def _print_part(console: Console, part: str, values: dict[str, Any]) -> None:
     """The facts of a part of a sensor's file, their source, and the same of parts that have sources of their own."""
     inner = {key: value for key, value in values.items() if isinstance(value, dict) and "source" in value}
-    shown = {key: value for key, value in values.items() if key not in TABLE_KEYS and key not in inner}
+    shown = {key: value for key, value in values.items() if key not in TABLE_KEYS and key not in inner and value != []}
     if values:
         console.print(f"{part}  " + "  ".join(f"{k}: {v}" for k, v in shown.items()))
         console.print(f"  source: {values.get('source', '').strip() or 'not said'}", style="dim")
