@@ -157,7 +157,7 @@ class Stream:
 
     @property
     def damaged(self) -> str:
-        """A warning of packets that were passed over, or nothing."""
+        """A warning of packets that were skipped, or nothing."""
         count = self._count["damaged"]
         return f"{self._place.where}: {count} damaged packets are skipped" if count else ""
 

@@ -134,7 +134,7 @@ def test_what_is_before_a_window_is_passed_over(capture):
 @pytest.mark.parametrize("magic", [0xA1B2C3D4, 0xA1B23C4D])
 @pytest.mark.parametrize("order", "<>")
 def test_records_are_found_in_the_middle_of_any_pcap(tmp_path, magic, order):
-    """Records of odd sizes whose payloads look like records: nothing is passed over, nothing made up."""
+    """Records of odd sizes whose payloads look like records: nothing is skipped, nothing made up."""
     rng = np.random.default_rng(4)
     frame = bytes.fromhex("ffffffffffff607688a801c908004500001c0000400001110000c0a801c9ffffffff0940094000080000")
     unit = 10**9 if magic == 0xA1B23C4D else 10**6

@@ -110,7 +110,7 @@ def moved(record: bytes, octets: int) -> bytes:
 
 @pytest.mark.parametrize("how", ["out of order", "duplicated", "sent twice", "missing", "overlapping"])
 def test_fragments(tmp_path, how):
-    """Datagrams whose fragments come in any order, or twice, are whole; others are passed over, and count as lost."""
+    """Datagrams whose fragments come in any order, or twice, are whole; others are skipped, and count as lost."""
     one = mount("os1-32", columns=512)
     payloads, metadata = packets(one, 32)
     for name in ("whole", "odd"):
