@@ -45,7 +45,7 @@ def njit(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 def _loop(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     compiler: Any = numba  # some of its options are not in its signature
-    loop = compiler.njit(**options | {"cache": False})(function)
+    loop = compiler.njit(**{"forceinline": False} | options | {"cache": False})(function)
     if not hasattr(loop, "py_func"):  # NUMBA_DISABLE_JIT is set
         return loop
     if options.get("cache"):

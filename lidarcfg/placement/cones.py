@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array, level, up
-from lidarcfg.jit import njit
+from lidarcfg.jit import inner, njit
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
 
@@ -79,7 +79,7 @@ def cone_rows(lidars: Sequence[Lidar]) -> Array:
     return out
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def signed_squares(dx: float, dy: float, dz: float, ax: float, ay: float, az: float) -> tuple[float, float]:
     """h |h| and |d|² of a point at d from the apex, h = a·d: on or above beam k if h |h| >= u_k |d|²."""
     height = (dx * ax + dy * ay) + dz * az

@@ -11,7 +11,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, njit, outer
+from lidarcfg.jit import inner, outer
 from lidarcfg.placement.cones import FIRST, Lidar, beam_gap, cone_rows
 from lidarcfg.placement.rows import (
     ALL,
@@ -102,7 +102,7 @@ lowest: Any = intrinsic(_lowest)  # the number of the lowest of them; 64 where n
 highest: Any = intrinsic(_highest)  # the number of the highest of them; −1 where none is
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _along(bits: np.uint64, links: np.uint64) -> np.uint64:
     """The cuboids of a row that links along x join to some of them."""
     start = bits << ONE & links
@@ -162,7 +162,7 @@ def _alike(grid: Grid, walls: Walls, row: int, word: np.uint64, gaps: Array, loo
     return word
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _inside(x: Array, ys: Array, zs: Array, row: int, gaps: Array, lidars: int, squares: Array) -> np.uint64:
     """The centres of a row in the first `lidars` of some gaps; see _bound."""
     word = ALL
@@ -176,7 +176,7 @@ def _inside(x: Array, ys: Array, zs: Array, row: int, gaps: Array, lidars: int, 
     return word
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _beside(side: int, row: int, bits: np.uint64, links: Words, step_y: int, step_z: int) -> tuple[int, np.uint64]:
     """The row on one of six sides of a row, and the cuboids there that links join to some of its own."""
     if side == 0:
@@ -192,7 +192,7 @@ def _beside(side: int, row: int, bits: np.uint64, links: Words, step_y: int, ste
     return row + 1, bits >> np.uint64(63) & links[0, row + 1]
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> int:
     """Flood the subspace of a cuboid: remove it from floods.left and count it in floods.counts.
 
@@ -262,7 +262,7 @@ def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> 
     return computed
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def inner_cuboid(floods: Floods) -> int:
     """A cuboid of the last flood, halfway along its fullest row."""
     fullest = floods.counts[5]
@@ -293,7 +293,7 @@ def _weight(grid: Grid, floods: Floods) -> float:
     return float(weight[-1])
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: Floods) -> float:
     """Volume to surface of the last flood; times its weight, where cuboids are weighted."""
     value: float = vsr(floods.counts, edge)
@@ -302,7 +302,7 @@ def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: 
     return value
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _at_least(one: np.uint64, other: np.uint64, all_of_them: np.uint64, number: int) -> np.uint64:
     """The bits set in at least `number` of two words, 0 … 2."""
     return all_of_them if number == 0 else (one | other if number == 1 else one & other)
@@ -324,7 +324,7 @@ def links_needed(least: float, edge: tuple[float, float, float], need: Counts) -
             need[3 * z + y] = x
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words, links: Words) -> np.uint64:
     """The cuboids of a row with enough links; see links_needed."""
     all_of_them = included[row]
@@ -339,7 +339,7 @@ def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words,
     return word
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
     """Insert a subspace into the worst ones, values (n,) descending, if it belongs there."""
     place = values.size

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.jit import inner, njit, outer
+from lidarcfg.jit import inner, outer
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, gaps_at, signed_squares
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility_kernels import (
@@ -182,7 +182,7 @@ def row_of(grid: Grid, row: int) -> tuple[int, float, float]:
     return row % step_y << 6, grid.y[row % step_z // step_y - 1], grid.z[row // step_z - 1]
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def square_up(x: Array, first: int, y: float, z: float, cones: Array, lidar: int, squares: Array) -> None:
     """Write signed_squares of the centres x[first : first + 64], y, z for one LiDAR."""
     px, ax, dy, dz = cones[lidar, 0], cones[lidar, 3], y - cones[lidar, 1], z - cones[lidar, 2]
@@ -191,7 +191,7 @@ def square_up(x: Array, first: int, y: float, z: float, cones: Array, lidar: int
         squares[0, i], squares[1, i] = signed_squares(x[first + i] - px, dy, dz, ax, ay, az)
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def at_or_above(u: float, squares: Array) -> np.uint64:
     """The centres of a row at or above a beam."""
     word = NONE
@@ -200,7 +200,7 @@ def at_or_above(u: float, squares: Array) -> np.uint64:
     return word
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _compare(row: int, cones: Array, lidar: int, squares: Array, guess: Counts, beyond: Words) -> None:
     """Write which centres of a row, whose squares are given, lie at or above each beam of a LiDAR.
 
