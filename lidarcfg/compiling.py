@@ -76,9 +76,14 @@ class Compiling:
 compiling = Compiling()  # numba has one compiler in a process
 
 
+def stopwatch() -> float:
+    """Seconds since some moment, those aside in which this process compiled or waited for what others compile."""
+    return time.perf_counter() - compiling.seconds
+
+
 def clock() -> float:
-    """Seconds since some moment, those spent on compiling aside, here or in processes that compile for this one."""
+    """The same for budgets, which begin when nothing is compiled elsewhere either."""
     others, compiling.others = compiling.others, None
     if others:
         others()
-    return time.perf_counter() - compiling.seconds
+    return stopwatch()

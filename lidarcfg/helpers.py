@@ -1,7 +1,7 @@
-"""Processes that compile, beside a command, what it is about to need, into the cache that all processes share.
+"""A process that compiles, beside a command, what it is about to need, into the cache that all processes share.
 
-They are started when the first loop is missing, so that later runs have none. Each ends with its work, and at once when
-the command does, however that ends: it reads a pipe that nobody writes to. What it compiles it prints, for the screen.
+It is started when the first loop is missing, so that later runs have none. It ends with its work, and at once when the
+command does, however that ends: it reads a pipe that nobody writes to. What it compiles it prints, for the screen.
 Where it cannot run, the command compiles everything itself.
 """
 
@@ -18,43 +18,48 @@ from threading import Thread
 
 from lidarcfg.compiling import compiling
 
-LATER = 10  # how much nicer each helper is than the one before: what the command needs first comes first
 
+def prepare(*rehearsals: str, meanwhile: str | None = None) -> None:
+    """Have a helper compile for some rehearsals, one after the other, if any loop is missing.
 
-def prepare(*rehearsals: str) -> None:
-    """Have helpers compile for some rehearsals, the most important first, if any loop is missing.
-
-    rehearsals: names of functions in lidarcfg.commands.rehearsals.
+    rehearsals: names of functions in lidarcfg.commands.rehearsals. Where a budget would have to wait for the helper,
+    the command compiles for another one, `meanwhile`.
     """
     from lidarcfg.loop_cache import LoopCache
 
     if _processors() > 1:
-        LoopCache.on_missing = lambda: _start(rehearsals)
+        LoopCache.on_missing = lambda: _start(rehearsals, meanwhile)
 
 
 def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _start(rehearsals: tuple[str, ...]) -> None:
-    helpers = []
-    for number, name in enumerate(rehearsals):
-        with suppress(OSError, RuntimeError):  # no memory, or too many processes or threads
-            helpers.append(Helper(name, number * LATER))
-    compiling.others = lambda: _wait(helpers)
+def _start(rehearsals: tuple[str, ...], meanwhile: str | None) -> None:
+    with suppress(OSError, RuntimeError):  # no memory, or too many processes or threads
+        helper = Helper(*rehearsals)
+        compiling.others = lambda: _wait(helper, meanwhile)
 
 
-def _wait(helpers: "list[Helper]") -> None:
-    for helper in helpers:
-        with compiling.elsewhere(helper.loop):
-            helper.process.wait()
+def _wait(helper: "Helper", meanwhile: str | None) -> None:
+    if meanwhile:
+        _rehearse(meanwhile)
+    with compiling.elsewhere(helper.loop):
+        helper.process.wait()
+
+
+def _rehearse(name: str) -> None:
+    from importlib import import_module
+
+    rehearsal: Callable[[], None] = getattr(import_module("lidarcfg.commands.rehearsals"), name)
+    rehearsal()
 
 
 class Helper:
-    """A process that runs a rehearsal."""
+    """A process that runs rehearsals."""
 
-    def __init__(self, rehearsal: str, nice: int) -> None:
-        words = [sys.executable, "-m", "lidarcfg.helpers", rehearsal, str(nice)]
+    def __init__(self, *rehearsals: str) -> None:
+        words = [sys.executable, "-m", "lidarcfg.helpers", *rehearsals]
         paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
         pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
@@ -85,17 +90,13 @@ def _end_with_the_command() -> None:
 
 
 def main() -> None:
-    """Run a rehearsal: `python -m lidarcfg.helpers NAME NICE`."""
+    """Run rehearsals: `python -m lidarcfg.helpers NAME…`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command may go on after Ctrl-C, and needs what is compiled
     Thread(target=_end_with_the_command, daemon=True).start()
-    if hasattr(os, "nice"):
-        os.nice(int(sys.argv[2]))
     gc.disable()
-    from importlib import import_module
-
     compiling.on_change = _tell
-    rehearse: Callable[[], None] = getattr(import_module("lidarcfg.commands.rehearsals"), sys.argv[1])
-    rehearse()
+    for name in sys.argv[1:]:
+        _rehearse(name)
     os._exit(0)
 
 

@@ -106,7 +106,8 @@ class _Watch(event.Listener):
             gc.collect(1)  # what would follow soon, in the budget of a search
             gc.enable()
         compiling.end()
-        if event.is_failed and isinstance(event.data["dispatcher"]._cache, LoopCache):
+        failed = getattr(event, "_exc_details", None)  # numba 0.68 has the opposite in `is_failed`
+        if failed and isinstance(event.data["dispatcher"]._cache, LoopCache):
             event.data["dispatcher"]._cache.give_up()
 
 

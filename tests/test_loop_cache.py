@@ -46,6 +46,7 @@ def wrong(x):
 RUN = """
 import sys, time
 from numba.core import event
+from numba.core.caching import FunctionCache
 
 class Watch(event.Listener):
     def on_start(self, event):
@@ -57,6 +58,13 @@ class Watch(event.Listener):
         pass
 
 event.register("numba:compile", Watch())
+usual = FunctionCache.save_overload
+
+def save_slowly(cache, *what):
+    time.sleep(float(sys.argv[1]))
+    usual(cache, *what)
+
+FunctionCache.save_overload = save_slowly
 import loops
 from lidarcfg import loop_cache
 loop_cache.PATIENCE_S = float(sys.argv[2])
@@ -71,7 +79,7 @@ for name in sys.argv[3:]:
 
 @pytest.fixture
 def start(tmp_path, monkeypatch):
-    """A function that starts a process which calls loops, and whose compiling takes so many seconds more a loop.
+    """A function that starts a process which calls loops; compiling one takes so many seconds more, and saving it, too.
 
     patience: for how many seconds it waits for another.
     """

@@ -153,15 +153,15 @@ def export(
 @contextmanager
 def _run(duration_ns: int, counted: "list[Counts]", quiet: bool) -> "Iterator[Run]":
     """A run with a progress bar, which adds the rays of each chunk to `counted`."""
-    from lidarcfg.compiling import clock
+    from lidarcfg.compiling import stopwatch
     from lidarcfg.simulate.tasks import Run
 
-    began = clock()
+    began = stopwatch()
 
     with progress(quiet) as on_fraction:
 
         def on_progress(done_ns: int) -> None:
-            rate = done_ns / SECOND_NS / max(clock() - began, 1e-9)
+            rate = done_ns / SECOND_NS / max(stopwatch() - began, 1e-9)
             on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
 
         on_fraction(0.0, "simulating")

@@ -98,7 +98,7 @@ def optimize(
         from lidarcfg.placement.study import with_solver
         from lidarcfg.studies import load_study
 
-        prepare("search", "evaluation")
+        prepare("subspaces", "evaluation", meanwhile="search")
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))
@@ -250,7 +250,7 @@ def evaluate(
         from lidarcfg.rig import load_rig
         from lidarcfg.studies import load_study
 
-        prepare("search", "evaluation")
+        prepare("subspaces", "search")
         loaded, mounted = load_study(study), load_rig(rig)
     warn_of(loaded.vehicle)
     _check_rig(loaded, rig, mounted)

@@ -4,7 +4,10 @@ Or parts of a loop, by the types of their arguments: the command compiles the ot
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lidarcfg.placement.study import Study
 
 HERE = Path("rehearsal")
 SENSOR = {"model": "vlp-16", "min": {"position_m": (-1, -1, 1), "rpy_deg": (0, 0, 0)}}
@@ -16,13 +19,33 @@ STUDY = {
 }
 
 
-def search() -> None:
-    """Compile the evaluation of trials."""
-    from lidarcfg.placement.sensitivity import changes_m
+def _study() -> "Study":
     from lidarcfg.placement.study import study_of
     from lidarcfg.placement.study_file import StudyFile
 
-    study = study_of(StudyFile.model_validate(STUDY), HERE)
+    return study_of(StudyFile.model_validate(STUDY), HERE)
+
+
+def subspaces() -> None:
+    """Compile what LiDARs see, and floods, which are parts of most loops of placement."""
+    import numpy as np
+
+    from lidarcfg.placement.flood import components, joined
+    from lidarcfg.placement.rows import EVERYTHING, Grid
+    from lidarcfg.placement.visibility_kernels import clear_up, new_looks
+
+    region = _study().region
+    grid = Grid.of(region)
+    cones, looks, none = joined(grid.links).cones, new_looks(0, 0), np.uint64(0)
+    _compile(clear_up, 0, 0, grid.x, 0, 0.0, 0.0, 0.0, none, cones, EVERYTHING, looks)
+    components(grid, region.shape, grid.links)
+
+
+def search() -> None:
+    """Compile the evaluation of trials."""
+    from lidarcfg.placement.sensitivity import changes_m
+
+    study = _study()
     changes_m(study, study.rig(study.midpoint))
 
 
@@ -30,10 +53,8 @@ def evaluation() -> None:
     """Compile the evaluation of a rig."""
     from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate
-    from lidarcfg.placement.study import study_of
-    from lidarcfg.placement.study_file import StudyFile
 
-    study = study_of(StudyFile.model_validate(STUDY), HERE)
+    study = _study()
     rig = study.rig(study.midpoint)
     details(study, rig, evaluate(study, rig))
 

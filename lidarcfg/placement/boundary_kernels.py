@@ -129,8 +129,18 @@ def _room(array: Array, count: int) -> Array:
     if count <= array.size:
         return array
     more = np.empty(max(2 * array.size, count))
-    more[: array.size] = array
+    for n in range(array.size):
+        more[n] = array[n]
     return more
+
+
+@inner()
+def _most(first: Counts) -> int:
+    """The largest number of items between one's first and the next one's."""
+    most = 0
+    for n in range(first.size - 1):
+        most = max(most, first[n + 1] - first[n])
+    return most
 
 
 @njit(cache=True, nogil=True)
@@ -142,7 +152,7 @@ def candidates(lattice: Lattice, lines: tuple[int, int], bounds: Bounds, surface
     low, high = lattice.low[0], lattice.low[0] + lattice.shape[0] * lattice.edge[0]
     least = SLIVER * lattice.edge[0]
     begin, end = lines
-    most = 2 * np.diff(bounds.first).max() + np.diff(surfaces.first).max()
+    most = 2 * _most(bounds.first) + _most(surfaces.first)
     some_at, some_weight = np.empty(most), np.empty(most)
     first, at, weight, total = np.zeros(end - begin + 1, np.int64), np.empty(1024), np.empty(1024), 0
     for line in range(begin, end):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lidarcfg.compiling import clock
+from lidarcfg.compiling import stopwatch
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
@@ -69,7 +69,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     With a relative tolerance also the analytic max VSR, to that tolerance. Raises ConfigError where it is not
     above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
     """
-    started = clock()
+    started = stopwatch()
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts)
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
@@ -102,7 +102,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
     }
     rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    zones, seconds = by_zone(study, subspaces), clock() - started
+    zones, seconds = by_zone(study, subspaces), stopwatch() - started
     return Evaluation(
         subspaces=subspaces,
         vsr_m=vsr,

@@ -192,7 +192,7 @@ def _beside(side: int, row: int, bits: np.uint64, links: Words, step_y: int, ste
     return row + 1, bits >> np.uint64(63) & links[0, row + 1]
 
 
-@inner(forceinline=True)
+@inner(kept=True, forceinline=True)
 def flood(grid: Grid, walls: Walls, stamp: int, cuboid: int, floods: Floods) -> int:
     """Flood the subspace of a cuboid: remove it from floods.left and count it in floods.counts.
 

@@ -88,7 +88,7 @@ def start(lidar, cones, obstacles, looks):
     begin(looks.shadows, cones[lidar, 0] - origin[0], cones[lidar, 1] - origin[1], cones[lidar, 2] - origin[2])
 
 
-@inner()
+@inner(kept=True)
 def clear_up(lidar, row, xs, first, edge, y, z, wanted, cones, sight, looks):
     """Find which of the cuboids `wanted` of a row, xs[first : first + 64], y, z, are clear; after `start`.
 
