@@ -11,29 +11,33 @@ from unittest.mock import Mock
 import pytest
 
 from lidarcfg import helpers
-from lidarcfg.commands import progress
-from lidarcfg.compiling import clock, compiling
+from lidarcfg.commands import progress, rehearsals
+from lidarcfg.compiling import clock, compiling, stopwatch
 from lidarcfg.loop_cache import LoopCache
 
 ROOT = Path(__file__).parents[1]
 COMMAND = """
 import time
 from lidarcfg.helpers import Helper
-print(Helper("search", 0).process.pid, flush=True)
+print(Helper("search").process.pid, flush=True)
 time.sleep(600)
 """
 SIGNATURES = """
 import sys
+from numba.core.caching import NullCache
 from lidarcfg import load_rig, load_study
 from lidarcfg.commands import rehearsals
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.rows import look
 
 def compiled():
     modules = [module for name, module in sys.modules.items() if name.startswith("lidarcfg.")]
     loops = {loop for module in modules for loop in vars(module).values() if hasattr(loop, "py_func")}
     return {f"{loop.__module__}.{loop.__name__}": len(loop.signatures) for loop in loops if loop.signatures}
 
+look._cache = NullCache()  # so that it asks for its parts
+rehearsals.subspaces()
 rehearsals.search()
 rehearsals.evaluation()
 before = compiled()
@@ -77,13 +81,13 @@ def ended(pid, seconds=60.0):
     return False
 
 
-def test_helpers_start_when_a_loop_is_missing(monkeypatch):
+def test_a_helper_starts_when_a_loop_is_missing(monkeypatch):
     started = []
-    monkeypatch.setattr(helpers, "_start", started.append)
+    monkeypatch.setattr(helpers, "_start", lambda *what: started.append(what))
     monkeypatch.setattr(LoopCache, "on_missing", None)
-    for processors, expected in ((1, []), (2, [("search", "evaluation")])):
+    for processors, expected in ((1, []), (2, [(("subspaces", "evaluation"), "search")])):
         monkeypatch.setattr(helpers, "_processors", lambda processors=processors: processors)
-        helpers.prepare("search", "evaluation")
+        helpers.prepare("subspaces", "evaluation", meanwhile="search")
         assert started == []
         if LoopCache.on_missing:
             LoopCache.on_missing()
@@ -121,6 +125,22 @@ def test_a_helper_ends_when_the_command_is_killed():
     command.send_signal(signal.SIGKILL)
     command.communicate()
     assert ended(helper)
+
+
+def test_where_a_budget_waits_for_a_helper_the_command_compiles_meanwhile(monkeypatch):
+    """The helper is there for it as long as it takes; what only measures time waits for neither."""
+    order = []
+    helper = Mock(loop="loop")
+    helper.process.wait = lambda: order.append("waited")
+    monkeypatch.setattr(helpers, "Helper", lambda *names: order.append(names) or helper)
+    monkeypatch.setattr(rehearsals, "search", lambda: order.append("rehearsed"))
+    monkeypatch.setattr(compiling, "others", None)
+    helpers._start(("subspaces", "evaluation"), "search")
+    stopwatch()
+    assert order == [("subspaces", "evaluation")]
+    clock()
+    clock()
+    assert order[1:] == ["rehearsed", "waited"]
 
 
 def test_budgets_wait_for_what_others_compile(monkeypatch):

@@ -170,7 +170,7 @@ def _between(start, end):
     return (ALL >> np.uint64(63 - other + one)) << np.uint64(one) if one <= other else np.uint64(0)
 
 
-@inner()
+@inner(kept=True)
 def _shade(tree, shadows, face, seen):
     """Cast the segments that wait at a face, and take the targets that are hidden from `seen`.
 
