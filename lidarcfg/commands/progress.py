@@ -72,11 +72,12 @@ class Screen:
     def bar(self) -> "Progress":
         """The bar, on the screen."""
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         with self._lock:
             if self._bar is None:
-                columns = (BarColumn(30), TextColumn("{task.description}"), TimeElapsedColumn(), TimeRemainingColumn())
+                left = TextColumn("{task.fields[left]}")
+                columns = (BarColumn(30), TextColumn("{task.description}"), TimeElapsedColumn(), left)
                 self._bar = Progress(*columns, console=Console(stderr=True))
                 self._bar.start()
             return self._bar
@@ -114,7 +115,7 @@ class Screen:
                 return
             bar = self.bar()
             if self._compiling is None:
-                self._compiling = bar.add_task("")
+                self._compiling = bar.add_task("", left="")
             text = f"compiling, once: {loops[0]}"
             bar.update(self._compiling, completed=compiling.compiled, total=compiling.expected, description=text)
 
@@ -159,7 +160,7 @@ def progress(
 def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
     from rich.markup import escape
 
-    screen, task = interrupts.screen, None
+    screen, task, pace = interrupts.screen, None, Pace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal task
@@ -167,9 +168,9 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
         bar = screen.bar()
         screen.work()
         if task is None:
-            bar.speed_estimate_period = mean_over_s
-            task = bar.add_task("", total=1.0)
-        bar.update(task, completed=fraction, description=escape(one_line(text)))
+            task = bar.add_task("", total=1.0, left="")
+        left = _left(pace, fraction)
+        bar.update(task, completed=fraction, description=escape(one_line(text)), left=left)
 
     try:
         yield on_progress
@@ -197,6 +198,12 @@ class Pace:
         return took_s * (1 - fraction) / done if took_s >= KNOWN_S and done > 0 and fraction < 1 else None
 
 
+def _left(pace: Pace, fraction: float) -> str:
+    """The time left after an update, as far as it can be known."""
+    left_s = pace.left_s(time.monotonic() - compiling.seconds, fraction)
+    return "" if left_s is None else f"about {duration(left_s)} left"
+
+
 def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
     last, told, pace = "", time.monotonic(), Pace(mean_over_s)
 
@@ -204,9 +211,9 @@ def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[C
         nonlocal last, told
         interrupts.check(text)
         last, now = f"{fraction:4.0%}  {one_line(text)}", time.monotonic()
-        left_s = pace.left_s(now - compiling.seconds, fraction)
+        left = _left(pace, fraction)
         if now - told > LINE_S:
-            click.echo(last + (f"  about {duration(left_s)} left" if left_s is not None else ""), err=True)
+            click.echo(f"{last}  {left}".rstrip(), err=True)
             last, told = "", now
 
     yield on_progress
