@@ -53,18 +53,19 @@ import sys
 from numba.core.caching import NullCache
 from lidarcfg.commands import rehearsals
 from lidarcfg.cli import main
-from lidarcfg.simulate.simulator_kernels import trace_firings
+from lidarcfg.simulate.simulator_kernels import aimed, hit_bodies, locate, trace_firings
 from lidarcfg.world.tracer_kernels import trace
 from lidarcfg.world.world_kernels import hit_dynamic, keep_normals
 
 trace_firings._cache = NullCache()  # so that it asks for its parts
 rehearsals.tracing()
-before = [set(loop.overloads) for loop in (trace, hit_dynamic, keep_normals)]
+parts = trace, hit_dynamic, keep_normals, hit_bodies, locate, aimed
+before = [set(loop.overloads) for loop in parts]
 sys.argv[1:] = [*"export data/rigs/roof.yaml --scene data/scenes/street.yaml --duration 0.01 --quiet -o".split(), sys.argv[1]]
 try:
     main()
 finally:
-    after = [set(loop.overloads) for loop in (trace, hit_dynamic, keep_normals)]
+    after = [set(loop.overloads) for loop in parts]
     print(list(map(len, before)), before == after, len(trace_firings.overloads))
 """
 
@@ -115,7 +116,7 @@ def test_a_rehearsal_compiles_the_parts_that_an_export_takes_in(tmp_path):
     """`trace_firings`, compiled after them, needs none of them for other types."""
     words = (sys.executable, "-c", PARTS, tmp_path / "c.pcap")
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout == "[1, 1, 1] True 1\n"
+    assert done.stdout == "[1, 1, 1, 1, 1, 1] True 1\n"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")

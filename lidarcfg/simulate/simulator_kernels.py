@@ -300,7 +300,7 @@ def _may_hit(box, origins, directions):
     return some
 
 
-@inner(error_model="numpy")
+@inner(kept=True, error_model="numpy")
 def hit_bodies(own, packet, starts, beams, rows, count, limit_m, first_slot, found):
     """Keep what beams (3, count) of the sensor's frame hit of the bodies, where it is nearer than what `found` has.
 
