@@ -227,7 +227,8 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
     lines = rows(study, rigs)
     parts = [rigs[first : first + COLUMNS_MAX] for first in range(0, len(rigs), COLUMNS_MAX)]
     coverage = [(rig.title, rig.rig, rig.details.coverage) for rig in rigs]
-    rings = [(item.name, {rig.title: rig.details.rings[item.name] for rig in rigs}) for item in study.detection]
+    shown = drawings.least_detected([rig.found for rig in rigs])
+    rings = [(name, {rig.title: rig.details.rings[name] for rig in rigs}) for name in shown]
     blind = [(rig.title, rig.rig, rig.found.blind) for rig in rigs]
     return render(
         "comparison.html",
@@ -253,6 +254,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         ],
         lost=draw_lost([(rig.title, rig.found.robustness) for rig in rigs if rig.found.robustness]),
         sizes=drawings.draw_sizes([(rig.title, rig.details) for rig in rigs]),
+        drawn_objects=len(study.detection) > len(shown) and len(shown),
         rings=drawings.draw_rings(rings) if rings else None,
         blind=compare_contours(study.region, blind) if blind[0][2].contours else None,
         limits=limits_in_words(study),

@@ -96,6 +96,7 @@ def report(
         skipped=_skipped(study, values, placement),
         skips=skips_in_words(study),
         repeat=_repeat(values),
+        drawn_objects=len(study.detection) > drawings.OBJECTS_MAX and drawings.OBJECTS_MAX,
         drawings=_drawings(study, rig, details, placement, baseline),
         **tables,
     )
@@ -125,9 +126,11 @@ def _drawings(
     found, region = details.evaluation, study.region
     both = [("this rig", details), ("baseline", baseline.details)] if baseline else [("", details)]
     robust = [(name, one.evaluation.robustness) for name, one in both if one.evaluation.robustness]
-    rings: list[tuple[str, Any]] = [("", details.rings)]
+    shown = drawings.least_detected([one.evaluation for _, one in both])
+    rings: list[tuple[str, Any]] = [("", {name: details.rings[name] for name in shown})]
     if baseline:
-        rings = [(item.name, {name: one.rings[item.name] for name, one in both}) for item in study.detection]
+        rings = [(item, {name: one.rings[item] for name, one in both}) for item in shown]
+    places = {name: details.places[name] for name in shown if name in details.places}
     return {
         "mounts": drawings.draw_mounts(study, rig),
         "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
@@ -136,7 +139,7 @@ def _drawings(
         "lost": draw_lost(robust) if robust else None,
         "sizes": drawings.draw_sizes(both),
         "rings": drawings.draw_rings(rings) if details.rings else None,
-        "places": drawings.draw_places(region, rig, details.places) if details.places else None,
+        "places": drawings.draw_places(region, rig, places) if places else None,
         "blind": draw_blind_spots(found.subspaces, rig, found.blind) if found.blind.contours else None,
         "coverage": drawings.draw_coverage(region, rig, details.coverage),
     }

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 MAP = "cividis"  # looks the same to colour-blind people
 WORST = "#D55E00"
 NAMES_MAX = 12  # in a legend; the table has them all
+OBJECTS_MAX = 12  # that are drawn
 BESIDE_PT = 11  # from a sensor to its number
 MARGINS_IN = 1.4  # for the labels of three views
 Bounds = dict[str, tuple[Array, Array]]  # by sensor: least and greatest position
@@ -245,6 +246,13 @@ def draw_rings(titled: Sequence[tuple[str, Mapping[str, Rings]]]) -> Markup:
 
     height = 0.6 + 2.3 * -(-len(titled) // 2)
     return drawing("rings", height, "detection rate by distance from the vehicle", draw)
+
+
+def least_detected(found: Sequence[Evaluation]) -> list[str]:
+    """The objects that are drawn, in their order: all, or the OBJECTS_MAX that some rig detects least."""
+    names = list(found[0].detection)
+    by_rate = sorted(names, key=lambda name: min(one.detection[name].rate for one in found))
+    return sorted(by_rate[:OBJECTS_MAX], key=names.index)
 
 
 def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Markup:

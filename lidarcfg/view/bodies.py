@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import fraction_below
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluator import max_vsr
-from lidarcfg.placement.metric import extents, volume_m3, vsr_m
+from lidarcfg.placement.metric import Extent, extents, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import ZoneVsr, by_zone
 from lidarcfg.placement.study import Study
@@ -72,7 +72,11 @@ def other_max_vsr_m(study: Study, rig: Rig, transparent: bool) -> float:
 
 def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigScore:
     """The rig's max VSR, its worst subspaces and what is blind; nothing hides anything if it is `transparent`."""
-    spaces = segment(study.region, rig_lidars(rig), visibility_of(study, transparent))
+    return scored(study, segment(study.region, rig_lidars(rig), visibility_of(study, transparent)), worst)
+
+
+def scored(study: Study, spaces: Subspaces, worst: int) -> RigScore:
+    """The same of the rig's subspaces."""
     vsr, volume = vsr_m(spaces), volume_m3(spaces)
     numbers = np.argsort(-vsr, kind="stable")[:worst].tolist()
     bodies = [
@@ -80,12 +84,18 @@ def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigS
             vsr_m=float(vsr[number]),
             volume_m3=float(volume[number]),
             centroid_m=extent.centroid_m,
-            faces_m=faces(study.region, spaces.label == number),
+            faces_m=faces(study.region, _within(spaces, extent) == number, extent.low),
         )
         for number, extent in zip(numbers, extents(spaces, numbers), strict=True)
     ]
     blind = _blind(spaces) if study.visibility else None
     return RigScore(float(vsr.max()), len(spaces), tuple(bodies), blind, by_zone(study, spaces))
+
+
+def _within(spaces: Subspaces, extent: Extent) -> NDArray[np.int32]:
+    """The labels in the box around a subspace."""
+    x, y, z = map(slice, extent.low.tolist(), extent.high.tolist())
+    return spaces.label[x, y, z]
 
 
 def _blind(spaces: Subspaces) -> Blind:
@@ -94,21 +104,26 @@ def _blind(spaces: Subspaces) -> Blind:
     return Blind(volume, fraction_below(region, spaces.seen_by, 1), faces(region, unseen))
 
 
-def faces(region: Region, inside: NDArray[np.bool_]) -> Array:
-    """(F, 4, 3) the outer faces of the cuboids (nx, ny, nz) that are inside; those in a row are one face."""
+def faces(region: Region, inside: NDArray[np.bool_], first: ArrayLike = (0, 0, 0)) -> Array:
+    """(F, 4, 3) the outer faces of the cuboids that are inside; those in a row are one face.
+
+    inside (a, b, c): cuboids of a box of the region, the first of which has these indices; no other is inside.
+    """
     found = [np.empty((0, 4, 3), np.int64)]
     for axis in range(3):
         along = 1 if axis == 0 else 0  # faces are merged along x, or along y if they look along x
         layer, row = (other for other in range(3) if other != along)
         for number, outer in enumerate(_outer(inside, axis, layer)):
+            if not outer.any():
+                continue
             edge = np.diff(np.pad(outer, ((0, 0), (1, 1))).astype(np.int8), axis=-1)
-            first, last = np.argwhere(edge == 1), np.argwhere(edge == -1)  # in the same order: by row, then along it
-            quad = np.empty((len(first), 4, 3), np.int64)
-            quad[..., layer], quad[..., row], quad[..., along] = number, first[:, :1], first[:, 1:]
-            quad[:, 1:3, along] = last[:, 1:]
+            start, end = np.argwhere(edge == 1), np.argwhere(edge == -1)  # in the same order: by row, then along it
+            quad = np.empty((len(start), 4, 3), np.int64)
+            quad[..., layer], quad[..., row], quad[..., along] = number, start[:, :1], start[:, 1:]
+            quad[:, 1:3, along] = end[:, 1:]
             quad[:, 2:4, 3 - axis - along] += 1
             found.append(quad)
-    corners: Array = region.min_m + np.concatenate(found) * region.cuboid_m
+    corners: Array = region.min_m + (np.concatenate(found) + np.asarray(first)) * region.cuboid_m
     return corners
 
 

@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import __version__
-from lidarcfg.errors import CloudError, ConfigError
+from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.placement.evaluation import WORST
 from lidarcfg.placement.study import Study
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.view import colours
-from lidarcfg.view.bodies import faces, has_its_sensors, hides, mirrored_pairs, seats_m
+from lidarcfg.view.bodies import faces, has_its_sensors, mirrored_pairs, seats_m
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import COLOUR_BY, By, colour
-from lidarcfg.view.evaluation import evaluation, rates
+from lidarcfg.view.evaluation import evaluations
 from lidarcfg.view.packed import packed_mesh, packed_quads
 from lidarcfg.view.scenery import parts
 from lidarcfg.view.seats import seats
@@ -67,14 +67,14 @@ def page_of(
     points, arrays = _points(stage, line) if line and len(stage.cloud.xyz) else (None, {})
     if line:
         arrays["tracks"] = np.ascontiguousarray(tracks(stage, line), "<f8")
-    evaluations = _evaluations(stage.study, stage.rigs[0], served) if stage.study else [None, None]
+    shown = evaluations(stage.study, stage.rigs[0], WORST, not served) if stage.study else [None, None]
     about = {
         "version": __version__,
         "by": by,
         "worst": worst,
         "camera": camera
         and {"eye_m": camera.eye_m.tolist(), "target_m": camera.target_m.tolist(), "field_deg": camera.field_deg},
-        "opening": _opening(stage, evaluations[0], worst).tolist(),
+        "opening": _opening(stage, shown[0], worst).tolist(),
         "colours": {
             "background": colours.NIGHT,
             "scale": list(colours.SCALE),
@@ -96,26 +96,13 @@ def page_of(
         "study": stage.study and _study(stage.study, stage.rigs[0]),
         "mirrored": mirrored_pairs(stage.study, stage.rigs[0]) if stage.study else [],
         "seated": seats(stage.study, stage.rigs[0]) if stage.study else [],
-        "evaluation": evaluations[0],
-        "transparent": evaluations[1],
+        "evaluation": shown[0],
+        "transparent": shown[1],
         "vehicle": stage.vehicle and {"mesh": packed_mesh(*stage.vehicle.scene.mesh())},
         "ground_m": _ground_m(stage),
         "scenes": _scenes(stage),
     }
     return Page(about, arrays)
-
-
-def _evaluations(study: Study, rig: Rig, served: bool) -> list[dict[str, Any] | None]:
-    """Of the rig as it was given: as things are, and where something hides also as if nothing did."""
-    found: list[dict[str, Any] | None] = [None, None]
-    for transparent in (False, True) if hides(study) else (False,):
-        shown = evaluation(study, rig, WORST, transparent)
-        try:
-            shown["rates"] = None if served else rates(study, rig, transparent)
-        except ConfigError as error:  # of an object that finds no place, or sensors whose firing is not known
-            shown["violations"].append(str(error))
-        found[transparent] = shown
-    return found
 
 
 def html(page: Page | None) -> str:

@@ -15,6 +15,7 @@ from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
+from lidarcfg.report.drawings import least_detected
 from lidarcfg.report.tables import print_evaluation
 from lidarcfg.report.words import bounds_table, constraints_in_words, date, mounts_table
 from lidarcfg.rig import load_rig
@@ -350,3 +351,22 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
     assert rows["side_0"] == ["5 … 7", "on cab, from left", "0.2 … 1.2", "normal", "normal", "0 … 20"]
     assert rows["side_1"][0] == "image in y = 4 m"
     assert "bases wholly on their surfaces" in constraints_in_words(study)
+
+
+def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path):
+    """Twenty boxes, larger ones later: what is smaller is detected less. The table has all of them."""
+    objects = [
+        f"  - {{name: box{n:02}, size_m: [0.5, 0.5, {0.2 * n + 0.2:.1f}], on_ground: true}}\n" for n in range(20)
+    ]
+    study = make(tmp_path, STUDY + "detection:\n" + "".join(objects[::-1]))
+    rig = study.rig(study.lower)
+    found = evaluate(study, rig)
+    rates = [found.detection[f"box{n:02}"].rate for n in range(20)]
+    assert rates == sorted(rates)
+    shown = least_detected([found])
+    assert len(shown) == 12
+    assert max(found.detection[name].rate for name in shown) <= rates[12]
+    report.save_evaluation(study, rig, details(study, rig, found), tmp_path)
+    text = (tmp_path / "report.html").read_text()
+    assert "only the 12 are drawn that are detected least" in text
+    assert all(f"box{n:02}" in text for n in range(20))
