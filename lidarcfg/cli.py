@@ -17,26 +17,34 @@ from lidarcfg.commands.convert import convert
 from lidarcfg.commands.decode import decode
 from lidarcfg.commands.export import export
 from lidarcfg.commands.files import init, schema, validate
+from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.commands.placement import compare, evaluate, optimize
-from lidarcfg.commands.progress import Interrupts, shown
 from lidarcfg.commands.replay import replay
+from lidarcfg.commands.screen import shown
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.sweep import sweep
 from lidarcfg.commands.view import view
 from lidarcfg.errors import ConfigError, LidarcfgError, one_line, reason
 from lidarcfg.inputs import LIBRARIES_BYTES, check_memory, is_out_of_memory, out_of_memory
 
-INTERRUPTS = "SIGINT", "SIGTERM", "SIGHUP"
 EPOCH_DIGITS = 11  # of the seconds since 1970, to the year 5138
 
 
 def main() -> None:
     """Entry point. Exits with 0 when done, 2 after a mistake of the user's, 130 after Ctrl-C, 1 after a bug."""
     interrupts = Interrupts()
-    for name in INTERRUPTS:  # results so far are kept, and no file is left half-written
-        number = getattr(signal, name, None)
-        if number and signal.getsignal(number) != signal.SIG_IGN:  # as nohup sets it
-            signal.signal(number, interrupts.handle)
+    interrupts.listen()
+    try:
+        code = _run(interrupts)
+    except KeyboardInterrupt:
+        interrupts.end()
+    finally:
+        interrupts.finish()
+    sys.exit(code)
+
+
+def _run(interrupts: Interrupts) -> int:
+    """The command, and what is said of its errors; returns its exit code."""
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end quietly if the reader of our output is gone
     sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
@@ -47,25 +55,33 @@ def main() -> None:
         _check_environment()
         interrupts.screen.quiet = bool({"--quiet", "--json"} & set(sys.argv))
         with shown(interrupts.screen):
-            code = cli.main(standalone_mode=False, obj=interrupts)
-    except click.ClickException as error:
-        message = " ".join(error.format_message().split())
-        _fail(f"{message} (see {_command_path(error)} --help)")
-    except LidarcfgError as error:
-        _fail(str(error))
-    except (click.Abort, KeyboardInterrupt):  # before RuntimeError, of which click.Abort is one
-        for name in INTERRUPTS:  # a second Ctrl-C does not stop the clean-up
-            if hasattr(signal, name):
-                signal.signal(getattr(signal, name), signal.SIG_IGN)
-        from lidarcfg.aside import remove_own
+            return int(cli.main(standalone_mode=False, obj=interrupts) or 0)
+    except click.Abort:
+        raise KeyboardInterrupt from None
+    except Exception as error:
+        if interrupts.raised:  # which broke something
+            raise KeyboardInterrupt from None
+        return _fail(_said_of(error, interrupts.doing))
 
-        remove_own()
-        click.echo("interrupted", err=True)
-        sys.stdout.flush()
-        os._exit(130)  # without waiting for threads that still trace rays
-    except (OSError, MemoryError, ImportError, RuntimeError) as error:
-        _fail(_of_the_system(error, interrupts.doing))
-    sys.exit(code or 0)
+
+def _fail(message: str) -> int:
+    click.echo(f"lidarcfg: {one_line(message)}", err=True)
+    return 2
+
+
+def _said_of(error: Exception, doing: str) -> str:
+    """What is said of an error. Raises it if it is a bug."""
+    if isinstance(error, click.ClickException):
+        return f"{' '.join(error.format_message().split())} (see {_command_path(error)} --help)"
+    if isinstance(error, LidarcfgError):
+        return str(error)
+    if is_out_of_memory(error):
+        return str(out_of_memory(error, doing or " ".join(sys.argv[1:2])))
+    if isinstance(error, OSError):
+        return f"{error.filename}: {reason(error)}" if error.filename else str(error)
+    if isinstance(error, ImportError) and ".so" in str(error):
+        return f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)"
+    raise error
 
 
 def _check_environment() -> None:
@@ -80,25 +96,9 @@ def _check_environment() -> None:
         raise ConfigError(f"SOURCE_DATE_EPOCH: {epoch[:40]!r} is not a number of seconds since 1970")
 
 
-def _of_the_system(error: Exception, doing: str) -> str:
-    """What is said of an error of files, memory or libraries. Raises any other."""
-    if is_out_of_memory(error):
-        return str(out_of_memory(error, doing or " ".join(sys.argv[1:2])))
-    if isinstance(error, OSError):
-        return f"{error.filename}: {reason(error)}" if error.filename else str(error)
-    if isinstance(error, ImportError) and ".so" in str(error):
-        return f"a system library is missing: {error} (Debian: apt-get install libegl1 libgl1 libusb-1.0-0)"
-    raise error
-
-
 def _command_path(error: click.ClickException) -> str:
     context = getattr(error, "ctx", None)
     return context.command_path if context else "lidarcfg"
-
-
-def _fail(message: str) -> None:
-    click.echo(f"lidarcfg: {one_line(message)}", err=True)
-    sys.exit(2)
 
 
 @cloup.group(

@@ -11,7 +11,7 @@ from unittest.mock import Mock
 import pytest
 
 from lidarcfg import helpers
-from lidarcfg.commands import progress, rehearsals
+from lidarcfg.commands import interrupts, rehearsals
 from lidarcfg.compiling import clock, compiling, stopwatch
 from lidarcfg.loop_cache import LoopCache
 
@@ -161,12 +161,13 @@ def test_budgets_wait_for_what_others_compile(monkeypatch):
 
 def test_an_interrupt_does_not_wait_for_what_others_compile(monkeypatch):
     """Within numba it is raised only where numba does nothing but wait for another process."""
-    monkeypatch.setattr(progress, "_within", lambda *_: True)
-    monkeypatch.setattr(progress, "Timer", Mock())
-    handle = progress.Interrupts().handle
+    monkeypatch.setattr(interrupts, "_within", lambda *_: True)
+    monkeypatch.setattr(interrupts, "Timer", Mock())
+    handle = interrupts.Interrupts().handle
     handle(signal.SIGINT, None)
     with pytest.raises(KeyboardInterrupt), compiling.elsewhere("loop"):
         handle(signal.SIGINT, None)
+    handle = interrupts.Interrupts().handle
     compiling.begin("caller", 1)
     with compiling.elsewhere("loop"):
         handle(signal.SIGINT, None)

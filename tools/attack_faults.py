@@ -188,7 +188,7 @@ FAULTS: dict[str, tuple[Rows, Plant]] = {
     "a library's file left": (writes("kills"), lambda: swap(files.replacing, littering)),
     "another result each run": (writes("kills"), lambda: swap(files.replacing, varying)),
     "a process left": (writes("signals"), lambda: swap(files.replacing, starting)),
-    "no handlers": (writes("signals"), lambda: setattr(cli, "signal", SimpleNamespace(getsignal=None))),
+    "no handlers": (writes("signals"), lambda: setattr(cli.Interrupts, "listen", lambda self: None)),
     "errors swallowed": (writes("full_disk"), lambda: swap(files.replacing, swallowing)),
     "a traceback": (writes("full_disk"), lambda: setattr(cli, "_fail", failing)),
     "read-only files replaced": (writes("read_only"), lambda: swap(files.check_not_read_only, lambda path: None)),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.commands.options import SAVE_EVERY_S, command_line, warn
 from lidarcfg.commands.progress import progress
 
@@ -36,6 +37,8 @@ def find_front(study: "Study", path: Path, folder: Path, resume: Path | None, th
                 saved = time.monotonic()
 
         found = front(study, threads, on_part, logs)
+    if found.interrupted:
+        click.get_current_context().ensure_object(Interrupts).take()
     words = ("--solver", study.solver.method, "--seed", study.solver.seed, "--evaluations", max(found.evaluations, 1))
     again = shlex.join(map(str, ("lidarcfg", "optimize", path, "-o", folder, *words)))
     untried = sum(not one.evaluations for one in found.candidates)

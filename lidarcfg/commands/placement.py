@@ -11,6 +11,7 @@ import click
 import cloup
 
 from lidarcfg.commands.front import find_front
+from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.commands.options import (
     FILE,
     SAVE_EVERY_S,
@@ -119,8 +120,7 @@ def optimize(
         beside = _baseline(loaded, baseline, on_progress)
     with progress(quiet) as on_progress:
         found, shown = _search(loaded, threads, log, folder, on_progress)
-        if not found.interrupted:  # an update would raise KeyboardInterrupt again
-            on_progress(1.0, f"writing {folder}")
+        on_progress(1.0, f"writing {folder}")
         again = _repeat_command(study, folder, loaded.solver, found)
         report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again), beside)
     if not quiet:
@@ -166,8 +166,9 @@ def _search(
     on_progress(0.0, "searching")
     budget = Budget.of(study.solver)
     found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations)
-    if not found.interrupted:
-        on_progress(1.0, "evaluating the best rig")
+    if found.interrupted:
+        click.get_current_context().ensure_object(Interrupts).take()
+    on_progress(1.0, "evaluating the best rig")
     return found, details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
 
 

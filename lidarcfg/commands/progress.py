@@ -1,134 +1,20 @@
-"""What happens while a command works: the progress bar, and Ctrl-C."""
+"""How far a command is: on a terminal a bar, in a log a line from time to time."""
 
-import signal
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from threading import Event, RLock, Timer
-from types import FrameType
-from typing import TYPE_CHECKING
 
 import click
 
+from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.compiling import compiling
 from lidarcfg.errors import one_line
 
-if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-
-AGAIN_S = 0.02
 LINE_S = 10.0  # between two lines of a log
-LONG_S = 2.0  # of compiling, before a log is told of it
 KNOWN_S = 5.0  # of work, before its rate says how long the rest takes
 THIN_S = 0.5  # between two updates that the rate is made of
-
-
-class Interrupts:
-    """The handler of the signals that end a command: it raises KeyboardInterrupt, but never inside numba.
-
-    numba crashes on an exception raised in it, so the signal is raised again until numba has finished. A callback
-    of a C library may swallow the exception; `check` then raises it at the next progress.
-    """
-
-    def __init__(self) -> None:
-        self._came, self.screen = Event(), Screen()
-        self.doing = ""  # by the latest progress
-
-    def handle(self, number: int, frame: FrameType | None) -> None:
-        """The signal handler."""
-        self._came.set()
-        if _within("numba", frame) and not compiling.may_be_left:
-            again = Timer(AGAIN_S, signal.raise_signal, (number,))
-            again.daemon = True
-            again.start()
-            return
-        raise KeyboardInterrupt
-
-    def check(self, doing: str) -> None:
-        """Raise KeyboardInterrupt if a signal came before this is being done."""
-        self.doing = doing
-        if self._came.is_set():
-            raise KeyboardInterrupt
-
-
-def _within(package: str, frame: FrameType | None) -> bool:
-    """Whether a function of the package is running, or has called what is."""
-    while frame and frame.f_globals.get("__name__", "").partition(".")[0] != package:
-        frame = frame.f_back
-    return frame is not None
-
-
-class Screen:
-    """One bar on stderr for all that a command does, with a line for what is being compiled meanwhile."""
-
-    def __init__(self) -> None:
-        self.quiet = False
-        self._bar: Progress | None = None
-        self._compiling: TaskID | None = None
-        self._told, self._lock = False, RLock()  # loops may be compiled by any thread
-
-    def bar(self) -> "Progress":
-        """The bar, on the screen."""
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        with self._lock:
-            if self._bar is None:
-                left = TextColumn("{task.fields[left]}")
-                columns = (BarColumn(30), TextColumn("{task.description}"), TimeElapsedColumn(), left)
-                self._bar = Progress(*columns, console=Console(stderr=True))
-                self._bar.start()
-            return self._bar
-
-    def close(self, clear: bool = False) -> None:
-        """Leave the last state of the bar, and go on below it, or leave nothing."""
-        with self._lock:
-            bar, self._bar = self._bar, None
-            if bar:
-                self._hide(bar)
-                bar.live.transient = clear
-                bar.stop()
-
-    def work(self) -> None:
-        """Show no longer what was compiled."""
-        with self._lock:
-            if self._bar:
-                self._hide(self._bar)
-
-    def _hide(self, bar: "Progress") -> None:
-        if self._compiling is not None:
-            bar.remove_task(self._compiling)
-            self._compiling = None
-
-    def compile(self) -> None:
-        """Show what is being compiled; where nobody watches, one line once that takes long."""
-        loops = compiling.loops  # which other threads may change
-        if self.quiet or not loops:
-            return
-        with self._lock:
-            if not sys.stderr.isatty():
-                if not self._told and compiling.seconds > LONG_S:
-                    click.echo(f"compiling {loops[0]} and others, once: later runs start at once", err=True)
-                    self._told = True
-                return
-            bar = self.bar()
-            if self._compiling is None:
-                self._compiling = bar.add_task("", left="")
-            text = f"compiling, once: {loops[0]}"
-            bar.update(self._compiling, completed=compiling.compiled, total=compiling.expected, description=text)
-
-
-@contextmanager
-def shown(screen: Screen) -> Iterator[None]:
-    """Show what is being compiled, for the rest of a command."""
-    before, compiling.on_change = compiling.on_change, screen.compile
-    try:
-        yield
-    finally:
-        screen.close()
-        compiling.on_change = before
 
 
 def duration(seconds: float) -> str:

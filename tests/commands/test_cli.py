@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 
 from lidarcfg import __version__
+from lidarcfg.commands import interrupts as signals
 from lidarcfg.commands import progress as module
-from lidarcfg.commands.progress import AGAIN_S, Interrupts, progress
+from lidarcfg.commands.interrupts import AGAIN_S, Interrupts
+from lidarcfg.commands.progress import progress
 from tests.command_line import lidarcfg, started
 
 ROOT = Path(__file__).parents[2]
@@ -236,6 +238,7 @@ def test_an_interrupt_waits_until_numba_is_done():
     try:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
+        signal.signal(signal.SIGTERM, Interrupts().handle)
         with pytest.raises(KeyboardInterrupt):
             inside["work"](signal.raise_signal, signal.SIGTERM, lambda: time.sleep(5 * AGAIN_S), done)
             deadline = time.monotonic() + 60
@@ -255,6 +258,74 @@ def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet):
             interrupts.handle(signal.SIGTERM, None)
         with pytest.raises(KeyboardInterrupt):
             on_progress(0.2, "")
+
+
+def test_an_interrupt_that_was_raised_by_a_progress_does_not_come_again(monkeypatch):
+    """Not while numba would have had to finish first; a search goes on to write what it has."""
+    interrupts = Interrupts()
+    monkeypatch.setattr(signals, "_within", lambda package, *_: package == "numba")
+    before = signal.signal(signal.SIGTERM, interrupts.handle)
+    try:
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.check("")
+        interrupts.take()
+        time.sleep(5 * AGAIN_S)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    interrupts.check("")
+
+
+BROKEN = """
+import os, signal, sys, time
+from lidarcfg import cli
+from lidarcfg.errors import LidarcfgError
+
+def work(*_, obj, **__):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+    except KeyboardInterrupt:
+        {}
+
+cli.cli.main = work
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(
+    "then",
+    [
+        "raise RuntimeError('release unlocked lock')",
+        "raise OSError(9, 'Bad file descriptor')",
+        "raise LidarcfgError('not all of it could be written')",
+        "os.kill(os.getpid(), signal.SIGINT); time.sleep(60)",
+        "raise",
+    ],
+)
+def test_what_an_interrupt_breaks_is_not_said_to_be_an_error(then):
+    """Libraries make another error of it; or a second one comes while the first cleans up."""
+    done = subprocess.run([sys.executable, "-c", BROKEN.format(then)], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+def test_a_second_interrupt_does_not_come_between_two_files(tmp_path):
+    """Both files are of one run; no other is left."""
+    (tmp_path / "one").write_text("old")
+    then = f"""
+        os.chdir({str(tmp_path)!r})
+        from lidarcfg import files
+        take, swap = files.Whole.take_place, lambda one: (take(one), os.kill(os.getpid(), signal.SIGINT))
+        files.Whole.take_place = swap
+        with files.together():
+            for name in ("one", "other"):
+                with files.replacing(name) as file:
+                    file.write("new")
+        time.sleep(60)
+"""
+    done = subprocess.run([sys.executable, "-c", BROKEN.format(then)], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "new", "other": "new"}
 
 
 @pytest.fixture
