@@ -200,8 +200,12 @@ def load_rig(path: str | Path) -> Rig:
     path = example(path)
     file = load(path, RigFile)
     mounts: list[Mount] = []
+    known: dict[tuple[str | None, tuple[float, ...] | None], tuple[Sensor, str | None]] = {}  # read once each
     for i, given in enumerate(file.sensors):
-        mount = _mount(path, i, given)
+        which = given.model, given.elevation_deg
+        if which not in known:
+            known[which] = resolve_sensor(path, i, *which)
+        mount = _mount(path, i, given, *known[which])
         for other in mounts:
             _check_endpoints(path, i, mount, other)
         mounts.append(mount)
@@ -209,10 +213,9 @@ def load_rig(path: str | Path) -> Rig:
     return Rig(file.name, tuple(mounts), vehicle)
 
 
-def _mount(path: Path, index: int, given: MountFile) -> Mount:
+def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str | None) -> Mount:
     """The mount that entry `index` of the file's `sensors` describes. Raises ConfigError."""
     at = ("sensors", index)
-    sensor, model = resolve_sensor(path, index, given.model, given.elevation_deg)
     host = given.host or default_host(index)
     if host is None:
         raise error_at(path, at, f"no default address is left after {LAST_HOST}; give a host")

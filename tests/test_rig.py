@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+import lidarcfg.rig as rigs
 from lidarcfg.errors import ConfigError
 from lidarcfg.rig import load_rig, rig_to_dict, save_rig
 from tests.refusals import refused
@@ -101,3 +102,16 @@ def test_written_and_read_back_bit_for_bit(tmp_path):
     after = load_rig(tmp_path / "out/rig.yaml")
     assert after == before
     assert rig_to_dict(after) == rig_to_dict(before)
+
+
+def test_a_model_is_read_once_however_many_sensors_have_it(tmp_path, monkeypatch):
+    """A thousand sensors of 10,000 beams would take minutes; by the number of times that files are read."""
+    (tmp_path / "fan.yaml").write_text("name: fan\nbeams: {elevation_deg: [-5, 0, 5]}\n")
+    names = [f"{{name: {one}{n}, model: {one}}}" for n in range(3) for one in ("fan.yaml", "vlp-16")]
+    names.append("{name: own, elevation_deg: [-5, 0, 5]}")
+    (tmp_path / "rig.yaml").write_text("name: r\nsensors:\n" + "".join(f"  - {one}\n" for one in names))
+    asked, load = [], rigs.load_sensor
+    monkeypatch.setattr(rigs, "load_sensor", lambda name, base: asked.append(name) or load(name, base))
+    found = load_rig(tmp_path / "rig.yaml")
+    assert sorted(asked) == ["fan.yaml", "vlp-16"]
+    assert [mount.sensor.name for mount in found.mounts] == ["fan", "vlp-16"] * 3 + ["custom"]
