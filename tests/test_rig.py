@@ -107,8 +107,10 @@ def test_written_and_read_back_bit_for_bit(tmp_path):
 def test_a_model_is_read_once_however_many_sensors_have_it(tmp_path, monkeypatch):
     """A thousand sensors of 10,000 beams would take minutes; by the number of times that files are read."""
     (tmp_path / "fan.yaml").write_text("name: fan\nbeams: {elevation_deg: [-5, 0, 5]}\n")
-    names = [f"{{name: {one}{n}, model: {one}}}" for n in range(3) for one in ("fan.yaml", "vlp-16")]
-    names.append("{name: own, elevation_deg: [-5, 0, 5]}")
+    names = [
+        f"{{name: {one}{n}, model: {one}, position_m: [0, 0, 2]}}" for n in range(3) for one in ("fan.yaml", "vlp-16")
+    ]
+    names.append("{name: own, elevation_deg: [-5, 0, 5], position_m: [0, 0, 2]}")
     (tmp_path / "rig.yaml").write_text("name: r\nsensors:\n" + "".join(f"  - {one}\n" for one in names))
     asked, load = [], rigs.load_sensor
     monkeypatch.setattr(rigs, "load_sensor", lambda name, base: asked.append(name) or load(name, base))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.jit import inner, outer
@@ -45,6 +46,7 @@ EVERYTHING = Sight(  # no limits: all that counts is seen
 BIT = ONE << np.arange(64, dtype=np.uint64)
 
 
+BEAMS_MAX = 1_000_000  # of all LiDARs together
 LARGE = 2**14  # rows from which on what LiDARs see is found on threads
 WORDS = 16  # a row that an evaluation needs at least, beside three for each LiDAR
 
@@ -147,7 +149,10 @@ class Work(NamedTuple):
 
 
 def check_room(grid: Grid, lidars: int, beams: int, threads: int = 1) -> None:
-    """Raises LidarcfgError where memory does not hold that many threads' `room`."""
+    """Raises LidarcfgError where there are too many beams, or memory does not hold that many threads' `room`."""
+    if lidars * beams > BEAMS_MAX:
+        what = f"{lidars} sensors of up to {beams:,} beams are {lidars * beams:,} to compare cuboids with"
+        raise LidarcfgError(f"{what}; allowed: at most {BEAMS_MAX:,}")
     rows = grid.included.size
     layer = rows // (grid.z.size + 2)
     needed = 8.0 * threads * ((WORDS + 3 * lidars) * rows + 2 * layer * lidars * beams)

@@ -25,7 +25,7 @@ from lidarcfg.rig import Rig
 
 ATTEMPTS = 5  # of a run whose workers are killed
 LOOK_S = 2.0  # between two checks of the workers
-TRIALS = 300  # evaluations by which the time of a search is estimated
+TRIALS, TRIAL_S = 300, 3.0  # evaluations, or seconds, by which the time of a search is estimated
 DRAWS = 100  # of poses, for one that meets the constraints
 
 
@@ -145,7 +145,7 @@ class Pace:
 def pace(study: Study) -> Pace:
     """The pace of a study's searches, timed on a short one. Raises ConfigError if that finds no rig."""
     started = time.perf_counter()
-    trial = optimize(with_solver(study, evaluations=TRIALS), threads=1)
+    trial = optimize(with_solver(study, evaluations=TRIALS, seconds=TRIAL_S), threads=1)
     count = trial.evaluations + trial.first_evaluations + trial.scout_evaluations
     rest = time.perf_counter() - started - trial.seconds
     return Pace(trial.seconds / count, trial.seconds / max(trial.history[-1].cycle, 1), rest)

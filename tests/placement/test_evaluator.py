@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lidarcfg.placement import sweep
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.optimize import optimize
@@ -64,6 +65,19 @@ def test_a_deadline_is_kept_between_a_few_rigs_of_many_cuboids(tmp_path, monkeyp
     cut = optimize(study, threads=1)
     assert cut.evaluated == trials
     assert cut.objective == optimize(study, threads=1, skip=False).objective
+
+
+def test_the_time_of_a_sweep_is_estimated_by_a_few_rigs_where_these_take_long(tmp_path, monkeypatch):
+    """As if 300 evaluations took too long: the first four rigs of twelve, one by one."""
+    path = tmp_path / "s.yaml"
+    path.write_text(STUDY.format(beams=[-5, 5], count=2, limit=1000, seed=1))
+    found = []
+    monkeypatch.setattr("lidarcfg.placement.evaluator.SLICE_CUBOIDS", 10_000)
+    monkeypatch.setattr(sweep, "TRIAL_S", 1e-9)
+    monkeypatch.setattr(sweep, "optimize", lambda *args, **keys: found.append(optimize(*args, **keys)) or found[0])
+    pace = sweep.pace(load_study(path))
+    assert found[0].evaluated == 4
+    assert pace.evaluation_s == found[0].seconds / 4
 
 
 OBJECTS = """

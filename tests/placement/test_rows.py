@@ -6,6 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import rotation
 from lidarcfg.placement import flood, rows
 from lidarcfg.placement.cones import Lidar, gaps_at
@@ -191,3 +192,10 @@ def test_nothing_cut_and_nothing_left():
     check(region, [])
     region.included[:] = False
     check(region, [cones((1, 1, 1), UNIT[2], FAN)])
+
+
+def test_a_million_beams_are_compared_with_cuboids_and_not_one_sensor_more():
+    grid = rows.Grid.of(Region.from_boxes((0, 0, 0), (1, 1, 1), (0.5, 0.5, 0.5)))
+    rows.check_room(grid, 100, 10_000)
+    with pytest.raises(LidarcfgError, match=r"101 sensors of up to 10,000 beams are 1,010,000 .* at most 1,000,000"):
+        rows.check_room(grid, 101, 10_000)
