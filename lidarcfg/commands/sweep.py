@@ -128,7 +128,7 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
 
 def _estimate(plan: "Plan", runs: list["Run"], where: Where, quiet: bool) -> None:
     """Print about how long some runs of a plan take."""
-    from lidarcfg.placement.sweep import TRIALS, Pace, pace, size
+    from lidarcfg.placement.sweep import Pace, pace, size
 
     workers = where.workers()
     count = workers.count
@@ -147,6 +147,6 @@ def _estimate(plan: "Plan", runs: list["Run"], where: Where, quiet: bool) -> Non
             if found := paces[key]:
                 seconds.append(found.seconds(run.file.solver))
     took = duration(max(sum(seconds) / count, *seconds))
-    click.echo(f"about {took} with {count} workers, by {TRIALS} evaluations of each of {len(paces)} sizes")
+    click.echo(f"about {took} with {count} workers, by a short search of each of {len(paces)} sizes")
     if unknown := len(runs) - len(seconds) + 1:
         click.echo(f"without {unknown} runs for which those find no rig")
