@@ -148,7 +148,7 @@ def trace_beams(world, lasers, frames, firings, zero_ns, limit_m, work, found):
             shear(packet.rays)
             axis = face & 3
             fan_out(rays, aim, right, directions, done, part, width, axis)
-            lean_of(fan, packet.rays, aim, right, done, part, extent, face)
+            lean_of(fan, packet.rays, packet.slabs, aim, right, done, part, extent, face)
             some = axes_of(fan, face, part * width)
             hit_ground(ground_m, rays, face, part * width, limit_m)
             for k in range(3):

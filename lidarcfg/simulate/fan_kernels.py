@@ -21,7 +21,6 @@ from lidarcfg.world.tracer_kernels import (
     DX,
     DY,
     DZ,
-    EDGES,
     FAR,
     FARTHEST,
     NONE,
@@ -29,13 +28,11 @@ from lidarcfg.world.tracer_kernels import (
     OX,
     OY,
     OZ,
-    PAD,
     SIZE,
     SX,
     SY,
-    WIDER,
     ZERO,
-    enter,
+    enter_boxes,
     facing,
     round_at,
     row,
@@ -63,6 +60,7 @@ class Fan(NamedTuple):
     rays: Array  # (16 FAN SIZE,) rows as those of a packet, and more
     lean: Array  # (4 SIZE,) how far beams reach to a side and up, in the plane across their largest component at 1
     beside: NDArray[np.float32]  # (3,) how far rays are at most beside their middle ray, along each axis at 1
+    origin: NDArray[np.float32]  # (6,) a little above where the middle rays start, and below
     sheared: NDArray[np.bool_]  # (1,) whether their shear is known
     mixed: NDArray[np.bool_]  # (1,) whether they face different ways
     normals: Array  # (3, NORMALS) of triangles
@@ -73,8 +71,8 @@ class Fan(NamedTuple):
 def new_fan():
     """Working memory."""
     return Fan(
-        np.zeros(16 * FAN * SIZE), np.zeros(4 * SIZE), np.zeros(3, np.float32), np.zeros(1, np.bool_),
-        np.zeros(1, np.bool_), np.empty((3, NORMALS)), np.full(NORMALS, UNKNOWN),
+        np.zeros(16 * FAN * SIZE), np.zeros(4 * SIZE), np.zeros(3, np.float32), np.zeros(6, np.float32),
+        np.zeros(1, np.bool_), np.zeros(1, np.bool_), np.empty((3, NORMALS)), np.full(NORMALS, UNKNOWN),
     )  # fmt: skip
 
 
@@ -132,7 +130,7 @@ def _shear(rays, count):
 
 
 @inner(fastmath=FAST, error_model="numpy")
-def lean_of(fan, middle, aim, right, first, count, extent, face):
+def lean_of(fan, middle, slabs, aim, right, first, count, extent, face):
     """Find how far the rays of beams `first` to `first` + count reach beside their middle rays."""
     lean, R, axes, mixed = fan.lean, aim.R, aim.axes, False
     across, above, widest = extent
@@ -159,6 +157,8 @@ def lean_of(fan, middle, aim, right, first, count, extent, face):
     for n in range(count, SIZE):
         for m in range(4):
             lean[m * SIZE + n] = lean[m * SIZE + count - 1]
+    for c in range(6):
+        fan.origin[c] = slabs[ORIGIN + c]
     fan.beside[i], fan.beside[j], fan.beside[k] = most_i * WIDE, most_j * WIDE, most_k * WIDE
     fan.mixed[0] = mixed
 
@@ -203,24 +203,22 @@ def _limit(rays, slabs, first, end, width):
 
 
 @inner(fastmath=FAST)
-def _enter(boxes, node, slabs, beside, face, width):
-    """As `enter_boxes`, of boxes that are larger by as much as rays may be beside their middle ray there.
+def _widen(boxes, node, slabs, fan):
+    """Have the boxes of a node tested as larger, by as much as rays may be beside their middle ray there.
 
-    That is taken for the farthest corner of both, whose distance is at most what is found here without a root.
+    That is taken for the farthest corner of both, whose distance is at most what is found here without a root. What is
+    subtracted from the boxes changes by it: it is larger than what that rounds by.
     """
-    at, far, most = 12 * node, ZERO, ZERO
+    at, far, most, origin = 12 * node, ZERO, ZERO, fan.origin
     for k in range(3):
         high, low = max(boxes[at + 3 + k], boxes[at + 9 + k]), min(boxes[at + k], boxes[at + 6 + k])
-        reach = max(high - slabs[ORIGIN + 3 + k], slabs[ORIGIN + k] - low)
+        reach = max(high - origin[3 + k], origin[k] - low)
         far, most = far + reach, max(most, reach)
     far = (far + most) * HALF
     for k in range(3):
-        pad = far * (beside[k] + WIDER) + PAD
-        slabs[EDGES + k] = boxes[at + k] - slabs[ORIGIN + k] - pad
-        slabs[EDGES + 3 + k] = boxes[at + 3 + k] - slabs[ORIGIN + 3 + k] + pad
-        slabs[EDGES + 6 + k] = boxes[at + 6 + k] - slabs[ORIGIN + k] - pad
-        slabs[EDGES + 9 + k] = boxes[at + 9 + k] - slabs[ORIGIN + 3 + k] + pad
-    return enter(slabs, face, width)
+        pad = far * fan.beside[k]
+        slabs[ORIGIN + k] = slabs[ORIGIN + 6 + k] = origin[k] + pad
+        slabs[ORIGIN + 3 + k] = slabs[ORIGIN + 9 + k] = origin[3 + k] - pad
 
 
 @inner(fastmath=FAST, error_model="numpy")
@@ -356,14 +354,15 @@ def trace_fan(tree, packet, fan, face, axis, count, width, extent):
     """
     rays, middle, slabs, codes, enter = fan.rays, packet.rays, packet.slabs, packet.codes, packet.enter
     boxes, children, shapes, kind, instances = tree.boxes, tree.children, tree.shapes, tree.kind, packet.instances
-    lanes, beside = len(slabs) // 7, fan.beside
+    lanes = len(slabs) // 7
     for n in range(SIZE):
         slabs[FAR + n] = -1.0
     most = _limit(rays, slabs, 0, count, width)
     code, waiting = tree.root, 0
     while True:
         if code >= 0:
-            near, far = _enter(boxes, code, slabs, beside, face, lanes)
+            _widen(boxes, code, slabs, fan)
+            near, far = enter_boxes(boxes, code, slabs, face, lanes)
             first, second = children[2 * code], children[2 * code + 1]
             if far < near:
                 near, far, first, second = far, near, second, first

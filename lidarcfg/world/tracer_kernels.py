@@ -149,12 +149,6 @@ def enter_boxes(boxes, node, slabs, face, width):
         edge = boxes[12 * node + c] - slabs[ORIGIN + c]
         wider = abs(edge) * WIDER + PAD
         slabs[EDGES + c] = edge - wider if c % 6 < 3 else edge + wider
-    return enter(slabs, face, width)
-
-
-@inner(fastmath=FAST, forceinline=True)
-def enter(slabs, face, width):
-    """The same, of boxes whose edges are in a packet."""
     nx, ny, nz = 3 if face & 4 else 0, 4 if face & 8 else 1, 5 if face & 16 else 2
     fx, fy, fz = 3 - nx, 5 - ny, 7 - nz
     ax, ay, az = slabs[EDGES + nx], slabs[EDGES + ny], slabs[EDGES + nz]
