@@ -84,9 +84,7 @@ class Evaluator:
         self._witness = np.empty((0, self._witnesses), np.int64)  # (sources, …)
         self._last: deque[tuple[Index, Array, Index]] = deque(maxlen=remembered)
         self._rest = 0  # see RESTS
-        self.on_evaluated: Callable[[int], None] | None = (
-            None  # called with the number of evaluations that have just ended
-        )
+        self.on_evaluated: Callable[[int], None] | None = None  # is called with how many more have ended
         self.full_evaluations = 0
         self.cuboids = 0  # evaluated
         self.segments = 0  # cast from LiDARs to cuboids, at most

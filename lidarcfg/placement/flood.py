@@ -32,8 +32,7 @@ from lidarcfg.placement.rows import (
 )
 from lidarcfg.placement.visibility_kernels import Looks, Sight, new_looks, seen_of_row
 
-AGAIN = 4  # layers along x
-AGAIN = 4  # layers along x
+AGAIN = 4  # layers along x, after which it is looked anew where something is left
 Labels = NDArray[np.int32]
 
 
