@@ -117,7 +117,10 @@ def test_what_memory_does_not_hold_is_refused_with_what_it_needs(tmp_path, monke
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        ("view rig.yaml --png a.png", r"a picture of 1920 x 1080 pixels needs 0\.2 GB of memory; 0\.0 GB are free"),
+        (
+            "view rig.yaml --png a.png --size 5000x5000",
+            r"of 5000 x 5000 pixels needs 0\.6 GB of memory; 0\.0 GB are free",
+        ),
         ("evaluate study.yaml rig.yaml", r"comparing 1,536 cuboids with 16 beams on 1 threads needs .* fewer beams"),
         ("evaluate study.yaml rig.yaml --tolerance 0.1", r"tolerance, of 256 cuboids, needs 0\.0 GB .* no tolerance"),
         ("optimize study.yaml -o o", r"comparing 1,536 cuboids with 16 beams on \d+ threads needs .* fewer beams"),
@@ -151,7 +154,7 @@ def test_a_search_that_numbers_cuboids(tmp_path, monkeypatch):
     study = load_study(tmp_path / "study.yaml")
     monkeypatch.setattr(rows, "check_room", lambda *_: None)
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 6 * 32 * 3 - 1.0)
-    with pytest.raises(LidarcfgError, match="numbering 32 cuboids in 1 rigs on 3 threads needs"):
+    with pytest.raises(LidarcfgError, match="numbering 32 cuboids on 3 threads needs"):
         Evaluator(study.region, study.lidars(study.lower), 3, criterion=study.criterion())
 
 

@@ -406,7 +406,7 @@ def test_refines_only_as_far_as_needed():
     found = analytic(region, RIG, 1e-6, cuboids_max=10_000)
     assert not found.reached
     assert found.cuboids == 8 * 12 * 8 * 4
-    with pytest.raises(ConfigError, match="half the region's edges, and 3,072 cuboids; allowed: at most 3,000"):
+    with pytest.raises(ConfigError, match="half the edges, that is 3,072 cuboids; allowed: at most 3,000"):
         analytic(region, RIG, 0.01, cuboids_max=3_000)
     for wrong in (0.0, -1.0, math.nan):
         with pytest.raises(ConfigError, match="allowed: above 0"):

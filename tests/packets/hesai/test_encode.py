@@ -360,7 +360,7 @@ def test_rewritten_angles_are_read(tmp_path):
         ),
         (
             {"drive-angles.csv": "Channel,Elevation,Azimuth\n1,2,3\n1,4,3\n"},
-            "drive-angles.csv:3: channel 1 stands there",
+            "drive-angles.csv:3: channel 1 is given twice",
         ),
         ({"drive-angles.csv": "\n"}, "drive-angles.csv: its channels are not 1, 2 and on"),
         ({"drive-angles.csv": "2,1,0\n3,2,0\n"}, "drive-angles.csv: its channels are not 1, 2 and on"),
