@@ -289,6 +289,7 @@ def work(*_, obj, **__):
         {}
 
 cli.cli.main = work
+signal.signal(signal.SIGINT, signal.default_int_handler)  # where the caller ignores it, as nohup does, so would we
 cli.main()
 """
 
