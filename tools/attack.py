@@ -36,9 +36,9 @@ import attack_writes
 from attack_commands import COMMANDS, Command, prepare
 from attack_run import Row, load_libraries
 from attack_warm import Warm, attacked
+from page import write_section
 
 PAGE = ROOT / "docs/reliability.md"
-BEGIN, END = "<!-- attacks: begin -->", "<!-- attacks: end -->"
 SEED = 1
 WRITES = ("kills", "signals", "full_disk", "read_only", "two_writers")
 QUICK = [command for command in COMMANDS if command.name in ("convert a rig to .urdf", "export to .ply")]
@@ -105,12 +105,6 @@ def table(found: list[dict[str, Any]]) -> list[str]:
         commit = ", ".join(row["commit"])
         lines.append(f"| {row['what']} | {row['cases']:,} | {len(row['failures']):,} | {commit} | {row['seen']} |")
     return lines
-
-
-def write_page(lines: list[str]) -> None:
-    """Put the lines between the page's markers."""
-    before, _, rest = PAGE.read_text().partition(BEGIN)
-    PAGE.write_text(f"{before}{BEGIN}\n\n" + "\n".join(lines) + f"\n\n{END}{rest.partition(END)[2]}")
 
 
 class Kept:
@@ -196,7 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
     cases, failures = sum(row["cases"] for row in kept.rows), sum(len(row["failures"]) for row in kept.rows)
     print(f"{cases:,} attacks, {failures:,} failures, in {(time.perf_counter() - began) / 60:.0f} minutes")
     if not given.quick and (given.write or not given.names):
-        write_page(page(kept))
+        write_section("attacks", ["", *page(kept), ""], PAGE)
     return 1 if failures else 0
 
 

@@ -222,9 +222,7 @@ class Codec(Timing, Protocol):
 
     point_fields: ClassVar[tuple[PointField, ...]] = TIMED  # of a PointCloud2, as the maker's ROS driver has them
     facts_model: ClassVar[type[Model]]  # of the key in a sensor's file that is named after the family
-    settings_model: ClassVar[type[Model]] = (
-        Model  # of the same key of a mount in a rig's file; by default it has no keys
-    )
+    settings_model: ClassVar[type[Model]] = Model  # of that key of a mount in a rig's file; by default without keys
 
     def __init__(self, sensor: Sensor) -> None: ...
 
