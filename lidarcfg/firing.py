@@ -1,6 +1,6 @@
 """Where the lasers of a sensor fire in one revolution, whoever made it.
 
-Each family of packets gives the patterns of its sensors (`packets.codec.pattern`), from the facts by which it
+Each family of packets gives the patterns of its sensors (`packets.families.pattern`), from the facts by which it
 schedules firings. Placement uses them to count the returns from an object.
 """
 

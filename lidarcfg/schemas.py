@@ -9,7 +9,7 @@ from typing import Any
 from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
 from lidarcfg.config import Model
-from lidarcfg.packets.codec import FAMILIES, family
+from lidarcfg.packets.families import FAMILIES, family
 
 KINDS = {  # module and model of each kind of file, loaded when they are needed
     "study": "lidarcfg.placement.study_file:StudyFile",

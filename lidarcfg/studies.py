@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lidarcfg.files import loaded
-from lidarcfg.packets.codec import pattern
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement import evaluation, plan
 from lidarcfg.placement import optimize as search
 from lidarcfg.placement import study as studies

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from lidarcfg.geometry import pose, transform
-from lidarcfg.packets.codec import codec, pattern
+from lidarcfg.packets.families import codec, pattern
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import load_sensor

@@ -1,8 +1,11 @@
 """Imports run one way, and only packets/ knows what stands below a family."""
 
 import ast
+import re
 import subprocess
 import sys
+from collections import defaultdict
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -42,11 +45,17 @@ BELOW = {
 }
 
 
-def imports():
-    """(importing module, imported module) of the whole package, inside functions too; without those for types only."""
+def modules():
+    """Each module of the package: its name, without `lidarcfg.` and `.__init__`, and its text."""
     for path in sorted(PACKAGE.rglob("*.py")):
         name = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
-        tree = ast.parse(path.read_text())
+        yield name.removesuffix("__init__").rstrip("."), path.read_text()
+
+
+def imports():
+    """(importing module, imported module) of the whole package, inside functions too; without those for types only."""
+    for name, text in modules():
+        tree = ast.parse(text)
         for node in ast.walk(tree):
             if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
                 node.body = []
@@ -64,6 +73,27 @@ def test_imports_run_one_way():
         if (top := one.split(".")[0]) in BELOW and other.split(".")[0] not in BELOW[top] | GROUND | {top}
     ]
     assert found == []
+
+
+def loaded_by_name():
+    """(loading module, loaded module) of those that are named in strings: alone, or `module:member` in a registry."""
+    for name, text in modules():
+        for one in re.findall(r'import_module\("lidarcfg\.([\w.]+)"\)|"lidarcfg\.([\w.]+):\w+"', text):
+            yield name, "".join(one)
+
+
+def test_no_modules_import_each_other():
+    """Nor by way of others."""
+    names = {name for name, _ in modules()}
+    below = defaultdict(set)
+    for one, other in [*imports(), *loaded_by_name()]:
+        while other not in names:  # a member of a module
+            other = other.rpartition(".")[0]
+        below[one].add(other)
+    assert "packets.velodyne.codec" in below["packets.families"]
+    assert "commands.rehearsals" in below["helpers"]
+    assert "placement.solvers.auto" in below["placement.solvers"]
+    TopologicalSorter(below).prepare()  # raises an error that lists the modules of a cycle
 
 
 def test_the_ground_stands_alone():

@@ -17,7 +17,8 @@ from page import ROOT
 sys.path.insert(0, str(ROOT))
 
 from lidarcfg.geometry import directions
-from lidarcfg.packets.codec import Firings, pattern
+from lidarcfg.packets.codec import Firings
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement.returns import PHASES, Target, placed, returns, scanner, scans
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.rig import Mount

@@ -24,7 +24,8 @@ from page import ROOT, machine
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
-from lidarcfg.packets.codec import Firings, codec
+from lidarcfg.packets.codec import Firings
+from lidarcfg.packets.families import codec
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.export import export, in_time_order

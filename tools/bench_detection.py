@@ -19,7 +19,7 @@ from page import ROOT
 sys.path.insert(0, str(ROOT))
 
 from lidarcfg.geometry import directions
-from lidarcfg.packets.codec import pattern
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.returns import Target, placed, returns, scanner, scans
 from lidarcfg.placement.visibility_kernels import Obstacles

@@ -35,7 +35,8 @@ from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.config import Section
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Octets, codec
+from lidarcfg.packets.codec import Octets
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.ouster.decode import OusterDecoder
 from lidarcfg.packets.ouster.metadata import read
 from lidarcfg.rig import Mount, Rig, load_rig

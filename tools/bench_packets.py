@@ -24,7 +24,7 @@ from page import machine
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.rig import Mount, ports
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.export import save_companions

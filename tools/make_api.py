@@ -29,7 +29,7 @@ MODULES = {
         "studies",
     ),
     "Simulation": ("simulate.export", "simulate.ground_truth"),
-    "Packets and captures": ("packets.codec", "capture.pcap", "capture.decode", "capture.replay"),
+    "Packets and captures": ("packets.codec", "packets.families", "capture.pcap", "capture.decode", "capture.replay"),
     "Clouds, reports, pictures": ("cloud", "report", "view.stage", "view.still", "view.page"),
     "Other tools' formats": (
         "formats.exports",

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from lidarcfg.capture.decode import Capture, Recorded
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import Array, directions
-from lidarcfg.packets.codec import Measurements, codec
+from lidarcfg.packets.codec import Measurements
+from lidarcfg.packets.families import codec
 from lidarcfg.sensor import Sensor
 
 REVOLUTIONS = 4  # of a recording that are looked at, evenly spread

@@ -24,7 +24,7 @@ from scipy.stats import qmc, rankdata
 import lidarcfg
 from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.geometry import Array, rotation
-from lidarcfg.packets.codec import pattern
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.analytic import level
 from lidarcfg.placement.blind_spots import AZIMUTHS, fraction_below

@@ -22,7 +22,8 @@ from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.futures import in_order
 from lidarcfg.inputs import read_regular
-from lidarcfg.packets.codec import FAMILIES, Codec, Decoder, Known, Octets, Source, Times, codec, family
+from lidarcfg.packets.codec import Codec, Decoder, Known, Octets, Source, Times
+from lidarcfg.packets.families import FAMILIES, codec, family
 from lidarcfg.packets.point_fields import asked
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import Sensor, catalogue, load_sensor

@@ -22,7 +22,7 @@ from lidarcfg.formats.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.formats.messages import Messages, ros_store
 from lidarcfg.formats.recording import Recording, stamp_ns
 from lidarcfg.geometry import inverse
-from lidarcfg.packets.codec import family
+from lidarcfg.packets.families import family
 from lidarcfg.packets.point_fields import OBJECT, PLAIN, PointField
 from lidarcfg.rig import Rig
 from lidarcfg.units import SECOND_NS

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lidarcfg.packets.codec import timing
+from lidarcfg.packets.families import timing
 from lidarcfg.rig import Mount, Rig
 
 EVEN_DEG = 0.05  # beams further than that from CARLA's even spacing get a warning

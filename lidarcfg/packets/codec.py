@@ -1,12 +1,11 @@
-"""The interface that every family of packets implements, and the registry of families.
+"""The interface that every family of packets implements.
 
-A family is a subclass of `Codec`, registered in `FAMILIES`. Its bytes are known inside `packets/` only: the simulator
-sees `Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a minimal family.
+A family is a subclass of `Codec`, registered in `packets/families.py`. Its bytes are known inside `packets/` only: the
+simulator sees `Firings`, capture files see `Payloads`, readers see `Returns`. `tests/packets/toy.py` is a small one.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -291,45 +290,3 @@ class Codec(Timing, Protocol):
 
     def firing_ns(self) -> Times:
         """(L,) when each laser fires, relative to the first, when all fire once."""
-
-
-FAMILIES = {  # module and class, loaded when they are needed
-    "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
-    "hesai": "lidarcfg.packets.hesai.codec:Hesai",
-    "robosense": "lidarcfg.packets.robosense.codec:Robosense",
-    "ouster": "lidarcfg.packets.ouster.codec:Ouster",
-}
-
-
-def family(name: str) -> type[Codec]:
-    """The family with this name. Raises ConfigError."""
-    if name not in FAMILIES:
-        raise ConfigError(f"no codec is called {name!r}; allowed: {', '.join(sorted(FAMILIES))}")
-    module, _, member = FAMILIES[name].partition(":")
-    found: type[Codec] = getattr(import_module(module), member)
-    return found
-
-
-def codec(sensor: Sensor) -> Codec:
-    """The sensor's codec. Raises ConfigError if it has none, or for invalid facts in its file."""
-    if sensor.codec is None:
-        raise ConfigError(f"sensor {sensor.name!r} has no codec, and so no packets")
-    return family(sensor.codec)(sensor)
-
-
-def timing(sensor: Sensor) -> Timing:
-    """The timing of the sensor's lasers, by its codec or without one. Raises ConfigError."""
-    if sensor.codec:
-        return codec(sensor)
-    from lidarcfg.packets.bare import Bare
-
-    return Bare(sensor)
-
-
-def pattern(mount: "Mount") -> Pattern:
-    """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
-    sensor = mount.sensor
-    if sensor.codec is None and sensor.firing is None:
-        what = "has no codec, which would say where its lasers fire; add firing to its file"
-        raise ConfigError(f"sensor {sensor.name!r} {what}")
-    return timing(sensor).pattern(mount)

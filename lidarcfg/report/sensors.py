@@ -7,7 +7,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.report.terminal import terminal
 from lidarcfg.sensor import Sensor
 

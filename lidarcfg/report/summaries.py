@@ -10,7 +10,7 @@ from lidarcfg.config import load, load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.kinds import MARKS, kind_of
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.study_file import BUDGETS

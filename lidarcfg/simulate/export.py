@@ -11,7 +11,8 @@ from lidarcfg.capture.frames import Frames, frames
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, codec
+from lidarcfg.packets.codec import Batch
+from lidarcfg.packets.families import codec
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.ground_truth import RECORD, records

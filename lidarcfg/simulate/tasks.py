@@ -14,7 +14,8 @@ from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
 from lidarcfg.futures import in_order
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Timing, timing
+from lidarcfg.packets.codec import Batch, Timing
+from lidarcfg.packets.families import timing
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import Range
 from lidarcfg.simulate.echoes import Echoes

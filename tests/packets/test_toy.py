@@ -12,7 +12,7 @@ from lidarcfg.cli import cli
 from lidarcfg.cloud import concatenate, load_cloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import inverse, transform
-from lidarcfg.packets.codec import FAMILIES
+from lidarcfg.packets.families import FAMILIES
 from lidarcfg.rig import load_rig
 from lidarcfg.simulate.export import export
 from lidarcfg.world.scene import load_scene

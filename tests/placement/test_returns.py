@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarcfg.packets.codec import pattern
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.returns import NOTHING, PHASES, Target, placed, returns, scanner, scans
 from lidarcfg.placement.visibility_kernels import Obstacles

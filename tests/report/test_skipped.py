@@ -8,7 +8,7 @@ import itertools
 import pytest
 
 from lidarcfg import report
-from lidarcfg.packets.codec import pattern
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement.detection import mean_of
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize

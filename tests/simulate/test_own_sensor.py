@@ -9,7 +9,7 @@ import yaml
 
 from lidarcfg.cloud import load_cloud
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import pattern
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement.study import load_study
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import catalogue, load_sensor

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.sensor import load_sensor
 from tests.naive.capture import firing_ns, head_deg
 from tests.packets.velodyne.shaped import firings, packet_period_ns

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarcfg.capture.pcap import read_batches
-from lidarcfg.packets.codec import Batch, Firings, codec
+from lidarcfg.packets.codec import Batch, Firings
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai import corrections
 from lidarcfg.packets.hesai.decode import device_time_ns
 from lidarcfg.packets.hesai.facts import Unit

@@ -11,7 +11,8 @@ from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.packets.codec import Payloads, codec
+from lidarcfg.packets.codec import Payloads
+from lidarcfg.packets.families import codec
 from lidarcfg.rig import Rig
 from lidarcfg.simulate.export import export, in_time_order, save_companions
 from lidarcfg.simulate.tasks import START_NS

@@ -9,7 +9,7 @@ from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.simulate.tasks import START_NS
 from tests.packets.hesai.recorded import mount
 

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.cloud import concatenate
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai.crc import crc32
 from lidarcfg.packets.hesai.decode import decode
 from tests.capture_fixtures import no_warning

@@ -12,7 +12,8 @@ from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.packets.codec import Payloads, codec
+from lidarcfg.packets.codec import Payloads
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.ouster.metadata import Metadata, read
 from lidarcfg.rig import Mount
 from tests.packets.ouster.test_encode import START_NS, mount

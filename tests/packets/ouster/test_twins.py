@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.ouster.decode import OusterDecoder
 from lidarcfg.packets.ouster.metadata import read
 from tests.naive import ouster as naive

@@ -10,7 +10,7 @@ from lidarcfg.capture.pcap import Datagram, write_pcap
 from lidarcfg.cli import cli
 from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.export import check_exportable, export, in_time_order

@@ -10,7 +10,8 @@ import pytest
 
 from lidarcfg.capture.pcap import Datagram
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.codec import Batch, Firings, codec
+from lidarcfg.packets.codec import Batch, Firings
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.robosense.facts import unit
 from lidarcfg.sensor import load_sensor
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, recording, write_datagrams

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from lidarcfg.capture.frames import Frames, frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import Payloads, codec
+from lidarcfg.packets.codec import Payloads
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.packets.velodyne.status import calibration
 from lidarcfg.rig import Rig, load_rig

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.packets.codec import codec
+from lidarcfg.packets.families import codec
 from lidarcfg.sensor import load_sensor
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Motion, Trajectory, prepared

@@ -14,7 +14,8 @@ from lidarcfg.capture.pcap import read_datagrams
 from lidarcfg.capture.stream import SourceStats
 from lidarcfg.cloud import FIELDS, concatenate
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.packets.codec import Firings, codec
+from lidarcfg.packets.codec import Firings
+from lidarcfg.packets.families import codec
 from lidarcfg.packets.velodyne.facts import unit as unit_of
 from lidarcfg.packets.velodyne.firings import measurements, packed
 from lidarcfg.packets.velodyne.layout import PACKET

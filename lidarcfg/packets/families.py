@@ -1,0 +1,50 @@
+"""The registry of the families of packets: which codec a sensor has, and when its lasers fire."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.firing import Pattern
+from lidarcfg.packets.bare import Bare
+from lidarcfg.packets.codec import Codec, Timing
+from lidarcfg.sensor import Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+
+FAMILIES = {  # module and class, loaded when they are needed
+    "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
+    "hesai": "lidarcfg.packets.hesai.codec:Hesai",
+    "robosense": "lidarcfg.packets.robosense.codec:Robosense",
+    "ouster": "lidarcfg.packets.ouster.codec:Ouster",
+}
+
+
+def family(name: str) -> type[Codec]:
+    """The family with this name. Raises ConfigError."""
+    if name not in FAMILIES:
+        raise ConfigError(f"no codec is called {name!r}; allowed: {', '.join(sorted(FAMILIES))}")
+    module, _, member = FAMILIES[name].partition(":")
+    found: type[Codec] = getattr(import_module(module), member)
+    return found
+
+
+def codec(sensor: Sensor) -> Codec:
+    """The sensor's codec. Raises ConfigError if it has none, or for invalid facts in its file."""
+    if sensor.codec is None:
+        raise ConfigError(f"sensor {sensor.name!r} has no codec, and so no packets")
+    return family(sensor.codec)(sensor)
+
+
+def timing(sensor: Sensor) -> Timing:
+    """The timing of the sensor's lasers, by its codec or without one. Raises ConfigError."""
+    return codec(sensor) if sensor.codec else Bare(sensor)
+
+
+def pattern(mount: "Mount") -> Pattern:
+    """Where the lasers of a mount's sensor fire in a revolution. Raises ConfigError if that is not known."""
+    sensor = mount.sensor
+    if sensor.codec is None and sensor.firing is None:
+        what = "has no codec, which would say where its lasers fire; add firing to its file"
+        raise ConfigError(f"sensor {sensor.name!r} {what}")
+    return timing(sensor).pattern(mount)
