@@ -1,4 +1,4 @@
-"""What numba is compiling, and how long it has: time that no budget and no rate counts."""
+"""How much numba has compiled, and how long it took: time that no budget and no rate counts."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -10,58 +10,61 @@ class Compiling:
     """The loops that this process compiles, which is one at a time, with those that it calls."""
 
     def __init__(self) -> None:
-        self.loops: list[str] = []  # being compiled; each is needed by the one before
+        self.depth = 0  # how many are being compiled; each is needed by the one before
         self.compiled = 0  # how many are done
-        self.expected = 0  # about how many will be, of these and of those that the current ones need
+        self.expected = 0  # about how many will be, with those that the current ones need
         self.may_be_left = False  # it waits for what another process compiles, and nothing breaks if it no longer does
         self.on_change: Callable[[], None] | None = None
         self.others: Callable[[], None] | None = None  # waits until no other process compiles for this one
+        self._left = 0  # how many are expected and not yet done, of those that the first of the current ones needs
         self._spent, self._since, self._lock = 0.0, 0.0, Lock()
 
     @property
     def seconds(self) -> float:
         """Spent on it so far."""
-        return self._spent + (time.perf_counter() - self._since if self.loops else 0.0)
+        return self._spent + (time.perf_counter() - self._since if self.depth else 0.0)
 
-    def begin(self, loop: str, parts: int) -> None:
+    def begin(self, parts: int) -> None:
         """A loop is being compiled, with so many loops in all."""
-        if not self.loops:
-            self._since = time.perf_counter()
-            with self._lock:
-                self.expected = max(self.expected, self.compiled + parts)
-        self.loops = [*self.loops, loop]
-        self._changed()
+        self.depth += 1
+        if self.depth == 1:
+            self._since, self._left = time.perf_counter(), parts
+            self.count(parts, 0)
+        else:
+            self._changed()
 
     def end(self) -> None:
         """The last one is done."""
-        if len(self.loops) == 1:
+        if self.depth == 1:
             self._spent = self.seconds
-        self.loops = self.loops[:-1]
-        self.count(0, 1)
+        self.depth -= 1
+        left = max(self._left - 1, self.depth) if self.depth else 0  # the current ones have yet to be done
+        unexpected, self._left = left - (self._left - 1), left
+        self.count(unexpected, 1)
 
     @contextmanager
-    def loading(self, loop: str) -> Iterator[None]:
+    def loading(self) -> Iterator[None]:
         """While what was compiled before is loaded; nothing is shown."""
-        if self.loops:
+        if self.depth:
             yield
             return
-        self._since, self.loops = time.perf_counter(), [loop]
+        self._since, self.depth = time.perf_counter(), 1
         try:
             yield
         finally:
-            self._spent, self.loops = self.seconds, []
+            self._spent, self.depth = self.seconds, 0
 
     def count(self, expected: int, compiled: int) -> None:
-        """So many more will be compiled, and are, here or elsewhere."""
+        """So many more are expected to be compiled, and are, here or elsewhere."""
         with self._lock:
             self.expected, self.compiled = self.expected + expected, self.compiled + compiled
         self._changed()
 
     @contextmanager
-    def elsewhere(self, loop: str) -> Iterator[None]:
+    def elsewhere(self) -> Iterator[None]:
         """While another process compiles a loop that this one waits for."""
-        self.may_be_left = not self.loops
-        self.begin(loop, 1)
+        self.may_be_left = not self.depth
+        self.begin(1)
         try:
             yield
         finally:

@@ -1,7 +1,7 @@
 """A process that compiles, beside a command, what it is about to need, into the cache that all processes share.
 
 It is started when the first loop is missing, so that later runs have none. It ends with its work, and at once when the
-command does, however that ends: it reads a pipe that nobody writes to. What it compiles it prints, for the screen.
+command does, however that ends: it reads a pipe that nobody writes to. How much it compiles it prints, for the screen.
 Where it cannot run, the command compiles everything itself.
 """
 
@@ -44,7 +44,7 @@ def _start(rehearsals: tuple[str, ...], meanwhile: str | None) -> None:
 def _wait(helper: "Helper", meanwhile: str | None) -> None:
     if meanwhile:
         _rehearse(meanwhile)
-    with compiling.elsewhere(helper.loop):
+    with compiling.elsewhere():
         helper.process.wait()
 
 
@@ -64,19 +64,16 @@ class Helper:
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
         pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
         self.process = subprocess.Popen(words, bufsize=0, env=environment, stdin=pipe, stdout=pipe, stderr=nowhere)
-        self.loop = "other loops"
         atexit.register(self.end)
         Thread(target=self._follow, daemon=True).start()
 
     def _follow(self) -> None:
-        """Count what it says: how many loops it expects to compile, how many it has, and which one it is at."""
+        """Count what it says: how many loops it expects to compile, and how many it has."""
         before = 0, 0
         for line in self.process.stdout or ():
-            expected, compiled, loop = line.decode().strip().split(maxsplit=2)
-            now = int(expected), int(compiled)
-            self.loop = loop
-            compiling.count(now[0] - before[0], now[1] - before[1])
-            before = now
+            expected, compiled = map(int, line.split())
+            compiling.count(expected - before[0], compiled - before[1])
+            before = expected, compiled
 
     def end(self) -> None:
         """End it."""
@@ -102,7 +99,7 @@ def main() -> None:
 
 def _tell() -> None:
     with suppress(OSError):  # nobody reads any longer
-        os.write(1, f"{compiling.expected} {compiling.compiled} {(*compiling.loops, 'other loops')[0]}\n".encode())
+        os.write(1, f"{compiling.expected} {compiling.compiled}\n".encode())
 
 
 if __name__ == "__main__":

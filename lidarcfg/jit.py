@@ -95,14 +95,18 @@ class _Watch(event.Listener):
         self._collects = False
 
     def on_start(self, event: Any) -> None:
-        if not compiling.loops:
+        loop = event.data["dispatcher"]
+        if _is_numbas(loop):
+            return
+        if not compiling.depth:
             self._collects = gc.isenabled()
             gc.disable()
-        loop = event.data["dispatcher"]
-        compiling.begin(loop.__name__, len(_parts(loop, set())))
+        compiling.begin(len(_missing(loop, set())))
 
     def on_end(self, event: Any) -> None:
-        if self._collects and len(compiling.loops) == 1:
+        if _is_numbas(event.data["dispatcher"]):
+            return
+        if self._collects and compiling.depth == 1:
             gc.collect(1)  # what would follow soon, in the budget of a search
             gc.enable()
         compiling.end()
@@ -114,12 +118,16 @@ class _Watch(event.Listener):
 event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types here
 
 
-def _parts(loop: Any, found: set[Any]) -> set[Any]:
+def _is_numbas(loop: Any) -> bool:
+    """Whether it is no loop of ours, but a part of what numba makes of one."""
+    return f"{loop.py_func.__module__}".startswith("numba.")
+
+
+def _missing(loop: Any, found: set[Any]) -> set[Any]:
     """The loops that have to be compiled for one, itself among them; added to those found."""
-    if loop not in found:
-        found.add(loop)
-        for name in loop.py_func.__code__.co_names:
-            other = loop.py_func.__globals__.get(name)
-            if hasattr(other, "py_func") and other.targetoptions.get("inline") != "always":
-                _parts(other, found)
+    found.add(loop)
+    for name in loop.py_func.__code__.co_names:
+        other = loop.py_func.__globals__.get(name)
+        if hasattr(other, "py_func") and not other.overloads and other not in found:
+            _missing(other, found)
     return found

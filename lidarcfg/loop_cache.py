@@ -27,7 +27,7 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._loop, self._held = function.__name__, False
+        self._held = False
         self._octet = zlib.crc32(f"{function.__module__}.{function.__qualname__}".encode())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -45,7 +45,7 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
         return found
 
     def _load(self, sig: Any, target_context: Any) -> Any:
-        with compiling.loading(self._loop):
+        with compiling.loading():
             return super().load_overload(sig, target_context)
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -66,7 +66,7 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
         if self._held or self._try():
             return
         until = time.monotonic() + PATIENCE_S
-        with compiling.elsewhere(self._loop):
+        with compiling.elsewhere():
             while time.monotonic() < until and not self._try():
                 time.sleep(AGAIN_S)
 

@@ -131,7 +131,7 @@ def test_a_helper_ends_when_the_command_is_killed():
 def test_where_a_budget_waits_for_a_helper_the_command_compiles_meanwhile(monkeypatch):
     """The helper is there for it as long as it takes; what only measures time waits for neither."""
     order = []
-    helper = Mock(loop="loop")
+    helper = Mock()
     helper.process.wait = lambda: order.append("waited")
     monkeypatch.setattr(helpers, "Helper", lambda *names: order.append(names) or helper)
     monkeypatch.setattr(rehearsals, "search", lambda: order.append("rehearsed"))
@@ -149,7 +149,7 @@ def test_budgets_wait_for_what_others_compile(monkeypatch):
     began, spent, counted = time.perf_counter(), compiling.seconds, compiling.compiled
 
     def others():
-        with compiling.elsewhere("loop"):
+        with compiling.elsewhere():
             time.sleep(0.3)
 
     before = clock()
@@ -166,10 +166,10 @@ def test_an_interrupt_does_not_wait_for_what_others_compile(monkeypatch):
     monkeypatch.setattr(interrupts, "Timer", Mock())
     handle = interrupts.Interrupts().handle
     handle(signal.SIGINT, None)
-    with pytest.raises(KeyboardInterrupt), compiling.elsewhere("loop"):
+    with pytest.raises(KeyboardInterrupt), compiling.elsewhere():
         handle(signal.SIGINT, None)
     handle = interrupts.Interrupts().handle
-    compiling.begin("caller", 1)
-    with compiling.elsewhere("loop"):
+    compiling.begin(1)
+    with compiling.elsewhere():
         handle(signal.SIGINT, None)
     compiling.end()

@@ -60,20 +60,20 @@ class Screen:
 
     def compile(self) -> None:
         """Show what is being compiled; where nobody watches, one line once that takes long."""
-        loops = compiling.loops  # which other threads may change
-        if self.quiet or not loops:
+        if self.quiet or not compiling.depth:
             return
         with self._lock:
             if not sys.stderr.isatty():
                 if not self._told and compiling.seconds > LONG_S:
-                    click.echo(f"compiling {loops[0]} and others, once: later runs start at once", err=True)
+                    click.echo("compiling, once: later runs start without", err=True)
                     self._told = True
                 return
             bar = self.bar()
             if self._compiling is None:
                 self._compiling = bar.add_task("", left="")
-            text = f"compiling, once: {loops[0]}"
-            bar.update(self._compiling, completed=compiling.compiled, total=compiling.expected, description=text)
+            done, expected = compiling.compiled, compiling.expected
+            text = f"compiling, once: {done + 1} of about {expected}"
+            bar.update(self._compiling, completed=done, total=expected, description=text)
 
 
 @contextmanager
