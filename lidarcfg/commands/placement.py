@@ -259,8 +259,8 @@ def evaluate(
         report.check_writable(output, report.EVALUATED)
     with progress(quiet or as_json, keep=False) as on_progress:
         beside = _baseline(loaded, baseline, on_progress)
-        on_progress(0.5, f"evaluating {rig}")
-        found = evaluation(loaded, mounted, tolerance)
+        on_progress(0.0, f"evaluating {rig}")
+        found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
         shown = details(loaded, mounted, found) if output or beside else None
         found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
         if output and shown:
@@ -316,8 +316,13 @@ def compare(
     named = []
     with progress(quiet or as_json) as on_progress:
         for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
-            on_progress(n / len(rigs), str(path))
-            shown = details(loaded, rig, evaluation(loaded, rig, tolerance), cheap_cuboids=0).without_cuboids()
+
+            def on_evaluated(fraction: float, n: int = n, path: Path = path) -> None:
+                on_progress((n + fraction) / len(rigs), str(path))
+
+            on_evaluated(0.0)
+            found = evaluation(loaded, rig, tolerance, on_progress=on_evaluated)
+            shown = details(loaded, rig, found, cheap_cuboids=0).without_cuboids()
             named.append((str(path), rig, shown))
     compared = report.contenders(named)
     if output:

@@ -3,18 +3,22 @@
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.compiling import compiling
 from lidarcfg.config import all_errors_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import unused_prices
+from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.region import AXES, BoxFile, Region
+from lidarcfg.placement.sightings import Sought, sightings
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
 from lidarcfg.rig import MountFile, RigFile
@@ -27,6 +31,10 @@ MANY = 0.1  # of these, inside the vehicle
 SLOW = 100  # times the evaluation of max VSR
 MANY_CUBOIDS = 5_000_000  # with more, an evaluation takes a tenth of a second or more
 FEW_S = 0.01  # an evaluation this quick is never called slow
+LONG_S = 20.0  # of processor time, to evaluate one rig
+SAMPLES = (64, 512, 4096)  # of places of objects, by which that time is estimated
+SURE_S = 0.5  # of them that took so long, no more are needed
+ONCE_S = 2.0  # what takes so long is not done twice to take its time
 STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
 
@@ -47,6 +55,7 @@ def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
     for model in unused_prices(file):
         yield ("prices", model), "is not used: no sensor of the study may be one"
     yield from _slow(study)
+    yield from _many_returns(study)
 
 
 def rig_warnings(path: str | Path) -> Iterator[str]:
@@ -149,12 +158,44 @@ def _slow(study: Study) -> Iterator[Suspect]:
             criterion.of(Trial(study.region, lidars, study.visibility))
         return time.perf_counter() - began
 
-    for what in ("max VSR", "objective"):  # compiles
-        seconds(what)
-    usual, own = seconds("max VSR"), seconds("objective") * study.rigs[0]
+    seconds("max VSR")  # compiles
+    compiled, first = compiling.seconds, seconds("objective")
+    first -= compiling.seconds - compiled
+    usual, own = seconds("max VSR"), (first if first > ONCE_S else seconds("objective")) * study.rigs[0]
     if own > FEW_S and own > SLOW * usual:
         takes_s = f"{own:.2g}" if own < 10 else f"{own:,.0f}"
         what = f"one evaluation takes {takes_s} s, {own / usual:.0f} times that of max_vsr"
         cheaper = "coarser cuboids or fewer, larger objects" + " or fewer samples" * bool(study.robust)
         key = "robust" if study.objective.is_max_vsr else "objective"
         yield (key,), f"{what}; {cheaper} cost less"
+
+
+def _many_returns(study: Study) -> Iterator[Suspect]:
+    """Objects at so many places that counting the returns of a rig takes long: a part of the places says so."""
+    unlike = {one.item.appearance: one for one in study.sought}.values()
+    if not unlike:
+        return
+    rig, total = study.rig(study.midpoint), sum(len(one.places) for one in unlike)
+    fired, lidars = study.scans(rig.mounts), rig_lidars(rig)
+
+    def seconds(objects: list[Sought]) -> float:
+        began = time.process_time()
+        sightings(objects, fired, lidars, study.obstacles)
+        return time.process_time() - began
+
+    seconds([_thinned(one, len(one.places)) for one in unlike][:1])  # compiles
+    for count in SAMPLES:
+        some = [_thinned(one, -(-total // count)) for one in unlike]
+        took_s = seconds(some)
+        if took_s > SURE_S:
+            break
+    all_s = took_s * total / sum(len(one.places) for one in some)
+    if all_s > LONG_S:
+        what = f"{len(study.sought)} objects at {total:,} places: their returns to {len(lidars)} LiDARs take"
+        cheaper = "a larger step_m, and fewer headings_deg or samples, cost less"
+        yield ("detection",), f"{what} about {all_s:,.0f} s of processor time for each rig evaluated; {cheaper}"
+
+
+def _thinned(one: Sought, every: int) -> Sought:
+    """The object at every so many of its places."""
+    return replace(one, places=np.ascontiguousarray(one.places[::every]), part=one.part[::every])

@@ -66,6 +66,11 @@ class DetectionObject(Model):
         return self
 
     @property
+    def appearance(self) -> tuple[object, ...]:
+        """What its returns depend on: objects in which this is equal have the same shape and the same places."""
+        return self.size_m, self.mesh, self.step_m, self.headings_deg, self.samples
+
+    @property
     def box_m(self) -> tuple[float, float, float]:
         """The size of a box."""
         assert self.size_m

@@ -1,6 +1,6 @@
 """How well a rig does in a study."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,10 +63,17 @@ class Evaluation:
         return float(self.vsr_m.max())
 
 
-def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count: int = WORST) -> Evaluation:
+def evaluate(
+    study: Study,
+    rig: Rig,
+    tolerance: float | None = None,
+    worst_count: int = WORST,
+    on_progress: Callable[[float], None] = lambda fraction: None,
+) -> Evaluation:
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
 
-    With a relative tolerance also the analytic max VSR, to that tolerance. Raises ConfigError where it is not
+    With a relative tolerance also the analytic max VSR, to that tolerance. `on_progress` is told the fraction done of
+    the objects that are detected by returns, which take longest. Raises ConfigError where the tolerance is not
     above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
     """
     started = stopwatch()
@@ -96,7 +103,7 @@ def evaluate(study: Study, rig: Rig, tolerance: float | None = None, worst_count
                 ],
             )
         )
-    seen = _sightings(study, rig)
+    seen = _sightings(study, rig, on_progress)
     counted = {
         item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
     }
@@ -146,12 +153,15 @@ def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> 
     return BlindSpots(volume, tuple(contours))
 
 
-def _sightings(study: Study, rig: Rig) -> dict[str, Sightings]:
+def _sightings(
+    study: Study, rig: Rig, on_progress: Callable[[float], None] = lambda fraction: None
+) -> dict[str, Sightings]:
     """The returns from the objects that are detected by returns. Raises ConfigError."""
     if not study.sought:
         return {}
     fired, lidars = study.scans(rig.mounts), rig_lidars(rig)
-    return {one.item.name: sightings(one, fired, lidars, study.obstacles) for one in study.sought}
+    found = sightings(study.sought, fired, lidars, study.obstacles, on_progress)
+    return {one.sought.item.name: one for one in found}
 
 
 def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:

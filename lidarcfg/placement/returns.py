@@ -6,7 +6,7 @@ PHASES phases, unless its encoder triggers it.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -142,14 +142,23 @@ def returns(
     poses: Poses,
     obstacles: Obstacles = NOTHING,
     threads: int | None = None,
+    on_places: Callable[[int], None] = lambda count: None,
 ) -> Returned:
-    """The returns from an object at places (P, 4): x, y, the ground's z, heading in radians, of the vehicle frame."""
+    """The returns from an object at places (P, 4): x, y, the ground's z, heading in radians, of the vehicle frame.
+
+    `on_places` is told how many more places are done; what it raises ends the work.
+    """
     counts = np.zeros((len(places), len(sensors.phases), int(sensors.phases.max())), np.int32)
 
     def run(part: Counts) -> None:
         kernels.returns(places, sensors, poses, target.shape, obstacles, part, counts)
 
-    parts = max(-(-len(places) // PLACES_PER_PART), 1)
+    count = max(-(-len(places) // PLACES_PER_PART), 1)
+    parts = [np.arange(first, len(places), count) for first in range(count)]
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        list(pool.map(run, [np.arange(first, len(places), parts) for first in range(parts)]))
+        try:
+            for part, _ in zip(parts, pool.map(run, parts), strict=True):
+                on_places(len(part))
+        finally:
+            pool.shutdown(cancel_futures=True)
     return Returned(counts, tuple(sensors.phases.tolist()))

@@ -1,7 +1,7 @@
 """Detection by returns: at which places, and how surely, enough comes back from an object in one revolution."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -142,10 +142,8 @@ def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
         low = middle - count / 2 * step_m
         inside = _inside(region, places, target.size_m)
         places, part = places[inside], part[inside]
-    label = np.where(region.included, np.int32(0), np.int32(-1))
-    free = [
-        detection_kernels.detected_boxes(label, region.min_m, region.cuboid_m, box[None], size, 0)[1] for box in places
-    ]
+    label, cuboid_m = np.where(region.included, np.int32(0), np.int32(-1)), region.cuboid_m
+    free = [detection_kernels.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
     which = np.array(free, bool)
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
         raise ConfigError(f"{item.name}: has no free place in the region")
@@ -158,10 +156,36 @@ def _check_count(item: DetectionObject, places: int) -> None:
         raise ConfigError(f"{item.name}: {places:,} places; allowed: at most {PLACES_MAX:,}; give {advice}")
 
 
-def sightings(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles) -> Sightings:
-    """The returns from an object to sensors at these poses."""
-    found = returns(one.places, one.target, sensors, placed(lidars), obstacles)
-    return Sightings(one, found.worst, found.mean, found.probability(one.enough))
+def sightings(
+    objects: Sequence[Sought],
+    sensors: Scans,
+    lidars: Sequence[Lidar],
+    obstacles: Obstacles,
+    on_progress: Callable[[float], None] = lambda fraction: None,
+) -> list[Sightings]:
+    """The returns from objects to sensors at these poses; those of objects that look alike are counted once.
+
+    `on_progress` is told the fraction done.
+    """
+    alike: dict[tuple[object, ...], list[int]] = {}
+    for number, one in enumerate(objects):
+        alike.setdefault(one.item.appearance, []).append(number)
+    first, poses, done = [objects[numbers[0]] for numbers in alike.values()], placed(lidars), 0
+    total = sum(len(one.places) for one in first)
+
+    def on_places(count: int) -> None:
+        nonlocal done
+        done += count
+        on_progress(done / total)
+
+    found: dict[int, Sightings] = {}
+    for one, numbers in zip(first, alike.values(), strict=True):
+        counted = returns(one.places, one.target, sensors, poses, obstacles, on_places=on_places)
+        worst, mean = counted.worst, counted.mean
+        for number in numbers:
+            enough = objects[number].enough
+            found[number] = Sightings(objects[number], worst, mean, counted.probability(enough))
+    return [found[number] for number in range(len(objects))]
 
 
 def missed(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles, limit: float) -> float:

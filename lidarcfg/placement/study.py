@@ -345,14 +345,17 @@ def _zones(file: StudyFile, region: Region, path: Path) -> tuple[Zone, ...]:
 
 def _sought(file: StudyFile, region: Region, path: Path) -> tuple[Sought, ...]:
     """The objects that are detected by returns. Raises ConfigError for any object that the region does not hold."""
-    found = []
+    found: dict[tuple[object, ...], Sought] = {}  # of those that look alike, the first
+    every = []
     for i, item in enumerate(file.detection):
         with errors_at(path, "detection", i, *(("mesh",) if item.mesh else ())):
             if item.returns:
-                found.append(sought(region, item, target(item, region, path.parent)))
+                if item.appearance not in found:
+                    found[item.appearance] = sought(region, item, target(item, region, path.parent))
+                every.append(replace(found[item.appearance], item=item))
             else:
                 check_fits(item, region)
-    return tuple(found)
+    return tuple(every)
 
 
 def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: Scene | None) -> Visibility | None:

@@ -10,6 +10,8 @@ import pytest
 import lidarcfg
 from lidarcfg import report
 from lidarcfg.errors import ConfigError
+from lidarcfg.placement import checks
+from lidarcfg.placement import sightings as sightings_module
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.objective import Trial
@@ -231,3 +233,58 @@ def test_without_patterns_it_says_what_is_missing(tmp_path):
     with pytest.raises(ConfigError, match=r"lidarcfg\.studies loads it with that"):
         evaluate(loaded, rig_of(loaded))
     assert study(tmp_path, patterns=None, sensor="fan-4").region.included.any()
+
+
+def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp_path, monkeypatch):
+    """Beside studies that have one of them; of a different step, size or mesh nothing is shared."""
+    items = [
+        "size_m: [0.6, 0.4, 0.3], returns: 400, step_m: 2",
+        "size_m: [0.6, 0.4, 0.3], returns: 5, step_m: 2",
+        "size_m: [0.6, 0.4, 0.3], returns: 5, step_m: 3",
+        "size_m: [0.4, 0.6, 0.3], returns: 5, step_m: 2",
+    ]
+    alone, before = [], STUDY[STUDY.index("  - {name: crate") :]
+    for item in items:
+        loaded = study(
+            tmp_path,
+            change=(before.replace("MESH", str(ROOT / "data/objects/child.ply")), f"  - {{name: a, {item}}}\n"),
+        )
+        alone.append(evaluate(loaded, rig_of(loaded)).sightings["a"])
+    every = "".join(f"  - {{name: {name}, {item}}}\n" for name, item in zip("abcd", items, strict=True))
+    loaded = study(tmp_path, change=(before.replace("MESH", str(ROOT / "data/objects/child.ply")), every))
+    counted, told = [], []
+    real = sightings_module.returns
+    monkeypatch.setattr(
+        sightings_module, "returns", lambda places, *a, **k: counted.append(len(places)) or real(places, *a, **k)
+    )
+    found = evaluate(loaded, rig_of(loaded), on_progress=told.append).sightings
+    assert list(found) == list("abcd")
+    for one, other in zip(found.values(), alone, strict=True):
+        assert one.detection == other.detection
+        for name in ("worst", "mean", "probability"):
+            assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert found["a"].detection.rate < found["b"].detection.rate
+    assert counted == [len(found[name].sought.places) for name in "acd"]
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert len(told) == sum(-(-count // 64) for count in counted)
+
+
+def test_what_returns_will_cost_is_said(tmp_path, monkeypatch):
+    """By a clock that counts places: a second each."""
+    monkeypatch.setattr(checks, "SAMPLES", (8,))
+    loaded, done = study(tmp_path), [0.0]
+    real = checks.sightings
+
+    def timed(objects, *more):
+        done[0] += sum(len(one.places) for one in objects)
+        return real(objects, *more)
+
+    monkeypatch.setattr(checks, "sightings", timed)
+    monkeypatch.setattr(checks.time, "process_time", lambda: done[0])
+    lines = list(checks.study_warnings(tmp_path / "study.yaml", loaded))
+    total = sum(len(one.places) for one in loaded.sought)
+    said = f"detection: 2 objects at {total} places: their returns to 2 LiDARs take about {total} s of processor time"
+    assert f"{tmp_path / 'study.yaml'}:18:1: {said}" in lines[-1]
+    monkeypatch.setattr(checks, "LONG_S", float(total))
+    assert not [line for line in checks.study_warnings(tmp_path / "study.yaml", loaded) if "processor time" in line]
