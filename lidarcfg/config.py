@@ -3,7 +3,6 @@
 Unknown keys, missing keys, values of a wrong type and values outside their limits are errors.
 """
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -218,6 +217,8 @@ def unknown_key(name: str, model: type[Model]) -> str:
     unit = [known for known in allowed if known.startswith(name + "_")]
     if unit:
         return f"unknown key without a unit; allowed: {', '.join(unit)}"
+    import difflib  # slow to load, and only for mistakes
+
     close = difflib.get_close_matches(name, allowed, 1)
     hint = f"did you mean {close[0]}? " if close else ""
     return f"unknown key; {hint}allowed: {', '.join(allowed)}"

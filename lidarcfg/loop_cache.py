@@ -16,6 +16,7 @@ from lidarcfg.aside import fcntl
 from lidarcfg.compiling import compiling
 
 FunctionCache: Any = import_module("numba.core.caching").FunctionCache  # numba has no types
+rtsys: Any = import_module("numba.core.runtime").rtsys
 AGAIN_S, PATIENCE_S = 0.02, 90.0
 _files: dict[Path, int | None] = {}  # of locks, by folder: closing one would give up all locks in it
 
@@ -45,8 +46,13 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
         return found
 
     def _load(self, sig: Any, target_context: Any) -> Any:
+        """As numba's, without loading what it needs to compile: it does so itself when it compiles."""
         with compiling.loading():
-            return super().load_overload(sig, target_context)
+            if not hasattr(self, "_load_overload"):
+                return super().load_overload(sig, target_context)
+            rtsys.initialize(target_context)
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """As numba's."""

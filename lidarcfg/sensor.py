@@ -4,7 +4,6 @@ Beam tables exist in the files of `sensors/` only: optimiser, simulator, encoder
 the maker's packets need is under a key named after the codec, which checks it when it is used.
 """
 
-import difflib
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -304,6 +303,8 @@ def load_sensor(name: str | Path, base: Path = Path()) -> Sensor:
         sensor = load(base / name, Sensor)
         sensor._file = File(str(base / name))
         return sensor
+    import difflib  # slow to load, and only for mistakes
+
     plain = {_plain(one): one for one in known}
     close = difflib.get_close_matches(_plain(name), plain, 1, 0.75) or [one for one in plain if _plain(name) in one]
     hint = f"did you mean {plain[close[0]]}? " if close else ""

@@ -95,6 +95,17 @@ def start(tmp_path, monkeypatch):
     return run
 
 
+WITHOUT = """
+import sys
+import loops
+
+assert loops.outside(3) == 7
+print("scipy.linalg" in sys.modules)
+assert loops.other(3) == 5
+print("scipy.linalg" in sys.modules)
+"""
+
+
 def done(process):
     """The loops that it compiled; it has failed to compile one before."""
     out = process.communicate(timeout=300)[0].split()
@@ -112,6 +123,14 @@ def test_an_inner_loop_that_is_kept_is_compiled_once_for_all_loops_and_processes
     assert done(start(0, "around")) == ["around", "within"]
     assert done(start(0, "about")) == ["about"]
     assert done(start(0, "about", "around")) == []
+
+
+def test_what_is_loaded_needs_nothing_that_compiles(start, tmp_path):
+    """numba loads scipy's linear algebra with all else that it may need to compile."""
+    done(start(0, "outside"))
+    (tmp_path / "without.py").write_text(WITHOUT)
+    said = subprocess.run([sys.executable, tmp_path / "without.py"], stdout=subprocess.PIPE, text=True, check=True)
+    assert said.stdout.split() == ["False", "True"]
 
 
 @pytest.mark.parametrize(("stop", "patience"), [(signal.SIGKILL, 100), (signal.SIGSTOP, 2)])

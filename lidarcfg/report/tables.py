@@ -12,7 +12,6 @@ from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.report.comparison import Contender, rows
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.terminal import terminal
 from lidarcfg.report.words import counted, price, returns_in_words
@@ -20,6 +19,7 @@ from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
     from lidarcfg.placement.front import Front  # which loads CMA-ES, and so matplotlib
+    from lidarcfg.report.comparison import Contender
 
 
 def print_placement(found: Placement, evaluation: Evaluation) -> None:
@@ -101,8 +101,10 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     console.print(worst)
 
 
-def print_comparison(study: Study, rigs: Sequence[Contender]) -> None:
+def print_comparison(study: Study, rigs: "Sequence[Contender]") -> None:
     """Print a row for each property, a column for each rig; a star marks the best of a row."""
+    from lidarcfg.report.comparison import rows  # which loads what pages are made with
+
     names = Table("rig", "name", "file", box=SIMPLE)
     for rig in rigs:
         names.add_row(rig.letter, rig.rig.name, rig.file)

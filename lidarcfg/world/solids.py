@@ -49,15 +49,26 @@ def open_edges(mesh: Mesh) -> Array:
 
 def parts(mesh: Mesh) -> list[Mesh]:
     """The parts of a welded mesh that share no vertex."""
-    from scipy.sparse import coo_array  # as slow to import as all else of an export: only where there is a mesh
-    from scipy.sparse.csgraph import connected_components
-
     vertices, triangles = mesh
-    a, b, c = triangles.T
-    one, other = np.concatenate([a, b]), np.concatenate([b, c])
-    graph = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(len(vertices), len(vertices)))
-    part = connected_components(graph, directed=False)[1][a] if len(triangles) else np.empty(0, np.int64)
+    part = _least_joined(len(vertices), triangles)[triangles[:, 0]]
     return [(vertices, triangles[part == number]) for number in np.unique(part)]
+
+
+def _least_joined(vertices: int, triangles: Index) -> Index:
+    """(V,): for each of so many vertices, the least of those that triangles join it with.
+
+    By hooking and pointer jumping (Shiloach and Vishkin 1982).
+    """
+    least = np.arange(vertices)
+    while True:
+        of_corners = least[triangles]
+        lowest = of_corners.min(axis=1)
+        if (of_corners == lowest[:, None]).all():
+            return least
+        for corner in of_corners.T:
+            np.minimum.at(least, corner, lowest)
+        while ((further := least[least]) != least).any():
+            least = further
 
 
 def inside(mesh: Mesh, x: Array, y: Array, z: Array) -> Inside:
@@ -70,9 +81,16 @@ def inside(mesh: Mesh, x: Array, y: Array, z: Array) -> Inside:
     odd = np.empty((len(y), len(z), len(x) + 1), np.bool_)
     for vertices, triangles in parts(mesh):
         odd[:] = False
-        _toggle(vertices, triangles, x, y, z, odd)
+        _toggle(vertices, triangles, _lines(vertices[triangles], y, z), x, y, z, odd)
         found |= np.logical_xor.accumulate(odd[..., :-1], axis=2).transpose(2, 0, 1)
     return found
+
+
+def _lines(corners: Array, y: Array, z: Array) -> Index:
+    """(T, 4): which lines along x may cross triangles (T, 3, 3): from and to an index of y, and of z."""
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    ends = [(np.searchsorted(at, low[:, n]), np.searchsorted(at, high[:, n], "right")) for n, at in ((1, y), (2, z))]
+    return np.stack([*ends[0], *ends[1]], axis=1)
 
 
 def inside_points(mesh: Mesh, points: Array) -> Inside:
@@ -142,12 +160,24 @@ def _beside(ay: float, az: float, by: float, bz: float, y: float, z: float) -> b
 
 
 @njit(cache=True, nogil=True)
-def _toggle(vertices: Array, triangles: Index, x: Array, y: Array, z: Array, odd: Inside) -> None:
+def _toggle(vertices: Array, triangles: Index, lines: Index, x: Array, y: Array, z: Array, odd: Inside) -> None:
     """Toggle odd (ny, nz, nx + 1) at the first point beyond each triangle, on every line along x that crosses it."""
     for t in range(len(triangles)):
         a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        for j in range(np.searchsorted(y, min(a[1], b[1], c[1])), np.searchsorted(y, max(a[1], b[1], c[1]), "right")):
-            first, last = np.searchsorted(z, min(a[2], b[2], c[2])), np.searchsorted(z, max(a[2], b[2], c[2]), "right")
-            for k in range(first, last):
+        for j in range(lines[t, 0], lines[t, 1]):
+            for k in range(lines[t, 2], lines[t, 3]):
                 if _crossed(a, b, c, y[j], z[k]):
-                    odd[j, k, np.searchsorted(x, _along(a, b, c, y[j], z[k]))] ^= True
+                    odd[j, k, _first_from(x, _along(a, b, c, y[j], z[k]))] ^= True
+
+
+@inner(makes_arrays=True)
+def _first_from(x: Array, least: float) -> int:
+    """The index of the first of ascending x that is not below the least, by halving."""
+    low, high = 0, len(x)
+    while low < high:
+        middle = (low + high) // 2
+        if x[middle] < least:
+            low = middle + 1
+        else:
+            high = middle
+    return low

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import open3d as o3d
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, transform
@@ -109,6 +111,31 @@ def test_the_nodes_of_a_gltf_are_each_in_their_place(tmp_path):
     np.testing.assert_allclose(np.unique(vertices[np.unique(triangles)].round(4), axis=0), expected, atol=2e-4)
     assert len(triangles) == 12
     assert len(parts((vertices, triangles))) == 3
+
+
+def strip(vertices):
+    """Triangles that follow one another along so many vertices."""
+    return np.stack([np.arange(n, vertices - 2 + n) for n in range(3)], axis=1)
+
+
+@pytest.mark.parametrize(
+    "triangles",
+    [
+        np.random.default_rng(1).integers(0, 3000, (1000, 3)),
+        np.random.default_rng(2).permutation(5000)[strip(5000)],
+        np.delete(strip(500), [70, 71, 200, 201, 202], axis=0)[::-1],
+        np.empty((0, 3), np.int64),
+    ],
+    ids=["random", "long and shuffled", "cut", "none"],
+)
+def test_parts_are_the_components_of_the_graph_by_scipy(triangles):
+    (a, b, c), size = triangles.T, triangles.max(initial=0) + 1
+    graph = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(size, size))
+    part = connected_components(graph, directed=False)[1][a]
+    found = [corners for _, corners in parts((np.zeros((size, 3)), triangles))]
+    expected = [triangles[part == number] for number in np.unique(part)]
+    assert len(found) == len(expected)
+    assert all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
 
 
 def test_open_edges_by_hand(tmp_path):
