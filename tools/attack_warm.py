@@ -32,29 +32,33 @@ class Drawings:
     """What each name's run draws: matplotlib takes nine tenths of some commands, and gives the same again."""
 
     def __init__(self) -> None:
-        from matplotlib.figure import Figure
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-        self._draw = Figure.savefig
         self._drawn: dict[str, list[Any]] = {mark: [] for mark in MARKS}
         self._mark, self._next, self._ready = "", 0, False
-        Figure.savefig = lambda figure, target, **options: self._save(figure, target, options)
+        for kind, name in ((FigureCanvasAgg, "print_png"), (FigureCanvasSVG, "print_svg")):
+            setattr(kind, name, self._kept(getattr(kind, name)))
 
     def use(self, mark: str, ready: bool) -> None:
         """From now on the drawings of this name, either to keep them or as they were kept."""
         self._mark, self._next, self._ready = mark, 0, ready
 
-    def _save(self, figure: Any, target: Any, options: dict[str, Any]) -> None:
-        drawn = self._drawn[self._mark]
-        if not self._ready:
-            file: Any = io.StringIO() if isinstance(target, io.StringIO) else io.BytesIO()
-            self._draw(figure, file, **options)
-            drawn.append(file.getvalue())
-            target.write(drawn[-1])
-        elif self._next < len(drawn):
-            target.write(drawn[self._next])
-            self._next += 1
-        else:
-            self._draw(figure, target, **options)
+    def _kept(self, draw: Callable[..., None]) -> Callable[..., None]:
+        def save(canvas: Any, target: Any, **options: Any) -> None:
+            drawn = self._drawn[self._mark]
+            if not self._ready:
+                file: Any = io.StringIO() if isinstance(target, io.StringIO) else io.BytesIO()
+                draw(canvas, file, **options)
+                drawn.append(file.getvalue())
+                target.write(drawn[-1])
+            elif self._next < len(drawn):
+                target.write(drawn[self._next])
+                self._next += 1
+            else:
+                draw(canvas, target, **options)
+
+        return save
 
 
 class Steps:

@@ -58,13 +58,15 @@ STYLE: dict[Any, Any] = {
 def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], None]) -> Markup:
     """What `draw` draws, as SVG inside HTML; `name` keeps its ids apart from those of other drawings."""
     import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     with mpl.rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "(?s)Glyph .* missing")  # the browser has more fonts
         figure = new_figure(WIDTH_IN, height_in)
         draw(figure)
         file = io.StringIO()
-        figure.savefig(file, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
+        canvas: Any = FigureCanvasSVG(figure)  # matplotlib has no types here
+        canvas.print_svg(file, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     svg = file.getvalue()
     svg = svg[svg.index("<svg") :]
     box = re.search(r'viewBox="[^"]*"', svg)
