@@ -26,12 +26,10 @@ class Compiling:
 
     def begin(self, parts: int) -> None:
         """A loop is being compiled, with so many loops in all."""
-        self.depth += 1
-        if self.depth == 1:
+        if not self.depth:
             self._since, self._left = time.perf_counter(), parts
-            self.count(parts, 0)
-        else:
-            self._changed()
+        self.depth += 1
+        self.count(parts if self.depth == 1 else 0, 0)
 
     def end(self) -> None:
         """The last one is done."""
