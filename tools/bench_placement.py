@@ -23,7 +23,7 @@ import cc3d
 import numpy as np
 from page import ROOT, machine
 
-from lidarcfg.placement import flood, rows
+from lidarcfg.placement import flood, rows, worst_subspaces
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
@@ -105,7 +105,7 @@ def rigs(study: Study) -> list[tuple[str, list[Lidar]]]:
 
 def scratch_for(grid: rows.Grid, study: Study) -> tuple[rows.Work, flood.Floods]:
     """Room for the study's LiDARs."""
-    return flood.scratch_for(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
+    return worst_subspaces.scratch_for(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
 
 
 def evaluations(study: Study) -> None:
@@ -115,9 +115,9 @@ def evaluations(study: Study) -> None:
     grid = rows.Grid.of(study.region)
     scratch = scratch_for(grid, study)
     for name, lidars in rigs(study):
-        assert abs(flood.max_vsr(grid, lidars) - pipeline(study.region, lidars)) < 1e-12
+        assert abs(worst_subspaces.max_vsr(grid, lidars) - pipeline(study.region, lidars)) < 1e-12
         for label, function in (
-            ("lidarcfg", partial(flood.max_vsr, grid, lidars, scratch)),
+            ("lidarcfg", partial(worst_subspaces.max_vsr, grid, lidars, scratch)),
             ("numpy + cc3d + bincount", partial(pipeline, study.region, lidars)),
         ):
             seconds.setdefault((label, name), []).extend(timed(function, 25))
@@ -130,19 +130,19 @@ def evaluations(study: Study) -> None:
 FINE_GRID = """
 import json, resource, statistics, sys, time
 import numpy as np
-from lidarcfg.placement import flood, rows
+from lidarcfg.placement import rows, worst_subspaces
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.region import Region
 part, poses, sines = json.loads(sys.argv[1])
 region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
 grid, sines = rows.Grid.of(region), np.array(sines)
-scratch = flood.scratch_for(grid, len(poses[0]), sines.size)
+scratch = worst_subspaces.scratch_for(grid, len(poses[0]), sines.size)
 seconds = []
 for number, rig in enumerate([poses[0], *poses]):
     lidars = [lidar(row[:3], row[3:], sines) for row in rig]
     for _ in range(3):
         started = time.perf_counter()
-        flood.max_vsr(grid, lidars, scratch)
+        worst_subspaces.max_vsr(grid, lidars, scratch)
         seconds += [time.perf_counter() - started] * (number > 0)
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps([region.included.size, statistics.median(seconds), max(seconds), memory]))
@@ -168,20 +168,20 @@ SEDAN_WITH_BODY = """
 import json, statistics, sys, time
 from dataclasses import replace
 import numpy as np
-from lidarcfg.placement import flood, rows
+from lidarcfg.placement import rows, worst_subspaces
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 study, cycles = load_study(sys.argv[1]), int(sys.argv[2])
 grid, rng = rows.Grid.of(study.region), np.random.default_rng(1)
-scratch = flood.scratch_for(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
+scratch = worst_subspaces.scratch_for(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
 seconds = [], []
 for poses in study.poses(rng.random((10, int(study.free.sum())))):
     lidars = study.lidars(poses)
     for of, sight in zip(seconds, (study.visibility.sight(lidars), rows.EVERYTHING), strict=True):
-        flood.max_vsr(grid, lidars, scratch, sight)
+        worst_subspaces.max_vsr(grid, lidars, scratch, sight)
         for _ in range(5):
             started = time.perf_counter()
-            flood.max_vsr(grid, lidars, scratch, sight)
+            worst_subspaces.max_vsr(grid, lidars, scratch, sight)
             of.append(time.perf_counter() - started)
 runs = []
 for one in (study, replace(study, visibility=None, vehicle=None)) if cycles else ():

@@ -30,7 +30,8 @@ def subspaces() -> None:
     """Compile what LiDARs see, and floods, which are parts of most loops of placement."""
     import numpy as np
 
-    from lidarcfg.placement.flood import components, joined
+    from lidarcfg.placement.components import components
+    from lidarcfg.placement.flood import joined
     from lidarcfg.placement.rows import EVERYTHING, Grid
     from lidarcfg.placement.visibility_kernels import clear_up, new_looks
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.jit import inner, outer
-from lidarcfg.placement.flood import Labels
+from lidarcfg.placement.components import Labels
 from lidarcfg.placement.rows import Counts
 
 Lines = NDArray[np.int32]

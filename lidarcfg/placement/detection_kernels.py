@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
-from lidarcfg.placement.flood import Labels, lowest, ones
-from lidarcfg.placement.rows import ALL, BIT, NONE, ONE, Counts, Words
+from lidarcfg.placement.bits import ALL, BIT, NONE, ONE, Words, lowest, ones
+from lidarcfg.placement.components import Labels
+from lidarcfg.placement.rows import Counts
 
 Flags = NDArray[np.bool_]
 NOBODY = np.empty(0, np.bool_)

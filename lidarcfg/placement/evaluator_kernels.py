@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, outer
+from lidarcfg.placement.bits import ALL, NONE, Words
 from lidarcfg.placement.cones import FIRST
-from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cuboid, keep, worst, worth
-from lidarcfg.placement.rows import Counts, Grid, Words, Work, link, put, put_links, room
-from lidarcfg.placement.visibility_kernels import ALL, NONE, Looks, Obstacles, Sight
+from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cuboid
+from lidarcfg.placement.rows import Counts, Grid, Work, link, put, put_links, room
+from lidarcfg.placement.visibility_kernels import Looks, Obstacles, Sight
+from lidarcfg.placement.worst_subspaces import keep, worst, worth
 
 WITNESSES = 12
 Flags = NDArray[np.bool_]

@@ -1,39 +1,16 @@
-"""Subspaces by flooding the links of rows.py, a row of bits at a time; their faces are counted by counting bits."""
+"""A subspace by flooding the links of rows.py, a row of bits at a time; its faces are counted by counting bits."""
 
 # mypy: disallow-untyped-decorators=False
-import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, outer
-from lidarcfg.placement.cones import FIRST, Lidar, beam_gap, cone_rows
-from lidarcfg.placement.rows import (
-    ALL,
-    BIT,
-    EVERYTHING,
-    NONE,
-    ONE,
-    Counts,
-    Grid,
-    Words,
-    Work,
-    at_or_above,
-    link,
-    room,
-    row_of,
-    square_up,
-    steps,
-)
+from lidarcfg.jit import inner
+from lidarcfg.placement.bits import ALL, BIT, NONE, ONE, Words, lowest, ones
+from lidarcfg.placement.cones import FIRST, beam_gap
+from lidarcfg.placement.rows import EVERYTHING, Counts, Grid, at_or_above, row_of, square_up, steps
 from lidarcfg.placement.visibility_kernels import Looks, Sight, new_looks, seen_of_row
-
-AGAIN = 4  # layers along x, after which it is looked anew where something is left
-Labels = NDArray[np.int32]
 
 
 class Walls(NamedTuple):
@@ -43,6 +20,11 @@ class Walls(NamedTuple):
     cones: Array  # (lidars, 6 + beams), see cone_rows
     moved: Counts  # the LiDARs whose beam gap is computed row by row, as a flood gets there
     sight: Sight
+
+
+def joined(links: Words) -> Walls:
+    """Walls of no moved LiDARs, by the links (3, rows) of all."""
+    return Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64), EVERYTHING)
 
 
 class Floods(NamedTuple):
@@ -75,30 +57,6 @@ def flood_room(grid: Grid, lidars: int) -> Floods:
         new_looks(lidars, rows),
         np.empty(9, np.int64),
     )
-
-
-def _ones(_: Any, word: Any) -> Any:
-    return types.int64(types.uint64), lambda _c, builder, _s, args: builder.ctpop(args[0])
-
-
-def _lowest(_: Any, word: Any) -> Any:
-    def generate(context: Any, builder: Any, _: Any, args: Any) -> Any:
-        return builder.cttz(args[0], context.get_constant(types.boolean, False))
-
-    return types.int64(types.uint64), generate
-
-
-def _highest(_: Any, word: Any) -> Any:
-    def generate(context: Any, builder: Any, _: Any, args: Any) -> Any:
-        leading = builder.ctlz(args[0], context.get_constant(types.boolean, False))
-        return builder.sub(context.get_constant(types.int64, 63), leading)
-
-    return types.int64(types.uint64), generate
-
-
-ones: Any = intrinsic(_ones)  # how many bits of a word are 1
-lowest: Any = intrinsic(_lowest)  # the number of the lowest of them; 64 where none is
-highest: Any = intrinsic(_highest)  # the number of the highest of them; −1 where none is
 
 
 @inner(forceinline=True)
@@ -269,202 +227,3 @@ def inner_cuboid(floods: Floods) -> int:
     for _ in range(ones(bits) // 2):
         bits &= bits - ONE
     return row << 6 | int(lowest(bits))
-
-
-@inner()
-def vsr(counts: Counts, edge: tuple[float, float, float]) -> float:
-    """Volume to surface of the last flood; metric.vsr_m, term by term."""
-    ex, ey, ez = edge
-    n, x, y, z = counts[0], counts[1], counts[2], counts[3]
-    volume = float(n * (ex * ey * ez))
-    surface: float = 2.0 * ((n - x) * (ey * ez) + (n - y) * (ex * ez) + (n - z) * (ex * ey))
-    return volume / surface
-
-
-@inner()
-def _weight(grid: Grid, floods: Floods) -> float:
-    """The greatest weight of the last flood's cuboids."""
-    weight, weighted, reached = grid.weight, grid.weighted, floods.reached
-    for level in range(weight.size - 1):
-        for step in range(floods.counts[4]):
-            if reached[step, 1] & weighted[level, int(reached[step, 0])]:
-                return float(weight[level])
-    return float(weight[-1])
-
-
-@inner(forceinline=True)
-def worth(grid: Grid, edge: tuple[float, float, float], weighted: bool, floods: Floods) -> float:
-    """Volume to surface of the last flood; times its weight, where cuboids are weighted."""
-    value: float = vsr(floods.counts, edge)
-    if weighted:
-        value *= _weight(grid, floods)
-    return value
-
-
-@inner(forceinline=True)
-def _at_least(one: np.uint64, other: np.uint64, all_of_them: np.uint64, number: int) -> np.uint64:
-    """The bits set in at least `number` of two words, 0 … 2."""
-    return all_of_them if number == 0 else (one | other if number == 1 else one & other)
-
-
-@inner()
-def links_needed(least: float, edge: tuple[float, float, float], need: Counts) -> None:
-    """need[3 z + y]: how many links along x a cuboid with z and y along those axes needs, 0 … 2; 3 if none suffice.
-
-    In a subspace of V / S > least, the mean cuboid has less outer surface than its volume / least, so some cuboid has.
-    """
-    ex, ey, ez = edge
-    inner = 2.0 * (ey * ez + ex * ez + ex * ey) * (1.0 - 1e-9) - ex * ey * ez / least if least > 0.0 else -1.0
-    for z in range(3):
-        for y in range(3):
-            x = 0
-            while x < 3 and x * (ey * ez) + y * (ex * ez) + z * (ex * ey) < inner:
-                x += 1
-            need[3 * z + y] = x
-
-
-@inner(forceinline=True)
-def promising(row: int, step_y: int, step_z: int, need: Counts, included: Words, links: Words) -> np.uint64:
-    """The cuboids of a row with enough links; see links_needed."""
-    all_of_them = included[row]
-    before, after = links[0, row], links[0, row] >> ONE | links[0, row + 1] << np.uint64(63)
-    word = NONE
-    for z in range(3):
-        deep = _at_least(links[2, row], links[2, row + step_z], all_of_them, z)
-        for y in range(3):
-            if need[3 * z + y] < 3:
-                wide = _at_least(links[1, row], links[1, row + step_y], all_of_them, y)
-                word |= deep & wide & _at_least(before, after, all_of_them, need[3 * z + y])
-    return word
-
-
-@inner(forceinline=True)
-def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
-    """Insert a subspace into the worst ones, values (n,) descending, if it belongs there."""
-    place = values.size
-    while place > 0 and value > values[place - 1]:
-        place -= 1
-    if place == values.size:
-        return False
-    for after in range(values.size - 1, place, -1):
-        values[after], cuboids[after] = values[after - 1], cuboids[after - 1]
-    values[place], cuboids[place] = value, cuboid
-    return True
-
-
-@inner()
-def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts, first: int) -> None:
-    """The worst subspaces: values (n,) their V / S, descending, and a cuboid in each; both may hold some already.
-
-    V / S is taken times the weight of a subspace, where cuboids have weights. walls: without moved LiDARs. `first` is
-    added to the numbers of cuboids. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
-    cannot be in one of the worst: see links_needed.
-    """
-    step_y, step_z = steps(grid)
-    left, included, edge, links = floods.left, grid.included, grid.edge, walls.links
-    weighted = grid.weight.size > 0
-    need, most = floods.need, grid.weight[0] if weighted else 1.0
-    links_needed(values[-1] / most, edge, need)
-    for row in range(step_z, included.size - step_z):
-        if left[row] == NONE:
-            continue
-        word = promising(row, step_y, step_z, need, included, links) & left[row]
-        while word != NONE:
-            flood(grid, walls, 0, row << 6 | lowest(word), floods)
-            word &= left[row]
-            if keep(worth(grid, edge, weighted, floods), first + inner_cuboid(floods), values, cuboids):
-                if values[0] >= enough:
-                    return
-                links_needed(values[-1] / most, edge, need)
-                word &= promising(row, step_y, step_z, need, included, links)
-
-
-@outer()
-def _label(
-    grid: Grid,
-    walls: Walls,
-    floods: Floods,
-    label: Labels,
-    first: Counts,
-    cuboids: Counts,
-    internal: Counts,
-    some: Words,
-) -> int:
-    """Write what `components` returns, for as many as there are.
-
-    label (nx, ny, nz) of −1 and floods are new; some (ny,) is scratch memory.
-    """
-    nx, ny, nz = label.shape
-    step_y, step_z = steps(grid)
-    total = 0
-    for i in range(nx):
-        if i % AGAIN == 0:  # which layers along x of 64 have something left, by row along y, so that not all are read
-            for j in range(ny):
-                some[j] = NONE
-            for k in range(nz):
-                row = (k + 1) * step_z + step_y + (i >> 6)
-                for j in range(ny):
-                    some[j] |= floods.left[row + j * step_y]
-        for j in range(ny):
-            for k in range(nz if some[j] & BIT[i & 63] else 0):
-                row = (k + 1) * step_z + (j + 1) * step_y + (i >> 6)
-                if floods.left[row] & BIT[i & 63] == NONE:
-                    continue
-                flood(grid, walls, 0, row << 6 | i & 63, floods)
-                for step in range(floods.counts[4]):
-                    row, bits = int(floods.reached[step, 0]), floods.reached[step, 1]
-                    at, b, c = row % step_y << 6, row % step_z // step_y - 1, row // step_z - 1
-                    while bits != NONE:
-                        label[at + lowest(bits), b, c] = total
-                        bits &= bits - ONE
-                first[total] = (i * ny + j) * nz + k
-                cuboids[total] = floods.counts[0]
-                for axis in range(3):
-                    internal[total, axis] = floods.counts[1 + axis]
-                total += 1
-    return total
-
-
-def joined(links: Words) -> Walls:
-    """Walls of no moved LiDARs, by the links (3, rows) of all."""
-    return Walls(links, np.empty((0, FIRST)), np.empty(0, np.int64), EVERYTHING)
-
-
-def components(grid: Grid, shape: tuple[int, int, int], links: Words) -> tuple[Labels, Counts, Counts, Counts]:
-    """The connected components of the cuboids under some links (3, rows), in raster order.
-
-    Returns label (nx, ny, nz), the number of each cuboid's component, −1 where excluded; cuboids (n,) in each;
-    internal (n, 3), the faces inside each across x, y and z; and first (n,), its first cuboid as a flat index.
-    """
-    out, most = np.full(shape, -1, np.int32), math.prod(shape)
-    first, cuboids, internal = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.int64)
-    total = _label(
-        grid, joined(links), flood_room(grid, 0), out, first, cuboids, internal, np.empty(shape[1], np.uint64)
-    )
-    return out, cuboids[:total].copy(), internal[:total].copy(), first[:total].copy()
-
-
-@outer()
-def _worst(
-    grid: Grid, cones: Array, moved: Counts, sight: Sight, work: Work, floods: Floods, values: Array, cuboids: Counts
-) -> None:
-    link(grid, grid.links, cones, moved, sight, work)
-    worst(grid, Walls(work.links, cones, moved[:0], sight), np.inf, floods, values, cuboids, 0)
-
-
-def scratch_for(grid: Grid, lidars: int, beams: int) -> tuple[Work, Floods]:
-    """Room for evaluations of up to so many LiDARs of so many beams."""
-    floods = flood_room(grid, 0)
-    return room(grid, lidars, beams, new_looks(lidars, grid.included.size)), floods
-
-
-def max_vsr(
-    grid: Grid, lidars: Sequence[Lidar], scratch: tuple[Work, Floods] | None = None, sight: Sight = EVERYTHING
-) -> float:
-    """The largest V / S, in metres. `scratch`: room for as many LiDARs and beams, to be used again."""
-    cones = cone_rows(lidars)
-    work, floods = scratch or scratch_for(grid, len(cones), cones.shape[1] - FIRST)
-    floods.left[:], work.looks.clear[:], work.looks.known[:] = grid.included, 0, 0
-    worst_m = np.full(1, -1.0)
-    _worst(grid, cones, np.arange(len(cones)), sight, work, floods, worst_m, np.empty(1, np.int64))
-    return float(worst_m[0])

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.placement.bits import Words
 from lidarcfg.placement.column_kernels import Lines, count_lines
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.rows import Words
 from lidarcfg.placement.sphere_kernels import Search, clearance, largest
 from lidarcfg.placement.subspace import Subspaces
 

@@ -20,6 +20,7 @@ from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.jit import inner, outer
+from lidarcfg.placement.bits import ALL, BIT, NONE, ONE, Words
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, gaps_at, signed_squares
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility_kernels import (
@@ -36,16 +37,10 @@ from lidarcfg.placement.visibility_kernels import (
 from lidarcfg.world.bvh import NO_TREE
 
 Counts = NDArray[np.int64]
-Words = NDArray[np.uint64]
-
-NONE, ONE, ALL = np.uint64(0), np.uint64(1), ~np.uint64(0)
 EVERYTHING = Sight(  # no limits: all that counts is seen
     np.empty((0, LIMITS)),
     Obstacles(NO_TREE, np.empty((6, 0)), np.zeros(3), np.inf),
 )
-BIT = ONE << np.arange(64, dtype=np.uint64)
-
-
 BEAMS_MAX = 1_000_000  # of all LiDARs together
 LARGE = 2**14  # rows from which on what LiDARs see is found on threads
 WORDS = 16  # a row that an evaluation needs at least, beside three for each LiDAR

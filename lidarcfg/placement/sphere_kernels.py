@@ -13,8 +13,9 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
-from lidarcfg.placement.flood import Labels, highest, lowest
-from lidarcfg.placement.rows import BIT, NONE, ONE, Counts, Words
+from lidarcfg.placement.bits import BIT, NONE, ONE, Words, highest, lowest
+from lidarcfg.placement.components import Labels
+from lidarcfg.placement.rows import Counts
 
 STRIDES = np.array([8, 1])  # some of the nodes first, so that there is a good sphere to beat
 STEP = 2**31 - 1  # through the columns, which are fewer: a prime, so that all are tried, in an order that spreads them

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement import flood, rows
+from lidarcfg.placement import rows
+from lidarcfg.placement.bits import ONE, Words
+from lidarcfg.placement.components import components
 from lidarcfg.placement.cones import Lidar, beam_gap_table, cone_rows
 from lidarcfg.placement.region import Region, check_voxels
 
@@ -90,10 +92,10 @@ class Links:
 
 
 def _subspaces(
-    region: Region, grid: rows.Grid, links: rows.Words, lidars: Sequence[Lidar], seen_words: rows.Words | None
+    region: Region, grid: rows.Grid, links: Words, lidars: Sequence[Lidar], seen_words: Words | None
 ) -> Subspaces:
     """The subspaces by their links (3, rows), and by what the LiDARs see (lidars, rows) if sight is limited."""
-    label, cuboids, internal, first = flood.components(grid, region.shape, links)
+    label, cuboids, internal, first = components(grid, region.shape, links)
     index = np.unravel_index(first, region.shape)
     points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
     gap = beam_gap_table(points, cone_rows(lidars))
@@ -101,5 +103,5 @@ def _subspaces(
         return Subspaces(region, label, cuboids, internal, gap, first)
     i, j, k = index
     number = rows.cuboid_number(grid, (i, j, k))
-    gap[(seen_words[:, number >> 6] >> (number & 63).astype(np.uint64) & rows.ONE).T == 0] = BLIND
+    gap[(seen_words[:, number >> 6] >> (number & 63).astype(np.uint64) & ONE).T == 0] = BLIND
     return Subspaces(region, label, cuboids, internal, gap, first, rows.counted(region, seen_words))

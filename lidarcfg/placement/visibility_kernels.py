@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
+from lidarcfg.placement.bits import ALL, NONE, Words
 from lidarcfg.world.bvh import Tree
 from lidarcfg.world.shadow_kernels import ROW, Shadows, begin, behind, finish, new_shadows, shade
 
 LIMITS = 9  # columns of Sight.limits
 ANY, WITHIN, BEYOND = 0.0, 1.0, 2.0  # kinds of fields of view: all around; up to half a turn; more
-Words = NDArray[np.uint64]
-NONE, ALL = np.uint64(0), ~np.uint64(0)
 
 
 class Obstacles(NamedTuple):

@@ -8,11 +8,13 @@ from scipy import ndimage
 
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import rotation
-from lidarcfg.placement import flood, rows
+from lidarcfg.placement import rows
+from lidarcfg.placement.components import components
 from lidarcfg.placement.cones import Lidar, gaps_at
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.worst_subspaces import max_vsr
 from tests.naive import placement as naive
 
 FAN = np.arange(-15.0, 16.0, 2.0)
@@ -59,7 +61,7 @@ def check(region, lidars):
     """Rows give the direct result: labels, counts, gaps at points and on the grid, and the largest V / S."""
     label, cuboids, internal, first = direct(region.centres(), region.included, lidars)
     grid, work = rows.linked(region, lidars)
-    mine = flood.components(grid, region.shape, work.links)
+    mine = components(grid, region.shape, work.links)
     for ours, theirs in zip(mine, (label, cuboids, internal, first), strict=True):
         assert np.array_equal(ours, theirs)
     assert mine[0].dtype == np.int32
@@ -70,7 +72,7 @@ def check(region, lidars):
         on_grid = rows.beam_gaps(region, one)
         assert np.array_equal(on_grid[region.included], gap[region.included])
     if len(first):
-        assert flood.max_vsr(grid, lidars) == vsr_m(segment(region, lidars)).max()
+        assert max_vsr(grid, lidars) == vsr_m(segment(region, lidars)).max()
     return label
 
 

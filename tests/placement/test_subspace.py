@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import flood, rows
+from lidarcfg.placement import rows
+from lidarcfg.placement.components import components
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.metric import Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
@@ -28,7 +29,7 @@ def bodies(array, edges=EDGES):
     bits = np.zeros((3, *padded.shape[:2], 64 * -(-array.shape[0] // 64)), bool)
     bits[..., : array.shape[0]] = np.stack(alike)[..., 1:-1]
     links = np.packbits(bits, axis=-1, bitorder="little").view(np.uint64).reshape(3, -1)
-    label, cuboids, internal, first = flood.components(rows.Grid.of(region), region.shape, links)
+    label, cuboids, internal, first = components(rows.Grid.of(region), region.shape, links)
     assert label.ravel()[first].tolist() == list(range(len(first)))
     return Subspaces(region, label, cuboids, internal, np.zeros((len(cuboids), 0), np.int64), first)
 
