@@ -256,19 +256,17 @@ def _refined(around: Directions, azimuth: Indices, number: Indices, seen: SeenPo
 
 def outline_m(center_m: Array, vertices_m: Array, triangles: Indices) -> Array:
     """(AZIMUTHS,) from a point (2,) to the outline from above of vertices (V, 3) and triangles (T, 3); 0 beside it."""
-    flat = vertices_m[:, :2] - center_m
-    edges = np.concatenate([triangles[:, (0, 1)], triangles[:, (1, 2)], triangles[:, (2, 0)]])
     out = np.zeros(AZIMUTHS)
-    _widen(flat[edges[:, 0]], flat[edges[:, 1]], out)
+    _widen(vertices_m[:, :2] - center_m, triangles, out)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _widen(ends: Array, others: Array, out: Array) -> None:
-    """Raise `out` (directions,) to where the rays from the origin cross the segments between points (E, 2) each."""
+def _widen(flat: Array, triangles: Indices, out: Array) -> None:
+    """Raise `out` (directions,) to where rays from the origin cross the edges of triangles (T, 3) of points (V, 2)."""
     step = 2 * math.pi / out.size
-    for e in range(len(ends)):
-        (px, py), (qx, qy) = ends[e], others[e]
+    for e in range(3 * len(triangles)):
+        (px, py), (qx, qy) = flat[triangles[e // 3, e % 3]], flat[triangles[e // 3, (e + 1) % 3]]
         first = math.atan2(py, px)
         turn = math.atan2(px * qy - py * qx, px * qx + py * qy)  # from one end to the other, less than half around
         low, high = min(first, first + turn), max(first, first + turn)

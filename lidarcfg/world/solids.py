@@ -1,6 +1,8 @@
 """Closed bodies: which points are inside, and which edges are open where a mesh is not closed."""
 
 # mypy: disallow-untyped-decorators=False
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -71,15 +73,15 @@ def _least_joined(vertices: int, triangles: Index) -> Index:
             least = further
 
 
-def inside(mesh: Mesh, x: Array, y: Array, z: Array) -> Inside:
-    """(nx, ny, nz): which points of a grid are inside any part of a closed, welded mesh; x, y and z ascend.
+def inside(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Inside:
+    """(nx, ny, nz): which points of a grid are inside any of the parts of a closed, welded mesh; x, y and z ascend.
 
     A line along x enters and leaves a closed part an even number of times: whether it passes through a triangle is
     told edge by edge, by the same numbers for both neighbours, so that it cannot pass between them.
     """
     found = np.zeros((len(x), len(y), len(z)), np.bool_)
     odd = np.empty((len(y), len(z), len(x) + 1), np.bool_)
-    for vertices, triangles in parts(mesh):
+    for vertices, triangles in closed:
         odd[:] = False
         _toggle(vertices, triangles, _lines(vertices[triangles], y, z), x, y, z, odd)
         found |= np.logical_xor.accumulate(odd[..., :-1], axis=2).transpose(2, 0, 1)
@@ -93,20 +95,25 @@ def _lines(corners: Array, y: Array, z: Array) -> Index:
     return np.stack([*ends[0], *ends[1]], axis=1)
 
 
-def inside_points(mesh: Mesh, points: Array) -> Inside:
-    """(N,): which points (N, 3) are inside any part of a closed, welded mesh, as `inside` has it."""
+def inside_points(closed: Sequence[Mesh], points: Array) -> Inside:
+    """(N,): which points (N, 3) are inside any of the parts of a closed, welded mesh, as `inside` has it."""
     found = np.zeros(len(points), np.bool_)
-    for vertices, triangles in parts(mesh):
+    for vertices, triangles in closed:
         found |= _odd(vertices, triangles, points)
     return found
 
 
-def holds(mesh: Mesh, low: Array, high: Array) -> bool:
-    """Whether a box is inside a closed, welded mesh for certain: its corners are, and no triangle's bounds touch it."""
-    vertices, triangles = mesh
-    corners = vertices[triangles]
-    away = (corners.min(axis=1) > high) | (corners.max(axis=1) < low)
-    return bool(away.any(axis=1).all() and inside_points(mesh, np.array([low]))[0])
+def holds(closed: Sequence[Mesh], low: Array, high: Array) -> bool:
+    """Whether a box is inside the parts of a closed, welded mesh for certain.
+
+    One corner is, and no triangle's bounds touch it.
+    """
+    for vertices, triangles in closed:
+        corners = vertices[triangles]
+        away = (corners.min(axis=1) > high) | (corners.max(axis=1) < low)
+        if not away.any(axis=1).all():
+            return False
+    return bool(inside_points(closed, np.array([low]))[0])
 
 
 @njit(cache=True, nogil=True)

@@ -113,10 +113,19 @@ class Solid:
     high_m: Array  # (3,)
     shape: Mesh | Sphere | Cylinder
 
+    @cached_property
+    def parts(self) -> list[Mesh]:
+        """Of a mesh."""
+        assert isinstance(self.shape, tuple)
+        return parts(self.shape)
+
     def inside(self, points_m: Array) -> Inside:
         """(N,): which points (N, 3) are inside."""
         if isinstance(self.shape, tuple):
-            return inside_points(self.shape, points_m)
+            near = ((points_m >= self.low_m) & (points_m <= self.high_m)).all(axis=1)
+            if near.any():
+                near[near] = inside_points(self.parts, points_m[near])
+            return np.asarray(near)
         middle = 0.5 * (self.low_m + self.high_m)
         axes = slice(3) if isinstance(self.shape, Sphere) else slice(2)
         flat = ((points_m - middle)[:, axes] ** 2).sum(axis=1) < self.shape.radius_m**2
@@ -125,7 +134,8 @@ class Solid:
     def holds(self, low_m: Array, high_m: Array) -> bool:
         """Whether a box is certainly inside."""
         if isinstance(self.shape, tuple):
-            return holds(self.shape, low_m, high_m)
+            inside_bounds = bool((low_m >= self.low_m).all() and (high_m <= self.high_m).all())
+            return inside_bounds and holds(self.parts, low_m, high_m)
         corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
         return bool(self.inside(corners).all())
 
@@ -181,7 +191,7 @@ class Vehicle:
                 for at, low, high in zip((x, y, z), solid.low_m, solid.high_m, strict=True)
             )
             if isinstance(solid.shape, tuple):
-                found[a, b, c] = inside(solid.shape, x[a], y[b], z[c])
+                found[a, b, c] = inside(solid.parts, x[a], y[b], z[c])
             else:
                 grid = np.stack(np.meshgrid(x[a], y[b], z[c], indexing="ij"), axis=-1)
                 found[a, b, c] = solid.inside(grid.reshape(-1, 3)).reshape(grid.shape[:3])

@@ -19,6 +19,7 @@ from lidarcfg.placement.visibility_kernels import new_looks
 from lidarcfg.world import solids
 from lidarcfg.world.meshes import box_mesh, lathe
 from lidarcfg.world.scene import Box
+from lidarcfg.world.vehicle import Solid
 from tests import visibility_cases
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
@@ -268,10 +269,14 @@ def test_points_inside_a_closed_mesh_by_its_convex_parts():
     by_hand = np.zeros(len(points), bool)
     for centre in ((0, 0, 0), (1, 0.5, 0)):
         by_hand |= (abs((points - centre) @ into.T) < 1).all(axis=1)
-    assert np.array_equal(solids.inside_points(mesh, points), by_hand)
-    assert np.array_equal(solids.inside(mesh, *axes).ravel(), by_hand)
+    assert np.array_equal(solids.inside_points(solids.parts(mesh), points), by_hand)
+    assert np.array_equal(solids.inside(solids.parts(mesh), *axes).ravel(), by_hand)
+    body = Solid("two", mesh[0].min(axis=0), mesh[0].max(axis=0), mesh)
+    assert np.array_equal(body.inside(points), by_hand)
+    assert body.holds(np.array([-0.5, -0.5, -0.9]), np.array([0.5, 0.5, 0.9]))
+    assert not body.holds(np.array([-0.5, -0.5, -0.9]), np.array([0.5, 0.5, 1.1]))
     bowl = solids.welded(lathe(GOBLET, 400, (0.0, 0.0, 0.0)))
     hollow = np.array([[0, 0, 1.5], [0.5, 0, 1.6], [0, 0, 1.05], [0.65, 0, 1.25], [0.05, 0, 0.5], [0.3, 0, 0.5]])
-    assert solids.inside_points(bowl, hollow).tolist() == [False, False, True, True, True, False]
-    assert solids.holds(bowl, np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 0.6]))
-    assert not solids.holds(bowl, np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 1.6]))
+    assert solids.inside_points(solids.parts(bowl), hollow).tolist() == [False, False, True, True, True, False]
+    assert solids.holds(solids.parts(bowl), np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 0.6]))
+    assert not solids.holds(solids.parts(bowl), np.array([-0.05, -0.05, 0.4]), np.array([0.05, 0.05, 1.6]))
