@@ -70,14 +70,22 @@ class Seen(NamedTuple):
         return surface
 
 
-def integrate(subspaces: Subspaces, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> Seen:
-    """Volumes and surfaces of the subspaces that the cones themselves bound, and the bounds of what LiDARs see."""
+def integrate(
+    subspaces: Subspaces,
+    lidars: Sequence[Lidar],
+    visibility: Visibility | None = None,
+    boundaries: Boundaries | None = None,
+) -> Seen:
+    """Volumes and surfaces of the subspaces that the cones themselves bound, and the bounds of what LiDARs see.
+
+    boundaries: of these LiDARs, if known; they are the same on every grid.
+    """
     region, n = subspaces.region, len(subspaces)
     beams = np.array([lidar.sin_elevation.size for lidar in lidars], np.int64)
     volume, shadow, surface = np.zeros((3, n)), np.zeros((3, n)), np.zeros(n)
     whole = np.arange(n, dtype=np.int64)
     uncut = region.cut.included if region.cut else region.included
-    boundaries = Boundaries(region, lidars, visibility)
+    boundaries = boundaries or Boundaries(region, lidars, visibility)
     with ThreadPoolExecutor() as pool:
         for axis in range(3):
             order = axes_from(axis)
@@ -104,10 +112,15 @@ class Level(NamedTuple):
     pieces: float  # of lines, in the worst subspace
 
 
-def level(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> Level:
+def level(
+    region: Region,
+    lidars: Sequence[Lidar],
+    visibility: Visibility | None = None,
+    boundaries: Boundaries | None = None,
+) -> Level:
     """Max VSR on one grid. Faces have at most √3 times the area: what is below half the largest is not the worst."""
     subspaces = segment(region, lidars, visibility)
-    parts = integrate(subspaces, lidars, visibility)
+    parts = integrate(subspaces, lidars, visibility, boundaries)
     seen, faces = parts.joined(), np.zeros(len(subspaces))
     np.maximum.at(faces, parts.whole, vsr_m(subspaces))
     counts = (seen.surface > 0.0) & (faces > 0.5 * faces.max())
@@ -156,10 +169,11 @@ def analytic(
     finer = f"the first grid for a tolerance, of {8 * region.included.size:,} cuboids,"
     check_memory(finer, CUBOID_BYTES * 8 * region.included.size, "use larger cuboids, or no tolerance")
     started, limited = time.perf_counter(), bool(visibility or region.cut)
-    coarse = level(region, lidars, visibility)
+    boundaries = Boundaries(region, lidars, visibility)
+    coarse = level(region, lidars, visibility, boundaries)
     while True:
         region = region.halved()
-        fine = level(region, lidars, visibility)
+        fine = level(region, lidars, visibility, boundaries)
         found = Analytic(
             fine.max_vsr_m,
             error_bar(coarse, fine, limited),

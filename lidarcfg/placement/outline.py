@@ -19,6 +19,7 @@ from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.world.bvh import CYLINDER, SPHERE, TRIANGLE
+from lidarcfg.world.solids import places
 
 FLAT = 1e-12  # of the lengths that span a tetrahedron: with less volume it may have either sign
 
@@ -48,11 +49,12 @@ def outline(obstacles: Obstacles) -> Outline:
     tree, origin_m = obstacles.tree, obstacles.origin_m
     shapes = tree.shapes.reshape(-1, 9)
     triangles = shapes[tree.kind == TRIANGLE].reshape(-1, 3, 3) + origin_m
-    corners, number = np.unique(triangles.reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
-    number = number.reshape(-1, 3)
+    found, number = places(triangles.reshape(-1, 3) + 0.0)
+    order = np.lexsort(found.T[::-1])
+    corners, number = found[order], np.argsort(order)[number].reshape(-1, 3)
     ends = np.sort(number[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
     third = number[:, [2, 0, 1]].ravel()
-    order = np.lexsort(ends.T)
+    order = np.argsort(ends[:, 1] * len(corners) + ends[:, 0], kind="stable")
     ends, third = ends[order], third[order]
     new = np.ones(len(ends), np.bool_)
     new[1:] = (ends[1:] != ends[:-1]).any(axis=1)

@@ -20,23 +20,23 @@ MIX = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.
 def welded(mesh: Mesh) -> Mesh:
     """The mesh with vertices at the same place made one, and without triangles of fewer than three places."""
     vertices, triangles = mesh
-    places, number = _places(vertices)
+    corners_at, number = places(vertices)
     corners = number[triangles]
     a, b, c = corners.T
-    return places, corners[(a != b) & (b != c) & (c != a)]
+    return corners_at, corners[(a != b) & (b != c) & (c != a)]
 
 
-def _places(vertices: Array) -> tuple[Array, Index]:
+def places(vertices: Array) -> tuple[Array, Index]:
     """The different ones of vertices (V, 3), and the number of each vertex among them."""
     bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)  # -0 is 0
     mixed = (bits ^ (bits >> SHIFT)) * MIX
     mixed = (mixed ^ (mixed >> SHIFT)).sum(axis=1, dtype=np.uint64)
     _, first, number = np.unique(mixed, return_index=True, return_inverse=True)
-    places = vertices[first]
-    if (places[number] == vertices).all():
-        return places, number
-    places, number = np.unique(vertices, axis=0, return_inverse=True)  # slower; two places have the same sum
-    return places, number.reshape(-1)
+    found = vertices[first]
+    if (found[number] == vertices).all():
+        return found, number
+    found, number = np.unique(vertices, axis=0, return_inverse=True)  # slower; two places have the same sum
+    return found, number.reshape(-1)
 
 
 def open_edges(mesh: Mesh) -> Array:
