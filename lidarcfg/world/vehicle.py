@@ -122,10 +122,10 @@ class Solid:
     def inside(self, points_m: Array) -> Inside:
         """(N,): which points (N, 3) are inside."""
         if isinstance(self.shape, tuple):
-            near = ((points_m >= self.low_m) & (points_m <= self.high_m)).all(axis=1)
+            near: Inside = np.asarray(((points_m >= self.low_m) & (points_m <= self.high_m)).all(axis=1))
             if near.any():
                 near[near] = inside_points(self.parts, points_m[near])
-            return np.asarray(near)
+            return near
         middle = 0.5 * (self.low_m + self.high_m)
         axes = slice(3) if isinstance(self.shape, Sphere) else slice(2)
         flat = ((points_m - middle)[:, axes] ** 2).sum(axis=1) < self.shape.radius_m**2
