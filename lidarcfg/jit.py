@@ -6,7 +6,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -59,15 +61,47 @@ def _loop(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     return loop
 
 
-def outer(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """For loops that make no arrays."""
-    return njit(**ALONE, **UNCOUNTED, **options)
+@dataclass(frozen=True)
+class _Loop:
+    """A loop for some types."""
+
+    module: str
+    name: str
+    types: tuple[Any, ...]
+
+    def __call__(self) -> None:
+        """Load it, or compile it."""
+        getattr(import_module(self.module), self.name).compile(self.types)
+
+
+def outer(*, kept: bool = False, **options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """For loops that make no arrays. Other loops call those that are `kept`, and do not take them in."""
+    return partial(_outer, kept=kept, options=ALONE | UNCOUNTED | options)
+
+
+def _outer(function: Callable[..., Any], kept: bool, options: dict[str, Any]) -> Any:
+    loop = _loop(function, options)
+    if kept and hasattr(loop, "py_func") and link_late():
+        add = loop.add_overload
+
+        def keep(compiled: Any) -> None:
+            add(compiled)
+            _stay_apart(function, compiled)
+
+        loop.add_overload = keep
+    return loop
+
+
+def _stay_apart(function: Callable[..., Any], compiled: Any) -> None:
+    types = tuple(compiled.signature.args)
+    compiled.library.stay_apart(_Loop(function.__module__, function.__name__, types))
 
 
 def inner(*, makes_arrays: bool = False, kept: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """For loops that only other loops call: they are compiled as parts of these, once, and not for themselves.
 
-    Large ones, which several loops call or a helper compiles, are `kept` in the cache.
+    Large ones, which several loops call or a helper compiles, are `kept` in the cache: as machine code that others
+    call, or, with `forceinline`, as what others take in.
     """
     options |= {"nogil": True, "cache": kept} if makes_arrays else {"nogil": True, "cache": kept, **UNCOUNTED}
     return partial(_inner, options=options)
@@ -77,12 +111,15 @@ def _inner(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     if not link_late():
         return _loop(function, options | {"cache": True})
     loop = _loop(function, {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, **options})
+    apart = options["cache"] and not options.get("forceinline")
 
     def refuse(*_: Any, **__: Any) -> None:
         raise TypeError(f"{function.__module__}.{function.__name__} can be called by compiled loops only")
 
     def keep(compiled: Any) -> None:
         loop.overloads[tuple(compiled.signature.args)] = compiled
+        if apart:
+            _stay_apart(function, compiled)
 
     loop.add_overload, loop._compile_for_args = keep, refuse  # numba would jump to code that there is not
     return loop

@@ -8,12 +8,14 @@ import os
 import time
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from lidarcfg.aside import fcntl
 from lidarcfg.compiling import compiling
+from lidarcfg.linking import OutdatedError
 
 FunctionCache: Any = import_module("numba.core.caching").FunctionCache  # numba has no types
 rtsys: Any = import_module("numba.core.runtime").rtsys
@@ -47,12 +49,13 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         """As numba's, without loading what it needs to compile: it does so itself when it compiles."""
-        with compiling.loading():
+        with compiling.loading(), suppress(OutdatedError):
             if not hasattr(self, "_load_overload"):
                 return super().load_overload(sig, target_context)
             rtsys.initialize(target_context)
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """As numba's."""

@@ -12,8 +12,16 @@ import pytest
 import lidarcfg
 
 pytest.importorskip("fcntl")
+FAR = """
+from lidarcfg.jit import inner
+
+@inner(kept=True)
+def far(x):
+    return 2 * x
+"""
 LOOPS = """
-from lidarcfg.jit import inner, njit
+from far import far
+from lidarcfg.jit import inner, njit, outer
 
 @njit(cache=True)
 def inside(x):
@@ -38,6 +46,14 @@ def around(x):
 @njit(cache=True)
 def about(x):
     return within(x) - 1
+
+@outer(kept=True)
+def above(x):
+    return far(x) + 1
+
+@njit(cache=True)
+def beyond(x):
+    return above(x) - 1
 
 @njit(cache=True)
 def wrong(x):
@@ -73,7 +89,8 @@ try:
 except Exception:  # numba's, of a loop that does not compile; the lock must be free all the same
     pass
 for name in sys.argv[3:]:
-    assert getattr(loops, name)(3) == {"outside": 7, "around": 7, "other": 5, "about": 5}[name]
+    by_hand = {"outside": 7, "around": 7, "other": 5, "about": 5, "beyond": loops.far.py_func(3)}
+    assert getattr(loops, name)(3) == by_hand[name]
 """
 
 
@@ -83,6 +100,7 @@ def start(tmp_path, monkeypatch):
 
     patience: for how many seconds it waits for another.
     """
+    (tmp_path / "far.py").write_text(FAR)
     (tmp_path / "loops.py").write_text(LOOPS)
     (tmp_path / "run.py").write_text(RUN)
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
@@ -131,6 +149,30 @@ def test_what_is_loaded_needs_nothing_that_compiles(start, tmp_path):
     (tmp_path / "without.py").write_text(WITHOUT)
     said = subprocess.run([sys.executable, tmp_path / "without.py"], stdout=subprocess.PIPE, text=True, check=True)
     assert said.stdout.split() == ["False", "True"]
+
+
+ASSEMBLY = """
+import re, loops
+loops.beyond(3)
+for loop in loops.beyond, loops.above:
+    code = loop.inspect_asm(loop.signatures[0])
+    print(*(name for name in ("5loops6beyond", "5loops5above", "3far3far") if f"_ZN{name}" in code))
+    print(*re.findall(r"^_ZN(5loops6beyond|5loops5above|3far3far)\\w+:", code, re.M))
+"""
+
+
+def test_loops_call_the_machine_code_of_kept_ones(start, tmp_path):
+    """By the assembly that numba prints: it has the names of those that are called next, and no code of theirs."""
+    words = (sys.executable, "-c", ASSEMBLY)
+    out = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert out.splitlines() == ["5loops6beyond 5loops5above", "5loops6beyond", "5loops5above 3far3far", "5loops5above"]
+
+
+def test_loops_are_compiled_again_where_a_kept_one_that_they_call_has_changed(start, tmp_path):
+    assert done(start(0, "beyond", "around")) == ["beyond", "above", "far", "around", "within"]
+    (tmp_path / "far.py").write_text(FAR.replace("2 * x", "5 * x"))
+    assert "far" in done(start(0, "beyond", "around"))
+    assert done(start(0, "beyond", "around")) == []
 
 
 @pytest.mark.parametrize(("stop", "patience"), [(signal.SIGKILL, 100), (signal.SIGSTOP, 2)])

@@ -227,7 +227,7 @@ def _compare(row: int, cones: Array, lidar: int, squares: Array, guess: Counts, 
     guess[lidar] = max((low + high) // 2, 0)  # below `beams`: low is
 
 
-@outer()
+@outer(kept=True)
 def look(grid: Grid, cones: Array, moved: Counts, sight: Sight, looks: Looks, seen: Words) -> None:
     """Write to seen (lidars, rows) what some LiDARs see of the whole grid."""
     xs, ys, zs, included, edge = grid.x, grid.y, grid.z, grid.included, grid.edge[0]
@@ -247,7 +247,7 @@ def look(grid: Grid, cones: Array, moved: Counts, sight: Sight, looks: Looks, se
                 seen[lidar, row] &= in_field(xs, first, y, z, cones, limits, lidar)
 
 
-@outer()
+@outer(kept=True)
 def link(grid: Grid, fixed: Words, cones: Array, moved: Counts, sight: Sight, work: Work) -> None:
     """Write the links of the whole grid to work.links.
 
