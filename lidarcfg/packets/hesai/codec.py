@@ -32,12 +32,10 @@ from lidarcfg.units import MINUTE_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
-    from lidarcfg.world.motion import Trajectory
-    from lidarcfg.world.scene import GeoOrigin
 
 
 class Hesai(Codec):
-    """The packets of one Hesai sensor."""
+    """The packets of one Hesai sensor, whose clock is taken as set by PTP: it sends no GPS packets."""
 
     point_fields = STAMPED
     facts_model, settings_model = Facts, Settings
@@ -86,12 +84,6 @@ class Hesai(Codec):
         if mount.dual:
             kinds[alone(self.unit, range_m, reflectivity)] = types("strongest")
         return kinds
-
-    def housekeeping(
-        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
-    ) -> Iterator[Payloads]:
-        """Nothing: the clock is taken as set by PTP, with which no GPS packets are sent."""
-        return iter(())
 
     def companions(self, mount: "Mount") -> Mapping[str, bytes]:
         """The angle correction file."""

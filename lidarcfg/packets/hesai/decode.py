@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
+from lidarcfg.packets.decode_kernels import filled
 from lidarcfg.packets.hesai import decode_kernels as kernels
 from lidarcfg.packets.hesai.decode_kernels import BY_BLOCK, FIRST, LAST, STRONGEST
 from lidarcfg.packets.hesai.facts import Unit
@@ -95,7 +96,7 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         near[modes],
         far[modes],
     )
-    out = Returns.room(kernels.count(distance, wanted), polar)
+    out = Returns.room(filled(distance, wanted), polar)
     return out.first(kernels.points(wire, wanted, _tables(unit), out))
 
 

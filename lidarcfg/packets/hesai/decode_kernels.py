@@ -49,18 +49,6 @@ class Tables(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def count(distance: Words, wanted: Flags) -> int:
-    """How many slots hold a distance in the packets that are wanted: distance (P, B, L), wanted (P,)."""
-    found = 0
-    for p in range(distance.shape[0]):
-        if wanted[p]:
-            for b in range(distance.shape[1]):
-                for k in range(distance.shape[2]):
-                    found += distance[p, b, k] != 0
-    return found
-
-
-@njit(cache=True, nogil=True)
 def points(wire: Wire, wanted: Flags, tables: Tables, out: Returns) -> int:
     """Fill in the returns of the packets that are wanted (P,), in their order; returns how many."""
     lasers, loops = wire.distance.shape[2], len(tables.offset_ns)

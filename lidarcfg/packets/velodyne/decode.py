@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Decoder, Flags, Known, Octets, Returns, Tally, Times
+from lidarcfg.packets.decode_kernels import filled
 from lidarcfg.packets.unit import read_only
 from lidarcfg.packets.velodyne import decode_kernels as kernels
 from lidarcfg.packets.velodyne.facts import SLOTS, Unit
@@ -112,7 +113,7 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
 
     distance, intensity = (read_only(used["returns"][key]) for key in ("distance", "intensity"))
     modes = facts.return_modes
-    out = Returns.room(kernels.count(distance, wanted), polar)
+    out = Returns.room(filled(distance, wanted), polar)
     last = packets["return_mode"] == modes.codes.get("last", -1) if modes else np.zeros(len(packets), np.bool_)
     count = kernels.points(
         kernels.Wire(

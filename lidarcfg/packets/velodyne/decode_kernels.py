@@ -146,18 +146,6 @@ def _delays(ahead: Array, jump: Flags, step: Array, gap_ns: int, period_ns: int,
         late[k + 1] = round(spare_ns * passed / missing) if missing > 0 else 0
 
 
-@njit(cache=True, nogil=True)
-def count(distance: Words, wanted: Flags) -> int:
-    """How many returns the packets that are wanted hold: distance (P, B, 32), wanted (P,)."""
-    found = 0
-    for p in range(distance.shape[0]):
-        if wanted[p]:
-            for b in range(distance.shape[1]):
-                for i in range(distance.shape[2]):
-                    found += distance[p, b, i] != 0
-    return found
-
-
 @inner(makes_arrays=True)
 def _rotations(step: float, fraction: Array, cos: Array, sin: Array) -> None:
     """Cosine and sine of fractions of a step in hundredths."""

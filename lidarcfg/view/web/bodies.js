@@ -51,16 +51,15 @@ export class Vehicle {
   }
 }
 
-// What no sensor sees.
-export class Blind {
-  constructor(colours) {
-    this.colours = colours;
-    this.object = new Group();
+// A body that changes with the rig, such as what no sensor sees.
+export class Changing {
+  constructor(color, opacity) {
+    Object.assign(this, { color, opacity, object: new Group() });
   }
 
-  set(blind) {
+  set(mesh) {
     emptied(this.object);
-    if (blind?.mesh) this.object.add(body(blind.mesh, this.colours.blind, 0.22));
+    if (mesh) this.object.add(body(mesh, this.color, this.opacity));
   }
 }
 
@@ -77,19 +76,6 @@ export function region(study, colours) {
   group.add(box(study.min_m, study.max_m, colours.excluded));
   if (study.excluded) group.add(body(study.excluded, colours.excluded, 0.3));
   return group;
-}
-
-// Where the bases of sensors are on the vehicle.
-export class Bases {
-  constructor(colours) {
-    this.colours = colours;
-    this.object = new Group();
-  }
-
-  set(bases) {
-    emptied(this.object);
-    if (bases) this.object.add(body(bases, this.colours.base, 0.9));
-  }
 }
 
 // Boxes, and on the vehicle where the bases of sensors may be.

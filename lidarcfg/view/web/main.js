@@ -2,7 +2,7 @@
 
 import { readArrays } from "lidarcfg/cloud";
 import { readAbout } from "lidarcfg/data";
-import { Bases, Blind, Vehicle, Worst, bounds, region, scenery, zones } from "lidarcfg/bodies";
+import { Changing, Vehicle, Worst, bounds, region, scenery, zones } from "lidarcfg/bodies";
 import { grid, rings } from "lidarcfg/guides";
 import { Evaluator, Handles } from "lidarcfg/handles";
 import { listenToKeys } from "lidarcfg/keys";
@@ -140,7 +140,7 @@ function bodyControls(view, panel, mounts) {
     toggled("region", "region, and what it excludes (the vehicle)", region(study, colours));
     if (study.bounds.length || study.seats) {
       const limits = bounds(study, colours);
-      view.bases = new Bases(colours);
+      view.bases = new Changing(colours.base, 0.9);
       limits.add(view.bases.object);
       toggled("bounds", "bounds of the sensors", limits);
     }
@@ -148,7 +148,7 @@ function bodyControls(view, panel, mounts) {
     view.worst = new Worst(stage, colours);
     toggled("bodies", "worst subspaces", view.worst.object);
     if (about.evaluation.blind) {
-      view.blind = new Blind(colours);
+      view.blind = new Changing(colours.blind, 0.22);
       toggled("blind", "what no sensor sees", view.blind.object, stage.vehicle, false);
     }
   }
@@ -196,7 +196,7 @@ function show(view, evaluation, count) {
   Object.assign(view, { evaluation, count });
   view.figures.set(evaluation, count);
   view.worst.set(evaluation.worst.slice(0, count));
-  view.blind?.set(evaluation.blind);
+  view.blind?.set(evaluation.blind?.mesh);
   view.bases?.set(evaluation.bases);
   view.stage.redraw();
 }
