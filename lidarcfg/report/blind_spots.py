@@ -11,18 +11,21 @@ from lidarcfg.placement.blind_spots import AZIMUTHS, BlindSpots, Contour, Direct
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.report.canvas import (
+    EM_IN,
     EXCLUDED,
     WIDTH_IN,
     colour,
     dashes,
     drawing,
     extent,
+    height_in,
     label,
     panels,
     sensor_dots,
     thinned,
 )
 from lidarcfg.report.html import Table
+from lidarcfg.report.layout import ABOVE, EDGE, LEFT, color_bar, spaces
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 SIDES = {"ahead": 0, "left": 90, "behind": 180, "right": 270}  # azimuths in degrees
 MAP = "magma_r"
 MARGIN_M = 0.5  # shown around the largest contour
+LEGEND = 12.0  # ems beside the contours
 
 
 def volumes_table(blind: BlindSpots) -> Table:
@@ -105,11 +109,12 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
     low, high = window(blind.contours, [rig])
     width, height = high - low
     size = region.max_m - region.min_m
-    tall = float(np.clip(0.72 * WIDTH_IN * height / width, 2.2, 5.5))
-    flat = float(np.clip(0.8 * WIDTH_IN * size[1] / size[0], 1.4, 3.5))
+    wide = WIDTH_IN - (LEFT + LEGEND) * EM_IN
+    tall = float(np.clip(wide * height / width, 2.2, 5.5))
+    flat = float(np.clip(wide * size[1] / size[0], 1.4, 3.5))
 
     def draw(figure: "Figure") -> None:
-        grid = figure.add_gridspec(2, 1, height_ratios=(tall, flat))
+        grid = figure.add_gridspec(2, 1, **spaces(figure, heights=(tall, flat), right=LEGEND, above=ABOVE))
         axes = figure.add_subplot(grid[0])
         contours_view(axes, region, rig, blind.contours)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="beyond the line, some LiDAR sees everything")
@@ -117,7 +122,7 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
         _draw_heights(figure, figure.add_subplot(grid[1]), subspaces, rig)
 
     alt = "the blind-spot contours around the vehicle from above, and a map of how much is blind above each position"
-    return drawing("blind", 0.9 + tall + flat, alt, draw)
+    return drawing("blind", height_in(tall, flat), alt, draw)
 
 
 def _draw_heights(figure: "Figure", axes: "Axes", subspaces: Subspaces, rig: Rig) -> None:
@@ -131,7 +136,7 @@ def _draw_heights(figure: "Figure", axes: "Axes", subspaces: Subspaces, rig: Rig
     sensor_dots(axes, rig, "top", 4)
     axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), xlabel="x (m)", ylabel="y (m)")
     axes.set_title("metres of each upright line that no LiDAR sees")
-    figure.colorbar(image, ax=axes, label="m", pad=0.01)
+    color_bar(figure, image, [axes], "m")
 
 
 def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]]) -> Markup:
@@ -148,5 +153,7 @@ def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]
             axes.set_ylabel("y (m)" if n % 2 == 0 else "")
         grid[0].legend(fontsize=7, title="above the ground", title_fontsize=7)
 
-    each = float(np.clip(0.45 * WIDTH_IN * height / width, 1.5, 4.5))
-    return drawing("blind", 0.5 + (each + 0.4) * -(-len(named) // 2), "the blind-spot contours of each rig", draw)
+    wide = WIDTH_IN - (LEFT + 3 * EDGE) * EM_IN
+    each = float(np.clip(wide / 2 * height / width, 1.5, 4.5))
+    rows = [each] * -(-len(named) // 2)
+    return drawing("blind", height_in(*rows, down=ABOVE + EDGE), "the blind-spot contours of each rig", draw)

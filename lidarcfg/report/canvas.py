@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.region import Region
 from lidarcfg.report.html import printable
+from lidarcfg.report.layout import ABOVE, BELOW, EDGE, place_labels, spaces
 from lidarcfg.report.plots import COLOURS, new_figure
 from lidarcfg.rig import Rig
 
@@ -33,6 +34,7 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 8.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # not looked for
     "axes.labelsize": 8.5,
     "axes.edgecolor": "#57606a",
     "axes.linewidth": 0.7,
@@ -53,6 +55,7 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "lidarcfg",
 }
+EM_IN: float = STYLE["font.size"] / 72
 
 
 def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], None]) -> Markup:
@@ -64,6 +67,8 @@ def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], No
         warnings.filterwarnings("ignore", "(?s)Glyph .* missing")  # the browser has more fonts
         figure = new_figure(WIDTH_IN, height_in)
         draw(figure)
+        if figure.get_layout_engine() is None:
+            place_labels(figure)
         file = io.StringIO()
         canvas: Any = FigureCanvasSVG(figure)  # matplotlib has no types here
         canvas.print_svg(file, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
@@ -75,6 +80,11 @@ def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], No
     used = set(re.findall(r'(?:url\(|href=")#([^")]+)', svg))
     svg = re.sub(r' id="([^"]*)"', lambda found: f' id="{name}-{found[1]}"' if found[1] in used else "", svg)
     return Markup(re.sub(r'(url\(|href=")#', rf"\g<1>#{name}-", svg))  # matplotlib escapes the texts
+
+
+def height_in(*rows: float, above: float = ABOVE, down: float = BELOW + ABOVE) -> float:
+    """The height of a drawing with rows of axes of these heights, and `spaces` as in its layout."""
+    return sum(rows) + (above + BELOW + down * (len(rows) - 1)) * EM_IN
 
 
 def label(name: str, most: int = 28) -> str:
@@ -204,10 +214,11 @@ def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float) -> None:
         axes.plot(at[across], at[up], marker, color=colour(i), mec="w", mew=0.6, ms=size)
 
 
-def panels(figure: "Figure", count: int, columns: int = 2) -> list["Axes"]:
+def panels(figure: "Figure", count: int, columns: int = 2, right: float = EDGE) -> list["Axes"]:
     """Axes in rows of two that share their scales; y is labelled on the left, x at the bottom."""
     rows = -(-count // columns)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
+    places = spaces(figure, [1] * columns, [1] * rows, right=right, above=ABOVE, across=2 * EDGE, down=ABOVE + EDGE)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True, gridspec_kw=places).ravel().tolist()
     for axes in grid[count:]:
         axes.set_visible(False)
     for axes in grid[max(count - columns, 0) : count]:

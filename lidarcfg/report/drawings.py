@@ -17,6 +17,7 @@ from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import (
+    EM_IN,
     EXCLUDED,
     MARKERS,
     VIEWS,
@@ -26,6 +27,7 @@ from lidarcfg.report.canvas import (
     drawing,
     extent,
     fractions,
+    height_in,
     hidden,
     label,
     name_axes,
@@ -37,6 +39,7 @@ from lidarcfg.report.canvas import (
     shade_excluded,
     thinned,
 )
+from lidarcfg.report.layout import ABOVE, BESIDE, EDGE, LEFT, color_bar, spaces
 from lidarcfg.report.plots import COLOURS, history_top
 from lidarcfg.rig import Rig
 
@@ -49,7 +52,6 @@ WORST = "#D55E00"
 NAMES_MAX = 12  # in a legend; the table has them all
 OBJECTS_MAX = 12  # that are drawn
 BESIDE_PT = 11  # from a sensor to its number
-MARGINS_IN = 1.4  # for the labels of three views
 Bounds = dict[str, tuple[Array, Array]]  # by sensor: least and greatest position
 
 
@@ -69,9 +71,8 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
     size = high - low
 
     def draw(figure: "Figure") -> None:
-        grid = figure.add_gridspec(
-            2, 2, width_ratios=fractions(size[0], size[1]), height_ratios=fractions(size[1], size[2])
-        )
+        widths, heights = fractions(size[0], size[1]), fractions(size[1], size[2])
+        grid = figure.add_gridspec(2, 2, **spaces(figure, widths, heights, above=ABOVE))
         for view, place in zip(VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True):
             across, up = VIEWS[view]
             axes = figure.add_subplot(place)
@@ -93,8 +94,8 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
         legend = top.legend(top.lines[-len(lidars) :][:NAMES_MAX], names, loc="upper left", bbox_to_anchor=(1.03, 1.0))
         legend.set_in_layout(False)  # the corner beside the front is free
 
-    scale = (WIDTH_IN - MARGINS_IN) / (size[0] + size[1])
-    height = float(np.clip(MARGINS_IN + scale * (size[1] + size[2]), 3.0, 7.5))
+    scale = (WIDTH_IN - 2 * (LEFT + EDGE) * EM_IN) / (size[0] + size[1])
+    height = float(np.clip(height_in(scale * size[1], scale * size[2]), 3.0, 7.5))
     return drawing("mounts", height, f"{len(lidars)} sensors from top, side and front, with axes and bounds", draw)
 
 
@@ -128,7 +129,7 @@ def draw_history(study: Study, found: Placement) -> Markup:
     """Best and mean over the evaluations."""
 
     def draw(figure: "Figure") -> None:
-        axes = figure.subplots()
+        axes = figure.subplots(gridspec_kw=spaces(figure))
         evaluations = [cycle.evaluations for cycle in found.history]
         dot = "o" if len(evaluations) < 3 else ""
         axes.plot(evaluations, [cycle.mean for cycle in found.history], marker=dot, color=COLOURS[5], label="mean")
@@ -180,7 +181,7 @@ def draw_worst(study: Study, rig: Rig, found: Evaluation) -> Markup:
     size = found.subspaces.region.max_m - found.subspaces.region.min_m
 
     def draw(figure: "Figure") -> None:
-        grid = figure.add_gridspec(2, 2, width_ratios=fractions(size[0], size[1]), height_ratios=(1.9, 1))
+        grid = figure.add_gridspec(2, 2, **spaces(figure, fractions(size[0], size[1]), (1.9, 1), above=ABOVE))
         for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
             axes = figure.add_subplot(place)
             worst_view(axes, view, rig, found, len(found.worst))
@@ -200,7 +201,7 @@ def draw_sizes(named: Sequence[tuple[str, Details]]) -> Markup:
     def draw(figure: "Figure") -> None:
         from matplotlib.ticker import LogLocator, NullFormatter
 
-        counts, volumes = figure.subplots(2, 1, sharex=True)
+        counts, volumes = figure.subplots(2, 1, sharex=True, gridspec_kw=spaces(figure, heights=(1, 1), down=EDGE))
         for i, (name, rig) in enumerate(named):
             vsr_m, volume = rig.evaluation.vsr_m, rig.volume_m3
             style: dict[str, Any] = {"color": colour(i), "label": label(name)}
@@ -260,7 +261,7 @@ def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Marku
     size, columns = region.max_m - region.min_m, min(len(places), 2)
 
     def draw(figure: "Figure") -> None:
-        grid = panels(figure, len(places), columns)
+        grid = panels(figure, len(places), columns, BESIDE)
         for axes, (name, place) in zip(grid, places.items(), strict=True):
             rate = 100 * place.rate
             around = (place.low_m[0], place.high_m[0], place.low_m[1], place.high_m[1])
@@ -271,10 +272,11 @@ def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Marku
             sensor_dots(axes, rig, "top", 3.5)
             _finish_map(axes, region, label(name))
         _name_outer(grid)
-        figure.colorbar(image, ax=grid, label="detected (%)", shrink=0.9, fraction=0.03)
+        color_bar(figure, image, grid, "detected (%)")
 
-    each = float(np.clip(0.85 * WIDTH_IN / columns * size[1] / size[0], 0.8, 4.0))
-    height = 0.4 + -(-len(places) // 2) * (each + 0.45)
+    wide = WIDTH_IN - (LEFT + BESIDE + 2 * EDGE * (columns - 1)) * EM_IN
+    each = float(np.clip(wide / columns * size[1] / size[0], 0.8, 4.0))
+    height = height_in(*[each] * -(-len(places) // columns), down=ABOVE + EDGE)
     return drawing("places", height, "where each object is detected, from above", draw)
 
 
@@ -317,19 +319,20 @@ def draw_coverage(region: Region, rig: Rig, coverage: Coverage) -> Markup:
     def draw(figure: "Figure") -> None:
         import matplotlib as mpl
 
-        grid = figure.add_gridspec(3, 2, width_ratios=fractions(size[0], size[1]), height_ratios=[1.9, 1, 1.9])
+        widths, around = fractions(size[0], size[1]), {"right": BESIDE, "across": BESIDE + LEFT, "above": ABOVE}
+        grid = figure.add_gridspec(3, 2, **spaces(figure, widths, (1.9, 1, 1.9), **around))
         for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
             axes, beams = figure.add_subplot(place), all_beams(coverage, view)
             image = coverage_view(axes, view, region, beams, float(beams.max()))
             sensor_dots(axes, rig, view, 4)
             name_axes(axes, view, f": beams along {'xyz'[hidden(view)]}")
-            figure.colorbar(image, ax=axes, label="beams", pad=0.01)
+            color_bar(figure, image, [axes], "beams")
         axes = figure.add_subplot(grid[2, :])
         image = coverage_view(axes, "top", region, sensors, levels - 1)
         image.set(cmap=mpl.colormaps[MAP].resampled(levels), clim=(-0.5, levels - 0.5))
         sensor_dots(axes, rig, "top", 4)
         name_axes(axes, "top", ": sensors with a beam along z")
-        bar = figure.colorbar(image, ax=axes, label="sensors", pad=0.01)
+        bar = color_bar(figure, image, [axes], "sensors")
         bar.set_ticks([int(n) for n in np.unique(np.linspace(0, levels - 1, min(levels, 6)).round())])
 
     return drawing("coverage", 6.3, "maps of how many beams cross the region, from top, side and front", draw)
@@ -339,7 +342,8 @@ def compare_worst(key: str, named: Sequence[tuple[str, Rig, Evaluation]]) -> Mar
     """The worst subspaces of each rig, a row per rig, from top and side; `key` names this drawing among several."""
 
     def draw(figure: "Figure") -> None:
-        grid = figure.subplots(len(named), 2, sharex=True, sharey="col", squeeze=False)
+        rows = spaces(figure, (1, 1), [1] * len(named), above=ABOVE, down=ABOVE + EDGE)
+        grid = figure.subplots(len(named), 2, sharex=True, sharey="col", squeeze=False, gridspec_kw=rows)
         for n, (row, (name, rig, found)) in enumerate(zip(grid, named, strict=True), 1):
             for view, axes in zip(("top", "side"), row, strict=True):
                 worst_view(axes, view, rig, found, 5)
@@ -357,12 +361,12 @@ def compare_coverage(region: Region, named: Sequence[tuple[str, Rig, Coverage]])
     most = max(float(beams.max()) for beams in maps)
 
     def draw(figure: "Figure") -> None:
-        grid = panels(figure, len(named))
+        grid = panels(figure, len(named), right=BESIDE)
         for (name, rig, _), beams, axes in zip(named, maps, grid, strict=True):
             image = coverage_view(axes, "top", region, beams, most)
             sensor_dots(axes, rig, "top", 3.5)
             axes.set_title(label(name, 40))
         _name_outer(grid)
-        figure.colorbar(image, ax=grid, label="beams", fraction=0.03)
+        color_bar(figure, image, grid, "beams")
 
     return drawing("coverage", 0.5 + 1.6 * -(-len(named) // 2), "beams across upright poles, for each rig", draw)

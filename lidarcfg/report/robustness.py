@@ -11,6 +11,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
+from lidarcfg.report.layout import spaces
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def lost_view(axes: "Axes", titled: Sequence[tuple[str, Robustness]]) -> None:
         at = [n + (i - (len(titled) - 1) / 2) * width for n in range(len(values))]
         axes.bar(at, values, 0.92 * width, color=colour(i), label=label(title))
     axes.set_xticks(range(most + 1), ["whole rig", *("without\n" + " / ".join(of) for of in alike)])
-    axes.set_ylabel("max VSR (m)")
+    axes.set(xlim=(-0.6, most + 0.6), ylabel="max VSR (m)")
     axes.grid(True, axis="y")
     axes.set_axisbelow(True)
     if len(titled) > 1:
@@ -84,7 +85,7 @@ def draw_lost(titled: Sequence[tuple[str, Robustness]]) -> Markup | None:
         return None
 
     def draw(figure: "Figure") -> None:
-        lost_view(figure.subplots(), titled)
+        lost_view(figure.subplots(gridspec_kw=spaces(figure)), titled)
 
     return drawing("lost", 2.8, "max VSR of the whole rig, and with each LiDAR lost", draw)
 
