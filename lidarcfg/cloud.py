@@ -8,6 +8,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import copyfileobj
@@ -132,23 +133,14 @@ def save_clouds(
 ) -> int:
     """Write the clouds as one file, whole or not at all, and return how many points.
 
-    PLY and PCD are streamed: no more than a cloud is held in memory. `boxes` are asked for at the end; PCD has none.
+    They are streamed: no more than a cloud is held in memory. `boxes` are asked for at the end; PCD has none.
     Raises CloudError.
     """
     path = Path(path)
     kind = _suffix(path)
     try:
         if kind == ".npz":
-            whole = concatenate(list(clouds))
-            with replacing(path, "wb") as file:
-                names = np.array(whole.sensor_names, np.str_)
-                arrays = {key: getattr(whole, key) for key in FIELDS}
-                if whole.object is not None:
-                    arrays |= {"object": whole.object, "object_names": np.array(whole.object_names, np.str_)}
-                if len(found := boxes()):
-                    arrays["boxes"] = found
-                np.savez(file, sensor_names=names, **arrays)
-            return len(whole.xyz)
+            return _save_npz(path, clouds, boxes)
         with replacing(path, "wb") as file, tempfile.TemporaryFile(dir=path.parent) as body:
             index: dict[str, int] = {}
             objects: dict[str, int] = {}
@@ -166,6 +158,34 @@ def save_clouds(
         return count
     except OSError as error:
         raise CloudError.from_os(path, error) from None
+
+
+def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDArray[np.void]]) -> int:
+    index: dict[str, int] = {}
+    objects: dict[str, int] = {}
+    count, knows_objects = 0, False
+    with replacing(path, "wb") as file, ExitStack() as stack:
+        kinds = FIELDS | {"object": np.int32}
+        bodies = {key: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for key in kinds}
+        for cloud in clouds:
+            columns = {key: getattr(cloud, key) for key in FIELDS}
+            columns |= {"sensor": _sensor(cloud, index), "object": _object(cloud, objects)}
+            for key, body in bodies.items():
+                body.write(np.ascontiguousarray(columns[key], kinds[key]).data)
+            count, knows_objects = count + len(cloud.xyz), knows_objects or cloud.object is not None
+        arrays: dict[str, Any] = {}
+        for key, body in bodies.items():
+            shape = (count, 3) if key == "xyz" else (count,)
+            body.flush()
+            arrays[key] = np.memmap(body, kinds[key], "r", shape=shape) if count else np.empty(shape, kinds[key])
+        if knows_objects:
+            arrays["object_names"] = np.array(tuple(objects), np.str_)
+        else:
+            del arrays["object"]
+        if len(found := boxes()):
+            arrays["boxes"] = found
+        np.savez(file, sensor_names=np.array(tuple(index), np.str_), **arrays)
+    return count
 
 
 def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty: bool = False) -> PointCloud:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import weakref
 import zipfile
 from contextlib import suppress
 
@@ -46,6 +47,22 @@ def test_round_trip(tmp_path, suffix):
     assert save_clouds(path, iter(parts)) == 57
     assert_same(load_cloud(path, no_warning), concatenate(parts))
     assert [item.name for item in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz"])
+def test_no_more_than_a_cloud_is_held(tmp_path, suffix):
+    """Of many clouds those that are written have gone: by weak references to them."""
+    seen: list[weakref.ref[PointCloud]] = []
+
+    def clouds():
+        for seed in range(6):
+            assert sum(one() is not None for one in seen) <= 1
+            some = cloud(20, seed=seed)
+            seen.append(weakref.ref(some))
+            yield some
+            del some
+
+    assert save_clouds(tmp_path / f"a.{suffix}", clouds()) == 120
 
 
 def test_concatenate_matches_sensors_by_name():

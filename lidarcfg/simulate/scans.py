@@ -2,20 +2,24 @@
 
 import heapq
 import math
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
 from lidarcfg.packets.codec import Batch, Firings, Octets, Times, types
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import Crew, Drive, Run, Task, object_names, prepared, worked
+from lidarcfg.simulate.tasks import CHUNK_RAYS, Crew, Drive, Run, Task, object_names, prepared, worked
 from lidarcfg.units import MINUTE_NS
 
+RETURN_BYTES = 60  # of a scan that waits for those of other sensors; measured on a street, where 5 of 6 rays return
 SECOND_STRONGEST, LAST = 2, 1  # types of returns
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
@@ -28,9 +32,23 @@ def simulated_scans(drive: Drive, run: Run | None = None) -> Iterator[PointCloud
     """
     run = run or Run()
     tasks, names = prepared(drive, run.chunk_ns), object_names(drive.scene, drive.vehicle)
+    _check_memory(tasks)
     crew = Crew.of(run, len(tasks))
     streams = [_revolutions(task, crew, names) for task in tasks]
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
+
+
+def _check_memory(tasks: Sequence[Task]) -> None:
+    """Raises LidarcfgError if memory does not hold a revolution of each sensor: it waits for those of the others."""
+    held = 0
+    for task in tasks:
+        low, high = task.mount.azimuth_fov_deg or (0.0, 360.0)
+        part = ((high - low) % 360.0 or 360.0) / 360.0
+        pace, returns = task.timing.pace(task.mount), 2 if task.mount.dual else 1
+        rate = pace.firings * part * returns / pace.period_ns
+        held += round(min(MINUTE_NS / task.mount.rpm * rate + 2 * CHUNK_RAYS, task.duration_ns * rate))
+    what = f"a revolution of each sensor, {len(tasks):,} in all, and what is traced ahead,"
+    check_memory(what, RETURN_BYTES * held, "export fewer sensors at a time")
 
 
 @dataclass(frozen=True)
@@ -52,21 +70,34 @@ def _revolutions(task: Task, crew: Crew, object_names: tuple[str, ...]) -> Itera
         number = turns.number(batch.firings.time_ns[firing], batch.firings.encoder_rad[firing])
         return _Chunk(replace(cloud, ring=lowest[batch.firings.laser[firing]], object_names=object_names), number)
 
-    begun: list[PointCloud] = []
+    begun: list[PointCloud] = []  # of many sensors one waits for the others: what it holds then is little else
     current = 0
-    for chunk in worked(task, crew, make):
-        order = np.argsort(chunk.number, kind="stable")  # lasers that fire before their packet's time
-        cloud, number = chunk.cloud.rows(order), chunk.number[order]
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1, [len(number)]])
-        for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            if begun and number[first] != current and first < last:
-                yield concatenate(begun)
-                begun = []
-            if first < last:
-                current = int(number[first])
-                begun.append(cloud.rows(slice(first, last)))
+    for number, cloud in chain.from_iterable(map(_parts, worked(task, crew, make))):
+        if begun and number != current:
+            yield _taken(begun)
+        current = number
+        begun.append(cloud)
+        del cloud
     if begun:
-        yield concatenate(begun)
+        yield _taken(begun)
+
+
+def _parts(chunk: _Chunk) -> Iterator[tuple[int, PointCloud]]:
+    """The points of each revolution in a chunk."""
+    order = np.argsort(chunk.number, kind="stable")  # lasers that fire before their packet's time
+    numbers, counts = np.unique(chunk.number, return_counts=True)
+    rows = np.split(order, np.cumsum(counts)[:-1])
+    parts = deque((number, chunk.cloud.rows(some)) for number, some in zip(numbers.tolist(), rows, strict=False))
+    del chunk
+    while parts:
+        yield parts.popleft()
+
+
+def _taken(clouds: list[PointCloud]) -> PointCloud:
+    """The clouds as one, which the list no longer holds."""
+    whole = concatenate(clouds)
+    clouds.clear()
+    return whole
 
 
 @dataclass(frozen=True)

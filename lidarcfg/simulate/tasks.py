@@ -212,9 +212,10 @@ def worked(task: Task, crew: Crew, make: Callable[[Batch, Echoes], T]) -> Iterat
         jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
         for number, chunk in enumerate(in_order(jobs, AHEAD), 1):
             if chunk:
-                made, counts = chunk
-                crew.on_rays(counts)
-                yield made
+                made = [chunk[0]]
+                crew.on_rays(chunk[1])
+                del chunk  # it would stay in memory while others are waited for
+                yield made.pop()
             done_ns = number * packets * pace.period_ns
             crew.progress.set(task.index, done_ns if number * packets < total else task.duration_ns)
 

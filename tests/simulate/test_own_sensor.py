@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 import yaml
 
+from lidarcfg import inputs
 from lidarcfg.cloud import load_cloud
-from lidarcfg.errors import ConfigError
+from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.study import load_study
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.simulate.scans import simulated_scans
+from lidarcfg.simulate.tasks import Drive
+from lidarcfg.world.motion import Trajectory, load_path
+from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
 from tests.refusals import refused
@@ -224,3 +229,18 @@ def test_carla_gets_the_rate_of_an_own_sensor(tmp_path):
     assert one["attributes"]["points_per_second"] == 4 * 1000 * 10
     assert one["attributes"]["range"] == 50
     assert "has beams only" not in result.stderr
+
+
+def test_more_scans_than_memory_holds_are_refused_with_the_figure(tmp_path, monkeypatch):
+    """By hand: 4 lasers, 1,800 firings of each in a revolution, and what may be traced ahead: in all no more than 2 s."""
+    folder = folder_with(tmp_path)
+    rig, scene = load_rig(folder / "rig.yaml"), load_scene(folder / "scene.yaml")
+    drive = Drive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 2 * 10**9)
+    needed = 60 * 4 * 1800 * 20
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 0.999 * needed)
+    with pytest.raises(
+        LidarcfgError, match=r"a revolution of each sensor, 1 in all, .* needs 0.0 GB .*; export fewer sensors"
+    ):
+        simulated_scans(drive)
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 1.001 * needed)
+    assert len(list(simulated_scans(drive))) == 20
