@@ -42,6 +42,7 @@ PLY_TYPES = {np.dtype("<f8"): "double", np.dtype("<i4"): "int", np.dtype("u1"): 
 UNPACKED_MIN, UNPACKED_RATIO = 1 << 26, 20  # bytes; and multiples of the archive's size: real arrays hardly compress
 UNPACKED_COPIES = 3  # of the arrays, in memory at once
 FILE_COPIES = 4  # of a PLY or PCD file
+XYZ_BYTES = 2 * np.dtype(FIELDS["xyz"]).itemsize  # beyond x
 XYZ_MAX_M = np.float64(1e9)
 # What np.load and the archive's members raise for bytes that are no archive of arrays. zipfile raises RuntimeError for
 # encryption and unknown versions, KeyError for a member that is not there; numpy's header parser raises SyntaxError and
@@ -186,6 +187,13 @@ def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDAr
             arrays["boxes"] = found
         np.savez(file, sensor_names=np.array(tuple(index), np.str_), **arrays)
     return count
+
+
+def row_bytes(path: str | Path) -> int:
+    """The bytes that a point with its object takes in a file of this kind. Raises CloudError."""
+    row = {".ply": PLY_ROW, ".pcd": PCD_ROW}.get(_suffix(Path(path)))
+    own = row.itemsize if row else sum(np.dtype(kind).itemsize for kind in FIELDS.values()) + XYZ_BYTES
+    return own + np.dtype(OBJECT_ROW).itemsize
 
 
 def load_cloud(path: str | Path, on_warning: Callable[[str], None], allow_empty: bool = False) -> PointCloud:

@@ -1,7 +1,9 @@
 """The files that come with the package, and output files: written aside, then renamed into place."""
 
 import errno
+import math
 import os
+import shutil
 import stat
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 from lidarcfg.aside import exchange, hold, locked, name_beside, remove_leftovers
+from lidarcfg.errors import LidarcfgError
 
 T = TypeVar("T")
 
@@ -219,6 +222,29 @@ def make_parent(path: Path) -> None:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from None
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def size_in_words(octets: float) -> str:
+    """Bytes, to a tenth of the unit."""
+    return f"{octets / 1e9:,.1f} GB" if octets >= 1e9 else f"{octets / 1e6:,.1f} MB"
+
+
+def free_bytes(path: str | Path) -> float:
+    """The room on the disk where a file would be written; infinite where that is not known."""
+    folder = target(Path(path)).absolute().parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return math.inf
+
+
+def check_room(path: str | Path, needed: float, advice: str) -> None:
+    """Raises LidarcfgError if a file of so many bytes does not fit on its disk."""
+    if needed > (free := free_bytes(path)):
+        sizes = f"needs {size_in_words(needed)} on the disk; {size_in_words(free)} are free"
+        raise LidarcfgError(f"{path}: {sizes}; {advice}")
 
 
 def target(path: Path) -> Path:

@@ -151,8 +151,8 @@ def export(
 
 
 @contextmanager
-def _run(duration_ns: int, counted: "list[Counts]", quiet: bool) -> "Iterator[Run]":
-    """A run with a progress bar, which adds the rays of each chunk to `counted`."""
+def _run(duration_ns: int, size: str, counted: "list[Counts]", quiet: bool) -> "Iterator[Run]":
+    """A run with a progress bar, which says how large the files will be, and adds each chunk's rays to `counted`."""
     from lidarcfg.compiling import stopwatch
     from lidarcfg.simulate.tasks import Run
 
@@ -162,9 +162,10 @@ def _run(duration_ns: int, counted: "list[Counts]", quiet: bool) -> "Iterator[Ru
 
         def on_progress(done_ns: int) -> None:
             rate = done_ns / SECOND_NS / max(stopwatch() - began, 1e-9)
-            on_fraction(done_ns / duration_ns, f"{done_ns / SECOND_NS:.1f} s simulated, {rate:.1f}× real time")
+            done_s = done_ns / SECOND_NS
+            on_fraction(done_ns / duration_ns, f"{done_s:.1f} s simulated, {rate:.1f}× real time; {size} in all")
 
-        on_fraction(0.0, "simulating")
+        on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size} in all")
         yield Run(on_progress, counted.append)
 
 
@@ -181,7 +182,7 @@ def _export_packets(
     from contextlib import ExitStack
 
     from lidarcfg.capture.pcap import write_pcap
-    from lidarcfg.files import together
+    from lidarcfg.files import check_room, size_in_words, together
     from lidarcfg.simulate import export as capture
     from lidarcfg.simulate.ground_truth import TruthFile
     from lidarcfg.simulate.tasks import object_names
@@ -189,8 +190,9 @@ def _export_packets(
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
     mounts = drive.rig.mounts
-    names = [mount.name for mount in mounts]
-    with _run(drive.duration_ns, counted, quiet) as run, ExitStack() as stack:
+    names, size = [mount.name for mount in mounts], capture.data_bytes(drive)
+    check_room(output, size, "a shorter time or fewer sensors need less")
+    with _run(drive.duration_ns, f"about {size_in_words(size)}", counted, quiet) as run, ExitStack() as stack:
         stack.enter_context(together())
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
@@ -225,11 +227,12 @@ def _export_points(
     drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", counted: "list[Counts]", quiet: bool
 ) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
-    from lidarcfg.files import together
+    from lidarcfg.cloud import row_bytes
+    from lidarcfg.files import free_bytes, size_in_words, together
     from lidarcfg.formats import formats
     from lidarcfg.formats.recording import Recording
     from lidarcfg.sensor import FIRING
-    from lidarcfg.simulate.scans import simulated_scans
+    from lidarcfg.simulate.scans import most_returns, simulated_scans
 
     form = formats.format_of("drive", output, name)
     if deskew and form.name not in formats.CLOUDS:
@@ -239,7 +242,18 @@ def _export_points(
         for mount in drive.rig.mounts
         if not (mount.sensor.codec or mount.sensor.firing)
     ]
-    with _run(drive.duration_ns, counted, quiet) as run, together():
+    most = most_returns(drive)
+    size = f"at most {most:,} points"
+    if form.name in formats.CLOUDS:
+        octets = most * row_bytes(output)
+        size = f"at most {size_in_words(octets)}"
+        if 2 * octets > (free := free_bytes(output)):  # the points are first written to a file beside it
+            while_written = f"{size}, and twice that while it is written"
+            warnings.append(f"{output}: {while_written}; {size_in_words(free)} are free on the disk")
+    for text in [] if quiet else warnings:
+        warn(text)
+    warnings.clear()
+    with _run(drive.duration_ns, size, counted, quiet) as run, together():
         recording = Recording(drive, simulated_scans(drive, run))
         found = formats.save_recording(output, form, recording, deskew, warnings.append)
         record(output)

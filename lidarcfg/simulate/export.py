@@ -1,7 +1,7 @@
 """The packets of a rig's sensors on a vehicle that stands or drives in a scene."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,12 @@ from lidarcfg.capture.frames import Frames, frames
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch
+from lidarcfg.packets.codec import Batch, types
 from lidarcfg.packets.families import codec
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.ground_truth import RECORD, records
-from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, prepared, worked
+from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, fired_fraction, prepared, worked
 from lidarcfg.world.motion import Trajectory, standing
 from lidarcfg.world.scene import GeoOrigin, Scene
 from lidarcfg.world.vehicle import Vehicle
@@ -44,8 +44,7 @@ def export(
     """
     run = run or Run()
     trajectory = at if isinstance(at, Trajectory) else standing(at)
-    for mount in rig.mounts:
-        check_exportable(mount, duration_ns)
+    _check_all(rig.mounts, duration_ns)
     tasks = prepared(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), run.chunk_ns)
     crew, origin = Crew.of(run, len(tasks)), scene.file.geo_origin
     return [
@@ -64,6 +63,33 @@ def save_companions(path: Path, mounts: Sequence[Mount]) -> list[Path]:
             with replacing(written[-1], "wb") as file:
                 file.write(content)
     return written
+
+
+def data_bytes(drive: Drive) -> int:
+    """About how many bytes of a capture the sensors' data packets take, as Ethernet frames. Raises ConfigError."""
+    _check_all(drive.rig.mounts, drive.duration_ns)
+    total = 0.0
+    for mount in drive.rig.mounts:
+        maker, everywhere = codec(mount.sensor), replace(mount, azimuth_fov_deg=None)
+        batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
+        shape = len(batch.firings.time_ns), len(types(mount.return_mode))
+        packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
+        packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
+        total += packets * sum(map(len, frames(mount.host, packet).records))
+    return round(total)
+
+
+def _check_all(mounts: Sequence[Mount], duration_ns: int) -> None:
+    """Raises ConfigError unless all mounts can be exported: a capture of some would look like one of the whole rig."""
+    for mount in mounts:
+        try:
+            check_exportable(mount, duration_ns)
+        except ConfigError as error:
+            without = [one.name for one in mounts if not one.sensor.codec]
+            if mount.sensor.codec or len(without) == len(mounts):
+                raise
+            others = f"for packets of the other sensors, export a rig without {', '.join(without)}"
+            raise ConfigError(f"{error}; {others}") from None
 
 
 def check_exportable(mount: Mount, duration_ns: int) -> None:

@@ -13,10 +13,21 @@ from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.codec import Batch, Firings, Octets, Times, types
+from lidarcfg.packets.families import timing
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import CHUNK_RAYS, Crew, Drive, Run, Task, object_names, prepared, worked
+from lidarcfg.simulate.tasks import (
+    CHUNK_RAYS,
+    Crew,
+    Drive,
+    Run,
+    Task,
+    most_returns_per_ns,
+    object_names,
+    prepared,
+    worked,
+)
 from lidarcfg.units import MINUTE_NS
 
 RETURN_BYTES = 60  # of a scan that waits for those of other sensors; measured on a street, where 5 of 6 rays return
@@ -38,14 +49,17 @@ def simulated_scans(drive: Drive, run: Run | None = None) -> Iterator[PointCloud
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
 
 
+def most_returns(drive: Drive) -> int:
+    """The number of points in a drive if each ray returns. Raises ConfigError."""
+    rates = [most_returns_per_ns(mount, timing(mount.sensor).pace(mount)) for mount in drive.rig.mounts]
+    return round(sum(rates) * drive.duration_ns)
+
+
 def _check_memory(tasks: Sequence[Task]) -> None:
     """Raises LidarcfgError if memory does not hold a revolution of each sensor: it waits for those of the others."""
     held = 0
     for task in tasks:
-        low, high = task.mount.azimuth_fov_deg or (0.0, 360.0)
-        part = ((high - low) % 360.0 or 360.0) / 360.0
-        pace, returns = task.timing.pace(task.mount), 2 if task.mount.dual else 1
-        rate = pace.firings * part * returns / pace.period_ns
+        rate = most_returns_per_ns(task.mount, task.timing.pace(task.mount))
         held += round(min(MINUTE_NS / task.mount.rpm * rate + 2 * CHUNK_RAYS, task.duration_ns * rate))
     what = f"a revolution of each sensor, {len(tasks):,} in all, and what is traced ahead,"
     check_memory(what, RETURN_BYTES * held, "export fewer sensors at a time")

@@ -14,7 +14,7 @@ from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
 from lidarcfg.futures import in_order
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Timing
+from lidarcfg.packets.codec import Batch, Pace, Timing, types
 from lidarcfg.packets.families import timing
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import Range
@@ -104,6 +104,17 @@ def _ranged(mount: Mount) -> Mount:
         return mount
     known = Range(source="the rig", min_m=mount.range_m[0], max_m=mount.range_m[1])
     return replace(mount, sensor=mount.sensor.model_copy(update={"range": known}))
+
+
+def fired_fraction(mount: Mount) -> float:
+    """The fraction of a revolution in which the mount's lasers fire."""
+    low, high = mount.azimuth_fov_deg or (0.0, 360.0)
+    return ((high - low) % 360.0 or 360.0) / 360.0
+
+
+def most_returns_per_ns(mount: Mount, pace: Pace) -> float:
+    """The rate of a mount's returns if each ray returns."""
+    return pace.firings * fired_fraction(mount) * len(types(mount.return_mode)) / pace.period_ns
 
 
 def checked_timing(mount: Mount, duration_ns: int) -> Timing:

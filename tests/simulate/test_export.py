@@ -6,6 +6,7 @@ import threading
 import time
 from dataclasses import replace
 from datetime import UTC
+from types import SimpleNamespace
 
 import dpkt
 import numpy as np
@@ -15,15 +16,16 @@ import velodyne_decoder as vd
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import TIME_END_NS, write_pcap
 from lidarcfg.cloud import FIELDS
-from lidarcfg.errors import ConfigError, PacketError
+from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
+from lidarcfg.files import check_room, shipped
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.realism import Realism
-from lidarcfg.rig import Rig
+from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import custom_sensor
-from lidarcfg.simulate.export import export, in_time_order
-from lidarcfg.simulate.tasks import START_NS, Run
+from lidarcfg.simulate.export import data_bytes, export, in_time_order
+from lidarcfg.simulate.tasks import START_NS, Drive, Run
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import Arc, Motion, Trajectory, prepared
+from lidarcfg.world.motion import Arc, Motion, Trajectory, prepared, standing
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import (
@@ -323,6 +325,27 @@ def test_what_cannot_be_exported(street):
         export(Rig("fan", (fan,)), street, np.eye(4), SECOND_NS)
     with pytest.raises(ConfigError, match=r"0\.001 s holds no packet of lidar_0; allowed: at least 0\.0013271 s"):
         export(Rig("short", (mount(),)), street, np.eye(4), 1_000_000)
+
+
+def test_the_size_of_a_capture_is_known_beforehand(street, tmp_path):
+    """Beside the file that is written: one sensor of each maker, one that sees half around, one with dual returns."""
+    rig = load_rig(shipped("data") / "rigs/mixed.yaml")
+    mounts = [replace(one, azimuth_fov_deg=(270.0, 90.0)) if "left" in one.name else one for one in rig.mounts]
+    mounts[-1] = replace(mounts[-1], return_mode="dual")
+    rig = replace(rig, mounts=tuple(mounts))
+    drive = Drive(rig, street, standing(np.eye(4)), None, START_NS, SECOND_NS // 5)
+    path = tmp_path / "a.pcap"
+    write_pcap(path, in_time_order(export(rig, street, np.eye(4), SECOND_NS // 5)))
+    written = sum(16 + len(one) + 42 for one in (d.payload for d in datagrams_of(path)) if len(one) > 1000)
+    assert data_bytes(drive) == pytest.approx(written, rel=0.03)
+
+
+def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr("lidarcfg.files.shutil.disk_usage", lambda folder: SimpleNamespace(free=5_000_000))
+    check_room(tmp_path / "new/a.pcap", 5e6, "less needs less")
+    with pytest.raises(LidarcfgError, match=r"a\.pcap: needs 5\.1 MB on the disk; 5\.0 MB are free; less needs less"):
+        check_room(tmp_path / "new/a.pcap", 5.1e6, "less needs less")
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_last_seconds_of_a_pcap(street, tmp_path):

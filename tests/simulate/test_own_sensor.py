@@ -8,13 +8,13 @@ import pytest
 import yaml
 
 from lidarcfg import inputs
-from lidarcfg.cloud import load_cloud
+from lidarcfg.cloud import load_cloud, row_bytes
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.study import load_study
 from lidarcfg.rig import load_rig
 from lidarcfg.sensor import catalogue, load_sensor
-from lidarcfg.simulate.scans import simulated_scans
+from lidarcfg.simulate.scans import most_returns, simulated_scans
 from lidarcfg.simulate.tasks import Drive
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene
@@ -229,6 +229,36 @@ def test_carla_gets_the_rate_of_an_own_sensor(tmp_path):
     assert one["attributes"]["points_per_second"] == 4 * 1000 * 10
     assert one["attributes"]["range"] == 50
     assert "has beams only" not in result.stderr
+
+
+def test_a_rig_with_a_sensor_that_has_no_packets_is_refused_with_what_to_do(tmp_path):
+    folder = folder_with(tmp_path)
+    other = {"name": "left", "model": "vlp-16", "position_m": [0, 1, 2]}
+    rig = yaml.safe_load((folder / "rig.yaml").read_text())
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig | {"sensors": [other, *rig["sensors"]]}))
+    said = exported(folder, "a.pcap", code=2).stderr
+    assert "top: sensor 'mine' has no codec, and so no packets; write points instead: .ply, " in said
+    assert said.endswith("; for packets of the other sensors, export a rig without top\n")
+    assert not (folder / "a.pcap").exists()
+
+
+def test_the_room_for_points_is_said(tmp_path, monkeypatch):
+    """By hand: 4 lasers, 3,600 firings of each in 0.2 s, 56 bytes a point (numpy's own packed sizes), twice while written."""
+    folder = folder_with(tmp_path)
+    (folder / "scene.yaml").write_text(
+        "name: box\nspheres: [{name: all, center_m: [1, 0, 2], radius_m: 9, reflectivity: 5}]\n"
+    )
+    rig, scene = load_rig(folder / "rig.yaml"), load_scene(folder / "scene.yaml")
+    drive = Drive(rig, scene, Trajectory(np.eye(4), load_path(None), START_NS), None, START_NS, 10**9 // 5)
+    assert most_returns(drive) == pytest.approx(4 * 3600, rel=1e-4)
+    for suffix, octets in (
+        (".ply", 24 + 3 + 4 + 8 + 4 + 4),
+        (".pcd", 24 + 3 + 2 + 8 + 4),
+        (".npz", 24 + 3 + 2 + 8 + 4),
+    ):
+        assert row_bytes(f"a{suffix}") == octets
+        exported(folder, f"a{suffix}")
+        assert (folder / f"a{suffix}").stat().st_size == pytest.approx(octets * most_returns(drive), abs=3000)
 
 
 def test_more_scans_than_memory_holds_are_refused_with_the_figure(tmp_path, monkeypatch):
