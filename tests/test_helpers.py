@@ -53,7 +53,8 @@ import sys
 from numba.core.caching import NullCache
 from lidarcfg.commands import rehearsals
 from lidarcfg.cli import main
-from lidarcfg.simulate.simulator_kernels import aimed, hit_bodies, locate, trace_firings
+from lidarcfg.simulate.simulator_kernels import hit_bodies, trace_firings
+from lidarcfg.simulate.aim_kernels import aimed, locate
 from lidarcfg.world.tracer_kernels import trace
 from lidarcfg.world.world_kernels import hit_dynamic, keep_normals
 

@@ -20,9 +20,10 @@ from page import machine
 from lidarcfg.geometry import Array
 from lidarcfg.rig import load_rig
 from lidarcfg.world.bvh import TRIANGLE, build, corners
+from lidarcfg.world.ray_kernels import NONE, new_packet
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.tracer_kernels import NONE, blocked, new_packet
+from lidarcfg.world.tracer_kernels import blocked
 from lidarcfg.world.world_kernels import Found, cast
 
 RUNS = 9

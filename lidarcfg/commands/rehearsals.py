@@ -64,10 +64,12 @@ def tracing() -> None:
     """Compile what rays of firings hit: most of `trace_firings`, of which the command compiles the rest."""
     import numpy as np
 
-    from lidarcfg.simulate.simulator_kernels import Frames, Lasers, aimed, hit_bodies, locate, new_work
+    from lidarcfg.simulate.aim_kernels import Frames, Lasers, aimed, locate
+    from lidarcfg.simulate.simulator_kernels import hit_bodies, new_work
     from lidarcfg.world.bvh import NO_INDEX, NO_TREE
     from lidarcfg.world.motion import packed
-    from lidarcfg.world.tracer_kernels import new_packet, trace
+    from lidarcfg.world.ray_kernels import new_packet
+    from lidarcfg.world.tracer_kernels import trace
     from lidarcfg.world.world_kernels import Dynamics, Found, World, hit_dynamic, keep_normals
 
     none, rows = np.empty(0), np.empty(0, np.int64)

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
 from lidarcfg.world.bvh import EMPTY, Tree
+from lidarcfg.world.ray_kernels import NONE, RANGE, SIZE, SLOT, alike, load, made_packet
 from lidarcfg.world.shapes import FAST
-from lidarcfg.world.tracer_kernels import NONE, RANGE, SIZE, SLOT, alike, blocked, load, made_packet, trace
+from lidarcfg.world.tracer_kernels import blocked, trace
 
 Counts = NDArray[np.int32]
 TURN = 2 * math.pi

@@ -4,6 +4,7 @@
 import numpy as np
 
 from lidarcfg.jit import inner, njit
+from lidarcfg.simulate.aim_kernels import aimed, locate, sideways, spread, turned
 from lidarcfg.simulate.fan_kernels import (
     ABOVE,
     ACROSS,
@@ -17,37 +18,16 @@ from lidarcfg.simulate.fan_kernels import (
     axes_of,
     extent_of,
     fan_out,
-    hit_ground,
     lean_of,
     new_fan,
     row_of,
-    trace_fan,
 )
-from lidarcfg.simulate.simulator_kernels import (
-    BLOCK_NS,
-    aimed,
-    grouped,
-    hit_bodies,
-    locate,
-    sideways,
-    spread,
-    swept_in,
-    turned,
-)
+from lidarcfg.simulate.fan_tracer_kernels import hit_ground, trace_fan
+from lidarcfg.simulate.simulator_kernels import BLOCK_NS, grouped, hit_bodies, swept_in
 from lidarcfg.world.bvh import TRIANGLE
+from lidarcfg.world.ray_kernels import DX, NONE, OX, RANGE, SIZE, SLOT, alike, load, shear
 from lidarcfg.world.shapes import FAST
-from lidarcfg.world.tracer_kernels import (
-    DX,
-    NONE,
-    OX,
-    RANGE,
-    SIZE,
-    SLOT,
-    alike,
-    load,
-    normal_at,
-    shear,
-)
+from lidarcfg.world.tracer_kernels import normal_at
 from lidarcfg.world.world_kernels import keep, keep_normals, swept, test_instance
 
 

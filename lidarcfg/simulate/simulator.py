@@ -11,10 +11,11 @@ from lidarcfg.packets.codec import Firings
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
+from lidarcfg.simulate.aim_kernels import Frames, Lasers
 from lidarcfg.simulate.beam_kernels import trace_beams
 from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import laser_errors_m, separate
-from lidarcfg.simulate.simulator_kernels import Frames, Lasers, looked_up, new_work, trace_firings
+from lidarcfg.simulate.simulator_kernels import looked_up, new_work, trace_firings
 from lidarcfg.world.bvh import NO_TREE, Tree
 from lidarcfg.world.motion import Trajectory, packed
 from lidarcfg.world.scene import Weather

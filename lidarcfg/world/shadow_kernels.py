@@ -15,21 +15,9 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner
 from lidarcfg.world.bvh import TRIANGLE, Tree
+from lidarcfg.world.ray_kernels import FACES, NONE, RANGE, SIZE, SLOT, Packet, facing, load, new_packet
 from lidarcfg.world.shapes import FAST, SLIVER
-from lidarcfg.world.tracer_kernels import (
-    ENDS,
-    FACES,
-    NONE,
-    RANGE,
-    SIZE,
-    SLOT,
-    Packet,
-    blocked_by,
-    facing,
-    load,
-    new_packet,
-    trace,
-)
+from lidarcfg.world.tracer_kernels import ENDS, blocked_by, trace
 
 ROW = 64  # targets in a row
 BOXES = 16  # around a tree's shapes

@@ -17,8 +17,9 @@ from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.bvh import CYLINDER, EMPTY, NO_TREE, SPHERE, TRIANGLE, Tree, build, corners
 from lidarcfg.world.motion import MotionPath, packed, prepared
+from lidarcfg.world.ray_kernels import NONE, new_packet
 from lidarcfg.world.scene import Cylinder, Scene, Sphere
-from lidarcfg.world.tracer_kernels import NONE, blocked, new_packet
+from lidarcfg.world.tracer_kernels import blocked
 from lidarcfg.world.world_kernels import NOTHING, Dynamics, Found, World, cast, resolve
 
 

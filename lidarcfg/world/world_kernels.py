@@ -11,23 +11,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit
 from lidarcfg.world.bvh import INSTANCE, Tree, build
 from lidarcfg.world.motion_kernels import Paths, back, column, poses, times
-from lidarcfg.world.tracer_kernels import (
-    DX,
-    FARTHEST,
-    NONE,
-    OX,
-    RANGE,
-    SIZE,
-    SLOT,
-    alike,
-    load,
-    made_packet,
-    normal_at,
-    ray_of,
-    row,
-    trace,
-    trace_alone,
-)
+from lidarcfg.world.ray_kernels import DX, NONE, OX, RANGE, SIZE, SLOT, alike, load, made_packet, ray_of, row
+from lidarcfg.world.tracer_kernels import FARTHEST, normal_at, trace, trace_alone
 
 NOTHING = -1  # an object
 GROUND = -1.0  # a slot

@@ -11,8 +11,8 @@ from lidarcfg.geometry import pose
 from lidarcfg.packets.codec import Firings
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import load_sensor
+from lidarcfg.simulate.aim_kernels import cos_sin
 from lidarcfg.simulate.simulator import Simulator
-from lidarcfg.simulate.simulator_kernels import cos_sin
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import mount, scene
