@@ -18,6 +18,7 @@ from lidarcfg.compiling import compiling
 from lidarcfg.linking import OutdatedError
 
 FunctionCache: Any = import_module("numba.core.caching").FunctionCache  # numba has no types
+IndexDataCacheFile: Any = import_module("numba.core.caching").IndexDataCacheFile
 rtsys: Any = import_module("numba.core.runtime").rtsys
 AGAIN_S, PATIENCE_S = 0.02, 90.0
 _files: dict[Path, int | None] = {}  # of locks, by folder: closing one would give up all locks in it
@@ -30,6 +31,7 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
+        self._cache_file = _Index(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
         self._held = False
         self._octet = zlib.crc32(f"{function.__module__}.{function.__qualname__}".encode())
 
@@ -95,6 +97,16 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
         if file is not None:
             fcntl.lockf(file, kind, 1, self._octet)
         return file is not None
+
+
+class _Index(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
+    """What the cache has of a loop."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError):  # of another version, which had a type of an argument elsewhere
+            return {}
 
 
 def _lock_file(folder: Path, make_folder: Callable[[], None]) -> int | None:

@@ -94,6 +94,22 @@ for name in sys.argv[3:]:
 """
 
 
+PAIR = """
+from typing import NamedTuple
+
+class Pair(NamedTuple):
+    x: int
+    y: int
+"""
+TOTAL = """
+from lidarcfg.jit import njit
+
+@njit(cache=True)
+def total(pair):
+    return pair.x + pair.y
+"""
+
+
 @pytest.fixture
 def start(tmp_path, monkeypatch):
     """A function that starts a process which calls loops; compiling one takes so many seconds more, and saving it, too.
@@ -192,3 +208,19 @@ def test_without_a_file_for_locks_each_compiles(start, tmp_path):
     (tmp_path / "__pycache__").mkdir()
     (tmp_path / "__pycache__/lidarcfg-loops.lock").touch(mode=0o000)
     assert sorted(done(start(0, "outside"))) == ["inside", "outside"]
+
+
+def test_a_loop_is_compiled_again_where_a_type_of_an_argument_is_elsewhere(tmp_path, monkeypatch):
+    """As in a new version that was installed over an old one: the old one's cache stays, and names the type's old module."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(Path(lidarcfg.__file__).parents[1]))
+    (tmp_path / "loops.py").write_text(TOTAL)
+    counts = []
+    for module in ("before", "after", "after"):
+        (tmp_path / f"{module}.py").write_text(PAIR)
+        code = f"from {module} import Pair; from loops import total; print(total(Pair(2, 3)), sum(total.stats.cache_hits.values()))"
+        words = (sys.executable, "-B", "-c", code)
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+        counts.append(done.stdout.split())
+        (tmp_path / "before.py").unlink(missing_ok=True)
+    assert counts == [["5", "0"], ["5", "0"], ["5", "1"]]
