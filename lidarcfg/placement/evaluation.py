@@ -81,28 +81,10 @@ def evaluate(
         check_outside(study.vehicle, rig.mounts)
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
     subspaces = segment(study.region, rig_lidars(rig), study.visibility)
-    vsr, volume, surface = vsr_m(subspaces), volume_m3(subspaces), surface_m2(subspaces)
-    spheres, worst = Spheres(subspaces), []
+    vsr, spheres = vsr_m(subspaces), Spheres(subspaces)
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
     where = extents(subspaces, numbers)
-    for number, extent in zip(numbers, where, strict=True):
-        low, high = extent.bounds_m
-        worst.append(
-            Worst(
-                vsr_m=float(vsr[number]),
-                volume_m3=float(volume[number]),
-                surface_m2=float(surface[number]),
-                inscribed_radius_m=spheres.radius_m(number, extent),
-                centroid_m=extent.centroid_m.tolist(),
-                min_m=low.tolist(),
-                max_m=high.tolist(),
-                gap=subspaces.gap[number].tolist(),
-                between_deg=[
-                    _beams_around(mount.sensor, gap)
-                    for mount, gap in zip(rig.mounts, subspaces.gap[number].tolist(), strict=True)
-                ],
-            )
-        )
+    worst = _worst(rig, subspaces, vsr, spheres, dict(zip(numbers, where, strict=True)))
     seen = _sightings(study, rig, on_progress)
     counted = {
         item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
@@ -113,7 +95,7 @@ def evaluate(
     return Evaluation(
         subspaces=subspaces,
         vsr_m=vsr,
-        worst=tuple(worst),
+        worst=worst,
         extents=tuple(where),
         sphere_m=spheres.largest()[0],
         detection=rates,
@@ -124,6 +106,28 @@ def evaluate(
         analytic=converged,
         seconds=seconds,
     )
+
+
+def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: dict[int, Extent]) -> tuple[Worst, ...]:
+    """The subspaces with these numbers."""
+    volume, surface, found = volume_m3(subspaces), surface_m2(subspaces), []
+    for number, extent in where.items():
+        low, high = extent.bounds_m
+        gaps = subspaces.gap[number].tolist()
+        found.append(
+            Worst(
+                vsr_m=float(vsr[number]),
+                volume_m3=float(volume[number]),
+                surface_m2=float(surface[number]),
+                inscribed_radius_m=spheres.radius_m(number, extent),
+                centroid_m=extent.centroid_m.tolist(),
+                min_m=low.tolist(),
+                max_m=high.tolist(),
+                gap=gaps,
+                between_deg=[_beams_around(mount.sensor, gap) for mount, gap in zip(rig.mounts, gaps, strict=True)],
+            )
+        )
+    return tuple(found)
 
 
 def detection_rates(study: Study, rig: Rig, subspaces: Subspaces) -> dict[str, Detection]:

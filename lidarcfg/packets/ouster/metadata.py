@@ -153,27 +153,6 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
     layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
     ahead_mm, up_mm = unit.start_mm
     azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
-    first, last = mode.window
-    step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
-    whole = (last + 1) % layout.columns_per_frame == first
-    edges = [0, 360_000] if whole else [round(360_000 - last * step) % 360_000, round(360_000 - first * step) % 360_000]
-    config = FIXED_CONFIG | {
-        "azimuth_window": edges,
-        "columns_per_packet": layout.columns_per_packet,
-        "lidar_mode": f"{layout.columns_per_frame}x{round(mode.rpm / 60)}",
-        "phase_lock_enable": mount.phase_deg is not None,
-        "phase_lock_offset": round((180 - (mount.phase_deg or 180)) % 360 * 1000),
-        "timestamp_mode": "TIME_FROM_PTP_1588",
-        "udp_dest": unit.facts.headers.destination_ip,
-        "udp_port_imu": mount.telemetry_port,
-        "udp_port_lidar": mount.data_port,
-        "udp_profile_imu": mode.settings.imu_profile,
-        "udp_profile_lidar": layout.name,
-    }
-    if mode.nearest_first:
-        config["return_order"] = "NEAREST_TO_FARTHEST"
-    if mode.modern:
-        config["min_range_threshold_cm"] = round(unit.range.reported_m[0] * 100)
     said: dict[str, Any] = {
         "beam_intrinsics": {
             "beam_altitude_angles": list(beams.elevation_deg),
@@ -182,10 +161,10 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
             "lidar_origin_to_beam_origin_mm": ahead_mm,
         },
         "calibration_status": {"reflectivity": {"timestamp": BUILT[:-1], "valid": True}},
-        "config_params": config,
+        "config_params": _config(unit, mode, mount),
         "imu_intrinsics": {"imu_to_sensor_transform": _moved(*unit.facts.imu.position_mm)},
         "lidar_data_format": {
-            "column_window": [first, last],
+            "column_window": list(mode.window),
             "columns_per_frame": layout.columns_per_frame,
             "columns_per_packet": layout.columns_per_packet,
             "pixel_shift_by_row": [round(angle / 360 * layout.columns_per_frame) for angle in azimuth_deg],
@@ -206,12 +185,39 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
         },
     }
     if mode.settings.imu_profile != "LEGACY":
-        config["imu_packets_per_frame"] = mode.imu_packets
         said["imu_data_format"] = {
             "imu_measurements_per_packet": IMU_MEASUREMENTS,
             "imu_packets_per_frame": mode.imu_packets,
         }
     return (json.dumps(said, indent=2) + "\n").encode()
+
+
+def _config(unit: Unit, mode: Mode, mount: "Mount") -> dict[str, Any]:
+    """How a mount's sensor is configured."""
+    layout, (first, last) = mode.layout, mode.window
+    step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
+    whole = (last + 1) % layout.columns_per_frame == first
+    edges = [0, 360_000] if whole else [round(360_000 - last * step) % 360_000, round(360_000 - first * step) % 360_000]
+    config = FIXED_CONFIG | {
+        "azimuth_window": edges,
+        "columns_per_packet": layout.columns_per_packet,
+        "lidar_mode": f"{layout.columns_per_frame}x{round(mode.rpm / 60)}",
+        "phase_lock_enable": mount.phase_deg is not None,
+        "phase_lock_offset": round((180 - (mount.phase_deg or 180)) % 360 * 1000),
+        "timestamp_mode": "TIME_FROM_PTP_1588",
+        "udp_dest": unit.facts.headers.destination_ip,
+        "udp_port_imu": mount.telemetry_port,
+        "udp_port_lidar": mount.data_port,
+        "udp_profile_imu": mode.settings.imu_profile,
+        "udp_profile_lidar": layout.name,
+    }
+    if mode.nearest_first:
+        config["return_order"] = "NEAREST_TO_FARTHEST"
+    if mode.modern:
+        config["min_range_threshold_cm"] = round(unit.range.reported_m[0] * 100)
+    if mode.settings.imu_profile != "LEGACY":
+        config["imu_packets_per_frame"] = mode.imu_packets
+    return config
 
 
 def _moved(x: float, y: float, z: float) -> list[float]:
