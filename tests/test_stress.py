@@ -18,9 +18,9 @@ from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.placement import rows
 from lidarcfg.placement.cones import Lidar, gaps_at
+from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.objective import Criterion
 from lidarcfg.placement.optimize import costs, optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.solvers.bee_colony import BeeColony

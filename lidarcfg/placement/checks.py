@@ -16,11 +16,11 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import unused_prices
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluator import max_vsr
-from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.region import AXES, BoxFile, Region
 from lidarcfg.placement.sightings import Sought, sightings
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
+from lidarcfg.placement.terms import Trial
 from lidarcfg.rig import MountFile, RigFile
 from lidarcfg.yaml_document import Key
 

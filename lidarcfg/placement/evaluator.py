@@ -20,10 +20,11 @@ from lidarcfg.inputs import check_memory
 from lidarcfg.placement import evaluator_kernels as kernels
 from lidarcfg.placement import rows
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
+from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.terms import Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import LIMITS, new_looks
 

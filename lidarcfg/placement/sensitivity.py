@@ -6,11 +6,12 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import Subspaces
+from lidarcfg.placement.terms import Trial
 from lidarcfg.placement.zones import ELSEWHERE, rest_max_vsr_m
 from lidarcfg.rig import Rig
 

@@ -20,8 +20,9 @@ from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
 from lidarcfg.placement.cones import Lidar, placed
+from lidarcfg.placement.criterion import EVERY_CASE, Criterion
 from lidarcfg.placement.detection import DetectionObject, check_fits
-from lidarcfg.placement.objective import EVERY_CASE, Criterion, Missed, Objective, Trial
+from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.returns import NOTHING, scanner, scans
 from lidarcfg.placement.returns_kernels import Scans
@@ -31,6 +32,7 @@ from lidarcfg.placement.slots import Slot, check_bounds, slots_of
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import mirrored, violation
+from lidarcfg.placement.terms import Missed, Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.placement.zones import Zone, weights, zone

@@ -14,10 +14,10 @@ from lidarcfg.placement import checks
 from lidarcfg.placement import sightings as sightings_module
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.sightings import missed
 from lidarcfg.placement.study import load_study
+from lidarcfg.placement.terms import Trial
 from lidarcfg.report.words import object_in_words
 from tests.returns_cases import at_place, box, revolution, simulated, tracer_of
 from tests.studies import study_of
