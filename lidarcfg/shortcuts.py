@@ -1,7 +1,7 @@
 """Shortcuts through numba: what it does with every function that it compiles, and nobody needs.
 
-They take a quarter off compiling and change nothing of what is compiled. They replace methods inside numba; where these
-are not as known, numba works as ever.
+They take a third off compiling and change nothing of what is compiled but how Python enters it. They replace methods
+inside numba; where these are not as known, numba works as ever.
 """
 
 from functools import cache
@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 NOT_ENTERED_FROM_C = ("numba.", "lidarcfg.")  # modules whose functions nobody passes to other compiled functions
+LONG = "lidarcfg."  # modules whose functions take long, beside what it takes to enter them
 
 
 @cache
@@ -20,6 +21,9 @@ def take() -> None:
         ("targetconfig", "TargetConfig", "__hash__", _any_flags),
         ("codegen", "CPUCodeLibrary", "_optimize_functions", _optimise_defined),
         ("lowering", "Lower", "create_cfunc_wrapper", _wrap_what_c_enters),
+        ("callwrapper", "PyCallWrapper", "build", _enter_plainly),
+        ("typeinfer", "TypeInferer", "resolve_call", _resolve_once),
+        ("postproc", "PostProcessor", "run", _find_lifetimes_when_asked),
     ):
         of: Any = getattr(import_module(f"numba.core.{module}"), kind, None)
         usual = getattr(of, method, None)
@@ -62,3 +66,48 @@ def _wrap_what_c_enters(usual: Any) -> Any:
             usual(self)
 
     return wrap
+
+
+def _enter_plainly(usual: Any) -> Any:
+    """What takes arrays out of Python's tuples was optimised, too, and in some loops it is half of the code."""
+
+    def build(self: Any) -> None:
+        usual(self)
+        if self.fndesc.modname.startswith(LONG):
+            entered = self.module.get_global(self.fndesc.llvm_cpython_wrapper_name).attributes
+            entered.add("noinline")  # which the other one asks for
+            entered.add("optnone")
+
+    return build
+
+
+def _resolve_once(usual: Any) -> Any:
+    """Types spread through a function in several rounds, in each of which all its operators were looked up."""
+    operator: Any = import_module("numba.core.types").Function
+
+    def resolve(self: Any, function: Any, args: Any, kws: Any) -> Any:
+        if not isinstance(function, operator):
+            return usual(self, function, args, kws)
+        known = vars(self).setdefault("_known", {})
+        call = function, tuple(args), tuple(kws.items())
+        if call not in known:
+            known[call] = usual(self, function, args, kws)
+        return known[call]
+
+    return resolve
+
+
+def _find_lifetimes_when_asked(usual: Any) -> Any:
+    """After each pass it was found where variables live, which passes ask for that have it found anyway."""
+    postproc: Any = import_module("numba.core.postproc")
+
+    def run(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+        function = self.func_ir
+        if emit_dels or function.is_generator:
+            usual(self, emit_dels, extend_lifetimes)
+            return
+        function.blocks = postproc.transforms.canonicalize_cfg(function.blocks)
+        function.variable_lifetime = postproc.VariableLifetime(function.blocks)  # which finds it when it is asked
+        function.generator_info = None
+
+    return run

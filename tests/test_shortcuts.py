@@ -29,7 +29,12 @@ def squares(x):
 def roots(xs):
     out = np.empty(len(xs))
     for n in range(len(xs)):
-        out[n] = min(squares(xs[n]), 3.0) / np.sqrt(xs[n])
+        value, left = xs[n], 9
+        while value > 1e9 and left:
+            for _ in range(left):
+                value /= 2.0 if value > left else 3.0
+            left -= 1
+        out[n] = min(squares(xs[n]), 3.0) / np.sqrt(value)
     return out
 
 assert roots(np.array([4.0, 0.25])).tolist() == [1.5, 1.0]
@@ -62,7 +67,7 @@ def test_flags_are_alike_where_all_their_values_are(one, other):
 
 
 def test_machine_code_is_the_same_without_them():
-    """But for the second way in, for C, that numba makes otherwise."""
+    """But for how Python enters it, and for the second way in, for C, that numba makes otherwise."""
     (c, *body), (no_c, *same) = (
         subprocess.run(
             [sys.executable, "-c", CODE, how], capture_output=True, text=True, check=True
