@@ -148,8 +148,8 @@ class _Watch(event.Listener):
             gc.enable()
         compiling.end()
         failed = getattr(event, "_exc_details", None)  # numba 0.68 has the opposite in `is_failed`
-        if failed and isinstance(event.data["dispatcher"]._cache, LoopCache):
-            event.data["dispatcher"]._cache.give_up()
+        if failed and isinstance(cache := getattr(event.data["dispatcher"], "_cache", None), LoopCache):
+            cache.give_up()
 
 
 event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types here
