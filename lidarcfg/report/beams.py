@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidarcfg.names import short
 from lidarcfg.packets.families import codec
 from lidarcfg.report.plots import COLOURS, new_figure
 from lidarcfg.sensor import Sensor
@@ -37,7 +38,7 @@ def draw_sensor(sensor: Sensor) -> "Figure":
         by_time.text(
             0.5, 0.5, "exported as points:\nits packets are not known", transform=by_time.transAxes, ha="center"
         )
-    figure.suptitle(f"{sensor.name}  {sensor.maker}\n{_summary(sensor)}", parse_math=False)
+    figure.suptitle(f"{short(sensor.name)}  {short(sensor.maker)}\n{_summary(sensor)}", parse_math=False)
     return figure
 
 

@@ -11,6 +11,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
+from lidarcfg.names import DRAWN, short
 from lidarcfg.placement.region import Region
 from lidarcfg.report.html import printable
 from lidarcfg.report.layout import ABOVE, BELOW, EDGE, place_labels, spaces
@@ -87,10 +88,9 @@ def height_in(*rows: float, above: float = ABOVE, down: float = BELOW + ABOVE) -
     return sum(rows) + (above + BELOW + down * (len(rows) - 1)) * EM_IN
 
 
-def label(name: str, most: int = 28) -> str:
-    """A name, cut to fit beside a line."""
-    text = printable(name).replace("\n", " ")
-    return text if len(text) <= most else text[: most - 1] + "…"
+def label(name: str, most: int = DRAWN) -> str:
+    """A name, shortened to fit beside a line."""
+    return short(printable(name).replace("\n", " "), most)
 
 
 def colour(i: int) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing, together
+from lidarcfg.names import short
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
@@ -56,7 +57,7 @@ class Contender:
     @property
     def title(self) -> str:
         """Its letter and name."""
-        return f"{self.letter} {self.rig.name}"
+        return f"{self.letter} {short(self.rig.name)}"
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
     if bars := _analytic_row(rigs):
         out.append(bars)
     for i, zone in enumerate(rigs[0].found.zones):
-        out.append(row(f"max VSR in {zone.name} (m)", ".6f", partial(_zone, i), -1))
+        out.append(row(f"max VSR in {short(zone.name)} (m)", ".6f", partial(_zone, i), -1))
     out += _robust_rows(rigs, row)
     out += [
         row("subspaces", ",", lambda rig: len(rig.found.subspaces)),
@@ -114,7 +115,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
         row("largest inner radius of any (m)", ".3f", lambda rig: rig.details.sphere_m, -1),
     ]
     for item in study.detection:
-        out.append(row(f"detection of {item.name}", ".4f", partial(_rate, item.name), 1))
+        out.append(row(f"detection of {short(item.name)}", ".4f", partial(_rate, item.name), 1))
     out += _blind_rows(rigs, row)
     out += [
         row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lidarcfg import __version__
+from lidarcfg.names import short
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.detection import Rings
@@ -176,7 +177,7 @@ def _summary(details: Details) -> list[Figure]:
         figures.append(Figure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
     for name, rate in found.detection.items():
         how = f"± {rate.half_width:.2%}, of {rate.places:,} drawn positions" if rate.half_width else "of all positions"
-        figures.append(Figure(f"Detection of {name}", f"{rate.rate:.2%}", how))
+        figures.append(Figure(f"Detection of {short(name)}", f"{rate.rate:.2%}", how))
     return figures
 
 
@@ -188,7 +189,7 @@ def _task(study: Study, placement: Placement | None) -> Facts:
             ("constraints", constraints_in_words(study)),
             ("solver", solver_in_words(study)),
         ]
-    return rows + [(f"object: {item.name}", object_in_words(item)) for item in study.detection]
+    return rows + [(f"object: {short(item.name)}", object_in_words(item)) for item in study.detection]
 
 
 def _search(placement: Placement | None) -> Facts:
@@ -226,7 +227,7 @@ def _hiding(details: Details) -> Table:
     """Which objects fit into a subspace."""
     rows = []
     for name, found in details.hiding.items():
-        row = [name, "yes" if found.in_worst else "no", f"{found.subspaces:,}"]
+        row = [short(name), "yes" if found.in_worst else "no", f"{found.subspaces:,}"]
         if found.nearest_at_m is None:
             rows.append([*row, "–", "–", "–"])
             continue
@@ -268,7 +269,7 @@ def _between(low: float | None, high: float | None) -> str:
 def _detection(study: Study, found: Evaluation) -> Table | None:
     rows = [
         [
-            item.name,
+            short(item.name),
             f"{rate.rate:.4f}",
             f"± {rate.half_width:.4f}" if rate.half_width else "exact",
             f"{rate.places:,}",

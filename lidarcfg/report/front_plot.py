@@ -7,6 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from lidarcfg.geometry import Array
+from lidarcfg.names import DRAWN, short
 from lidarcfg.placement.front import Front, Point
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
@@ -109,7 +110,7 @@ def _name_models(axes: "Axes", models: list[str]) -> None:
     handles, names = axes.get_legend_handles_labels()
     for i, name in enumerate(models):
         handles += axes.plot([], [], _marker(i), color=colour(i + 1), mec="w", mew=0.4, ms=6)
-        names.append(name)
+        names.append(short(name, DRAWN))
     axes.legend(handles, names, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=LEGEND_COLUMNS)  # below
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
+from lidarcfg.names import DRAWN, short
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
@@ -66,7 +67,7 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     label = "max VSR (m)" if study.is_max_vsr else "objective"
     axes.set(xlabel="evaluations", ylabel=label, ylim=(0, top))
     axes.set_title(
-        f"{study.name}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
+        f"{short(study.name)}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
         parse_math=False,
         y=1.0,
     )
@@ -106,7 +107,7 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
             {2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"), y=1.0
         )
     figure.axes[0].legend(loc="upper right")
-    title = f"{rig.name}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
+    title = f"{short(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
     figure.suptitle(title, parse_math=False)
     return figure
 
@@ -114,7 +115,7 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
     for i, (mount, cones) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
         colour, at = COLOURS[i % len(COLOURS)], cones.position_m
-        axes.plot(at[across], at[up], "o", color=colour, ms=5, label=mount.name, zorder=3)
+        axes.plot(at[across], at[up], "o", color=colour, ms=5, label=short(mount.name, DRAWN), zorder=3)
         tip = at + cones.axis * length
         arrow = {"arrowstyle": "->", "color": colour, "lw": 1.5}
         axes.annotate("", xy=(tip[across], tip[up]), xytext=(at[across], at[up]), arrowprops=arrow, zorder=3)

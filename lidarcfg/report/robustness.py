@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
+from lidarcfg.names import short
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Left, Robustness, ZoneVsr
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
@@ -30,7 +31,7 @@ SENSITIVITY = (
 def zones_table(zones: Sequence[ZoneVsr]) -> Table:
     """Max VSR of each zone."""
     rows = [
-        [zone.name, f"{zone.weight:g}", f"{zone.max_vsr_m:.6f}", f"{zone.weight * zone.max_vsr_m:.6f}"]
+        [short(zone.name), f"{zone.weight:g}", f"{zone.max_vsr_m:.6f}", f"{zone.weight * zone.max_vsr_m:.6f}"]
         for zone in zones
     ]
     return Table("Max VSR by zone", ("zone", "weight", "max VSR (m)", "weighted (m)"), rows)
@@ -44,9 +45,9 @@ def lost_table(found: Robustness, study: Study) -> Table:
         more = left.max_vsr_m / found.whole.max_vsr_m - 1
         values = [f"{left.max_vsr_m:.6f}", f"{more:+.1%}" if left.lost is not None else ""]
         values += [f"{zone.max_vsr_m:.6f}" for zone in left.zones]
-        return [left.lost or WHOLE, *values, *([f"{left.objective:.6f}"] if with_objective else [])]
+        return [short(left.lost or WHOLE), *values, *([f"{left.objective:.6f}"] if with_objective else [])]
 
-    zones = [f"in {zone.name} (m)" for zone in found.whole.zones]
+    zones = [f"in {short(zone.name)} (m)" for zone in found.whole.zones]
     head = ("LiDAR that fails", "max VSR (m)", "more", *zones, *(["objective"] if with_objective else []))
     return Table("What is left if one LiDAR fails", head, [row(left) for left in (found.whole, *found.without)])
 
@@ -56,7 +57,9 @@ def sensitivity_table(rig: Rig, found: Robustness) -> Table:
     rows = []
     for mount, slopes, largest in zip(rig.mounts, 1e3 * found.slope_m, 1e3 * found.increase_m, strict=True):
         pairs = zip(slopes.tolist(), largest.tolist(), strict=True)
-        rows.append([mount.name, *(f"{slope:+.2f} ({most:.1f})" if slope or most else "0" for slope, most in pairs)])
+        rows.append(
+            [short(mount.name), *(f"{slope:+.2f} ({most:.1f})" if slope or most else "0" for slope, most in pairs)]
+        )
     head = [f"{name} (per {UNITS[axis > 2]})" for axis, name in enumerate(COORDINATES)]
     return Table(SENSITIVITY, ("mount", *head), rows)
 
@@ -95,7 +98,9 @@ def robust_lines(found: Robustness) -> list[str]:
     lines = []
     if worst := found.worst:
         more = worst.max_vsr_m / found.whole.max_vsr_m - 1
-        lines.append(f"max VSR if {worst.lost} fails, the worst to lose: {worst.max_vsr_m:.6f} m ({more:+.1%})")
+        lines.append(
+            f"max VSR if {short(worst.lost or WHOLE)} fails, the worst to lose: {worst.max_vsr_m:.6f} m ({more:+.1%})"
+        )
     growth = [1e3 * found.largest_m(angles) for angles in (False, True)]
     off = [f"{most:.1f} mm if it is off by {step}" for most, step in zip(growth, FAR, strict=True)]
     lines.append(f"max VSR grows with one coordinate of one mount by at most {', '.join(off)}")

@@ -7,6 +7,7 @@ import numpy as np
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
+from lidarcfg.names import short
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
@@ -36,7 +37,7 @@ def print_placement(found: Placement, evaluation: Evaluation) -> None:
 def print_front(study: Study, found: "Front") -> None:
     """Print a line for each rig on the front, and what the search spent."""
     objects = [item.name for item in study.detection]
-    numbers = ("price", "objective", "max VSR (m)", *(f"detection of {name}" for name in objects))
+    numbers = ("price", "objective", "max VSR (m)", *(f"detection of {short(name)}" for name in objects))
     table = Table(
         *(Column(name, justify="right") for name in numbers), "sensors", Column("folder", overflow="fold"), box=SIMPLE
     )
@@ -67,21 +68,21 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)
-        poses.add_row(mount.name, *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
+        poses.add_row(short(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
     console.print(poses)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     if found.analytic:
         console.print(analytic_line(found.analytic))
     for zone in found.zones:
         weighted = f"; {zone.weight * zone.max_vsr_m:.6f} m with its weight of {zone.weight:g}"
-        console.print(f"max VSR in {zone.name}: {zone.max_vsr_m:.6f} m{weighted}")
+        console.print(f"max VSR in {short(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
     for line in robust_lines(found.robustness) if found.robustness else ():
         console.print(line)
     for name, detection in found.detection.items():
         how = f"± {detection.half_width:.4f}, {detection.places:,} drawn positions"
         if not detection.half_width:
             how = f"all {detection.places:,} positions"
-        console.print(f"detection rate of {name}: {detection.rate:.4f} ({how})")
+        console.print(f"detection rate of {short(name)}: {detection.rate:.4f} ({how})")
         if detection.returns:
             console.print(f"  {returns_in_words(detection.returns)}")
     for line in blind_lines(found.blind):
@@ -107,7 +108,7 @@ def print_comparison(study: Study, rigs: "Sequence[Contender]") -> None:
 
     names = Table("rig", "name", "file", box=SIMPLE)
     for rig in rigs:
-        names.add_row(rig.letter, rig.rig.name, rig.file)
+        names.add_row(rig.letter, short(rig.rig.name), rig.file)
     lines = rows(study, rigs)
     console = terminal()
     console.print(names)

@@ -14,6 +14,7 @@ import yaml
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.names import short
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Returns
 from lidarcfg.placement.hiding import Hiding
@@ -105,7 +106,9 @@ def object_in_words(item: DetectionObject) -> str:
 
 def hiding_in_words(hiding: Mapping[str, Hiding]) -> list[str]:
     """A sentence for each object: whether it can be where no beam enters it, and where."""
-    return [f"{name} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()]
+    return [
+        f"{short(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()
+    ]
 
 
 def _size(size_m: Sequence[float]) -> str:
@@ -178,7 +181,7 @@ def _terms_in_words(study: Study) -> str:
     if spot := wanted.blind_spot_m:
         what = f"the blind spot's largest distance from the body, {spot.height_m:g} m above the ground, in metres"
         terms.append(f"{spot.weight:g} × {what}")
-    terms += [f"{weight:g} × (1 − detection rate of {name})" for name, weight in wanted.detection.items()]
+    terms += [f"{weight:g} × (1 − detection rate of {short(name)})" for name, weight in wanted.detection.items()]
     return "the weighted mean of " + ", ".join(terms)
 
 
@@ -204,8 +207,8 @@ def limits_in_words(study: Study) -> str:
     what = ["their ranges"] * study.visibility.range
     what += ["their horizontal fields of view"] * study.visibility.field_of_view
     if study.visibility.blocks:
-        what += [f"the vehicle ({', '.join(study.vehicle.scene.names)})"] if study.vehicle else []
-        what += [f"the surroundings ({study.surroundings.file.name})"] if study.surroundings else []
+        what += [f"the vehicle ({', '.join(map(short, study.vehicle.scene.names))})"] if study.vehicle else []
+        what += [f"the surroundings ({short(study.surroundings.file.name)})"] if study.surroundings else []
     return ", ".join(what)
 
 
@@ -232,15 +235,15 @@ def bounds_table(study: Study) -> Table:
     rows = []
     for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True):
         if not math.isnan(mirror):
-            rows.append([slot.name, slot.sensor.name, f"image in y = {mirror:g} m", *["–"] * 5])
+            rows.append([short(slot.name), slot.sensor.name, f"image in y = {mirror:g} m", *["–"] * 5])
             continue
         angles = np.degrees([low[3:], high[3:]])
         pairs = [*zip(low[:3], high[:3], strict=True), *zip(*angles, strict=True)]
         cells = [f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs]
         if slot.surface:
-            cells[slot.surface.axis] = f"on {slot.surface.body.name}, from {slot.surface.side}"
+            cells[slot.surface.axis] = f"on {short(slot.surface.body.name)}, from {slot.surface.side}"
             cells[3:5] = cells[3:5] if slot.surface.upright else ["normal"] * 2
-        rows.append([slot.name, slot.sensor.name, *cells])
+        rows.append([short(slot.name), slot.sensor.name, *cells])
     head = ("sensor", "model", *(f"{c} ({'m' if i < 3 else '°'})" for i, c in enumerate(COORDINATES)))
     return Table("Bounds of each sensor; a single number is fixed", head, rows, texts=(1,))
 
@@ -254,7 +257,7 @@ def mounts_table(rig: Rig) -> Table:
         low, high = min(mount.sensor.beams.elevation_deg), max(mount.sensor.beams.elevation_deg)
         rows.append(
             [
-                f"{i + 1} {mount.name}",
+                f"{i + 1} {short(mount.name)}",
                 mount.sensor.name,
                 f"{mount.sensor.count}",
                 f"{low:g} … {high:g}",

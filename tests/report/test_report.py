@@ -11,6 +11,7 @@ import pytest
 
 from lidarcfg import report
 from lidarcfg.errors import ConfigError
+from lidarcfg.names import short
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
@@ -182,7 +183,7 @@ def test_the_page_says_what_result_json_says(runs):
 def test_any_name_stands_as_it_is(runs):
     text = (runs[0] / "report.html").read_text()
     page = read(text)
-    assert all(f"object: {name}" in page.words for name in NAMES[:3])
+    assert all(f"object: {short(name)}" in page.words for name in NAMES[:3])
     assert "control\\x01\\x1b[31m\\u202e" in page.words
     assert "<script" not in text
     assert not [c for c in text if not c.isprintable() and c != "\n"]

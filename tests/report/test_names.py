@@ -1,0 +1,67 @@
+"""Long names: shortened where they are drawn or listed, whole in files."""
+
+import json
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from lidarcfg.names import short
+from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.study import load_study
+from lidarcfg.report.plots import draw_rig
+from lidarcfg.rig import load_rig
+from tests.command_line import lidarcfg
+
+LONG = {kind: (kind * 60)[:190] + "-the-last" for kind in ("left", "right", "thing", "zone", "body", "rig")}
+
+
+def folder_with(tmp_path):
+    (tmp_path / "study.yaml").write_text(
+        f"""
+region: {{min_m: [-6, -6, 0], max_m: [6, 6, 2], cuboid_m: [1, 1, 0.5]}}
+vehicle: {{boxes: [{{name: {LONG["body"]}, center_m: [0, 0, 0.5], size_m: [3, 2, 1]}}]}}
+sensors:
+  - {{model: vlp-16, count: 2, min: {{position_m: [-1, -1, 1.2], rpy_deg: [0, 0, 0]}}, max: {{position_m: [1, 1, 1.5], rpy_deg: [0, 0, 0]}}}}
+zones: [{{name: {LONG["zone"]}, min_m: [0, 0, 0], max_m: [3, 3, 2], weight: 2}}]
+detection: [{{name: {LONG["thing"]}, size_m: [1, 1, 1]}}]
+"""
+    )
+    mounts = ", ".join(
+        f"{{name: {LONG[name]}, model: vlp-16, position_m: [0, {y}, 1.4]}}" for name, y in (("left", 1), ("right", -1))
+    )
+    (tmp_path / "rig.yaml").write_text(f"name: {LONG['rig']}\nsensors: [{mounts}]\n")
+    return tmp_path
+
+
+def test_a_short_name_stays_and_a_long_one_keeps_its_ends():
+    """By hand: 10 characters, of which one is …, three the end, six the start."""
+    assert short("0123456789", 10) == "0123456789"
+    assert short("0123456789A", 10) == "012345…89A"
+    assert {len(short("x" * count, 40)) for count in range(41, 200)} == {40}
+    assert short(LONG["left"] + "1") != short(LONG["left"] + "2")
+
+
+def test_a_drawing_holds_long_names(tmp_path):
+    """By matplotlib's own measures; it warns, which is an error here, of axes for which texts leave no room."""
+    folder = folder_with(tmp_path)
+    study, rig = load_study(folder / "study.yaml"), load_rig(folder / "rig.yaml")
+    figure = draw_rig(study, rig, evaluate(study, rig))
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    legend = figure.axes[0].get_legend()
+    extents = [text.get_window_extent(canvas.get_renderer()) for text in (*figure.texts, *legend.get_texts())]
+    assert len(extents) == 3
+    assert all((one.p0 >= 0).all() and (one.p1 <= np.array(figure.bbox.size)).all() for one in extents)
+
+
+def test_tables_are_short_and_files_whole(tmp_path):
+    folder = folder_with(tmp_path)
+    found = lidarcfg("evaluate", "study.yaml", "rig.yaml", "-o", "out", cwd=folder)
+    assert max(map(len, found.stdout.splitlines())) <= 110
+    assert found.stdout.count("…") >= 4
+    assert not any(name in found.stdout for name in LONG.values())
+    values = json.loads((folder / "out/result.json").read_text())
+    assert LONG["thing"] in values["detection"]
+    assert [one["name"] for one in values["rig"]["sensors"]] == [LONG["left"], LONG["right"]]
+    report = (folder / "out/report.html").read_text()
+    assert all(short(LONG[name]) in report for name in ("thing", "zone", "left"))
