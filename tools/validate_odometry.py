@@ -26,6 +26,12 @@ from lidarcfg.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Trajectory, load_path
 
+AXES_IN, BELOW_IN, LABELS_IN, LEAST = (
+    8.4,
+    2.4,
+    0.6,
+    0.1,
+)  # of the picture: axes, those of errors, and what is beside them
 RANGE_M = 100.0  # of KISS-ICP; its voxels are a hundredth
 SUBURB = ROOT / "data/scenes/suburb.yaml", ROOT / "data/trajectories/suburb.tum"
 ALONE = "name: {0}\nsensors:\n  - {{name: {0}, model: {0}, position_m: [0.3, 0, 1.9]}}\n"
@@ -174,9 +180,11 @@ HEADER = (
 
 def draw(tracks: dict[str, Track], path: Path) -> None:
     """The tracks from above, and their errors along the way."""
-    figure = new_figure(9, 6)
-    above, below = figure.subplots(2, 1, height_ratios=(1.5, 1))
     longest = max(tracks.values(), key=lambda track: float(track.along_m[-1]))
+    across_m, up_m = 1.1 * np.ptp(longest.truth[:, :2, 3], axis=0)  # matplotlib leaves a twentieth at each side
+    heights = AXES_IN * max(up_m / across_m, LEAST), BELOW_IN
+    figure = new_figure(AXES_IN + LABELS_IN, sum(heights) + 2 * LABELS_IN)
+    above, below = figure.subplots(2, 1, height_ratios=heights)
     above.plot(*longest.truth[:, :2, 3].T, color="0.75", linewidth=5, label="ground truth")
     for name, track in tracks.items():
         if track.along_m[-1] > longest.along_m[-1] / 2 and DRIVES[name].rig is None:
