@@ -1,6 +1,9 @@
 """Names of sensors, objects and zones where they are drawn or listed: files keep them whole."""
 
+from collections.abc import Sequence
+
 DRAWN, LISTED = 28, 40  # characters
+MANY = 8  # sensors; of more, the first are listed
 
 
 def short(name: str, most: int = LISTED) -> str:
@@ -9,3 +12,8 @@ def short(name: str, most: int = LISTED) -> str:
         return name
     end = (most - 1) // 3
     return f"{name[: most - 1 - end]}…{name[len(name) - end :]}"
+
+
+def first_of(texts: Sequence[str], most: int = MANY) -> list[str]:
+    """The first of texts, and how many more there are; all of them, if that takes no more lines."""
+    return list(texts) if len(texts) <= most + 1 else [*texts[:most], f"and {len(texts) - most:,} more"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lidarcfg import __version__
-from lidarcfg.names import short
+from lidarcfg.names import first_of, short
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.detection import Rings
@@ -214,7 +214,7 @@ def _worst(found: Evaluation) -> Table:
             f"{worst.surface_m2:.2f}",
             f"{worst.inscribed_radius_m:.3f}",
             vector(worst.centroid_m, ".1f"),
-            "; ".join(f"{n}: {_between(low, high)}" for n, (low, high) in enumerate(worst.between_deg, 1)),
+            "; ".join(first_of([f"{n}: {_between(*pair)}" for n, pair in enumerate(worst.between_deg, 1)])),
         ]
         for i, worst in enumerate(found.worst, 1)
     ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
-from lidarcfg.names import DRAWN, short
+from lidarcfg.names import DRAWN, first_of, short
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
@@ -78,6 +78,8 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
 
 def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
     """The rig from top, side and front: region, exclusions, the worst subspace, each sensor and its axis."""
+    from matplotlib.lines import Line2D
+
     region = study.region
     figure = new_figure(11, 7)
     grid = figure.add_gridspec(2, 2, **spaces(figure, (3, 1), (1, 1), above=2.5 * ABOVE))
@@ -106,16 +108,19 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
         axes.set_title(
             {2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"), y=1.0
         )
-    figure.axes[0].legend(loc="upper right")
+    dots = figure.axes[0].lines[: len(rig.mounts)]
+    named = first_of([short(mount.name, DRAWN) for mount in rig.mounts])
+    rest = [Line2D([], [], ls="")] * (len(named) < len(dots))
+    figure.axes[0].legend([*dots[: len(named) - len(rest)], *rest], named, loc="upper right")
     title = f"{short(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
     figure.suptitle(title, parse_math=False)
     return figure
 
 
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
-    for i, (mount, cones) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
+    for i, cones in enumerate(rig_lidars(rig)):
         colour, at = COLOURS[i % len(COLOURS)], cones.position_m
-        axes.plot(at[across], at[up], "o", color=colour, ms=5, label=short(mount.name, DRAWN), zorder=3)
+        axes.plot(at[across], at[up], "o", color=colour, ms=5, zorder=3)
         tip = at + cones.axis * length
         arrow = {"arrowstyle": "->", "color": colour, "lw": 1.5}
         axes.annotate("", xy=(tip[across], tip[up]), xytext=(at[across], at[up]), arrowprops=arrow, zorder=3)

@@ -7,7 +7,7 @@ import numpy as np
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from lidarcfg.names import short
+from lidarcfg.names import MANY, first_of, short
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
@@ -21,6 +21,8 @@ from lidarcfg.rig import Rig
 if TYPE_CHECKING:
     from lidarcfg.placement.front import Front  # which loads CMA-ES, and so matplotlib
     from lidarcfg.report.comparison import Contender
+
+FEW = 4  # of very many LiDARs: the volumes that fewer see are listed one by one
 
 
 def print_placement(found: Placement, evaluation: Evaluation) -> None:
@@ -96,7 +98,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
             f"{space.volume_m3:.2f}",
             f"{space.inscribed_radius_m:.3f}",
             ", ".join(f"{v:z.2f}" for v in space.centroid_m),
-            "  ".join(_between(low, high) for low, high in space.between_deg),
+            "  ".join(first_of([_between(low, high) for low, high in space.between_deg])),
         )
     console.print("the worst subspaces:")
     console.print(worst)
@@ -132,7 +134,10 @@ def blind_lines(blind: BlindSpots) -> list[str]:
     if not blind.contours:
         return []
     total = float(blind.seen_by_m3.sum())
-    parts = [f"{n}: {volume:,.2f} m³ ({volume / total:.1%})" for n, volume in enumerate(blind.seen_by_m3.tolist())]
+    volumes = {f"{n}": volume for n, volume in enumerate(blind.seen_by_m3.tolist())}
+    if len(volumes) > MANY + 1:
+        volumes = dict(list(volumes.items())[:FEW]) | {f"{FEW} or more": float(blind.seen_by_m3[FEW:].sum())}
+    parts = [f"{n}: {volume:,.2f} m³ ({volume / total:.1%})" for n, volume in volumes.items()]
     lines = [f"volume by the number of LiDARs that see it: {', '.join(parts)}"]
     for contour in blind.contours:
         height, least = contour.directions.height_m, "at least " if contour.largest_reaches_edge else ""

@@ -48,6 +48,7 @@ SEAT_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
 AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
 PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
 ABOVE = (0.04, 0.055, 0.95, 0.35)  # its left, bottom, width and height in such a picture
+LABELS_EM = 6.0  # at its left, where that is more
 
 
 def save_still(
@@ -84,8 +85,11 @@ def save_still(
         camera = Camera(center + np.array([-21.0, -7.0, 7.5]), center + np.array([8.0, 0.5, 0.5]), 74.0)
         _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], stage, colours, camera, worst)
         left, bottom, wide, high = np.round(np.multiply(ABOVE, (width, height, width, height))).astype(int)
+        more = min(max(round(LABELS_EM * _text_pt(height) * 100 / 72) - left, 0), wide // 2)
+        left, wide = left + more, wide - more
         above = pixels[height - bottom - high : height - bottom, left : left + wide]
-        _draw_above(figure.add_axes(ABOVE), above, stage, colours, center, reach_m, height, worst)
+        place = left / width, bottom / height, wide / width, high / height
+        _draw_above(figure.add_axes(place), above, stage, colours, center, reach_m, height, worst)
     _legend(axes, stage, by, height, worst)
     drawn, _ = canvas.print_to_buffer()  # RGBA
     _blend(np.frombuffer(drawn, np.uint8).reshape(height, width, 4), pixels)
@@ -292,6 +296,11 @@ def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
     return seen
 
 
+def _text_pt(picture_height: int) -> float:
+    """The size of letters beside the view from above."""
+    return 3 + 7 * picture_height / 1080
+
+
 def _draw_above(
     axes: "Axes",
     pixels: NDArray[np.uint8],
@@ -326,7 +335,7 @@ def _draw_above(
         axes.plot(
             at[0], at[1], "o", color=stage.colours[mount.name], ms=1 + 6 * picture_height / 1080, mec="w", mew=1.2
         )
-    text = 3 + 7 * picture_height / 1080
+    text = _text_pt(picture_height)
     axes.set(xlim=extent[:2], ylim=extent[2:], facecolor="none")
     axes.set_xlabel("x (m)", color="0.8", fontsize=text)
     axes.set_ylabel("y (m)", color="0.8", fontsize=text)

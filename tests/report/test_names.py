@@ -5,10 +5,11 @@ import json
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from lidarcfg.names import short
+from lidarcfg.names import first_of, short
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.plots import draw_rig
+from lidarcfg.report.tables import blind_lines
 from lidarcfg.rig import load_rig
 from tests.command_line import lidarcfg
 
@@ -65,3 +66,19 @@ def test_tables_are_short_and_files_whole(tmp_path):
     assert [one["name"] for one in values["rig"]["sensors"]] == [LONG["left"], LONG["right"]]
     report = (folder / "out/report.html").read_text()
     assert all(short(LONG[name]) in report for name in ("thing", "zone", "left"))
+
+
+def test_of_many_sensors_the_first_are_listed(tmp_path):
+    """Twelve on one spot: each sees what the others see, so that all of the volume is in the last column."""
+    folder = folder_with(tmp_path)
+    mounts = ", ".join(f"{{name: s{i}, model: vlp-16, position_m: [0, 0, 1.4]}}" for i in range(12))
+    (folder / "rig.yaml").write_text(f"name: many\nsensors: [{mounts}]\n")
+    study, rig = load_study(folder / "study.yaml"), load_rig(folder / "rig.yaml")
+    found = evaluate(study, rig)
+    texts = [text.get_text() for text in draw_rig(study, rig, found).axes[0].get_legend().get_texts()]
+    assert texts == [*(f"s{i}" for i in range(8)), "and 4 more"]
+    assert first_of(texts) == texts
+    volumes = blind_lines(found.blind)[0]
+    assert volumes.startswith(f"volume by the number of LiDARs that see it: 0: {found.blind.volume_m3:.2f} m³ (")
+    assert f", 4 or more: {found.blind.seen_by_m3[12]:.2f} m³ (" in volumes
+    assert ", 5: " not in volumes

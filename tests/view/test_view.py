@@ -77,6 +77,14 @@ def test_both_sensors_colours_are_in_the_picture(tmp_path):
     assert (image == BACKGROUND).all(axis=-1).sum() > 100_000
 
 
+@pytest.mark.parametrize("size", [(1200, 700), (640, 360), (1920, 1080), (40, 24)])
+def test_no_label_leaves_the_view_from_above(tmp_path, size):
+    """By the picture: the columns at its left edge are bare beside the axes, of which the tick at −10 is the widest."""
+    save_still(stage(np.array([[-30.0, 0, 0], [30, 0, 0]])), tmp_path / "p.png", size)
+    pixels = matplotlib.image.imread(tmp_path / "p.png")[round(size[1] * 0.62) : round(size[1] * 0.9)]
+    assert len(np.unique(pixels[:, : max(size[0] // 400, 1), :3].reshape(-1, 3), axis=0)) == 1
+
+
 def test_an_empty_stage_is_refused(tmp_path):
     with pytest.raises(CloudError, match="the cloud is empty"):
         save_still(stage(), tmp_path / "p.png")
