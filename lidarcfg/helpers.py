@@ -19,11 +19,11 @@ from threading import Thread
 from lidarcfg.compiling import compiling
 
 
-def prepare(*rehearsals: str, meanwhile: str | None = None) -> None:
+def prepare(*rehearsals: str, meanwhile: tuple[str, ...] = ()) -> None:
     """Have a helper compile for some rehearsals, one after the other, if any loop is missing.
 
     rehearsals: names of functions in lidarcfg.commands.rehearsals. Where a budget would have to wait for the helper,
-    the command compiles for another one, `meanwhile`.
+    the command compiles for others, `meanwhile`.
     """
     from lidarcfg.loop_cache import LoopCache
 
@@ -35,15 +35,15 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _start(rehearsals: tuple[str, ...], meanwhile: str | None) -> None:
+def _start(rehearsals: tuple[str, ...], meanwhile: tuple[str, ...]) -> None:
     with suppress(OSError, RuntimeError):  # no memory, or too many processes or threads
         helper = Helper(*rehearsals)
         compiling.others = lambda: _wait(helper, meanwhile)
 
 
-def _wait(helper: "Helper", meanwhile: str | None) -> None:
-    if meanwhile:
-        _rehearse(meanwhile)
+def _wait(helper: "Helper", meanwhile: tuple[str, ...]) -> None:
+    for rehearsal in meanwhile:
+        _rehearse(rehearsal)
     with compiling.elsewhere():
         helper.process.wait()
 

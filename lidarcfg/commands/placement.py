@@ -101,7 +101,7 @@ def optimize(
         from lidarcfg.studies import load_study
 
         load_cma()
-        prepare("subspaces", "evaluation", meanwhile="search")
+        prepare("subspaces", "evaluation", meanwhile=("lines", "search"))
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))
@@ -253,7 +253,7 @@ def evaluate(
         from lidarcfg.rig import load_rig
         from lidarcfg.studies import load_study
 
-        prepare("subspaces", "search")
+        prepare("search", "subspaces")
         loaded, mounted = load_study(study), load_rig(rig)
     warn_of(loaded.vehicle)
     _check_rig(loaded, rig, mounted)

@@ -257,12 +257,12 @@ def _refined(around: Directions, azimuth: Indices, number: Indices, seen: SeenPo
 def outline_m(center_m: Array, vertices_m: Array, triangles: Indices) -> Array:
     """(AZIMUTHS,) from a point (2,) to the outline from above of vertices (V, 3) and triangles (T, 3); 0 beside it."""
     out = np.zeros(AZIMUTHS)
-    _widen(vertices_m[:, :2] - center_m, triangles, out)
+    trace_outline(vertices_m[:, :2] - center_m, triangles, out)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _widen(flat: Array, triangles: Indices, out: Array) -> None:
+def trace_outline(flat: Array, triangles: Indices, out: Array) -> None:
     """Raise `out` (directions,) to where rays from the origin cross the edges of triangles (T, 3) of points (V, 2)."""
     step = 2 * math.pi / out.size
     for e in range(3 * len(triangles)):

@@ -108,7 +108,9 @@ class Surfaces(NamedTuple):
 
 
 def _rows(kernel: Callable[[Lattice, Array, Array], int], lattice: Lattice, shapes: Array) -> Array:
-    """The rows (N, 4) that a kernel writes."""
+    """The rows (N, 4) that a kernel writes; it need not be compiled where there is nothing to write."""
+    if not len(shapes):
+        return np.empty((0, 4))
     out = np.empty((16 * len(shapes) + 1024, 4))
     count = kernel(lattice, shapes, out)
     if count > len(out):

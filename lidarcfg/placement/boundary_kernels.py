@@ -80,7 +80,7 @@ def _behind(edge: Array, du: float, dv: float) -> float:
     return along
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(error_model="numpy")
 def roots(quadric: Array, u: float, v: float) -> tuple[float, float]:
     """Where the line at (u, v) crosses a quadric; NaN: nowhere."""
     a, half = quadric[0], quadric[1] * u + quadric[2] * v + quadric[6]
@@ -93,7 +93,7 @@ def roots(quadric: Array, u: float, v: float) -> tuple[float, float]:
     return sum_ / a, rest / sum_
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def steepness(quadric: Array, x: float, u: float, v: float) -> float:
     """|n·e| of a quadric at a point, e the first axis."""
     m00, m01, m02, m11, m12, m22 = quadric[0], quadric[1], quadric[2], quadric[3], quadric[4], quadric[5]
@@ -178,7 +178,7 @@ def _lines_between(lattice: Lattice, low: float, high: float) -> tuple[int, int]
     return int(min(max(first, 0.0), float(count))), int(min(max(last, 0.0), float(count)))
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def _left(au: float, av: float, bu: float, bv: float, u: float, v: float) -> bool:
     """Whether the half-line from (u, v) towards falling u crosses an edge; alike for both its directions."""
     if av > bv or (av == bv and au > bu):

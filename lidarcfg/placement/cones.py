@@ -86,7 +86,7 @@ def signed_squares(dx: float, dy: float, dz: float, ax: float, ay: float, az: fl
     return height * abs(height), (dx * dx + dy * dy) + dz * dz
 
 
-@njit(cache=True, nogil=True)
+@inner()
 def beam_gap(x: float, y: float, z: float, cone: Array) -> int:
     """The beam gap index of a point: how many cones of a LiDAR, a row of `cone_rows`, lie at or below it."""
     q, distance2 = signed_squares(x - cone[0], y - cone[1], z - cone[2], cone[3], cone[4], cone[5])
