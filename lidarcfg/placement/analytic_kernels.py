@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, njit, outer
-from lidarcfg.placement.cones import beam_gap
+from lidarcfg.placement.cones import FIRST, signed_squares
 
 Counts = NDArray[np.int64]
 Labels = NDArray[np.int32]
@@ -172,6 +172,18 @@ def _owner(label: Labels, gap: Counts, digits: Counts, first: int, last: int, j:
 
 
 @inner()
+def _gap_near(guess: int, x: float, y: float, z: float, cone: Array) -> int:
+    """`beam_gap` of a point, whose gap is likely to be `guess` or next to it."""
+    q, distance2 = signed_squares(x - cone[0], y - cone[1], z - cone[2], cone[3], cone[4], cone[5])
+    beam = FIRST + guess
+    while beam < cone.size and q >= cone[beam] * distance2:
+        beam += 1
+    while beam > FIRST and not q >= cone[beam - 1] * distance2:
+        beam -= 1
+    return beam - FIRST
+
+
+@inner()
 def _run_end(within: NDArray[np.bool_], start: int, j: int, k: int) -> int:
     """The end of a run of cuboids that count, from `start` on; `start` itself where that one does not."""
     end = start
@@ -189,7 +201,7 @@ def sweep(sheaf: Sheaf, gap: Counts, rows: Array, flips: Flips, sums: Sums) -> N
     n, nu, nv = label.shape
     most = 2 * cones.size + flips_most(flips)
     at, weight = np.empty(most), np.empty(most)
-    digits = np.empty(len(cones), np.int64)
+    digits, gaps = np.empty(len(cones), np.int64), np.zeros(len(cones), np.int64)
     area = edge[1] * edge[2] / LINES**2
     for number in range(lines_across(nu, nv)):
         across_u, across_v = line_at(number, nu, nv)
@@ -207,8 +219,10 @@ def sweep(sheaf: Sheaf, gap: Counts, rows: Array, flips: Flips, sums: Sums) -> N
                     if state(flips, len(cones), number, middle):
                         point[sheaf.axis], point[(sheaf.axis + 1) % 3], point[(sheaf.axis + 2) % 3] = (middle, u, v)
                         for m in range(len(rows)):
-                            seen = state(flips, m, number, middle)
-                            digits[m] = beam_gap(point[0], point[1], point[2], rows[m]) if seen else BLIND
+                            digits[m] = BLIND
+                            if state(flips, m, number, middle):
+                                gaps[m] = _gap_near(gaps[m], point[0], point[1], point[2], rows[m])
+                                digits[m] = gaps[m]
                         first = max(int((here - low[0]) / edge[0]), start)
                         last = min(int((there - low[0]) / edge[0]), end - 1)
                         owner = _owner(label, gap, digits, first, last, j, k, parent)
