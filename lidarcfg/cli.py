@@ -13,13 +13,15 @@ import click
 import cloup
 
 import lidarcfg
+from lidarcfg.commands.compare import compare
 from lidarcfg.commands.completion import completion
 from lidarcfg.commands.convert import convert
 from lidarcfg.commands.decode import decode
+from lidarcfg.commands.evaluate import evaluate
 from lidarcfg.commands.export import export
 from lidarcfg.commands.files import init, schema, validate
 from lidarcfg.commands.interrupts import Interrupts
-from lidarcfg.commands.placement import compare, evaluate, optimize
+from lidarcfg.commands.optimize import optimize
 from lidarcfg.commands.replay import replay
 from lidarcfg.commands.screen import shown
 from lidarcfg.commands.sensors import sensors

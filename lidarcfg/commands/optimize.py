@@ -1,15 +1,14 @@
-"""lidarcfg optimize, evaluate and compare: where the sensors should sit, and how well they see from there."""
+"""lidarcfg optimize: where the sensors should sit."""
 
 import shlex
 import sys
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 import cloup
 
+from lidarcfg.commands.evaluate import OnProgress, baseline_of, baseline_option
 from lidarcfg.commands.front import find_front
 from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.commands.options import (
@@ -17,9 +16,7 @@ from lidarcfg.commands.options import (
     SAVE_EVERY_S,
     PositiveNumber,
     command_line,
-    json_option,
     quiet_option,
-    tolerance_option,
     warn,
     warn_of,
 )
@@ -30,12 +27,9 @@ if TYPE_CHECKING:
     from lidarcfg.placement.optimize import Cycle, Log, Placement
     from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
-    from lidarcfg.report import Baseline
     from lidarcfg.rig import Rig
 
-baseline_option = cloup.option("--baseline", type=FILE, metavar="RIG", help="Compare the result with this rig.")
 QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
-OnProgress = Callable[[float, str], None]
 
 
 @cloup.command(
@@ -119,7 +113,7 @@ def optimize(
     log = report.load_log(loaded, resume) if resume else None
     report.check_writable(folder, report.RESULTS)
     with progress(quiet, keep=False) as on_progress:
-        beside = _baseline(loaded, baseline, on_progress)
+        beside = baseline_of(loaded, baseline, on_progress)
     with progress(quiet) as on_progress:
         found, shown = _search(loaded, threads, log, folder, on_progress)
         on_progress(1.0, f"writing {folder}")
@@ -174,32 +168,6 @@ def _search(
     return found, details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
 
 
-def _baseline(study: "Study", path: Path | None, on_progress: OnProgress) -> "Baseline | None":
-    """The rig to compare with, evaluated. Raises ConfigError if it cannot be evaluated in the study."""
-    from lidarcfg import report
-    from lidarcfg.placement.details import details
-    from lidarcfg.placement.evaluation import evaluate as evaluation
-    from lidarcfg.rig import load_rig
-
-    if path is None:
-        return None
-    on_progress(0.0, f"evaluating {path}")
-    rig = load_rig(path)
-    _check_rig(study, path, rig)
-    return report.Baseline(rig, str(path), details(study, rig, evaluation(study, rig)).without_cuboids())
-
-
-def _check_rig(study: "Study", path: Path, rig: "Rig") -> None:
-    """Print what looks wrong with a rig. Raises ConfigError if it cannot be evaluated in a study."""
-    from lidarcfg.placement.checks import rig_warnings
-    from lidarcfg.world.vehicle import check_outside
-
-    for message in rig_warnings(path):
-        warn(message)
-    if study.vehicle:
-        check_outside(study.vehicle, rig.mounts, path)
-
-
 def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
     """The command that gives the same rig on any machine, however the search ended."""
     budget = ("--evaluations", max(found.evaluations, 1))
@@ -213,125 +181,3 @@ def _search_line(cycle: "Cycle") -> str:
     """The state of the search."""
     state = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
     return f"{state}  {cycle.evaluations / cycle.seconds:,.0f} evaluations/s"
-
-
-@cloup.command(
-    epilog="""
-    \b
-    Example:
-      lidarcfg evaluate data/studies/sedan.yaml data/rigs/roof.yaml --json
-    """
-)
-@cloup.argument("study", type=FILE, help="YAML: the region and the objects.")
-@cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
-@tolerance_option
-@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for report.html, result.json and rig.png.")
-@baseline_option
-@json_option
-@quiet_option
-def evaluate(
-    study: Path,
-    rig: Path,
-    as_json: bool,
-    output: Path | None,
-    tolerance: float | None,
-    baseline: Path | None,
-    quiet: bool,
-) -> None:
-    """Evaluate a rig: max VSR, worst subspaces, detection rates.
-
-    The study's bounds on the poses are not enforced. The cuboids' faces overestimate the surface of a subspace;
-    --tolerance refines them until the max VSR of the smooth subspaces is known to this relative error.
-    """
-    with progress(quiet or as_json, keep=False) as on_progress:
-        on_progress(0.0, f"reading {study}")
-        from lidarcfg import report
-        from lidarcfg.helpers import prepare
-        from lidarcfg.placement.details import details
-        from lidarcfg.placement.evaluation import evaluate as evaluation
-        from lidarcfg.placement.sensitivity import robustness
-        from lidarcfg.rig import load_rig
-        from lidarcfg.studies import load_study
-
-        prepare("search", "subspaces")
-        loaded, mounted = load_study(study), load_rig(rig)
-    warn_of(loaded.vehicle)
-    _check_rig(loaded, rig, mounted)
-    if output:
-        report.check_writable(output, report.EVALUATED)
-    with progress(quiet or as_json, keep=False) as on_progress:
-        beside = _baseline(loaded, baseline, on_progress)
-        on_progress(0.0, f"evaluating {rig}")
-        found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
-        shown = details(loaded, mounted, found) if output or beside else None
-        found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
-        if output and shown:
-            commands = report.Commands(command_line(), command_line())
-            report.save_evaluation(loaded, mounted, shown, output, commands, beside)
-    if as_json:
-        values = report.evaluation_dict(loaded, mounted, found)
-        values |= {"baseline": report.baseline_dict(loaded, beside)} if beside else {}
-        click.echo(report.to_json(values))
-    elif not quiet:
-        report.print_evaluation(mounted, found)
-        if shown and beside:
-            report.print_comparison(loaded, report.with_baseline(mounted, rig, shown, beside))
-
-
-@cloup.command(
-    epilog="""
-    \b
-    Example:
-      lidarcfg compare out/two/rig.yaml data/rigs/roof.yaml \\
-          --study data/studies/sedan.yaml -o out/compared
-    """
-)
-@cloup.argument(
-    "rigs", type=FILE, nargs=-1, metavar="RIG RIG...", help="2 to 10 rigs; the same one may be given twice."
-)
-@cloup.option("--study", type=FILE, required=True, metavar="STUDY", help="The region and the objects.")
-@tolerance_option
-@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for compare.html and compare.json.")
-@json_option
-@quiet_option
-def compare(
-    rigs: tuple[Path, ...], study: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool
-) -> None:
-    """Evaluate rigs side by side in one study.
-
-    Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
-    on the poses are not enforced.
-    """
-    from lidarcfg import report
-    from lidarcfg.placement.details import details
-    from lidarcfg.placement.evaluation import evaluate as evaluation
-    from lidarcfg.rig import load_rig
-    from lidarcfg.studies import load_study
-
-    report.check_count(len(rigs))
-    loaded, mounted = load_study(study), [load_rig(rig) for rig in rigs]
-    warn_of(loaded.vehicle)
-    for path, rig in zip(rigs, mounted, strict=True):
-        _check_rig(loaded, path, rig)
-    if output:
-        report.check_writable(output, report.COMPARED)
-    named = []
-    with progress(quiet or as_json) as on_progress:
-        for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
-
-            def on_evaluated(fraction: float, n: int = n, path: Path = path) -> None:
-                on_progress((n + fraction) / len(rigs), str(path))
-
-            on_evaluated(0.0)
-            found = evaluation(loaded, rig, tolerance, on_progress=on_evaluated)
-            shown = details(loaded, rig, found, cheap_cuboids=0).without_cuboids()
-            named.append((str(path), rig, shown))
-    compared = report.contenders(named)
-    if output:
-        report.save_comparison(loaded, compared, output, report.Commands(command_line(), command_line()))
-    if as_json:
-        click.echo(report.to_json(report.comparison_dict(loaded, compared)))
-    elif not quiet:
-        report.print_comparison(loaded, compared)
-        if output:
-            click.echo(f"written to {output}/: compare.html compare.json")
