@@ -172,7 +172,7 @@ def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **
         lines = np.concatenate([lines, low + (found[..., ::-1] if swapped else found) * edge])
     if len(lines):
         path = Path(lines.reshape(-1, 2), np.tile([Path.MOVETO, Path.LINETO], len(lines)))
-        axes.add_patch(PathPatch(path, fill=False, rasterized=len(lines) > 4000, **style))
+        axes.add_artist(PathPatch(path, fill=False, rasterized=len(lines) > 4000, **style))  # limits are set
 
 
 def spread(places: Array, sizes: Array, low: Array, high: Array) -> Array:

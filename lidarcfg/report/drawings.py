@@ -205,12 +205,13 @@ def draw_sizes(named: Sequence[tuple[str, Details]]) -> Markup:
         for i, (name, rig) in enumerate(named):
             vsr_m, volume = rig.evaluation.vsr_m, rig.volume_m3
             style: dict[str, Any] = {"color": colour(i), "label": label(name)}
-            style |= {"alpha": 0.75} if len(named) == 1 else {"histtype": "step", "lw": 1.5, "ls": dashes(i)}
+            filled, line = {"histtype": "stepfilled", "alpha": 0.75}, {"histtype": "step", "lw": 1.5, "ls": dashes(i)}
+            style |= filled if len(named) == 1 else line
             counts.hist(vsr_m, edges, **style)
             volumes.hist(vsr_m, edges, weights=100 * volume / volume.sum(), **style)
+            worst, code = [one.vsr_m for one in rig.evaluation.worst], WORST if len(named) == 1 else colour(i)
             for axes in (counts, volumes):
-                for worst in rig.evaluation.worst:
-                    axes.axvline(worst.vsr_m, 0, 0.06, color=WORST if len(named) == 1 else colour(i), lw=1)
+                axes.vlines(worst, 0, 0.06, color=code, lw=1, transform=axes.get_xaxis_transform())
         counts.set(xscale="log", yscale="log", ylabel="subspaces")
         volumes.set(ylabel="volume (%)", xlabel="VSR of a subspace (m)")
         for axis in (counts.yaxis, volumes.xaxis):
