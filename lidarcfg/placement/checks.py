@@ -191,7 +191,8 @@ def _many_returns(study: Study) -> Iterator[Suspect]:
             break
     all_s = took_s * total / sum(len(one.places) for one in some)
     if all_s > LONG_S:
-        what = f"{len(study.sought)} objects at {total:,} places: their returns to {len(lidars)} LiDARs take"
+        objects = f"{len(study.sought)} object{'s' * (len(study.sought) > 1)} at {total:,} places"
+        what = f"{objects}: their returns to {len(lidars)} LiDAR{'s' * (len(lidars) > 1)} take"
         cheaper = "a larger step_m, and fewer headings_deg or samples, cost less"
         yield ("detection",), f"{what} about {all_s:,.0f} s of processor time for each rig evaluated; {cheaper}"
 

@@ -31,6 +31,7 @@ from lidarcfg.placement.visibility_kernels import LIMITS, new_looks
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
 SLICE, SLICE_CUBOIDS = 100, 5e7  # trials between two looks at the clock, and the most cuboids in them
+FEW = 8  # LiDARs, of which a trial takes no longer than its cuboids; of more it takes as much longer
 RESTS = 10  # batches without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -100,7 +101,8 @@ class Evaluator:
     @property
     def slice(self) -> int:
         """How many trials are evaluated between two looks at the clock, where there is a deadline."""
-        return slice_of(self._region.included.size * len(self._kept), self._threads)
+        cuboids = self._region.included.size * len(self._kept)
+        return slice_of(cuboids * max(len(self._lidars), FEW) // FEW, self._threads)
 
     def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
         """(n,) the costs, or inf where one is not below `to_beat` (n,).

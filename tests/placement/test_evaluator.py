@@ -168,3 +168,14 @@ def test_lidars_in_odd_places():
             with Evaluator(region, [lidar((0, 0, 0), (0, 0, 0), sine)], threads=1) as evaluator:
                 cost = evaluator.costs(pose, np.zeros(1, int), pose, np.full(1, np.inf))[0]
             assert cost == max_vsr(region, [lidar(position, (0, 0, 0), sine)])
+
+
+def test_of_many_lidars_fewer_trials_are_between_two_looks_at_the_clock():
+    """In proportion: 64 LiDARs are eight times as many as those for which cuboids alone count."""
+    region = Region.from_boxes((0, 0, 0), (100, 100, 20), (1, 1, 0.1), ())
+    one = lidar((50.0, 50.0, 2.0), (0.0, 0.0, 0.0), np.sin(np.radians([-10.0, 10.0])))
+    found = {}
+    for count in (1, 8, 64):
+        with Evaluator(region, [one] * count, threads=1) as evaluator:
+            found[count] = evaluator.slice
+    assert found == {1: 25, 8: 25, 64: 3}
