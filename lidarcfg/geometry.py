@@ -73,6 +73,20 @@ def angles(R: Array) -> Array:
     return np.stack([roll, np.arctan2(-R[..., 2, 0], flat), yaw], axis=-1)
 
 
+def quaternions(R: Array) -> Array:
+    """(…, 4) the unit quaternions x, y, z, w of R (…, 3, 3), from whichever of the four is largest (Shepperd 1978)."""
+    x, y, z = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    xy, xz, yz = R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1]
+    xw, yw, zw = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    times_x, times_y = [1 + x - y - z, xy, xz, xw], [xy, 1 - x + y - z, yz, yw]  # four times each product
+    times_z, times_w = [xz, yz, 1 - x - y + z, zw], [xw, yw, zw, 1 + x + y + z]
+    products = np.stack([np.stack(row, axis=-1) for row in (times_x, times_y, times_z, times_w)], axis=-2)
+    largest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
+    found = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    unit: Array = found / np.linalg.norm(found, axis=-1, keepdims=True)
+    return unit
+
+
 def pose(position_m: Sequence[float] | Array, rpy_rad: Sequence[float] | Array) -> Array:
     """T_parent_child (4, 4): child → parent, from the child's position and angles in the parent."""
     T = np.eye(4)

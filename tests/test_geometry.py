@@ -28,6 +28,23 @@ def test_rotation_is_proper_and_orthonormal(rpy):
     assert np.linalg.det(R) == pytest.approx(1.0, abs=1e-14)
 
 
+@given(st.lists(angles, min_size=1, max_size=5))
+def test_quaternions_are_those_of_scipy(many):
+    """Of either sign, which is rounding's where two of the four are equally large."""
+    R = np.array([geometry.rotation(rpy) for rpy in many])
+    found, theirs = geometry.quaternions(R), Rotation.from_matrix(R).as_quat()
+    assert found * np.sign((found * theirs).sum(axis=1, keepdims=True)) == pytest.approx(theirs, abs=1e-14)
+    assert geometry.quaternions(R[0]) == pytest.approx(found[0], abs=0)
+
+
+@pytest.mark.parametrize("half", [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (0.5, -0.5, 0.5, 0.5)])
+def test_quaternions_of_half_and_third_turns(half):
+    """By the quaternion itself, of either sign."""
+    found = geometry.quaternions(Rotation.from_quat(half).as_matrix())
+    assert abs(found @ np.array(half)) == pytest.approx(1.0, abs=1e-15)
+    assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-15)
+
+
 @given(places, angles)
 def test_a_pose_times_its_inverse_is_nothing(position, rpy):
     T = geometry.pose(position, rpy)

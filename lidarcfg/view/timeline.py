@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, quaternions
 from lidarcfg.units import SECOND_NS
 from lidarcfg.view.scenery import Part, parts
 from lidarcfg.view.stage import Stage
@@ -68,9 +68,7 @@ def tracks(stage: Stage, line: Timeline) -> Array:
 
 def _track(T: Array, R: Array, t: Array, count: int) -> Array:
     """(count, 7) of the poses R (count or 1, 3, 3), t (count or 1, 3) in a frame T (4, 4)."""
-    from scipy.spatial.transform import Rotation
-
-    turned = Rotation.from_matrix(T[:3, :3] @ R).as_quat()
+    turned = quaternions(T[:3, :3] @ R)
     return np.concatenate(
         [np.broadcast_to(part, (count, part.shape[1])) for part in (t @ T[:3, :3].T + T[:3, 3], turned)], axis=1
     )
