@@ -1,6 +1,7 @@
 """lidarcfg export: what a rig's sensors send or see in a scene."""
 
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,10 @@ from lidarcfg.commands.options import (
 from lidarcfg.commands.progress import progress
 from lidarcfg.units import SECOND_NS
 
+KNOWN = 0.02  # of an export, after which the fraction of rays that return is known
+COPIES = 2  # of a cloud on the disk, while it is written: its points are in a file of their own first
+LESS = "a shorter time or fewer sensors need less"
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
     from lidarcfg.simulate.tasks import Drive, Run
 
     OnPath = Callable[[Path], None]
+    Size = Callable[[float], str]  # of the files, as far as it is known when a fraction of the work is done
 
 
 @cloup.command(
@@ -127,7 +133,7 @@ def export(
     start_ns = nanoseconds(start) if start else START_NS
     moved = load_trajectory(trajectory, at, start_ns)
     drive = Drive(mounted, world, moved, bodies, start_ns, round(duration * SECOND_NS))
-    counted: list[Counts] = []
+    rays = Rays()
     files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
     values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
     values |= {"vehicle": NONE} if vehicle and not bodies else {}
@@ -138,21 +144,38 @@ def export(
     if output.suffix == ".pcap" and name is None:
         if deskew:
             raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
-        lines = _export_packets(drive, output, split, truth, record, counted, quiet)
+        lines = _export_packets(drive, output, split, truth, record, rays, quiet)
     else:
         if split or truth:
             raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
-        lines = _export_points(drive, output, name, deskew, record, counted, quiet)
+        lines = _export_points(drive, output, name, deskew, record, rays, quiet)
     for line in [] if quiet else lines:
         click.echo(line)
     if stats:
-        rays, hits = sum(chunk.rays for chunk in counted), sum(chunk.hits for chunk in counted)
-        click.echo(f"{rays:,} rays traced, of which {hits:,} ({hits / max(rays, 1):.1%}) hit something in range")
+        click.echo(f"{rays.traced:,} rays traced, of which {rays.hits:,} ({rays.fraction:.1%}) hit something in range")
+
+
+@dataclass
+class Rays:
+    """The rays of an export so far."""
+
+    traced: int = 0
+    hits: int = 0
+
+    def add(self, counts: "Counts") -> None:
+        """Count those of a chunk."""
+        self.traced += counts.rays
+        self.hits += counts.hits
+
+    @property
+    def fraction(self) -> float:
+        """That hit something in range."""
+        return self.hits / max(self.traced, 1)
 
 
 @contextmanager
-def _run(duration_ns: int, size: str, counted: "list[Counts]", quiet: bool) -> "Iterator[Run]":
-    """A run with a progress bar, which says how large the files will be, and adds each chunk's rays to `counted`."""
+def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[Run]":
+    """A run with a progress bar, which says how large the files will be, and counts the rays."""
     from lidarcfg.compiling import stopwatch
     from lidarcfg.simulate.tasks import Run
 
@@ -163,10 +186,11 @@ def _run(duration_ns: int, size: str, counted: "list[Counts]", quiet: bool) -> "
         def on_progress(done_ns: int) -> None:
             rate = done_ns / SECOND_NS / max(stopwatch() - began, 1e-9)
             done_s = done_ns / SECOND_NS
-            on_fraction(done_ns / duration_ns, f"{done_s:.1f} s simulated, {rate:.1f}× real time; {size} in all")
+            said = f"{done_s:.1f} s simulated, {rate:.1f}× real time; {size(done_ns / duration_ns)} in all"
+            on_fraction(done_ns / duration_ns, said)
 
-        on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size} in all")
-        yield Run(on_progress, counted.append)
+        on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size(0.0)} in all")
+        yield Run(on_progress, rays.add)
 
 
 def _export_packets(
@@ -175,7 +199,7 @@ def _export_packets(
     split: bool,
     truth: Path | None,
     record: "OnPath",
-    counted: "list[Counts]",
+    rays: "Rays",
     quiet: bool,
 ) -> list[str]:
     """Write one pcap, or one of each sensor, and what readers need besides. Returns what to print."""
@@ -191,8 +215,8 @@ def _export_packets(
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
     mounts = drive.rig.mounts
     names, size = [mount.name for mount in mounts], capture.data_bytes(drive)
-    check_room(output, size, "a shorter time or fewer sensors need less")
-    with _run(drive.duration_ns, f"about {size_in_words(size)}", counted, quiet) as run, ExitStack() as stack:
+    check_room(output, size, LESS)
+    with _run(drive.duration_ns, lambda done: f"about {size_in_words(size)}", rays, quiet) as run, ExitStack() as stack:
         stack.enter_context(together())
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
@@ -224,10 +248,11 @@ def _export_packets(
 
 
 def _export_points(
-    drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", counted: "list[Counts]", quiet: bool
+    drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", rays: "Rays", quiet: bool
 ) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.cloud import row_bytes
+    from lidarcfg.errors import LidarcfgError
     from lidarcfg.files import free_bytes, size_in_words, together
     from lidarcfg.formats import formats
     from lidarcfg.formats.recording import Recording
@@ -242,18 +267,22 @@ def _export_points(
         for mount in drive.rig.mounts
         if not (mount.sensor.codec or mount.sensor.firing)
     ]
-    most = most_returns(drive)
-    size = f"at most {most:,} points"
-    if form.name in formats.CLOUDS:
-        octets = most * row_bytes(output)
-        size = f"at most {size_in_words(octets)}"
-        if 2 * octets > (free := free_bytes(output)):  # the points are first written to a file beside it
-            while_written = f"{size}, and twice that while it is written"
-            warnings.append(f"{output}: {while_written}; {size_in_words(free)} are free on the disk")
+    most, free = most_returns(drive), free_bytes(output)
+
+    def size(done: float) -> str:
+        known, points = done >= KNOWN, most * rays.fraction
+        if form.name not in formats.CLOUDS:
+            return f"about {points:,.0f} points" if known else f"at most {most:,} points"
+        octets = row_bytes(output) * (points if known else most)
+        if known and COPIES * octets > free:
+            sizes = f"needs {size_in_words(COPIES * octets)} on the disk while it is written"
+            raise LidarcfgError(f"{output}: {sizes}; {size_in_words(free)} are free; {LESS}")
+        return f"{'about' if known else 'at most'} {size_in_words(octets)}"
+
     for text in [] if quiet else warnings:
         warn(text)
     warnings.clear()
-    with _run(drive.duration_ns, size, counted, quiet) as run, together():
+    with _run(drive.duration_ns, size, rays, quiet) as run, together():
         recording = Recording(drive, simulated_scans(drive, run))
         found = formats.save_recording(output, form, recording, deskew, warnings.append)
         record(output)

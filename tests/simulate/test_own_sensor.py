@@ -2,6 +2,8 @@
 
 import json
 import math
+import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -243,7 +245,7 @@ def test_a_rig_with_a_sensor_that_has_no_packets_is_refused_with_what_to_do(tmp_
 
 
 def test_the_room_for_points_is_said(tmp_path, monkeypatch):
-    """By hand: 4 lasers, 3,600 firings of each in 0.2 s, 56 bytes a point (numpy's own packed sizes), twice while written."""
+    """By hand: 4 lasers, 3,600 firings of each in 0.2 s, 47 bytes a point (numpy's own packed sizes), twice while written."""
     folder = folder_with(tmp_path)
     (folder / "scene.yaml").write_text(
         "name: box\nspheres: [{name: all, center_m: [1, 0, 2], radius_m: 9, reflectivity: 5}]\n"
@@ -259,6 +261,20 @@ def test_the_room_for_points_is_said(tmp_path, monkeypatch):
         assert row_bytes(f"a{suffix}") == octets
         exported(folder, f"a{suffix}")
         assert (folder / f"a{suffix}").stat().st_size == pytest.approx(octets * most_returns(drive), abs=3000)
+
+
+@pytest.mark.parametrize(("free", "fits"), [(2 * 47 * 4 * 3600 * 0.4, False), (2 * 47 * 4 * 3600 * 0.9, True)])
+def test_points_that_do_not_fit_on_the_disk_end_early(tmp_path, monkeypatch, free, fits):
+    """Three of four beams point at the ground and return: by hand, of 4 × 3,600 points at most, at 47 bytes twice."""
+    folder = folder_with(tmp_path)
+    monkeypatch.setattr("lidarcfg.files.shutil.disk_usage", lambda path: SimpleNamespace(free=int(free)))
+    said = exported(folder, "a.ply", code=0 if fits else 2).stderr
+    refused = re.search(r"a.ply: needs (.*) MB on the disk while it is written; .* MB are free; a shorter time", said)
+    assert (folder / "a.ply").exists() == fits == (refused is None)
+    assert {path.name for path in folder.iterdir()} >= {"rig.yaml"}
+    if refused:
+        assert float(refused[1]) == pytest.approx(2 * 47 * 3 * 3600 / 1e6, rel=0.05)
+        assert not list(folder.glob(".*"))
 
 
 def test_more_scans_than_memory_holds_are_refused_with_the_figure(tmp_path, monkeypatch):
