@@ -5,6 +5,7 @@ does without noise, before ranges are rounded for packets. Sensors turn independ
 PHASES phases, unless its encoder triggers it.
 """
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.firing import Pattern, Patterns
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
 from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.returns_kernels import Counts, Poses, Scans, Shape
@@ -28,6 +30,7 @@ from lidarcfg.world.meshes import Mesh
 
 PHASES = 4  # a power of 2, so that means over phases are exact
 PLACES_PER_PART = 64  # that a thread takes at a time
+COUNT_BYTES = 8  # of the returns of a sensor in a phase, and of what is computed from them
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,10 @@ def returns(
 
     `on_places` is told how many more places are done; what it raises ends the work.
     """
-    counts = np.zeros((len(places), len(sensors.phases), int(sensors.phases.max())), np.int32)
+    shape = len(places), len(sensors.phases), int(sensors.phases.max())
+    what = f"counting the returns at {shape[0]:,} places to {shape[1]} sensors"
+    check_memory(what, COUNT_BYTES * math.prod(shape), "use fewer places at a time")
+    counts = np.zeros(shape, np.int32)
 
     def run(part: Counts) -> None:
         kernels.returns(places, sensors, poses, target.shape, obstacles, part, counts)

@@ -9,6 +9,7 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
 from lidarcfg.placement import detection_kernels, returns_kernels
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import (
@@ -33,6 +34,7 @@ from lidarcfg.world.solids import open_edges, welded
 STEP_M = 1.0
 HEADINGS_DEG = (0.0,)
 PLACES_MAX = 1_000_000
+PLACE_BYTES = 150  # of memory, while they are found
 FIT_M = 1e-9  # by which an object may reach over the region's side, for rounding
 
 
@@ -151,9 +153,10 @@ def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
 
 
 def _check_count(item: DetectionObject, places: int) -> None:
+    advice = "fewer samples" if item.samples else "a larger step_m, fewer headings_deg, or samples"
     if places > PLACES_MAX:
-        advice = "fewer samples" if item.samples else "a larger step_m, fewer headings_deg, or samples"
         raise ConfigError(f"{item.name}: {places:,} places; allowed: at most {PLACES_MAX:,}; give {advice}")
+    check_memory(f"{item.name}, with {places:,} places,", PLACE_BYTES * places, f"give {advice}")
 
 
 def sightings(

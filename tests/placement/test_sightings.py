@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import lidarcfg
-from lidarcfg import report
-from lidarcfg.errors import ConfigError
+from lidarcfg import inputs, report
+from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement import checks
 from lidarcfg.placement import sightings as sightings_module
+from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
@@ -288,3 +289,20 @@ def test_what_returns_will_cost_is_said(tmp_path, monkeypatch):
     assert f"{tmp_path / 'study.yaml'}:18:1: {said}" in lines[-1]
     monkeypatch.setattr(checks, "LONG_S", float(total))
     assert not [line for line in checks.study_warnings(tmp_path / "study.yaml", loaded) if "processor time" in line]
+
+
+def test_more_places_than_memory_holds_are_refused_with_the_figure(tmp_path, monkeypatch):
+    """By hand: 36 × 24 places at two headings; then what of them is free, to two sensors in four phases."""
+    step = ("step_m: 1.5", "step_m: 0.5")
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 36 * 24 * 2 * 150 - 1.0)
+    with pytest.raises(LidarcfgError, match=r"crate, with 1,728 places, needs .* memory; .*; give a larger step_m"):
+        study(tmp_path, change=step)
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 36 * 24 * 2 * 150 + 1.0)
+    loaded = study(tmp_path, change=step)
+    rig = rig_of(loaded)
+    one, sensors, lidars = loaded.sought[0], loaded.scans(rig.mounts), rig_lidars(rig)
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 8 * 2 * 4 * len(one.places) - 1.0)
+    with pytest.raises(LidarcfgError, match=r"counting the returns at 1,\d+ places to 2 sensors needs .* memory"):
+        sightings_module.sightings([one], sensors, lidars, loaded.obstacles)
+    monkeypatch.setattr(inputs, "memory_bytes", lambda: 8 * 2 * 4 * len(one.places) + 1.0)
+    assert len(sightings_module.sightings([one], sensors, lidars, loaded.obstacles)) == 1
