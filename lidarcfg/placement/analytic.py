@@ -17,7 +17,7 @@ they are one, joined by what is thinner than a cuboid. See docs/measure.md.
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -87,6 +87,7 @@ def integrate(
     uncut = region.cut.included if region.cut else region.included
     boundaries = boundaries or Boundaries(region, lidars, visibility)
     with ThreadPoolExecutor() as pool:
+        sweeps: list[Future[None]] = []  # each while the next axis's lines are cut
         for axis in range(3):
             order = axes_from(axis)
             cones = np.full((len(lidars), 6 + beams.max(initial=0)), np.nan)
@@ -99,7 +100,10 @@ def integrate(
             flips = boundaries.flips(lattice, pool)
             sheaf = Sheaf(axis, label, within, lattice.low, lattice.edge, cones)
             sums = Sums(volume[axis], shadow[axis], surface, whole)
-            sweep(sheaf, subspaces.gap, cone_rows(lidars), flips, sums)
+            for one in sweeps:  # they add to the same surfaces
+                one.result()
+            sweeps.append(pool.submit(sweep, sheaf, subspaces.gap, cone_rows(lidars), flips, sums))
+        sweeps[-1].result()
     for j in range(n):  # a part's number is above its whole's
         whole[j] = whole[whole[j]]
     return Seen(volume, shadow, surface, whole)
