@@ -19,11 +19,11 @@ from lidarcfg.kinds import kind_of
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.region import RegionFile, _sizes
-from lidarcfg.placement.study import load_study
 from lidarcfg.report.summaries import summary
 from lidarcfg.rig import load_rig
 from lidarcfg.schemas import KINDS, schema
 from lidarcfg.sensor import load_sensor
+from lidarcfg.studies import load_study
 from lidarcfg.templates import KINDS as TEMPLATES
 from lidarcfg.templates import vehicles, write_template
 from lidarcfg.world.meshes import read_mesh
