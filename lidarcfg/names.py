@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-DRAWN, LISTED = 28, 40  # characters
+HEAD, DRAWN, LISTED = 20, 28, 40  # characters: over a column of numbers, in a drawing, in a row
 MANY = 8  # sensors; of more, the first are listed
 
 

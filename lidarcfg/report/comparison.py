@@ -10,7 +10,7 @@ from typing import Any
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing, together
-from lidarcfg.names import short
+from lidarcfg.names import HEAD, short
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
@@ -57,7 +57,7 @@ class Contender:
     @property
     def title(self) -> str:
         """Its letter and name."""
-        return f"{self.letter} {short(self.rig.name)}"
+        return f"{self.letter} {short(self.rig.name, HEAD)}"
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
             texts=(1, 2),
         ),
         tables=[_table(lines, rigs, first) for first in range(0, len(rigs), COLUMNS_MAX)],
-        objects=[(item.name, object_in_words(item)) for item in study.detection],
+        objects=[(short(item.name), object_in_words(item)) for item in study.detection],
         region=region_rows(study.region),
         mounts=[(rig.title, mounts_table(rig.rig)) for rig in rigs],
         commands=commands,
