@@ -10,7 +10,7 @@ from typing import Any
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing, together
-from lidarcfg.names import HEAD, short
+from lidarcfg.names import DRAWN, HEAD, short
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
@@ -106,7 +106,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
     if bars := _analytic_row(rigs):
         out.append(bars)
     for i, zone in enumerate(rigs[0].found.zones):
-        out.append(row(f"max VSR in {short(zone.name)} (m)", ".6f", partial(_zone, i), -1))
+        out.append(row(f"max VSR in {short(zone.name, DRAWN)} (m)", ".6f", partial(_zone, i), -1))
     out += _robust_rows(rigs, row)
     out += [
         row("subspaces", ",", lambda rig: len(rig.found.subspaces)),
@@ -115,7 +115,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
         row("largest inner radius of any (m)", ".3f", lambda rig: rig.details.sphere_m, -1),
     ]
     for item in study.detection:
-        out.append(row(f"detection of {short(item.name)}", ".4f", partial(_rate, item.name), 1))
+        out.append(row(f"detection of {short(item.name, DRAWN)}", ".4f", partial(_rate, item.name), 1))
     out += _blind_rows(rigs, row)
     out += [
         row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LEGEND_ROW = 0.12  # of the height of bars
 WHOLE = "none"
 UNITS = f"{100 * STEP_M:g} cm", f"{STEP_DEG:g}°"
 FAR = f"{100 * STEP_M * OFFSETS[-1]:g} cm", f"{STEP_DEG * OFFSETS[-1]:g}°"
@@ -79,7 +80,8 @@ def lost_view(axes: "Axes", titled: Sequence[tuple[str, Robustness]]) -> None:
     axes.grid(True, axis="y")
     axes.set_axisbelow(True)
     if len(titled) > 1:
-        axes.legend()
+        axes.legend(ncols=2, loc="upper left")
+        axes.set_ylim(0, axes.get_ylim()[1] * (1 + LEGEND_ROW * -(-len(titled) // 2)))  # above the bars
 
 
 def draw_lost(titled: Sequence[tuple[str, Robustness]]) -> Markup | None:
