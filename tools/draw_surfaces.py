@@ -9,7 +9,7 @@ import matplotlib as mpl
 
 import lidarcfg
 from lidarcfg.placement.study import with_solver
-from lidarcfg.report.canvas import STYLE, WIDTH_IN
+from lidarcfg.report.canvas import STYLE, WIDTH_IN, height_in
 from lidarcfg.report.plots import new_figure, save_figure
 from lidarcfg.report.surfaces import fill_figure, heights_in
 
@@ -22,7 +22,7 @@ def main() -> None:
     study = with_solver(lidarcfg.load_study(ROOT / "data/studies/mounts.yaml"), evaluations=EVALUATIONS)
     found = lidarcfg.optimize(study)
     with mpl.rc_context(STYLE):
-        figure = new_figure(WIDTH_IN, sum(heights_in(study)))
+        figure = new_figure(WIDTH_IN, height_in(*heights_in(study)))
         fill_figure(figure, study, found.rig)
         save_figure(figure, ROOT / "docs/surfaces.png")
     print(f"max VSR {found.objective:.4f} m after {found.evaluations:,} evaluations")

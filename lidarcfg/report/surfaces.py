@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.surfaces import Surface
-from lidarcfg.report.canvas import WIDTH_IN, colour, drawing
+from lidarcfg.report.canvas import EM_IN, WIDTH_IN, colour, drawing, height_in
+from lidarcfg.report.layout import ABOVE, EDGE, LEFT, spaces
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -21,27 +22,27 @@ MARGIN_M = 0.15
 HALO_PT = 2.5  # around numbers, which may lie on green
 PIXELS = 500  # along the longer edge of the picture of a body
 FROM_BEHIND = ("left", "rear")  # sides from which the horizontal axis points to the left
-LABELS_IN, TITLE_IN = 0.9, 0.55  # beside a panel, and above and below it
 
 
 def draw_surfaces(study: Study, rig: Rig) -> Markup:
     """The vehicle from each side that sensors sit on, where their bases fit, and the bases of the rig."""
     alt = f"where sensors may sit on the vehicle, from {', '.join(_sides(study))}"
-    return drawing("surfaces", sum(heights_in(study)), alt, lambda figure: fill_figure(figure, study, rig))
+    height = height_in(*heights_in(study))
+    return drawing("surfaces", height, alt, lambda figure: fill_figure(figure, study, rig))
 
 
 def heights_in(study: Study) -> list[float]:
-    """The heights of the sides' panels."""
+    """The heights of the sides' axes."""
     low, high = _frame(study)
     pairs = [seats[0][1].across for seats in _sides(study).values()]
-    scale = (WIDTH_IN - LABELS_IN) / max(high[across] - low[across] for across, _ in pairs)
-    return [TITLE_IN + scale * float(high[up] - low[up]) for _, up in pairs]
+    scale = (WIDTH_IN - (LEFT + EDGE) * EM_IN) / max(high[across] - low[across] for across, _ in pairs)
+    return [scale * float(high[up] - low[up]) for _, up in pairs]
 
 
 def fill_figure(figure: "Figure", study: Study, rig: Rig) -> None:
     """Draw them below each other."""
     sides, (low, high) = _sides(study), _frame(study)
-    grid = figure.add_gridspec(len(sides), 1, height_ratios=heights_in(study))
+    grid = figure.add_gridspec(len(sides), 1, **spaces(figure, heights=heights_in(study), above=ABOVE))
     for row, (side, seats) in enumerate(sides.items()):
         axes = figure.add_subplot(grid[row, 0])
         _draw_side(axes, seats, rig, study, low, high)
