@@ -16,6 +16,7 @@ from typing import Any
 from lidarcfg.aside import fcntl
 from lidarcfg.compiling import compiling
 from lidarcfg.linking import OutdatedError
+from lidarcfg.loop_sources import digest
 
 FunctionCache: Any = import_module("numba.core.caching").FunctionCache  # numba has no types
 IndexDataCacheFile: Any = import_module("numba.core.caching").IndexDataCacheFile
@@ -58,6 +59,10 @@ class LoopCache(FunctionCache):  # type: ignore[misc]  # numba has no types
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
         return None
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        """As numba's, which changes with the loop's own code, and for what it takes in."""
+        return *super()._index_key(sig, codegen), digest(self._py_func)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """As numba's."""

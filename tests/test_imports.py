@@ -27,6 +27,7 @@ GROUND = {
     "jit",
     "linking",
     "loop_cache",
+    "loop_sources",
     "realism",
     "shortcuts",
 }

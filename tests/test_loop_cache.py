@@ -191,6 +191,55 @@ def test_loops_are_compiled_again_where_a_kept_one_that_they_call_has_changed(st
     assert done(start(0, "beyond", "around")) == []
 
 
+NEAR = """
+import numpy as np
+from lidarcfg.jit import inner
+
+FACTOR = 2
+TABLE = np.array([0, 1])
+
+@inner()
+def nearest(x):
+    return FACTOR * x * TABLE[1]
+
+@inner()
+def near(x):
+    return nearest(x) if x in (1, 2, 3) else 0
+"""
+USE = """
+from near import near
+from lidarcfg.jit import njit
+
+@njit(cache=True)
+def use(x):
+    return near(x)
+
+print(use(3), sum(use.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "to", "result"),
+    [("FACTOR = 2", "FACTOR = 5", 15), ("* x", "- x", -1), ("[0, 1]", "[0, 3]", 18), ("(1, 2, 3)", "(1, 2)", 0)],
+)
+def test_loops_are_compiled_again_where_what_they_take_in_has_changed(tmp_path, monkeypatch, change, to, result):
+    """In another file: numba alone would say 6 to the end."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(Path(lidarcfg.__file__).parents[1]))
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    (tmp_path / "use.py").write_text(USE)
+
+    def said():
+        words = (sys.executable, tmp_path / "use.py")
+        return subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+
+    (tmp_path / "near.py").write_text(NEAR)
+    assert [said(), said()] == [["6", "0"], ["6", "1"]]
+    assert change in NEAR
+    (tmp_path / "near.py").write_text(NEAR.replace(change, to))
+    assert [said(), said()] == [[str(result), "0"], [str(result), "1"]]
+
+
 @pytest.mark.parametrize(("stop", "patience"), [(signal.SIGKILL, 100), (signal.SIGSTOP, 2)])
 def test_what_a_stopped_process_was_compiling_is_compiled_by_the_next(start, stop, patience):
     one = start(600, "outside")
