@@ -62,7 +62,7 @@ const [poses, done] = arguments;
 const { handles } = window.lidarcfg;
 const began = performance.now();
 const before = window.lidarcfg.evaluator.answered;
-handles.setPose(handles.mounts[0], poses);
+handles.move(handles.mounts[0], poses);
 const look = () => window.lidarcfg.evaluator.answered > before && !window.lidarcfg.evaluator.busy
   ? done(performance.now() - began) : setTimeout(look, 0);
 look();
