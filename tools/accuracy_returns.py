@@ -12,7 +12,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from page import ROOT
+from page import ROOT, argument
 
 sys.path.insert(0, str(ROOT))
 
@@ -82,4 +82,4 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 2000)
+    main(argument(__doc__, int, 2000))

@@ -7,11 +7,12 @@ Prints the table of docs/choices.md. An argument replaces the number of evaluati
 """
 
 import os
-import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+
+from page import argument
 
 import lidarcfg
 from lidarcfg.placement.combinations import combinations
@@ -99,7 +100,7 @@ def run(job: tuple[str, int, int]) -> str:
 
 
 def main() -> None:
-    evaluations = int(sys.argv[1]) if len(sys.argv) > 1 else EVALUATIONS
+    evaluations = argument(__doc__, int, EVALUATIONS)
     print(f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, {evaluations:,} evaluations a combination\n")
     head = (
         "study",

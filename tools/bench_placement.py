@@ -7,6 +7,7 @@
 Prints the tables of docs/benchmarks.md.
 """
 
+import argparse
 import json
 import resource
 import statistics
@@ -269,6 +270,7 @@ def papers_run() -> None:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     study = load_study(ROOT / "data/studies/liu2018-4x16.yaml")
     print(f"{machine()}, seed {SEED}")
     papers_run()  # first: a child's peak is no less than what its parent had

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from mealpy import FloatVar
 from mealpy.swarm_based.ABC import OriginalABC
+from page import argument
 
 import lidarcfg
 from lidarcfg.placement.evaluator import Evaluator
@@ -77,7 +78,7 @@ def run(job: tuple[str, str, int, int]) -> tuple[tuple[str, str, int, int], list
 
 
 def main() -> None:
-    evaluations = int(sys.argv[1]) if len(sys.argv) > 1 else MARKS[-1]
+    evaluations = argument(__doc__, int, MARKS[-1])
     print(f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, {evaluations:,} evaluations, seeds {SEEDS}")
     jobs = [(name, method, seed, evaluations) for name in STUDIES for seed in SEEDS for method in METHODS]
     found, seconds = {}, {}

@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from page import ROOT, machine
+from page import ROOT, argument, machine
 
 PLAN = f"""
 study: {ROOT}/data/studies/liu2018-3x8.yaml
@@ -36,7 +36,7 @@ def seconds(plan: Path, workers: int) -> float:
 
 
 def main() -> None:
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 3
+    rounds = argument(__doc__, int, 3)
     print(f"{machine()}, 16 runs")
     with tempfile.TemporaryDirectory() as folder:
         plan = Path(folder) / "plan.yaml"

@@ -3,7 +3,7 @@
 Usage: .venv/bin/python tools/draw_concepts.py [NAME …]
 """
 
-import sys
+import argparse
 import tempfile
 from itertools import pairwise
 from pathlib import Path
@@ -277,7 +277,12 @@ PICTURES = {
 def main() -> None:
     """All pictures, or those that are named."""
     FOLDER.mkdir(exist_ok=True)
-    for name in sys.argv[1:] or PICTURES:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(PICTURES))
+    names = parser.parse_args().names
+    if unknown := set(names) - PICTURES.keys():
+        parser.error(f"no picture is called {', '.join(sorted(unknown))}; allowed: {', '.join(PICTURES)}")
+    for name in names or PICTURES:
         PICTURES[name](path := FOLDER / f"{name}.png")
         print(f"{path.name}: {path.stat().st_size:,} bytes")
 

@@ -3,9 +3,10 @@
 Usage: .venv/bin/python tools/draw_robust.py [EVALUATIONS]
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
+
+from page import argument
 
 import lidarcfg
 from lidarcfg.placement.optimize import optimize
@@ -21,7 +22,7 @@ TITLES = {"best as a whole": None, "best with any one lost": Robust(lost=1)}
 
 def main() -> None:
     """Search twice, then draw the bars that reports have."""
-    evaluations = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
+    evaluations = argument(__doc__, int, 20_000)
     study = with_solver(lidarcfg.load_study(ROOT / "data/studies/sedan.yaml"), evaluations=evaluations)
     titled = []
     for title, robust in TITLES.items():

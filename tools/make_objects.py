@@ -7,13 +7,13 @@ Each is one closed mesh in metres, facing along x; the origin is on the ground u
 and Youths, 1977).
 """
 
-import sys
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
 from make_vehicles import along_x, along_z, axle, both, box, drum, save, wheel
 from manifold3d import CrossSection, Manifold
+from page import argument
 
 FOLDER = Path(__file__).parent.parent / "data/objects"
 FACETS = 12  # around a limb
@@ -154,4 +154,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)
+    main(argument(__doc__, Path, FOLDER))

@@ -9,7 +9,6 @@ trees as meshes. Every number is a guess at what a suburb looks like; the same s
 
 import json
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from itertools import pairwise, product
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
+from page import argument
 from PIL import Image
 from suburb_houses import Quads, designs, quads_of, triangles_of
 from suburb_road import Array, Road, drive, land_m, road
@@ -38,7 +38,7 @@ Plot = tuple[float, float, float, float]  # how far along the road and beside it
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # of z up, as glTF wants it
 
 
-def main(data: Path = DATA) -> None:
+def main(data: Path) -> None:
     """Write all files."""
     path, rng = road(), np.random.default_rng(SEED)
     (data / "scenes/suburb").mkdir(parents=True, exist_ok=True)
@@ -225,4 +225,4 @@ def _plain(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(argument(__doc__, Path, DATA))

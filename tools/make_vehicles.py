@@ -7,13 +7,13 @@ are joined and cut by manifold3d, whose results are closed; the same input gives
 """
 
 import math
-import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 from manifold3d import Manifold, Mesh64
 from numpy.typing import ArrayLike, NDArray
+from page import argument
 from plyfile import PlyData, PlyElement
 from scipy.interpolate import PchipInterpolator
 
@@ -289,4 +289,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)
+    main(argument(__doc__, Path, FOLDER))

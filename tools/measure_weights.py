@@ -3,6 +3,7 @@
 Usage: .venv/bin/python tools/measure_weights.py          (writes the table of docs/objectives.md; five minutes)
 """
 
+import argparse
 import tempfile
 import time
 from pathlib import Path
@@ -29,6 +30,7 @@ HEADER = "objective", "max VSR (m)", "child", "lost cargo", "volume seen by two"
 
 def main() -> None:
     """Searches, and writes the table."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     rows = []
     for objective in OBJECTIVES:
         middle = np.median([figures(objective, seed) for seed in SEEDS], axis=0)

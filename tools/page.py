@@ -1,16 +1,27 @@
 """Pages of results in docs/: the sections that tools write into them, their tables, and where they were measured."""
 
+import argparse
 import os
 import platform
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import lidarcfg
 from lidarcfg.files import replacing
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs/accuracy.md"
+T = TypeVar("T")
+
+
+def argument(help_page: str | None, kind: Callable[[str], T], default: T) -> T:
+    """What a tool is given, if anything. `--help` shows its docstring."""
+    parser = argparse.ArgumentParser(description=help_page, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("value", nargs="?", type=kind, default=default, help=f"by default {default}")
+    given: T = parser.parse_args().value
+    return given
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
