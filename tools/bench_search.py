@@ -100,7 +100,8 @@ def record(run: Run) -> None:
     best, study = known[run["study"]], run["study"]
     best["searched_s"] += run["seconds"] if run["seed"] >= FIRST_SEED else 0.0
     if run["max_vsr_m"] < best["max_vsr_m"]:
-        lasted = f"{run['seconds']:.0f} s on {run['threads']} threads" + ", by the processor's time" * run["busy"]
+        threads = f"{run['threads']} thread{'s' * (run['threads'] > 1)}"
+        lasted = f"{run['seconds']:.0f} s on {threads}" + ", by the processor's time" * run["busy"]
         by = f"`{run['method']}`, seed {run['seed']}, {lasted}, {run['date']}"
         known[study] = {**best, "max_vsr_m": run["max_vsr_m"], "found_by": by, "poses": run["poses"]}
     with replacing(KNOWN) as file:
