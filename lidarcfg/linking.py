@@ -78,7 +78,7 @@ def link_late() -> bool:
             return super().get_pointer_to_function(name)
 
         def serialize_using_object_code(self) -> Any:
-            """As numba's, for the cache; of code that waits, what waits. And what it needs."""
+            """As numba's, for the cache; of code that waits, what waits. And what is called of what stays apart."""
             if self._waits:
                 kind, data = WAITING, self._final_module.as_bitcode()
             else:
@@ -86,13 +86,15 @@ def link_late() -> bool:
             functions, variables = list(self._final_module.functions), list(self._final_module.global_variables)
             defined = [one.name for one in (*functions, *variables) if not one.is_declaration]
             called = [one.name for one in functions if one.is_declaration and one.name.startswith(OF_PYTHON)]
+            if kind != WAITING and self._needs is None and not called:  # it may be read without this, by numba alone
+                return self.name, kind, data
             needs = self._reload_init if self._needs is None else self._needs
             return self.name, kind, data, defined, called, needs
 
         @classmethod
         def _unserialize(cls, codegen: Any, state: Any) -> Any:
             name, kind, data, *links = state
-            defined, called, needs = links or ((), (), ())  # none were kept before 0.2
+            defined, called, needs = links or ((), (), ())  # code that calls nothing apart has none
             if not all(map(codegen._engine.is_symbol_defined, called)):  # numba has loaded what is needed
                 raise OutdatedError
             if kind == WAITING:

@@ -191,6 +191,35 @@ def test_loops_are_compiled_again_where_a_kept_one_that_they_call_has_changed(st
     assert done(start(0, "beyond", "around")) == []
 
 
+OTHERS = """
+import numba
+
+@numba.njit(cache=True)
+def inside(x):
+    return 3 * x
+
+@numba.njit(cache=True)
+def outside(x):
+    return inside(x) - x
+"""
+
+
+def test_loops_of_others_are_kept_for_processes_without_ours(tmp_path, monkeypatch):
+    """A user's own, compiled beside ours, is loaded by numba alone; and ours loads what numba alone has kept."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(Path(lidarcfg.__file__).parents[1]))
+    (tmp_path / "others.py").write_text(OTHERS)
+    ours = "from lidarcfg.linking import link_late; assert link_late();"
+    call = "import others; print(others.outside(2), sum(others.outside.stats.cache_hits.values()))"
+    for first, second in ((ours, ""), ("", ours)):
+        for before, hits in ((first, 0), (second, 1)):
+            words = (sys.executable, "-c", before + call)
+            out = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+            assert out.split() == ["4", str(hits)]
+        for file in (tmp_path / "__pycache__").glob("others.*.nb?"):
+            file.unlink()
+
+
 NEAR = """
 import numpy as np
 from lidarcfg.jit import inner
