@@ -6,8 +6,8 @@
     .venv/bin/python tools/bench_search.py --busy                 one thread, until it has used as much of the processor
     .venv/bin/python tools/bench_search.py --best-known 3600      an hour a study, in searches of ten minutes
 
-Writes the table of docs/benchmarks.md. What is finished stands in out/search.jsonl and is not run again, so a run
-may be stopped at any time and started anew. A rig better than the best known takes its place in
+Writes the table of docs/benchmarks.md. What is finished stands in data/reference/search.jsonl and is not run again, so
+a run may be stopped at any time and started anew. A rig better than the best known takes its place in
 data/reference/best_known.json and docs/paper.md. `--best-known` only searches for such: seeds from 1000 on, until
 the runs of a study come to that many seconds.
 """
@@ -30,7 +30,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report import COLOURS, new_figure, save_figure
 
-RUNS = ROOT / "out/search.jsonl"
+RUNS = ROOT / "data/reference/search.jsonl"
 KNOWN = ROOT / "data/reference/best_known.json"
 LIDARS = (1, 2, 3, 4, 5)
 STUDIES = [f"{lidars}x{beams}" for beams in (4, 8, 16) for lidars in LIDARS]

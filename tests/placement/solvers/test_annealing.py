@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import kstest
 
 from lidarcfg.placement.solvers import annealing
-from lidarcfg.placement.solvers.annealing import LEARNING, MANY, ONE, OWN, Annealing, AnnealingRounds
+from lidarcfg.placement.solvers.annealing import LEARNING, OWN, TAKEN, Annealing, AnnealingRounds
 from lidarcfg.placement.solvers.search import Coordinates
 
 GROUPS = np.array([0, 0, 0, 2, 2, 7])
@@ -18,8 +18,8 @@ def sphere(x):
     return 1 + ((x - 0.3) ** 2).sum(axis=1)
 
 
-def started(coordinates=COORDINATES, trials=10**9, seed=1, shape=MANY, start=None):
-    run = Annealing(coordinates, np.random.default_rng(seed), trials, shape, start)
+def started(coordinates=COORDINATES, work=10**9, seed=1, start=None):
+    run = Annealing(coordinates, np.random.default_rng(seed), work, start)
     run.tell(sphere(run.ask().x))
     return run
 
@@ -27,9 +27,9 @@ def started(coordinates=COORDINATES, trials=10**9, seed=1, shape=MANY, start=Non
 def test_chains_begin_at_random_points_and_go_there_whatever_they_cost():
     run = Annealing(COORDINATES, np.random.default_rng(2), 10**9)
     begin = run.ask()
-    assert begin.x.shape == (64, 6)
+    assert begin.x.shape == (32, 6)
     assert np.isinf(begin.to_beat).all()
-    run.tell(np.where(np.arange(64) % 2, np.inf, 5.0))
+    run.tell(np.where(np.arange(32) % 2, np.inf, 5.0))
     assert np.array_equal(run.sources, begin.x)
     asked = run.ask()
     assert np.isinf(asked.to_beat[asked.source % 2 == 1]).all()
@@ -38,7 +38,7 @@ def test_chains_begin_at_random_points_and_go_there_whatever_they_cost():
 
 def test_a_trial_moves_coordinates_of_one_group():
     run = started()
-    run.tell(np.full(64, np.inf))
+    run.tell(np.full(32, np.inf))
     asked = run.ask()
     moved = asked.x != run.sources[asked.source]
     assert moved.any(axis=1).all()
@@ -47,12 +47,14 @@ def test_a_trial_moves_coordinates_of_one_group():
     assert {number for one in groups for number in one} == {0, 2, 7}
 
 
-@pytest.mark.parametrize(("taken", "trials"), [(64, 1), (33, 1), (24, 1), (16, 2), (5, 6), (4, 8), (1, 8), (0, 8)])
+@pytest.mark.parametrize(
+    ("taken", "trials"), [(32, 1), (17, 1), (12, 1), (8, 2), (5, 3), (3, 5), (2, 8), (1, 8), (0, 8)]
+)
 def test_the_fewer_trials_are_taken_the_more_of_them_a_chain_has_at_a_time(taken, trials):
     """So many that one in two chains takes one; up to 8."""
     run = started()
-    run.tell(np.where(np.arange(64) < taken, 0.5, np.inf))
-    assert run.ask().source.tolist() == [chain for chain in range(64) for _ in range(trials)]
+    run.tell(np.where(np.arange(32) < taken, 0.5, np.inf))
+    assert run.ask().source.tolist() == [chain for chain in range(32) for _ in range(trials)]
 
 
 def test_what_a_trial_has_to_beat_is_drawn_from_the_rule_of_metropolis():
@@ -72,24 +74,24 @@ def test_what_a_trial_has_to_beat_is_drawn_from_the_rule_of_metropolis():
 
 def test_the_first_trial_that_a_chain_takes_moves_it():
     run = started()
-    run.tell(np.full(64, np.inf))
+    run.tell(np.full(32, np.inf))
     before, asked = run.sources.copy(), run.ask()
-    cost = np.full(512, np.inf)
+    cost = np.full(256, np.inf)
     cost[17], cost[18] = asked.to_beat[17] * 0.999, 0.5  # both of chain 2
     cost[40] = asked.to_beat[40]  # of chain 5, and no better than what it had to beat
     run.tell(cost)
     assert np.array_equal(run.sources[2], asked.x[17])
     assert np.array_equal(np.delete(run.sources, 2, axis=0), np.delete(before, 2, axis=0))
-    assert run.mean_cost == pytest.approx((sphere(before).sum() - sphere(before[2:3])[0] + cost[17]) / 64)
+    assert run.mean_cost == pytest.approx((sphere(before).sum() - sphere(before[2:3])[0] + cost[17]) / 32)
 
 
 def test_half_of_the_other_steps_are_differences_of_two_chains_of_the_island(monkeypatch):
     """Islands on parallel lines: a difference of their chains goes along them, but for its jitter."""
-    monkeypatch.setattr(annealing, "LEARNING", 0.0)
+    monkeypatch.setattr(annealing, "LEARNING", (0.0, 0.0))
     run = Annealing(Coordinates(np.zeros(2, int), np.arange(2)), np.random.default_rng(4), 10**9)
-    run.tell(np.ones(64))
-    run.tell(np.full(64, np.inf))
-    run.sources[:] = np.linspace(0.4, 0.6, 64)[:, None] + np.arange(64)[:, None] // 8 * (0.01, -0.01)
+    run.tell(np.ones(32))
+    run.tell(np.full(32, np.inf))
+    run.sources[:] = np.linspace(0.4, 0.6, 32)[:, None] + np.arange(32)[:, None] // 16 * (0.01, -0.01)
     off = []
     for _ in range(20):
         run.tell(np.full(len(run.ask().x), np.inf))
@@ -105,7 +107,9 @@ def learned(coordinates, monkeypatch):
     """
     monkeypatch.setattr(annealing, "LEAST", 1e-12)
     monkeypatch.setattr(annealing, "MOST", 1e-12)
-    run, steps, trials = Annealing(coordinates, np.random.default_rng(5), 10**9, (4, 4)), [], 0
+    monkeypatch.setattr(annealing, "ISLANDS", 4)
+    monkeypatch.setattr(annealing, "CHAINS", 4)
+    run, steps, trials = Annealing(coordinates, np.random.default_rng(5), 10**9), [], 0
     count = len(coordinates)
     run.tell(np.ones(16))
     run.sources[:] = np.random.default_rng(6).permutation(np.linspace(0.05, 0.95, 16 * count)).reshape(16, count)
@@ -131,9 +135,16 @@ def test_a_group_takes_over_coordinates_from_another_one_of_its_chain_or_of_a_se
         assert all(taken[1] == (to[1] + 2) % 4 for to, taken in step)
         assert len({taken[0] for _, taken in step}) == 1
         own += all(to[0] == taken[0] for to, taken in step)
-    assert len(steps) / trials == pytest.approx(LEARNING, abs=0.03)
+    assert len(steps) / trials == pytest.approx(LEARNING[0], abs=0.03)
     assert own / len(steps) == pytest.approx(OWN, abs=0.04)
     assert np.mean([len(step) for step in steps]) == pytest.approx((2 * 0.36 + 2 * 0.24 + 0.16 * 2), abs=0.05)
+
+
+@pytest.mark.parametrize("progress", [0.5, 0.999])
+def test_the_colder_it_is_the_fewer_steps_take_over_coordinates(monkeypatch, progress):
+    monkeypatch.setattr(Annealing, "progress", progress)
+    steps, trials = learned(ALIKE, monkeypatch)
+    assert len(steps) / trials == pytest.approx(0.6 - 0.5 * progress, abs=0.03)
 
 
 def test_what_means_the_same_nowhere_else_is_taken_over_from_a_second_chain(monkeypatch):
@@ -143,95 +154,78 @@ def test_what_means_the_same_nowhere_else_is_taken_over_from_a_second_chain(monk
     assert all(to[0] != taken[0] for step in steps for to, taken in step if to[1] == taken[1])
 
 
-def test_the_worst_chains_of_an_island_go_on_from_where_its_best_is():
+def test_the_worst_chains_of_an_island_go_on_from_where_its_best_are():
     run = Annealing(COORDINATES, np.random.default_rng(3), 10**6)
     begin = run.ask().x
-    run.tell(1.0 + np.arange(64))
+    run.tell(1.0 + np.arange(32))
     while np.array_equal(run.sources, begin):
         run.tell(np.full(len(run.ask().x), np.inf))
-    for island in range(8):
-        assert np.array_equal(run.sources[8 * island : 8 * island + 7], begin[8 * island : 8 * island + 7])
-        assert np.array_equal(run.sources[8 * island + 7], begin[8 * island])
+    for first in (0, 16):
+        assert np.array_equal(run.sources[first : first + 14], begin[first : first + 14])
+        assert np.array_equal(run.sources[first + 14 : first + 16], begin[first : first + 2])
 
 
-def test_the_worse_half_of_the_islands_is_given_up_three_times():
-    """By their best chains, which cost 1 … 8; after 30, 38 and 46 % of a chain's trials."""
-    run, left, trials = Annealing(COORDINATES, np.random.default_rng(3), 200_000), [], 0
-    island = np.arange(64) // 8 * 3 % 8  # so that the order of costs is not that of the islands
-    run.tell(np.where(np.arange(64) % 8 == 5, 1.0 + island, 90.0 - island))  # by the mean the order is another
-    while not run.over:
-        asked = run.ask()
-        left.append(sorted(set(island[asked.source].tolist())))
-        trials += len(asked.x)
-        run.tell(np.full(len(asked.x), np.inf))
-    assert trials == pytest.approx(200_000, rel=0.005)
-    expected = [list(range(8)), [0, 1, 2, 3], [0, 1], [0]]
-    assert [one for n, one in enumerate(left) if n == 0 or left[n - 1] != one] == expected
-    fraction = [left.count(one) / len(left) for one in expected]
-    assert fraction == pytest.approx([0.3, 0.08, 0.08, 0.54], abs=0.01)
-
-
-@pytest.mark.parametrize("shape", [MANY, ONE])
-@pytest.mark.parametrize(("start", "hot"), [(None, 0.04), (np.full(6, 0.5), 0.004)])
-def test_it_cools_evenly_by_a_chain_s_trials_to_half_a_thousandth(shape, start, hot):
-    run, log_t, tries = started(trials=20_000, shape=shape, start=start), [], []
+@pytest.mark.parametrize(("start", "hot"), [(None, 0.03), (np.full(6, 0.5), 0.004)])
+def test_it_cools_evenly_by_a_chain_s_work_to_half_a_thousandth(start, hot):
+    """A trial is 1, and 10 more if it is taken."""
+    run, log_t, work = Annealing(COORDINATES, np.random.default_rng(1), 100_000, start), [], []
     taken = np.random.default_rng(1)  # now many, now few, so that chains have more or fewer trials at a time
     while not run.over:
         asked = run.ask()
         log_t.append(np.log(run.temperature))
-        tries.append(len(asked.x) / len(np.unique(asked.source)))
-        run.tell(np.where(taken.random(len(asked.x)) < taken.random(), 0.5, np.inf))
+        cost = np.where(taken.random(len(asked.x)) < taken.random(), 0.5, np.inf)
+        work.append((len(asked.x) + 10 * np.isfinite(cost).sum()) / len(np.unique(asked.source)))
+        run.tell(cost)
     log_t.append(np.log(run.temperature))
-    step = np.diff(log_t) / tries
-    assert len(set(tries)) > 3
-    assert np.exp(log_t[0] - step[0]) == pytest.approx(hot)  # the points where chains begin count as one trial each
+    step = np.diff(log_t) / work
+    assert len(set(work)) > 3
+    assert np.exp(log_t[0]) == pytest.approx(hot)
     assert np.exp(log_t[-1]) == pytest.approx(0.0005)
     assert step[:-1] == pytest.approx(np.full(len(step) - 1, step[0]))
-    assert step[0] <= step[-1] <= 0  # the last trials may be more than are left
+    assert step[0] <= step[-1] <= 0  # the last work may be more than is left
 
 
 def test_a_run_from_a_point_has_all_of_its_chains_there():
     start = np.linspace(0.1, 0.9, 6)
-    run = Annealing(COORDINATES, np.random.default_rng(3), 50_000, ONE, start)
+    run = Annealing(COORDINATES, np.random.default_rng(3), 50_000, start)
     assert np.array_equal(run.ask().x, np.tile(start, (32, 1)))
-    run.tell(np.ones(32))
-    trials = 0
-    while not run.over:
-        trials += len(run.ask().x)
-        run.tell(np.full(len(run.ask().x), np.inf))
-    assert trials == pytest.approx(50_000, rel=0.005)
 
 
-def test_four_rounds_are_of_one_length_and_the_best_end_so_far_is_refined():
-    """10,000 trials a dimension, refining 4000; in the fifth twice as many. Every other round has one island of 32."""
-    solver, runs = AnnealingRounds(PAIR, 1), []
-    ends = (5.0, 6.0, 4.0, 4.5, 3.0)  # the first, the third and the fifth are the best so far
-    while solver.rounds < 5:
+def works(solver, rounds, ends):
+    """The work of each run until so many rounds have begun, and how many had begun; `ends`: the best of each round."""
+    runs = []
+    while solver.rounds < rounds:
         asked = solver.ask()
         if np.isinf(asked.to_beat).all():
-            runs.append([len(asked.x), 0])
-        runs[-1][1] += len(asked.x)
-        cost = np.full(len(asked.x), 10.0)
-        cost[3] = ends[solver.rounds]
+            runs.append([solver.rounds, 0])
+        cost = np.full(len(asked.x), np.inf)
+        if not runs[-1][1]:
+            cost[:] = 10.0
+            cost[3] = ends[solver.rounds - 1]
+        runs[-1][1] += len(asked.x) + TAKEN * np.isfinite(cost).sum()
         solver.tell(cost)
-    assert [first for first, _ in runs] == [64, 32, 32, 64, 32, 32, 64, 32]
-    expected = [20000, 8000, 20000, 20000, 8000, 20000, 40000, 16000]
-    assert [trials for _, trials in runs] == pytest.approx(expected, rel=0.03)
+    return runs
+
+
+def test_rounds_become_longer_by_half_and_the_best_end_so_far_is_refined():
+    """10,000 a dimension in the first one, and a quarter of a round for refining."""
+    solver = AnnealingRounds(PAIR, 1)
+    runs = works(solver, 6, (5.0, 6.0, 4.0, 4.5, 3.0))  # the first, the third and the fifth are the best so far
+    assert [number for number, _ in runs] == [1, 1, 2, 3, 3, 4, 5, 5]
+    expected = [20_000, 5000, 30_000, 45_000, 11_250, 67_500, 101_250, 25_312.5]
+    for (_, work), wanted in zip(runs, expected, strict=True):
+        assert wanted <= work < wanted + 8 * 32  # as many trials at a time
     assert solver.best_cost == 3.0
 
 
 def test_a_given_point_is_refined_before_the_first_round():
     start = np.array([0.25, 0.75])
-    solver, runs = AnnealingRounds(PAIR, 1, start), []
+    solver = AnnealingRounds(PAIR, 1, start)
     assert np.array_equal(solver.ask().x, np.tile(start, (32, 1)))
-    while solver.rounds < 1:
-        asked = solver.ask()
-        if np.isinf(asked.to_beat).all():
-            runs.append([len(asked.x), 0])
-        runs[-1][1] += len(asked.x)
-        solver.tell(sphere(asked.x))
-    assert [first for first, _ in runs] == [32, 64, 32]
-    assert [trials for _, trials in runs] == pytest.approx([8000, 20000, 8000], rel=0.02)
+    runs = works(solver, 2, (5.0, 6.0))
+    assert [number for number, _ in runs] == [0, 1, 1]
+    for (_, work), wanted in zip(runs, (5000, 20_000, 5000), strict=True):
+        assert wanted <= work < wanted + 8 * 32
 
 
 def test_it_climbs_out_of_basins():
