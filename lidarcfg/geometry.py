@@ -39,10 +39,11 @@ def level(rpy_rad: ArrayLike) -> Array:
 
 def up(rpy_rad: ArrayLike) -> Array:
     """(…, 3) the z axis of a frame with roll, pitch, yaw (…, 3): the last column of R."""
-    roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
-    cr, sr, sp = np.cos(roll), np.sin(roll), np.sin(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
-    return np.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, np.cos(pitch) * cr], axis=-1)
+    angles = np.asarray(rpy_rad, np.float64)
+    (cr, cp, cy), (sr, sp, sy) = ([of(angles[..., axis]) for axis in range(3)] for of in (np.cos, np.sin))
+    out = np.empty(angles.shape)
+    out[..., 0], out[..., 1], out[..., 2] = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
+    return out
 
 
 def leaning(axis: Array, yaw_rad: Array) -> Array:

@@ -11,6 +11,8 @@ import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +21,16 @@ from lidarcfg.geometry import Array, level, up
 from lidarcfg.inputs import check_memory
 from lidarcfg.placement import evaluator_kernels as kernels
 from lidarcfg.placement import rows
+from lidarcfg.placement.bits import Words
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
 from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.terms import Trial
+from lidarcfg.placement.turns import Turns, share
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.visibility_kernels import LIMITS, new_looks
+from lidarcfg.placement.visibility_kernels import LIMITS
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
@@ -45,6 +49,17 @@ def max_vsr(region: Region, lidars: Sequence[Lidar], visibility: Visibility | No
 def slice_of(cuboids: int, threads: int) -> int:
     """Trials of so many cuboids between two looks at the clock: one for each thread at least."""
     return min(SLICE, max(threads, int(SLICE_CUBOIDS / cuboids)))
+
+
+class _Told(NamedTuple):
+    """What a batch told of its trials: a food source may take the place of one."""
+
+    source: Index  # (n,)
+    poses: Array  # (n, lidars, 6)
+    fresh: Index  # (n, WITNESSES) as Verdicts has them; and these two, of the LiDAR `moved`
+    links: Words
+    clear: Words
+    moved: Index  # (n,) the one that moved; −1 where there are others, or none
 
 
 class Evaluator:
@@ -84,7 +99,7 @@ class Evaluator:
         self._links = np.empty((0, len(lidars), *self._grid.links.shape), np.uint64)  # (sources, …), or none
         self._clear = np.empty((0, len(lidars), self._grid.included.size), np.uint64)  # (sources, …), or none
         self._witness = np.empty((0, self._witnesses), np.int64)  # (sources, …)
-        self._last: deque[tuple[Index, Array, Index]] = deque(maxlen=remembered)
+        self._last: deque[_Told] = deque(maxlen=remembered)
         self._rest = 0  # see RESTS
         self.on_evaluated: Callable[[int], None] | None = None  # is called with how many more have ended
         self.full_evaluations = 0
@@ -161,7 +176,7 @@ class Evaluator:
                 refuter[trial] = worst[0]
         if len(self._witness):
             kernels.remember(self._witness, source, refuter)
-        self._last.append((source, poses, fresh))
+        self._last.append(_Told(source, poses, fresh, self._links[:0, 0], self._clear[:0, 0], np.full(len(poses), -1)))
         criterion.learn()
         return out
 
@@ -194,26 +209,30 @@ class Evaluator:
         batch = kernels.Batch(
             self._placed(poses), to_beat, moved, source, self._kept, witness, self._links, stays, self._clear
         )
+        alone = np.where(moved.sum(axis=1) == 1, moved.argmax(axis=1), -1)
+        fits = len(self._links) > 0 and len(poses) * self._words * (self._last.maxlen or 1) <= self._cache_bytes
         verdicts = kernels.Verdicts(
-            np.full(len(poses), np.inf), np.full(len(poses), -1, np.int64), np.full_like(witness, -1)
+            np.full(len(poses), np.inf),
+            np.full(len(poses), -1, np.int64),
+            np.full_like(witness, -1),
+            np.empty((fits * len(poses), *self._links.shape[2:]), np.uint64),
+            np.empty((fits * len(poses) * (len(self._clear) > 0), *self._clear.shape[2:]), np.uint64),
         )
 
-        def run(trials: Index) -> tuple[int, int, int]:
-            found: tuple[int, int, int] = kernels.try_out(
-                trials, batch, self._grid, in_full, kernels.scratch_for(self._grid, batch), verdicts
-            )
+        def run(turns: Turns, most: int, scratch: kernels.Scratch) -> tuple[int, int, int]:
+            found: tuple[int, int, int] = kernels.try_out(turns, most, batch, self._grid, in_full, scratch, verdicts)
             return found
 
+        on_begun = self.on_evaluated if in_full else None
+        done = share(self._pool, self._rooms, len(poses), self.slice, run, on_begun)
+        evaluated, compared, cast = (sum(counts) for counts in zip((0, 0, 0), *done, strict=True))
+        self.segments += cast
         nx, ny, nz = self._region.shape
-        evaluated, parts = 0, self._parts(len(poses))
-        for (full, compared, cast), part in zip(self._pool.map(run, parts), parts, strict=True):
-            evaluated += full
-            self._evaluated(len(part) if in_full else 0)
-            self.segments += cast
-            self.cuboids += full * nx * ny * nz + compared * min(nx, 64)
+        self.cuboids += evaluated * nx * ny * nz + compared * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, verdicts.refuter)
-        self._last.append((source, poses, verdicts.fresh))
+        alone[(not fits) | (verdicts.fresh[:, 0] < 0)] = -1
+        self._last.append(_Told(source, poses, *verdicts[2:], alone))
         return verdicts.cost, evaluated
 
     def _evaluated(self, count: int) -> None:
@@ -225,17 +244,22 @@ class Evaluator:
 
     def _placed(self, poses: Array) -> kernels.Placed:
         """The LiDARs at poses (n, lidars, 6)."""
-        square = np.broadcast_to(self._square, (len(poses), *self._square.shape))
-        cones = np.concatenate([poses[..., :3], up(poses[..., 3:]), square], axis=-1)
+        cones = np.empty((*poses.shape[:2], FIRST + self._square.shape[1]))
+        cones[..., :3], cones[..., 3:FIRST], cones[..., FIRST:] = poses[..., :3], up(poses[..., 3:]), self._square
         if self._visibility is None:
             return kernels.Placed(cones, np.empty((len(poses), 0, LIMITS)), rows.EVERYTHING.obstacles)
         limits = self._visibility.limits(self._lidars, level(poses[..., 3:]))
         return kernels.Placed(cones, limits, self._visibility.obstacles)
 
-    def _parts(self, count: int) -> list[Index]:
-        """The numbers 0 … count − 1 in enough parts that no thread waits long for another."""
-        parts = min(count, 8 * self._threads) if self._threads > 1 else 1
-        return [np.arange(first, count, parts) for first in range(parts)]
+    @property
+    def _words(self) -> int:
+        """The bytes of a LiDAR's links and what is clear of it."""
+        return self._grid.links.nbytes + (self._grid.included.nbytes if self._visibility else 0)
+
+    @cached_property
+    def _rooms(self) -> list[kernels.Scratch]:
+        """Working memory for each thread."""
+        return [kernels.scratch_for(self._grid, self._kept, self._square.shape[1]) for _ in range(self._threads)]
 
     def _follow(self, source_poses: Array) -> None:
         """Bring the witnesses of the food sources up to date."""
@@ -243,30 +267,39 @@ class Evaluator:
             self._poses = np.full_like(source_poses, np.nan)
             self._linked = np.full_like(source_poses, np.nan)
             self._witness = np.full((len(source_poses), self._witnesses), -1, np.int64)
-            words = self._grid.links.nbytes + (self._grid.included.nbytes if self._visibility else 0)
-            fits = len(source_poses) * len(self._lidars) * words <= self._cache_bytes
+            fits = len(source_poses) * len(self._lidars) * self._words <= self._cache_bytes
             self._links = np.empty((len(source_poses) * fits, *self._links.shape[1:]), np.uint64)
             clear = len(self._links) if self._visibility else 0
             self._clear = np.empty((clear, *self._clear.shape[1:]), np.uint64)
         changed = (self._poses != source_poses).any(axis=(1, 2))
         self._witness[changed] = -1
         for last in self._last if changed.any() else ():
-            source, poses, fresh = (of[last[0] < len(source_poses)] for of in last)
-            new = np.flatnonzero((poses == source_poses[source]).all(axis=(1, 2)) & changed[source])
-            self._witness[source[new]] = fresh[new]
+            new = np.flatnonzero(last.source < len(source_poses))
+            row = last.source[new]
+            new = new[changed[row] & (last.poses[new] == source_poses[row]).all(axis=(1, 2))]
+            self._witness[last.source[new]] = last.fresh[new]
+            self._take_over(last, new[last.moved[new] >= 0])
         self._poses = source_poses.copy()
 
+    def _take_over(self, last: _Told, trials: Index) -> None:
+        """Take the links of the LiDAR that moved from trials whose place some food sources have taken."""
+        differs = (self._linked[last.source[trials]] != last.poses[trials]).any(axis=2)
+        trials = trials[differs[np.arange(len(trials)), last.moved[trials]] & (differs.sum(axis=1) == 1)]
+        row, lidar = last.source[trials], last.moved[trials]
+        self._links[row, lidar] = last.links[trials]
+        if len(self._clear):
+            self._clear[row, lidar] = last.clear[trials]
+        self._linked[row] = last.poses[trials]
+
     def _renew(self, sources: Index) -> None:
-        """Bring the links of some food sources up to date."""
-        changed = np.zeros(self._poses.shape[:2], bool)
-        changed[sources] = (self._linked[sources] != self._poses[sources]).any(axis=2)
-        stale = np.flatnonzero(changed.any(axis=1))
-        stays = (self._linked[..., :3] == self._poses[..., :3]).all(axis=2)
-        known = kernels.Sources(self._placed(self._poses), changed, self._links, stays, self._clear)
+        """Bring the links of some other food sources up to date."""
+        stale = sources[(self._linked[sources] != self._poses[sources]).any(axis=(1, 2))]
+        poses, linked = self._poses[stale], self._linked[stale]
+        changed, stays = (linked != poses).any(axis=2), (linked[..., :3] == poses[..., :3]).all(axis=2)
+        known = kernels.Sources(stale, self._placed(poses), changed, stays, self._links, self._clear)
 
-        def renew(part: Index) -> None:
-            work = rows.room(self._grid, 1, self._square.shape[1], new_looks(1, self._grid.included.size))
-            kernels.renew(stale[part], known, self._grid, work, np.zeros(1, np.int64))
+        def run(turns: Turns, most: int, scratch: kernels.Scratch) -> None:
+            kernels.renew(turns, most, known, self._grid, scratch)
 
-        list(self._pool.map(renew, self._parts(len(stale))))
-        self._linked[sources] = self._poses[sources]
+        share(self._pool, self._rooms, len(stale), self.slice, run)
+        self._linked[stale] = poses

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.jit import inner, outer
 from lidarcfg.placement.bits import ALL, NONE, Words
-from lidarcfg.placement.cones import FIRST
 from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cuboid
 from lidarcfg.placement.rows import Counts, Grid, Work, link, put, put_links, room
+from lidarcfg.placement.turns import Turns, take
 from lidarcfg.placement.visibility_kernels import Looks, Obstacles, Sight
 from lidarcfg.placement.worst_subspaces import keep, worst, worth
 
@@ -45,12 +45,13 @@ class Batch(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """Food sources, and what is to be renewed of them."""
+    """Some food sources, and what is to be renewed of them."""
 
+    row: Counts  # (n,) of `links` and `clear`
     placed: Placed
-    changed: Flags  # (sources, lidars) whose links are those of another pose
+    changed: Flags  # (n, lidars) whose links are those of another pose
+    stays: Flags  # (n, lidars) whose `clear` is not
     links: Words  # as in Batch
-    stays: Flags  # (sources, lidars) whose `clear` is not
     clear: Words  # as in Batch
 
 
@@ -60,13 +61,15 @@ class Verdicts(NamedTuple):
     cost: Array  # (n,) max VSR, or inf where it is not below what had to be beaten; NaN where it was not computed
     refuter: Counts  # (n,) the witness whose subspace refuted a trial, or −1
     fresh: Counts  # (n, WITNESSES) witnesses in the worst subspaces of a trial that was not refuted
+    links: Words  # (n, 3, rows) of such a trial the links of the last LiDAR that moved; or none
+    clear: Words  # (n, rows) and what is clear of it, see Looks; or none
 
 
 class Found(NamedTuple):
     """What is found of one trial."""
 
     links: Words  # (3, rows)
-    own: Words  # (lidars, 3, rows) the links of LiDARs that moved, where there is more than one case
+    own: Words  # (lidars, 3, rows) the links of LiDARs that moved
     left: Words  # (cases, rows) cuboids that no flood from a witness has reached
     values: Array  # (WITNESSES,) the worst subspaces of all cases, descending
     cuboids: Counts  # (WITNESSES,) a witness in each, see _order
@@ -75,7 +78,7 @@ class Found(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Working memory for the trials of a batch; each thread has its own."""
+    """Working memory for trials; each thread has its own."""
 
     work: Work
     floods: Floods
@@ -84,20 +87,20 @@ class Scratch(NamedTuple):
     moved: Counts  # (lidars,) numbers of LiDARs
 
 
-def scratch_for(grid: Grid, batch: Batch) -> Scratch:
-    """Room for trials of a batch."""
-    cases, lidars = batch.kept.shape
+def scratch_for(grid: Grid, kept: Flags, beams: int) -> Scratch:
+    """Room for trials with `kept` (cases, lidars) of LiDARs of up to so many beams."""
+    cases, lidars = kept.shape
     floods = flood_room(grid, lidars)
     found = Found(
         np.empty_like(grid.links),
-        np.empty((lidars * (cases > 1), *grid.links.shape), np.uint64),
+        np.empty((lidars, *grid.links.shape), np.uint64),
         np.empty((cases, grid.included.size), np.uint64),
         np.empty(WITNESSES),
         np.empty(WITNESSES, np.int64),
         np.empty(1, np.int64),
         np.zeros(1, np.int64),
     )
-    work = room(grid, lidars, batch.placed.cones.shape[2] - FIRST, floods.looks)
+    work = room(grid, lidars, beams, floods.looks)
     return Scratch(work, floods, found, np.zeros(cases, np.int64), np.zeros(lidars, np.int64))
 
 
@@ -213,7 +216,7 @@ def _evaluate(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> int:
     size, moved = grid.included.size << 6, scratch.moved[: _moved(trial, -1, batch, scratch.moved)]
     cones, sight = batch.placed.cones[trial], Sight(batch.placed.limits[trial], batch.placed.obstacles)
     links, to_beat = found.links, batch.to_beat[trial]
-    for n in range(moved.size if cases.size > 1 else 0):
+    for n in range(moved.size):
         link(grid, grid.links, cones, moved[n : n + 1], sight, work)
         put_links(found.own[moved[n]], work.links)
     for number in range(cases.size):
@@ -221,20 +224,27 @@ def _evaluate(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> int:
         put_links(links, grid.links)
         put(floods.left, found.left[case])
         _join(trial, case, batch, found.own, links)
-        if cases.size == 1:
-            link(grid, links, cones, moved, sight, work)
-            links = work.links
         worst(grid, Walls(links, cones, moved[:0], sight), to_beat, floods, found.values, found.cuboids, case * size)
         if found.values[0] >= to_beat:
             return number + 1
     return int(cases.size)
 
 
+@inner()
+def _hand_over(trial: int, batch: Batch, scratch: Scratch, verdicts: Verdicts) -> None:
+    """Write what a source will need that takes the trial's place."""
+    count = _moved(trial, -1, batch, scratch.moved)
+    if count and len(verdicts.links):
+        put_links(verdicts.links[trial], scratch.found.own[scratch.moved[count - 1]])
+    if count and len(verdicts.clear):
+        put(verdicts.clear[trial], scratch.floods.looks.clear[scratch.moved[count - 1]])
+
+
 @outer()
 def try_out(
-    trials: Counts, batch: Batch, grid: Grid, in_full: bool, scratch: Scratch, verdicts: Verdicts
+    turns: Turns, most: int, batch: Batch, grid: Grid, in_full: bool, scratch: Scratch, verdicts: Verdicts
 ) -> tuple[int, int, int]:
-    """Write the verdicts on some trials (t,) of a batch.
+    """Take at most so many turns, and write the verdicts on these trials of a batch.
 
     First the subspaces of a trial's witnesses are flooded, and rows are compared with cones as the flood gets to them;
     one whose VSR is no less than what has to be beaten refutes the trial. Only without one are all links computed, once
@@ -242,8 +252,11 @@ def try_out(
     other trials, and how many segments were cast.
     """
     looks, found = scratch.floods.looks, scratch.found
-    full = compared = 0
-    for t in trials:
+    looks.shadows.cast[0] = full = compared = 0
+    for _ in range(most):
+        t = take(turns)
+        if t >= batch.source.size:
+            break
         if batch.placed.limits.shape[1] > 0:
             for lidar in range(batch.moved.shape[1]):
                 if batch.moved[t, lidar]:
@@ -265,27 +278,30 @@ def try_out(
             verdicts.cost[t] = found.values[0]
             for n in range(found.cuboids.size):
                 verdicts.fresh[t, n] = found.cuboids[n]
+            _hand_over(t, batch, scratch, verdicts)
         else:
             verdicts.refuter[t] = found.cuboids[0]
     return full, compared, looks.shadows.cast[0]
 
 
 @outer()
-def renew(rows: Counts, sources: Sources, grid: Grid, work: Work, alone: Counts) -> None:
-    """Compute links and clear for some food sources, of the LiDARs that have changed.
-
-    work: of one LiDAR; `alone` (1,) is its number, 0.
-    """
+def renew(turns: Turns, most: int, sources: Sources, grid: Grid, scratch: Scratch) -> None:
+    """Take at most so many turns, and compute links and clear for these food sources, of LiDARs that have changed."""
     cones, limits, obstacles = sources.placed.cones, sources.placed.limits, sources.placed.obstacles
-    links, clear, looks = sources.links, sources.clear, work.looks
-    for row in rows:
+    links, clear, work, looks, alone = sources.links, sources.clear, scratch.work, scratch.work.looks, scratch.moved[:1]
+    alone[0] = 0
+    for _ in range(most):
+        n = take(turns)
+        if n >= sources.row.size:
+            break
+        row = sources.row[n]
         for lidar in range(cones.shape[1]):
-            if not sources.changed[row, lidar]:
+            if not sources.changed[n, lidar]:
                 continue
             if limits.shape[1]:
-                remind(looks, 0, sources.stays[row, lidar], clear, row, lidar)
-            sight = Sight(limits[row, lidar : lidar + 1], obstacles)
-            link(grid, grid.links, cones[row, lidar : lidar + 1], alone, sight, work)
+                remind(looks, 0, sources.stays[n, lidar], clear, row, lidar)
+            sight = Sight(limits[n, lidar : lidar + 1], obstacles)
+            link(grid, grid.links, cones[n, lidar : lidar + 1], alone, sight, work)
             put_links(links[row, lidar], work.links)
             if limits.shape[1]:
                 put(clear[row, lidar], looks.clear[0])

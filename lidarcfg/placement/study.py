@@ -69,7 +69,7 @@ class Study:
         """Whether max VSR of the whole rig, and nothing else, is what a search minimises."""
         return self.objective.is_max_vsr and self.robust is None and not self.zones
 
-    @property
+    @cached_property
     def free(self) -> NDArray[np.bool_]:
         """(slots, 6) which coordinates vary independently."""
         free = (self.lower < self.upper) & np.isnan(self.mirror)[:, None]
@@ -127,11 +127,14 @@ class Study:
 
         Sensors off their surface violate them, and sensors inside a closed body unless the vehicle allows that.
         """
-        tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
-        total: Array = np.maximum(tilt - math.radians(self.constraints.max_tilt_deg) - 1e-12, 0.0).sum(axis=1)
-        for i, j in combinations(range(len(self.slots)), 2):
+        limit_deg, least_m = self.constraints.max_tilt_deg, self.constraints.min_distance_m
+        total = np.zeros(len(poses))
+        if limit_deg < 180.0:
+            tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
+            total += np.maximum(tilt - math.radians(limit_deg) - 1e-12, 0.0).sum(axis=1)
+        for i, j in combinations(range(len(self.slots)), 2) if least_m > 0.0 else ():
             apart = np.linalg.norm(poses[:, i, :3] - poses[:, j, :3], axis=1)
-            total += np.maximum(self.constraints.min_distance_m - apart, 0.0)
+            total += np.maximum(least_m - apart, 0.0)
         total += violation([slot.surface for slot in self.slots], poses)
         if self.vehicle and not self.vehicle.allow_inside:
             total += self.vehicle.depth_m(poses[..., :3].reshape(-1, 3)).reshape(len(poses), -1).sum(axis=1)

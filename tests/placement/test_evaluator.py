@@ -54,6 +54,38 @@ def test_skipping_changes_nothing(tmp_path, count, beams, limit, seed):
         assert runs[1].cuboids < runs[0].cuboids
 
 
+@pytest.mark.parametrize(
+    "body", ["", "vehicle: {boxes: [{name: cab, center_m: [6, 4, 1], size_m: [2, 2, 1.6]}], allow_inside: true}\n"]
+)
+def test_what_a_source_takes_over_is_what_would_be_computed(tmp_path, body):
+    """Links, and what is clear, of sources that took the places of trials, bit by bit as of a new evaluator."""
+    path = tmp_path / "s.yaml"
+    path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + body)
+    study, rng = load_study(path), np.random.default_rng(3)
+    lidars = [slot.lidar for slot in study.slots]
+    every = np.arange(6)
+    x = rng.random((6, int(study.free.sum())))
+    with Evaluator(study.region, lidars, 2, visibility=study.visibility) as evaluator:
+        taken_over = 0
+        for cycle in range(12):
+            sources = study.poses(x)
+            step = x + np.where(study.groups == cycle % 3, rng.normal(0, 0.05, x.shape), 0.0)
+            trials = np.clip(step, 0, 1)
+            before = evaluator._linked.copy()
+            cost = evaluator.costs(study.poses(trials), every, sources, np.full(6, 10.0))
+            taken_over += int(cycle > 1 and not (before == evaluator._linked).all())
+            x = np.where((cost < 10.0)[:, None], trials, x)
+        assert taken_over
+        evaluator._follow(study.poses(x))
+        assert (evaluator._linked == study.poses(x)).all()  # nothing is left to compute
+        with Evaluator(study.region, lidars, 1, visibility=study.visibility) as other:
+            other._follow(study.poses(x))
+            other._renew(every)
+            assert (evaluator._links == other._links).all()
+            assert evaluator._clear.shape == other._clear.shape == (6 * bool(body), *other._clear.shape[1:])
+            assert (evaluator._clear == other._clear).all()
+
+
 @pytest.mark.parametrize(("robust", "trials"), [("", 4), ("robust: {lost: 1}\n", 2)])
 def test_a_deadline_is_kept_between_a_few_rigs_of_many_cuboids(tmp_path, monkeypatch, robust, trials):
     """2,304 cuboids in 1 rig or in the 2 that may be left: 10,000 are so many trials of the first 12."""
