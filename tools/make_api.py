@@ -78,7 +78,8 @@ def definition(node: ast.FunctionDef | ast.ClassDef, lines: list[str]) -> str:
     if isinstance(node, ast.ClassDef):
         for method in node.body:
             if isinstance(method, ast.FunctionDef) and not method.name.startswith("_"):
-                kind = "property" if any(ast.unparse(d) in ("property", "cached_property") for d in method.decorator_list) else "method"
+                marks = {ast.unparse(mark) for mark in method.decorator_list}
+                kind = "property" if marks & {"property", "cached_property"} else "method"
                 text = " ".join((ast.get_docstring(method) or "").split())
                 name = method.name if kind == "property" else f"{method.name}({ast.unparse(method.args)})"
                 parts.append(f"- `{name}`{returns(method)}: {text}")
