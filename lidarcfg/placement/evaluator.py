@@ -34,7 +34,8 @@ from lidarcfg.placement.visibility_kernels import LIMITS
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
-SLICE, SLICE_CUBOIDS = 100, 5e7  # trials between two looks at the clock, and the most cuboids in them
+SLICE, SLICE_CUBOIDS = 1000, 5e7  # trials between two looks at the clock, and the most cuboids in them
+TOLD = 10_000  # trials that may take the place of a food source
 FEW = 8  # LiDARs, of which a trial takes no longer than its cuboids; of more it takes as much longer
 RESTS = 10  # batches without witnesses after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
@@ -52,14 +53,14 @@ def slice_of(cuboids: int, threads: int) -> int:
 
 
 class _Told(NamedTuple):
-    """What a batch told of its trials: a food source may take the place of one."""
+    """What is known of some trials that were not refuted: a food source may move to where one is."""
 
     source: Index  # (n,)
     poses: Array  # (n, lidars, 6)
     fresh: Index  # (n, WITNESSES) as Verdicts has them; and these two, of the LiDAR `moved`
-    links: Words
-    clear: Words
-    moved: Index  # (n,) the one that moved; −1 where there are others, or none
+    links: Words  # (n, 3, rows), or none
+    clear: Words  # (n, rows), or none
+    moved: Index  # (n,) the one that moved; −1 where there are others, or its links are not here
 
 
 class Evaluator:
@@ -78,7 +79,6 @@ class Evaluator:
         criterion: Criterion | None = None,
         cache_bytes: int = CACHE_BYTES,
         visibility: Visibility | None = None,
-        remembered: int = 1,
     ) -> None:
         self._region, self._lidars, self._skip, self._criterion = region, lidars, skip, criterion
         self._visibility = visibility
@@ -99,7 +99,7 @@ class Evaluator:
         self._links = np.empty((0, len(lidars), *self._grid.links.shape), np.uint64)  # (sources, …), or none
         self._clear = np.empty((0, len(lidars), self._grid.included.size), np.uint64)  # (sources, …), or none
         self._witness = np.empty((0, self._witnesses), np.int64)  # (sources, …)
-        self._last: deque[_Told] = deque(maxlen=remembered)
+        self._told: deque[_Told] = deque()  # since food sources moved
         self._rest = 0  # see RESTS
         self.on_evaluated: Callable[[int], None] | None = None  # is called with how many more have ended
         self.full_evaluations = 0
@@ -176,7 +176,9 @@ class Evaluator:
                 refuter[trial] = worst[0]
         if len(self._witness):
             kernels.remember(self._witness, source, refuter)
-        self._last.append(_Told(source, poses, fresh, self._links[:0, 0], self._clear[:0, 0], np.full(len(poses), -1)))
+        told = np.flatnonzero(out < np.inf)
+        none = self._links[:0, 0], self._clear[:0, 0], np.full(len(told), -1)
+        self._tell(_Told(source[told], poses[told], fresh[told], *none))
         criterion.learn()
         return out
 
@@ -210,7 +212,8 @@ class Evaluator:
             self._placed(poses), to_beat, moved, source, self._kept, witness, self._links, stays, self._clear
         )
         alone = np.where(moved.sum(axis=1) == 1, moved.argmax(axis=1), -1)
-        fits = len(self._links) > 0 and len(poses) * self._words * (self._last.maxlen or 1) <= self._cache_bytes
+        held = sum(len(one.links) for one in self._told)
+        fits = len(self._links) > 0 and (held + len(poses)) * self._words <= self._cache_bytes
         verdicts = kernels.Verdicts(
             np.full(len(poses), np.inf),
             np.full(len(poses), -1, np.int64),
@@ -231,9 +234,16 @@ class Evaluator:
         self.cuboids += evaluated * nx * ny * nz + compared * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, verdicts.refuter)
-        alone[(not fits) | (verdicts.fresh[:, 0] < 0)] = -1
-        self._last.append(_Told(source, poses, *verdicts[2:], alone))
+        told = np.flatnonzero(verdicts.fresh[:, 0] >= 0)
+        links, clear = (words[told] if len(words) else words for words in (verdicts.links, verdicts.clear))
+        alone = alone[told] if fits else np.full(len(told), -1)
+        self._tell(_Told(source[told], poses[told], verdicts.fresh[told], links, clear, alone))
         return verdicts.cost, evaluated
+
+    def _tell(self, told: _Told) -> None:
+        self._told.append(told)
+        while sum(len(one.source) for one in self._told) > TOLD:
+            self._told.popleft()
 
     def _evaluated(self, count: int) -> None:
         if self.on_evaluated:
@@ -273,23 +283,26 @@ class Evaluator:
             self._clear = np.empty((clear, *self._clear.shape[1:]), np.uint64)
         changed = (self._poses != source_poses).any(axis=(1, 2))
         self._witness[changed] = -1
-        for last in self._last if changed.any() else ():
-            new = np.flatnonzero(last.source < len(source_poses))
-            row = last.source[new]
-            new = new[changed[row] & (last.poses[new] == source_poses[row]).all(axis=(1, 2))]
-            self._witness[last.source[new]] = last.fresh[new]
-            self._take_over(last, new[last.moved[new] >= 0])
+        if not changed.any():
+            return
+        for told in self._told:
+            new = np.flatnonzero(told.source < len(source_poses))
+            row = told.source[new]
+            new = new[changed[row] & (told.poses[new] == source_poses[row]).all(axis=(1, 2))]
+            self._witness[told.source[new]] = told.fresh[new]
+            self._take_over(told, new[told.moved[new] >= 0])
+        self._told.clear()
         self._poses = source_poses.copy()
 
-    def _take_over(self, last: _Told, trials: Index) -> None:
-        """Take the links of the LiDAR that moved from trials whose place some food sources have taken."""
-        differs = (self._linked[last.source[trials]] != last.poses[trials]).any(axis=2)
-        trials = trials[differs[np.arange(len(trials)), last.moved[trials]] & (differs.sum(axis=1) == 1)]
-        row, lidar = last.source[trials], last.moved[trials]
-        self._links[row, lidar] = last.links[trials]
+    def _take_over(self, told: _Told, trials: Index) -> None:
+        """Take the links of the LiDAR that moved from trials that some food sources have moved to."""
+        differs = (self._linked[told.source[trials]] != told.poses[trials]).any(axis=2)
+        trials = trials[differs[np.arange(len(trials)), told.moved[trials]] & (differs.sum(axis=1) == 1)]
+        row, lidar = told.source[trials], told.moved[trials]
+        self._links[row, lidar] = told.links[trials]
         if len(self._clear):
-            self._clear[row, lidar] = last.clear[trials]
-        self._linked[row] = last.poses[trials]
+            self._clear[row, lidar] = told.clear[trials]
+        self._linked[row] = told.poses[trials]
 
     def _renew(self, sources: Index) -> None:
         """Bring the links of some other food sources up to date."""

@@ -35,10 +35,7 @@ class StudyEvaluator:
             self._at_rest = Evaluator(study.region, lidars, threads, skip, criterion, visibility=study.visibility)
         if robust and robust.drawn:
             self._errors = robust.errors(len(lidars))
-            self._off = Evaluator(
-                study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility,
-                remembered=robust.drawn,
-            )  # fmt: skip
+            self._off = Evaluator(study.region, lidars, threads, skip, study.criterion(), visibility=study.visibility)
         self._refuting: Recent[int] = Recent()  # draws
         self._sources = self._off_sources = np.empty((0, len(lidars), 6))
         for one in self._parts:

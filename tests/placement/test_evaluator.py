@@ -112,6 +112,19 @@ def test_the_time_of_a_sweep_is_estimated_by_a_few_rigs_where_these_take_long(tm
     assert pace.evaluation_s == found[0].seconds / 4
 
 
+@pytest.mark.parametrize("robust", ["", "robust: {lost: 1}\n", "robust: {position_sigma_m: 0.02, samples: 4}\n"])
+def test_a_search_with_a_deadline_evaluates_no_more_in_full(tmp_path, monkeypatch, robust):
+    """There a batch is cut into slices, and what an earlier slice has found must not be forgotten by a later one."""
+    path = tmp_path / "s.yaml"
+    path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + robust)
+    study = load_study(path)
+    whole = optimize(with_solver(study, method="annealing", evaluations=2000), threads=1)
+    monkeypatch.setattr("lidarcfg.placement.evaluator.SLICE", 5)
+    sliced = optimize(with_solver(study, method="annealing", evaluations=2000, seconds=1e6), threads=1)
+    assert history(sliced) == history(whole)
+    assert sliced.full_evaluations < 1.02 * whole.full_evaluations
+
+
 OBJECTS = """
 detection:
   - {name: box, size_m: [1, 0.5, 0.5]}
