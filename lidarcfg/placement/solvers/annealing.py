@@ -32,7 +32,7 @@ LEARNING = (0.6, 0.1)  # the probability of a step that takes over coordinates, 
 OWN = 0.6  # the probability of taking them from its own chain
 NEARLY = 0.3  # the standard deviation of what is taken over, in those of Gaussian steps
 RENEWALS, RENEWED = 20, 0.1  # how often in a run, and what fraction of an island's chains, worst to best
-FIRST, LONGER = 10_000, 1.5  # the work of the first round, per dimension; of each further one, by that of the last
+FIRST, SECOND, LONGER = 4_000, 40_000, 1.5  # the work of rounds, per dimension; of each further one, by the last's
 REFINING = 0.25  # the work of refining what a round found, by the round's
 
 
@@ -140,9 +140,10 @@ def _counterparts(kind: NDArray[np.int64], members: NDArray[np.bool_]) -> NDArra
 
 
 class AnnealingRounds(Runs):
-    """Rounds of annealing, longer and longer. The best end of a round so far is refined by another run.
+    """Rounds of annealing: a short one, for who cannot wait, then longer and longer ones.
 
-    `start` (dimensions,), if given, is refined before the first round.
+    The best end of a round so far is refined by another run. `start` (dimensions,), if given, is refined before the
+    first round.
     """
 
     def __init__(self, coordinates: Coordinates, seed: int, start: Array | None = None) -> None:
@@ -156,7 +157,8 @@ class AnnealingRounds(Runs):
 
     @property
     def _work(self) -> float:
-        return FIRST * len(self._coordinates) * LONGER ** max(self.rounds - 1, 0)
+        each = FIRST if self.rounds < 2 else SECOND * LONGER ** (self.rounds - 2)
+        return each * len(self._coordinates)
 
     def _round(self) -> Annealing:
         self._refines, self._end, self.rounds = False, np.inf, self.rounds + 1
