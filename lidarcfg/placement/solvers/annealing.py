@@ -12,7 +12,7 @@ are tilted equally, and with one LiDAR at a time no chain would get there by cha
 How far a run has come is counted by work, not by trials: a trial that is taken was evaluated in full, which takes ten
 times as long as to refute one. Otherwise hot chains, which take every second trial, would have most of the time.
 
-Chains live on islands, and no island knows of another: chains that learn from each other all end in one basin.
+Chains that learn from each other all end in one basin, so there is more than one round.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
 
-ISLANDS, CHAINS = 2, 16  # of each island
+CHAINS = 16
 TRIES = 8  # at most so many trials of a chain at a time; the first that it takes moves it
 TAKEN = 10  # the work of a trial that is taken, besides the 1 of any trial
 HOT, WARM, COLD = 0.03, 0.004, 0.0005  # T at the beginning, where a run goes on from a good point, and at the end
@@ -31,8 +31,8 @@ STEP_COORDINATE = 0.6  # the probability of a coordinate of the group to take pa
 LEARNING = (0.6, 0.1)  # the probability of a step that takes over coordinates, at the beginning and at the end
 OWN = 0.6  # the probability of taking them from its own chain
 NEARLY = 0.3  # the standard deviation of what is taken over, in those of Gaussian steps
-RENEWALS, RENEWED = 20, 0.1  # how often in a run, and what fraction of an island's chains, worst to best
-FIRST, SECOND, LONGER = 4_000, 40_000, 1.5  # the work of rounds, per dimension; of each further one, by the last's
+RENEWALS, RENEWED = 20, 2  # how often in a run the worst chains go to the best, and how many
+FIRST, SECOND, LONGER = 2_000, 50_000, 1.5  # the work of rounds, per dimension; of each further one, by the last's
 REFINING = 0.25  # the work of refining what a round found, by the round's
 
 
@@ -51,18 +51,18 @@ class Annealing:
         self._done = 0.0  # work of a chain so far
         self._members = np.unique(coordinates.group)[:, None] == coordinates.group
         self._counterpart = _counterparts(coordinates.kind, self._members)
-        self._x = rng.random((ISLANDS * CHAINS, len(coordinates)))
+        self._x = rng.random((CHAINS, len(coordinates)))
         if start is not None:
             self._x[:] = start
-        self._cost = np.full(len(self._x), np.inf)
+        self._cost = np.full(CHAINS, np.inf)
         self._hot = HOT if start is None else WARM
-        self._work = work / len(self._x)  # of a chain
+        self._work = work / CHAINS  # of each
         self.over = False
-        self._asked = Trials("trial", self._x.copy(), np.arange(len(self._x)), self._cost.copy())
+        self._asked = Trials("trial", self._x.copy(), np.arange(CHAINS), self._cost.copy())
 
     @property
     def sources(self) -> Array:
-        """(chains, dimensions) where the chains are, island by island."""
+        """(chains, dimensions) where the chains are."""
         return self._x
 
     @property
@@ -90,7 +90,7 @@ class Annealing:
         taken = np.flatnonzero(cost < trials.to_beat)
         chain, first = np.unique(trials.source[taken], return_index=True)
         self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
-        self._done += self._tries + TAKEN * len(taken) / len(self._x)
+        self._done += self._tries + TAKEN * len(taken) / CHAINS
         self._tries = int(np.clip(len(cost) // (2 * max(len(taken), 1)), 1, TRIES))  # so that few are taken in vain
         self.over = self._done >= self._work
         if self._done * RENEWALS >= (self._renewals + 1) * self._work:
@@ -99,15 +99,14 @@ class Annealing:
         self._asked = self._draw()
 
     def _renew(self) -> None:
-        """Move the worst chains of each island to where its best are."""
-        count = round(RENEWED * CHAINS)
-        for first in range(0, len(self._x), CHAINS):
-            order = first + np.argsort(self._cost[first : first + CHAINS], kind="stable")
-            self._x[order[-count:]], self._cost[order[-count:]] = self._x[order[:count]], self._cost[order[:count]]
+        """Move the worst chains to where the best are."""
+        order = np.argsort(self._cost, kind="stable")
+        worst, best = order[-RENEWED:], order[:RENEWED]
+        self._x[worst], self._cost[worst] = self._x[best], self._cost[best]
 
     def _draw(self) -> Trials:
         rng, dimensions = self._rng, self._x.shape[1]
-        chain = np.repeat(np.arange(len(self._x)), self._tries)
+        chain = np.repeat(np.arange(CHAINS), self._tries)
         n, groups = len(chain), len(self._members)
         group = rng.integers(groups, size=n)
         moves = self._members[group]
@@ -115,8 +114,7 @@ class Annealing:
         some = np.where(some.any(axis=1, keepdims=True), some, moves)
         deviation = LEAST * (MOST / LEAST) ** rng.random((n, 1))
         normal = rng.standard_normal((n, dimensions))
-        place = chain % CHAINS  # on its island
-        one, other = (chain - place + (place + rng.integers(1, CHAINS, size=n)) % CHAINS for _ in range(2))
+        one, other = ((chain + rng.integers(1, CHAINS, size=n)) % CHAINS for _ in range(2))
         difference = rng.uniform(0.2, 1.0, (n, 1)) * (self._x[one] - self._x[other]) + JITTER * normal
         gaussian = rng.random((n, 1)) < 0.5
         x = self._x[chain] + np.where(gaussian, some * deviation * normal, moves * difference)

@@ -27,9 +27,9 @@ def started(coordinates=COORDINATES, work=10**9, seed=1, start=None):
 def test_chains_begin_at_random_points_and_go_there_whatever_they_cost():
     run = Annealing(COORDINATES, np.random.default_rng(2), 10**9)
     begin = run.ask()
-    assert begin.x.shape == (32, 6)
+    assert begin.x.shape == (16, 6)
     assert np.isinf(begin.to_beat).all()
-    run.tell(np.where(np.arange(32) % 2, np.inf, 5.0))
+    run.tell(np.where(np.arange(16) % 2, np.inf, 5.0))
     assert np.array_equal(run.sources, begin.x)
     asked = run.ask()
     assert np.isinf(asked.to_beat[asked.source % 2 == 1]).all()
@@ -38,7 +38,7 @@ def test_chains_begin_at_random_points_and_go_there_whatever_they_cost():
 
 def test_a_trial_moves_coordinates_of_one_group():
     run = started()
-    run.tell(np.full(32, np.inf))
+    run.tell(np.full(16, np.inf))
     asked = run.ask()
     moved = asked.x != run.sources[asked.source]
     assert moved.any(axis=1).all()
@@ -47,14 +47,12 @@ def test_a_trial_moves_coordinates_of_one_group():
     assert {number for one in groups for number in one} == {0, 2, 7}
 
 
-@pytest.mark.parametrize(
-    ("taken", "trials"), [(32, 1), (17, 1), (12, 1), (8, 2), (5, 3), (3, 5), (2, 8), (1, 8), (0, 8)]
-)
+@pytest.mark.parametrize(("taken", "trials"), [(16, 1), (9, 1), (6, 1), (4, 2), (3, 2), (2, 4), (1, 8), (0, 8)])
 def test_the_fewer_trials_are_taken_the_more_of_them_a_chain_has_at_a_time(taken, trials):
     """So many that one in two chains takes one; up to 8."""
     run = started()
-    run.tell(np.where(np.arange(32) < taken, 0.5, np.inf))
-    assert run.ask().source.tolist() == [chain for chain in range(32) for _ in range(trials)]
+    run.tell(np.where(np.arange(16) < taken, 0.5, np.inf))
+    assert run.ask().source.tolist() == [chain for chain in range(16) for _ in range(trials)]
 
 
 def test_what_a_trial_has_to_beat_is_drawn_from_the_rule_of_metropolis():
@@ -74,26 +72,26 @@ def test_what_a_trial_has_to_beat_is_drawn_from_the_rule_of_metropolis():
 
 def test_the_first_trial_that_a_chain_takes_moves_it():
     run = started()
-    run.tell(np.full(32, np.inf))
+    run.tell(np.full(16, np.inf))
     before, asked = run.sources.copy(), run.ask()
-    cost = np.full(256, np.inf)
+    cost = np.full(128, np.inf)
     cost[17], cost[18] = asked.to_beat[17] * 0.999, 0.5  # both of chain 2
     cost[40] = asked.to_beat[40]  # of chain 5, and no better than what it had to beat
     run.tell(cost)
     assert np.array_equal(run.sources[2], asked.x[17])
     assert np.array_equal(np.delete(run.sources, 2, axis=0), np.delete(before, 2, axis=0))
-    assert run.mean_cost == pytest.approx((sphere(before).sum() - sphere(before[2:3])[0] + cost[17]) / 32)
+    assert run.mean_cost == pytest.approx((sphere(before).sum() - sphere(before[2:3])[0] + cost[17]) / 16)
 
 
-def test_half_of_the_other_steps_are_differences_of_two_chains_of_the_island(monkeypatch):
-    """Islands on parallel lines: a difference of their chains goes along them, but for its jitter."""
+def test_half_of_the_other_steps_are_differences_of_two_chains(monkeypatch):
+    """Chains on a line: a difference goes along it, but for its jitter."""
     monkeypatch.setattr(annealing, "LEARNING", (0.0, 0.0))
     run = Annealing(Coordinates(np.zeros(2, int), np.arange(2)), np.random.default_rng(4), 10**9)
-    run.tell(np.ones(32))
-    run.tell(np.full(32, np.inf))
-    run.sources[:] = np.linspace(0.4, 0.6, 32)[:, None] + np.arange(32)[:, None] // 16 * (0.01, -0.01)
+    run.tell(np.ones(16))
+    run.tell(np.full(16, np.inf))
+    run.sources[:] = np.linspace(0.4, 0.6, 16)[:, None]
     off = []
-    for _ in range(20):
+    for _ in range(40):
         run.tell(np.full(len(run.ask().x), np.inf))
         step = run.ask().x - run.sources[run.ask().source]
         off.append(np.abs(step[:, 0] - step[:, 1]))
@@ -101,14 +99,12 @@ def test_half_of_the_other_steps_are_differences_of_two_chains_of_the_island(mon
 
 
 def learned(coordinates, monkeypatch):
-    """Steps that take over coordinates: (chain, coordinate) of each, and of where it was in the island; and the trials.
+    """Steps that take over coordinates: (chain, coordinate) of each, and of where it was; and the trials.
 
     Every coordinate of every chain is another number, and Gaussian steps are tiny, so that this can be seen.
     """
     monkeypatch.setattr(annealing, "LEAST", 1e-12)
     monkeypatch.setattr(annealing, "MOST", 1e-12)
-    monkeypatch.setattr(annealing, "ISLANDS", 4)
-    monkeypatch.setattr(annealing, "CHAINS", 4)
     run, steps, trials = Annealing(coordinates, np.random.default_rng(5), 10**9), [], 0
     count = len(coordinates)
     run.tell(np.ones(16))
@@ -118,11 +114,10 @@ def learned(coordinates, monkeypatch):
         asked = run.ask()
         for x, chain in zip(asked.x, asked.source, strict=True):
             trials += 1
-            first = chain - chain % 4
-            near = [np.argwhere(np.abs(run.sources[first : first + 4] - value) < 1e-9) for value in x]
+            near = [np.argwhere(np.abs(run.sources - value) < 1e-9) for value in x]
             moved = np.flatnonzero(np.abs(x - run.sources[chain]) > 1e-9)
             if moved.size and all(len(near[c]) for c in moved):
-                steps.append([((chain, int(c)), (first + int(near[c][0, 0]), int(near[c][0, 1]))) for c in moved])
+                steps.append([((chain, int(c)), (int(near[c][0, 0]), int(near[c][0, 1]))) for c in moved])
         run.tell(np.full(len(asked.x), np.inf))
     return steps, trials
 
@@ -154,15 +149,14 @@ def test_what_means_the_same_nowhere_else_is_taken_over_from_a_second_chain(monk
     assert all(to[0] != taken[0] for step in steps for to, taken in step if to[1] == taken[1])
 
 
-def test_the_worst_chains_of_an_island_go_on_from_where_its_best_are():
+def test_the_worst_chains_go_on_from_where_the_best_are():
     run = Annealing(COORDINATES, np.random.default_rng(3), 10**6)
     begin = run.ask().x
-    run.tell(1.0 + np.arange(32))
+    run.tell(1.0 + np.arange(16))
     while np.array_equal(run.sources, begin):
         run.tell(np.full(len(run.ask().x), np.inf))
-    for first in (0, 16):
-        assert np.array_equal(run.sources[first : first + 14], begin[first : first + 14])
-        assert np.array_equal(run.sources[first + 14 : first + 16], begin[first : first + 2])
+    assert np.array_equal(run.sources[:14], begin[:14])
+    assert np.array_equal(run.sources[14:], begin[:2])
 
 
 @pytest.mark.parametrize(("start", "hot"), [(None, 0.03), (np.full(6, 0.5), 0.004)])
@@ -188,7 +182,7 @@ def test_it_cools_evenly_by_a_chain_s_work_to_half_a_thousandth(start, hot):
 def test_a_run_from_a_point_has_all_of_its_chains_there():
     start = np.linspace(0.1, 0.9, 6)
     run = Annealing(COORDINATES, np.random.default_rng(3), 50_000, start)
-    assert np.array_equal(run.ask().x, np.tile(start, (32, 1)))
+    assert np.array_equal(run.ask().x, np.tile(start, (16, 1)))
 
 
 def works(solver, rounds, ends):
@@ -208,24 +202,24 @@ def works(solver, rounds, ends):
 
 
 def test_rounds_become_longer_and_the_best_end_so_far_is_refined():
-    """4,000 a dimension in the first one, 40,000 in the second, then half as much again, and a quarter for refining."""
+    """2,000 a dimension in the first one, 50,000 in the second, then half as much again, and a quarter for refining."""
     solver = AnnealingRounds(PAIR, 1)
     runs = works(solver, 6, (5.0, 6.0, 4.0, 4.5, 3.0))  # the first, the third and the fifth are the best so far
     assert [number for number, _ in runs] == [1, 1, 2, 3, 3, 4, 5, 5]
-    expected = [8000, 2000, 80_000, 120_000, 30_000, 180_000, 270_000, 67_500]
+    expected = [4000, 1000, 100_000, 150_000, 37_500, 225_000, 337_500, 84_375]
     for (_, work), wanted in zip(runs, expected, strict=True):
-        assert wanted <= work < wanted + 8 * 32  # as many trials at a time
+        assert wanted <= work < wanted + 8 * 16  # as many trials at a time
     assert solver.best_cost == 3.0
 
 
 def test_a_given_point_is_refined_before_the_first_round():
     start = np.array([0.25, 0.75])
     solver = AnnealingRounds(PAIR, 1, start)
-    assert np.array_equal(solver.ask().x, np.tile(start, (32, 1)))
+    assert np.array_equal(solver.ask().x, np.tile(start, (16, 1)))
     runs = works(solver, 2, (5.0, 6.0))
     assert [number for number, _ in runs] == [0, 1, 1]
-    for (_, work), wanted in zip(runs, (2000, 8000, 2000), strict=True):
-        assert wanted <= work < wanted + 8 * 32
+    for (_, work), wanted in zip(runs, (1000, 4000, 1000), strict=True):
+        assert wanted <= work < wanted + 8 * 16
 
 
 def test_it_climbs_out_of_basins():
