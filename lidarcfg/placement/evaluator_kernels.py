@@ -19,6 +19,7 @@ from lidarcfg.placement.visibility_kernels import Looks, Obstacles, Sight
 from lidarcfg.placement.worst_subspaces import keep, worst, worth
 
 WITNESSES = 12
+LAZY = 4  # once floods have compared more than one in so many rows, all are, which costs less than one by one
 Flags = NDArray[np.bool_]
 
 
@@ -173,10 +174,23 @@ def _join(trial: int, case: int, batch: Batch, own: Words, out: Words) -> None:
 
 
 @inner()
-def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) -> int:
+def _link_moved(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> None:
+    """Compute all links of the LiDARs that moved, to found.own."""
+    work, cones = scratch.work, batch.placed.cones[trial]
+    sight = Sight(batch.placed.limits[trial], batch.placed.obstacles)
+    moved = scratch.moved[: _moved(trial, -1, batch, scratch.moved)]
+    for n in range(moved.size):
+        link(grid, grid.links, cones, moved[n : n + 1], sight, work)
+        put_links(scratch.found.own[moved[n]], work.links)
+
+
+@inner()
+def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) -> tuple[int, bool]:
     """Flood the subspaces of a trial's witnesses, those of the first `known` cases, until one refutes it.
 
-    Writes the refuter to found.refuter, or −1. Returns for how many rows the gaps of moved LiDARs were computed.
+    Writes the refuter to found.refuter, or −1. Returns for how many rows the gaps of moved LiDARs were computed, and
+    whether all links were (see LAZY); not where LiDARs may be blind to cuboids, as rows that no flood gets to would
+    cost most there.
     """
     floods, found, size, to_beat = scratch.floods, scratch.found, grid.included.size << 6, batch.to_beat[trial]
     sight, fixed, cones = (
@@ -185,46 +199,49 @@ def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) 
         batch.placed.cones[trial],
     )
     found.refuter[0] = -1
-    rows = 0
+    rows, linked, limited = 0, False, sight.limits.shape[0] > 0
     for number in range(known):
         case = scratch.cases[number]
         put_links(fixed, grid.links)
         put(floods.left, found.left[case])
-        _join(trial, case, batch, found.own[:0], fixed)
-        walls = Walls(fixed, cones, scratch.moved[: _moved(trial, case, batch, scratch.moved)], sight)
+        _join(trial, case, batch, found.own if linked else found.own[:0], fixed)
+        count = 0 if linked else _moved(trial, case, batch, scratch.moved)
+        walls = Walls(fixed, cones, scratch.moved[:count], sight)
         for w in batch.witness[trial]:
             cuboid = w - case * size
             if 0 <= cuboid < size and floods.left[cuboid >> 6] >> np.uint64(cuboid & 63) & np.uint64(1):
+                if LAZY * rows > grid.included.size and not linked and not limited:
+                    linked, rows = True, rows + grid.x.size // 64 * grid.y.size * grid.z.size
+                    _link_moved(trial, batch, grid, scratch)
+                    _join(trial, case, batch, found.own, fixed)
+                    walls = Walls(fixed, cones, scratch.moved[:0], sight)
                 found.stamp[0] += 1
                 rows += int(flood(grid, walls, found.stamp[0], cuboid, floods))
                 value = worth(grid, grid.edge, grid.weight.size > 0, floods)
                 if value >= to_beat:
                     found.refuter[0] = w
-                    return rows
+                    return rows, linked
                 keep(value, case * size + inner_cuboid(floods), found.values, found.cuboids)
         put(found.left[case], floods.left)
-    return rows
+    return rows, linked
 
 
 @inner()
 def _evaluate(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> int:
     """Find the worst subspaces of a trial in all cases, or until one is no less than what has to be beaten.
 
-    Returns how many cases were evaluated.
+    All links must be known. Returns how many cases were evaluated.
     """
-    work, floods, found, cases = scratch.work, scratch.floods, scratch.found, scratch.cases
-    size, moved = grid.included.size << 6, scratch.moved[: _moved(trial, -1, batch, scratch.moved)]
+    floods, found, cases, size = scratch.floods, scratch.found, scratch.cases, grid.included.size << 6
     cones, sight = batch.placed.cones[trial], Sight(batch.placed.limits[trial], batch.placed.obstacles)
     links, to_beat = found.links, batch.to_beat[trial]
-    for n in range(moved.size):
-        link(grid, grid.links, cones, moved[n : n + 1], sight, work)
-        put_links(found.own[moved[n]], work.links)
     for number in range(cases.size):
         case = cases[number]
         put_links(links, grid.links)
         put(floods.left, found.left[case])
         _join(trial, case, batch, found.own, links)
-        worst(grid, Walls(links, cones, moved[:0], sight), to_beat, floods, found.values, found.cuboids, case * size)
+        walls = Walls(links, cones, scratch.moved[:0], sight)
+        worst(grid, walls, to_beat, floods, found.values, found.cuboids, case * size)
         if found.values[0] >= to_beat:
             return number + 1
     return int(cases.size)
@@ -267,12 +284,14 @@ def try_out(
             put(found.left[case], grid.included)
         witnesses = batch.witness.shape[1] if batch.to_beat[t] < np.inf else 0
         known = _order(batch.witness[t, :witnesses], grid.included.size << 6, scratch.cases)
-        rows = _refute(t, known, batch, grid, scratch)
+        rows, linked = _refute(t, known, batch, grid, scratch)
         verdicts.cost[t], verdicts.refuter[t] = np.inf, found.refuter[0]
         if found.refuter[0] >= 0 or not in_full:
             verdicts.cost[t] = np.inf if found.refuter[0] >= 0 else np.nan
             compared += rows
             continue
+        if not linked:
+            _link_moved(t, batch, grid, scratch)
         full += _evaluate(t, batch, grid, scratch)
         if found.values[0] < batch.to_beat[t]:
             verdicts.cost[t] = found.values[0]
