@@ -60,7 +60,7 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
 
     try:
         yield on_progress
-    except BaseException:
+    except BaseException:  # an interrupt, too
         screen.close(clear=True)  # what went wrong is all that is left to say
         raise
     screen.close(clear=not keep)

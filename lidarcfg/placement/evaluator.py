@@ -53,13 +53,13 @@ def slice_of(cuboids: int, threads: int) -> int:
 
 
 class _Told(NamedTuple):
-    """What is known of some trials that were not refuted: a food source may move to where one is."""
+    """What is known of some trials: a food source may move to where one is."""
 
     source: Index  # (n,)
     poses: Array  # (n, lidars, 6)
-    fresh: Index  # (n, WITNESSES) as Verdicts has them; and these two, of the LiDAR `moved`
-    links: Words  # (n, 3, rows), or none
-    clear: Words  # (n, rows), or none
+    fresh: Index  # (n, WITNESSES) as Verdicts has them
+    links: Words  # (n, 3, rows) of the LiDAR `moved`, or none
+    clear: Words  # (n, rows) of it, or none
     moved: Index  # (n,) the one that moved; −1 where there are others, or its links are not here
 
 
@@ -176,9 +176,7 @@ class Evaluator:
                 refuter[trial] = worst[0]
         if len(self._witness):
             kernels.remember(self._witness, source, refuter)
-        told = np.flatnonzero(out < np.inf)
-        none = self._links[:0, 0], self._clear[:0, 0], np.full(len(told), -1)
-        self._tell(_Told(source[told], poses[told], fresh[told], *none))
+        self._tell(out, _Told(source, poses, fresh, self._links[:0, 0], self._clear[:0, 0], np.full(len(poses), -1)))
         criterion.learn()
         return out
 
@@ -211,9 +209,9 @@ class Evaluator:
         batch = kernels.Batch(
             self._placed(poses), to_beat, moved, source, self._kept, witness, self._links, stays, self._clear
         )
-        alone = np.where(moved.sum(axis=1) == 1, moved.argmax(axis=1), -1)
         held = sum(len(one.links) for one in self._told)
         fits = len(self._links) > 0 and (held + len(poses)) * self._words <= self._cache_bytes
+        alone = np.where((moved.sum(axis=1) == 1) & fits, moved.argmax(axis=1), -1)
         verdicts = kernels.Verdicts(
             np.full(len(poses), np.inf),
             np.full(len(poses), -1, np.int64),
@@ -234,14 +232,15 @@ class Evaluator:
         self.cuboids += evaluated * nx * ny * nz + compared * min(nx, 64)
         if len(self._witness):
             kernels.remember(self._witness, source, verdicts.refuter)
-        told = np.flatnonzero(verdicts.fresh[:, 0] >= 0)
-        links, clear = (words[told] if len(words) else words for words in (verdicts.links, verdicts.clear))
-        alone = alone[told] if fits else np.full(len(told), -1)
-        self._tell(_Told(source[told], poses[told], verdicts.fresh[told], links, clear, alone))
+        self._tell(verdicts.cost, _Told(source, poses, *verdicts[2:], alone))
         return verdicts.cost, evaluated
 
-    def _tell(self, told: _Told) -> None:
-        self._told.append(told)
+    def _tell(self, cost: Array, told: _Told) -> None:
+        """Remember those trials that were not refuted."""
+        trials = np.flatnonzero(cost < np.inf)
+        links, clear = (words[trials] if len(words) else words for words in (told.links, told.clear))
+        source, poses, fresh, moved = told.source[trials], told.poses[trials], told.fresh[trials], told.moved[trials]
+        self._told.append(_Told(source, poses, fresh, links, clear, moved))
         while sum(len(one.source) for one in self._told) > TOLD:
             self._told.popleft()
 

@@ -50,7 +50,7 @@ def share(
                 told = taken
         if on_begun and told < count:
             on_begun(count - told)
-    except BaseException:
+    except BaseException:  # an interrupt, too: other threads stop
         turns[0] = count
         raise
     return done + [other.result() for other in others]
