@@ -119,16 +119,22 @@ class Evaluator:
         cuboids = self._region.included.size * len(self._kept)
         return slice_of(cuboids * max(len(self._lidars), FEW) // FEW, self._threads)
 
-    def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
+    @property
+    def smooths(self) -> bool:
+        """Whether costs can be smoothed."""
+        return self._criterion is None or self._criterion.is_max_vsr
+
+    def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array, smoothing: float = 0.0) -> Array:
         """(n,) the costs, or inf where one is not below `to_beat` (n,).
 
         poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn
-        around, and matters for speed alone.
+        around, and matters for speed alone. With `smoothing` the cost is not max VSR, but the p-norm of the VSR of the
+        worst subspaces, at most so many as there are witnesses, with p = 1 / smoothing; other costs stay as they are.
         """
         if not self._skip:
             to_beat = np.full(len(poses), np.inf)
         if self._criterion is None or self._criterion.is_max_vsr:
-            cost, full = self._max_vsr(poses, source, source_poses, to_beat)
+            cost, full = self._max_vsr(poses, source, source_poses, to_beat, smoothing=smoothing)
             self.full_evaluations += full
             return cost
         return self._weighted(self._criterion, poses, source, source_poses, to_beat)
@@ -193,7 +199,13 @@ class Evaluator:
         return np.concatenate(witnesses)[worst]
 
     def _max_vsr(
-        self, poses: Array, source: Index, source_poses: Array, to_beat: Array, in_full: bool = True
+        self,
+        poses: Array,
+        source: Index,
+        source_poses: Array,
+        to_beat: Array,
+        in_full: bool = True,
+        smoothing: float = 0.0,
     ) -> tuple[Array, int]:
         """(n,) max VSR or inf, and how many were evaluated in full; NaN where that was needed, but not `in_full`."""
         moved, witness = np.ones(poses.shape[:2], bool), np.full((len(poses), self._witnesses), -1, np.int64)
@@ -207,7 +219,16 @@ class Evaluator:
                 stays = ~differs[..., :3].any(axis=2) & (len(self._clear) > 0)
                 self._renew(np.unique(source[(~moved | stays).any(axis=1)]))
         batch = kernels.Batch(
-            self._placed(poses), to_beat, moved, source, self._kept, witness, self._links, stays, self._clear
+            self._placed(poses),
+            to_beat,
+            moved,
+            source,
+            self._kept,
+            witness,
+            self._links,
+            stays,
+            self._clear,
+            smoothing,
         )
         held = sum(len(one.links) for one in self._told)
         fits = len(self._links) > 0 and (held + len(poses)) * self._words <= self._cache_bytes

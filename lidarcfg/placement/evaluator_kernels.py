@@ -16,7 +16,7 @@ from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cub
 from lidarcfg.placement.rows import Counts, Grid, Work, link, put, put_links, room
 from lidarcfg.placement.turns import Turns, take
 from lidarcfg.placement.visibility_kernels import Looks, Obstacles, Sight
-from lidarcfg.placement.worst_subspaces import keep, worst, worth
+from lidarcfg.placement.worst_subspaces import SURELY, keep, smoothed, worst, worth
 
 WITNESSES = 12
 LAZY = 4  # once floods have compared more than one in so many rows, all are, which costs less than one by one
@@ -43,6 +43,7 @@ class Batch(NamedTuple):
     links: Words  # (sources, lidars, 3, rows), see renew; no rows where all LiDARs count as moved
     stays: Flags  # (n, lidars) the LiDARs of which `clear` of the source is true, because they are where its are
     clear: Words  # (sources, lidars, rows), see Looks; no rows where `stays` is false
+    smoothing: float  # see smoothed; 0: none
 
 
 class Sources(NamedTuple):
@@ -188,6 +189,8 @@ def _link_moved(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> None:
 def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) -> tuple[int, bool]:
     """Flood the subspaces of a trial's witnesses, those of the first `known` cases, until one refutes it.
 
+    Where costs are smoothed, several may do so together.
+
     Writes the refuter to found.refuter, or −1. Returns for how many rows the gaps of moved LiDARs were computed, and
     whether all links were (see LAZY); not where LiDARs may be blind to cuboids, as rows that no flood gets to would
     cost most there.
@@ -199,7 +202,7 @@ def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) 
         batch.placed.cones[trial],
     )
     found.refuter[0] = -1
-    rows, linked, limited = 0, False, sight.limits.shape[0] > 0
+    rows, linked, limited, total = 0, False, sight.limits.shape[0] > 0, 0.0
     for number in range(known):
         case = scratch.cases[number]
         put_links(fixed, grid.links)
@@ -218,7 +221,9 @@ def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) 
                 found.stamp[0] += 1
                 rows += int(flood(grid, walls, found.stamp[0], cuboid, floods))
                 value = worth(grid, grid.edge, grid.weight.size > 0, floods)
-                if value >= to_beat:
+                if batch.smoothing > 0.0 and value < to_beat:
+                    total += (value / to_beat) ** (1.0 / batch.smoothing)
+                if value >= to_beat or total >= 1.0 + SURELY:
                     found.refuter[0] = w
                     return rows, linked
                 keep(value, case * size + inner_cuboid(floods), found.values, found.cuboids)
@@ -241,8 +246,7 @@ def _evaluate(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> int:
         put(floods.left, found.left[case])
         _join(trial, case, batch, found.own, links)
         walls = Walls(links, cones, scratch.moved[:0], sight)
-        worst(grid, walls, to_beat, floods, found.values, found.cuboids, case * size)
-        if found.values[0] >= to_beat:
+        if worst(grid, walls, to_beat, batch.smoothing, floods, found.values, found.cuboids, case * size):
             return number + 1
     return int(cases.size)
 
@@ -293,8 +297,9 @@ def try_out(
         if not linked:
             _link_moved(t, batch, grid, scratch)
         full += _evaluate(t, batch, grid, scratch)
-        if found.values[0] < batch.to_beat[t]:
-            verdicts.cost[t] = found.values[0]
+        cost = smoothed(found.values, batch.smoothing)
+        if cost < batch.to_beat[t]:
+            verdicts.cost[t] = cost
             for n in range(found.cuboids.size):
                 verdicts.fresh[t, n] = found.cuboids[n]
             _hand_over(t, batch, scratch, verdicts)

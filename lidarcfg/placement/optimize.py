@@ -211,7 +211,8 @@ class Run:
         cost = self._costs(evaluator, trials, kind, budget)
         self.asked[kind] += len(cost)
         best = int(np.argmin(cost))
-        if cost[best] < self.best_cost:
+        counts = not (trials.smoothing and evaluator.smooths)
+        if cost[best] < self.best_cost and counts:
             self.best_x, self.best_cost = trials.x[best].copy(), float(cost[best])
         cycles = search.cycles
         if len(cost) == len(trials.x):  # a batch cut short is not told: a resumed run asks for all of it again
@@ -281,7 +282,8 @@ def costs(
         violation = study.violation(poses)
         cost = INFEASIBLE * (1.0 + violation)
         allowed = np.flatnonzero(violation == 0.0)
-        cost[allowed] = evaluator.costs(poses[allowed], source[allowed], source_poses, to_beat[allowed])
+        asked = poses[allowed], source[allowed], source_poses, to_beat[allowed]
+        cost[allowed] = evaluator.costs(*asked, trials.smoothing)
         slices.append(cost)
         if clock() > deadline:
             break

@@ -17,6 +17,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.firing import Patterns
 from lidarcfg.geometry import Array, up
+from lidarcfg.placement.attitudes import freely_tilted, upright_in_the_middle
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
 from lidarcfg.placement.cones import Lidar, placed
@@ -92,8 +93,11 @@ class Study:
         return Coordinates(self.groups, np.unique(bounds, axis=0, return_inverse=True)[1].ravel())
 
     def poses(self, unit: Array) -> Array:
-        """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube; 1 is exactly upper."""
-        return self._settled(self._coordinates(unit))
+        """Poses (n, slots, 6) of points (n, free coordinates) of the unit cube.
+
+        1 is exactly upper, except for angles that attitudes.py arranges.
+        """
+        return self._settled(self._coordinates(upright_in_the_middle(unit, self._freely_tilted)))
 
     @cached_property
     def midpoint(self) -> Array:
@@ -104,6 +108,12 @@ class Study:
                 found[0, i, :3] = slot.surface.patch.nearest_m(found[0, i, :3], slot.surface.across)
         poses: Array = self._settled(found)[0]
         return poses
+
+    @cached_property
+    def _freely_tilted(self) -> NDArray[np.int64]:
+        """(n, 2) free coordinates, see attitudes.py; none for the paper's solver, which has the paper's coordinates."""
+        free = self.free & (self.solver.method != "abc")
+        return freely_tilted([slot.lidar for slot in self.slots], self.lower, self.upper, free)
 
     def _coordinates(self, unit: Array) -> Array:
         """(n, slots, 6) points (n, free coordinates) of the unit cube, scaled to the bounds."""

@@ -78,12 +78,17 @@ class StudyEvaluator:
         """How many were cast from LiDARs to cuboids, at most."""
         return sum(one.segments for one in self._parts)
 
-    def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array) -> Array:
+    @property
+    def smooths(self) -> bool:
+        """Whether costs can be smoothed."""
+        return self._at_rest is not None and self._at_rest.smooths and self._off is None
+
+    def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array, smoothing: float = 0.0) -> Array:
         """(n,) the costs, or inf where one is not below `to_beat` (n,). See Evaluator.costs."""
         cost = np.full(len(poses), -np.inf)
         self.trials += len(poses)
         if self._at_rest:
-            cost = self._at_rest.costs(poses, source, source_poses, to_beat)
+            cost = self._at_rest.costs(poses, source, source_poses, to_beat, smoothing if self.smooths else 0.0)
         if self._off:
             some = np.flatnonzero(cost < (to_beat if self._skip else np.inf))
             off = self._quantiles(self._off, poses[some], source[some], source_poses, to_beat[some])

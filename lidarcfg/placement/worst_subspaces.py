@@ -13,6 +13,8 @@ from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cub
 from lidarcfg.placement.rows import EVERYTHING, Counts, Grid, Work, link, room, steps
 from lidarcfg.placement.visibility_kernels import Sight, new_looks
 
+SURELY = 1e-9  # how much larger than a sum another one must be that rounding has no part in it, by far
+
 
 @inner()
 def vsr(counts: Counts, edge: tuple[float, float, float]) -> float:
@@ -96,12 +98,33 @@ def keep(value: float, cuboid: int, values: Array, cuboids: Counts) -> bool:
 
 
 @inner()
-def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array, cuboids: Counts, first: int) -> None:
+def smoothed(values: Array, smoothing: float) -> float:
+    """The p-norm of values (n,), descending, p = 1 / smoothing: at least the greatest. Counts those above 0."""
+    if smoothing == 0.0 or values[0] <= 0.0:
+        return float(values[0])
+    total = 0.0
+    for value in values:
+        total += (max(value, 0.0) / values[0]) ** (1.0 / smoothing)
+    norm: float = values[0] * total**smoothing
+    return norm
+
+
+@inner()
+def worst(
+    grid: Grid,
+    walls: Walls,
+    enough: float,
+    smoothing: float,
+    floods: Floods,
+    values: Array,
+    cuboids: Counts,
+    first: int,
+) -> bool:
     """The worst subspaces: values (n,) their V / S, descending, and a cuboid in each; both may hold some already.
 
     V / S is taken times the weight of a subspace, where cuboids have weights. walls: without moved LiDARs. `first` is
-    added to the numbers of cuboids. Ends as soon as a subspace of at least `enough` is found. Skips cuboids that
-    cannot be in one of the worst: see links_needed.
+    added to the numbers of cuboids. Ends as soon as a subspace of at least `enough` is found, or some whose norm is
+    that, see smoothed; returns whether it did. Skips cuboids that cannot be in one of the worst: see links_needed.
     """
     step_y, step_z = steps(grid)
     left, included, edge, links = floods.left, grid.included, grid.edge, walls.links
@@ -116,10 +139,11 @@ def worst(grid: Grid, walls: Walls, enough: float, floods: Floods, values: Array
             flood(grid, walls, 0, row << 6 | lowest(word), floods)
             word &= left[row]
             if keep(worth(grid, edge, weighted, floods), first + inner_cuboid(floods), values, cuboids):
-                if values[0] >= enough:
-                    return
+                if values[0] >= enough or (smoothing > 0.0 and smoothed(values, smoothing) >= enough * (1.0 + SURELY)):
+                    return True
                 links_needed(values[-1] / most, edge, need)
                 word &= promising(row, step_y, step_z, need, included, links)
+    return False
 
 
 @outer()
@@ -127,7 +151,7 @@ def _worst(
     grid: Grid, cones: Array, moved: Counts, sight: Sight, work: Work, floods: Floods, values: Array, cuboids: Counts
 ) -> None:
     link(grid, grid.links, cones, moved, sight, work)
-    worst(grid, Walls(work.links, cones, moved[:0], sight), np.inf, floods, values, cuboids, 0)
+    worst(grid, Walls(work.links, cones, moved[:0], sight), np.inf, 0.0, floods, values, cuboids, 0)
 
 
 def scratch_for(grid: Grid, lidars: int, beams: int) -> tuple[Work, Floods]:

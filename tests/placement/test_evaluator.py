@@ -6,9 +6,13 @@ import pytest
 from lidarcfg.placement import sweep
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.solvers import annealing
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.tolerance import StudyEvaluator
 
 STUDY = """
 region: {{min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{{min_m: [5, 3, 0], max_m: [7, 5, 3]}}]}}
@@ -202,6 +206,97 @@ def test_nothing_is_kept_where_it_would_not_fit():
     plain, to_beat, found = costs(16, 2, cache_bytes=1000)
     for cost in found:
         assert np.array_equal(cost, np.where(plain < to_beat, plain, np.inf))
+
+
+def norm(values, smoothing):
+    """The p-norm of the twelve greatest, one after the other."""
+    greatest = sorted(values, reverse=True)[:12]
+    total = 0.0
+    for value in greatest:
+        total += (value / greatest[0]) ** (1 / smoothing)
+    return greatest[0] * total**smoothing
+
+
+@pytest.mark.parametrize("smoothing", [1.0, 1 / 32, 0.001])
+@pytest.mark.parametrize(("beams", "lidars"), [(1, 1), (3, 2), (16, 1), (16, 5)])
+def test_smoothed_costs_are_norms_of_the_worst_subspaces(beams, lidars, smoothing):
+    rng = np.random.default_rng(beams)
+    sine = np.sort(np.sin(rng.uniform(-0.6, 0.6, beams)))
+    sources = random_poses(rng, 6, lidars)
+    source = np.repeat(np.arange(6), 20)
+    trials = sources[source].copy()
+    trials[np.arange(120), rng.integers(lidars, size=120), rng.integers(5, size=120)] += rng.normal(0, 0.05, 120)
+    every = np.concatenate([sources, trials])
+    placed = [[lidar(row[:3], row[3:], sine) for row in poses] for poses in every]
+    plain = np.array([norm(vsr_m(segment(REGION, rig)).tolist(), smoothing) for rig in placed])
+    greatest = np.array([max_vsr(REGION, rig) for rig in placed])
+    to_beat = plain[:6][source] * 1.001
+    expected = np.where(plain[6:] < to_beat, plain[6:], np.inf)
+    with Evaluator(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2) as evaluator:
+        first = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf), smoothing)
+        before = evaluator.full_evaluations
+        found = [evaluator.costs(trials, source, sources, to_beat, smoothing) for _ in range(2)]
+        full = evaluator.full_evaluations - before
+    assert first == pytest.approx(plain[:6], rel=1e-14)
+    assert (first >= greatest[:6]).all()
+    for cost in found:
+        assert np.array_equal(cost < np.inf, expected < np.inf)
+        assert cost[cost < np.inf] == pytest.approx(expected[expected < np.inf], rel=1e-14)
+    assert np.isinf(expected).any()
+    assert full < 2 * 120
+    if smoothing == 1.0 and beams == 16:  # of 12 or more, no single one refutes; several together do
+        assert (greatest[6:] < to_beat).all()
+
+
+@pytest.mark.parametrize(
+    "more", ["", "robust: {lost: 1}\n", "zones: [{name: left, min_m: [0, 0, 0], max_m: [6, 8, 3], weight: 3}]\n"]
+)
+def test_skipping_changes_nothing_in_rounds_that_smooth(tmp_path, monkeypatch, more):
+    """Short rounds, so that there are several; the result's cost is that of its rig, unsmoothed."""
+    path = tmp_path / "s.yaml"
+    path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + more)
+    monkeypatch.setattr(annealing, "FIRST", 20)
+    monkeypatch.setattr(annealing, "SECOND", 400)
+    study, smoothed = with_solver(load_study(path), method="annealing", evaluations=4000), []
+    asked = StudyEvaluator.costs
+
+    def costs(self, poses, source, source_poses, to_beat, smoothing=0.0):
+        smoothed.append(smoothing)
+        return asked(self, poses, source, source_poses, to_beat, smoothing)
+
+    monkeypatch.setattr(StudyEvaluator, "costs", costs)
+    runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]
+    assert set(smoothed) == {0.0, 1 / 32}
+    for run in runs[1:]:
+        assert run.rig == runs[0].rig
+        assert history(run) == history(runs[0])
+        assert run.full_evaluations < 0.9 * runs[0].full_evaluations
+    poses = np.array([[*mount.position_m, *mount.rpy_rad] for mount in runs[0].rig.mounts])
+    assert runs[0].objective == study.cost(poses)
+
+
+@pytest.mark.parametrize(
+    ("more", "smooths"),
+    [
+        ("", True),
+        ("robust: {lost: 1}\n", True),
+        ("objective: {max_vsr: 1, inscribed_radius: 0.01}\n", False),
+        ("robust: {lost: 1, position_sigma_m: 0.02, samples: 4}\n", False),
+        ("robust: {position_sigma_m: 0.02, samples: 4}\n", False),
+    ],
+)
+def test_only_max_vsr_is_smoothed(tmp_path, more, smooths):
+    """Not where other terms or mounting errors count: costs are those that count there."""
+    path = tmp_path / "s.yaml"
+    path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + more)
+    study = load_study(path)
+    poses = study.poses(np.random.default_rng(1).random((4, int(study.free.sum()))))
+    asked = poses, np.arange(4), poses, np.full(4, np.inf)
+    with StudyEvaluator(study, threads=2) as evaluator:
+        assert evaluator.smooths == smooths
+        exact, smoothed = evaluator.costs(*asked), evaluator.costs(*asked, 1 / 32)
+    assert exact.tolist() == [study.cost(one) for one in poses]
+    assert ((smoothed > exact) if smooths else (smoothed == exact)).all()
 
 
 def test_lidars_in_odd_places():

@@ -9,6 +9,10 @@ Or a group learns from another one, of its own chain or of a second: it takes ov
 there, nearly. For groups of a good point are alike in part: of the best rigs known, most have two or three LiDARs that
 are tilted equally, and with one LiDAR at a time no chain would get there by chance.
 
+Max VSR is the greatest of many values. Near its minima several of them are nearly as great, and few steps lower them
+all. So a run may ask for smoothed costs, in which all of these count. Now and then it asks for the costs of its chains
+without smoothing, for these alone are minimised.
+
 How far a run has come is counted by work, not by trials: a trial that is taken was evaluated in full, which takes ten
 times as long as to refute one. Otherwise hot chains, which take every second trial, would have most of the time.
 
@@ -32,7 +36,9 @@ LEARNING = (0.6, 0.1)  # the probability of a step that takes over coordinates, 
 OWN = 0.6  # the probability of taking them from its own chain
 NEARLY = 0.3  # the standard deviation of what is taken over, in those of Gaussian steps
 RENEWALS, RENEWED = 20, 2  # how often in a run the worst chains go to the best, and how many
-FIRST, SECOND, LONGER = 2_000, 50_000, 1.5  # the work of rounds, per dimension; of each further one, by the last's
+FIRST, SECOND = 2_000, 25_000  # the work of rounds, per dimension: of the first; of the second and the third
+LONGER = 1.5  # the work of every two further rounds, by that of the two before
+SMOOTHING = 1 / 32  # of the costs in all rounds but the first; refining is without
 REFINING = 0.25  # the work of refining what a round found, by the round's
 
 
@@ -40,13 +46,19 @@ class Annealing:
     """One run of about so much work; `over` once it is done.
 
     Coordinates of a group move together. `start` (dimensions,): where all chains begin, less hot; without it each one
-    begins at a random point.
+    begins at a random point. With `smoothing`, costs are smoothed, but now and then, and at the end, it asks for those
+    of its chains without.
     """
 
     def __init__(
-        self, coordinates: Coordinates, rng: np.random.Generator, work: float, start: Array | None = None
+        self,
+        coordinates: Coordinates,
+        rng: np.random.Generator,
+        work: float,
+        start: Array | None = None,
+        smoothing: float = 0.0,
     ) -> None:
-        self._rng, self._renewals = rng, 0
+        self._rng, self._renewals, self._smoothing = rng, 0, smoothing
         self._tries = 1  # of each chain at a time
         self._done = 0.0  # work of a chain so far
         self._members = np.unique(coordinates.group)[:, None] == coordinates.group
@@ -58,7 +70,7 @@ class Annealing:
         self._hot = HOT if start is None else WARM
         self._work = work / CHAINS  # of each
         self.over = False
-        self._asked = Trials("trial", self._x.copy(), np.arange(CHAINS), self._cost.copy())
+        self._asked = self._positions(smoothing)
 
     @property
     def sources(self) -> Array:
@@ -87,16 +99,26 @@ class Annealing:
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials, in order; inf stands for any cost not below what was to beat."""
         trials, cost = self._asked, checked(cost)
+        if trials.smoothing != self._smoothing:
+            self.over, self._asked = self._done >= self._work, self._draw()
+            return
         taken = np.flatnonzero(cost < trials.to_beat)
         chain, first = np.unique(trials.source[taken], return_index=True)
         self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
         self._done += self._tries + TAKEN * len(taken) / CHAINS
         self._tries = int(np.clip(len(cost) // (2 * max(len(taken), 1)), 1, TRIES))  # so that few are taken in vain
-        self.over = self._done >= self._work
-        if self._done * RENEWALS >= (self._renewals + 1) * self._work:
+        renews = self._done * RENEWALS >= (self._renewals + 1) * self._work
+        if renews:
             self._renewals += 1
             self._renew()
-        self._asked = self._draw()
+        if renews and self._smoothing:
+            self._asked = self._positions(0.0)
+        else:
+            self.over, self._asked = self._done >= self._work, self._draw()
+
+    def _positions(self, smoothing: float) -> Trials:
+        """Where the chains are, to be evaluated whatever they cost."""
+        return Trials("trial", self._x.copy(), np.arange(CHAINS), np.full(CHAINS, np.inf), smoothing)
 
     def _renew(self) -> None:
         """Move the worst chains to where the best are."""
@@ -127,7 +149,8 @@ class Annealing:
         cost = self._cost[chain]
         with np.errstate(over="ignore", invalid="ignore"):
             to_beat = cost + np.abs(cost) * np.expm1(self.temperature * rng.exponential(size=n))
-        return Trials("trial", np.clip(x, 0.0, 1.0), chain, np.where(np.isnan(to_beat), np.inf, to_beat))
+        to_beat = np.where(np.isnan(to_beat), np.inf, to_beat)
+        return Trials("trial", np.clip(x, 0.0, 1.0), chain, to_beat, self._smoothing)
 
 
 def _counterparts(kind: NDArray[np.int64], members: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -155,12 +178,13 @@ class AnnealingRounds(Runs):
 
     @property
     def _work(self) -> float:
-        each = FIRST if self.rounds < 2 else SECOND * LONGER ** (self.rounds - 2)
+        each = FIRST if self.rounds < 2 else SECOND * LONGER ** (self.rounds // 2 - 1)
         return each * len(self._coordinates)
 
     def _round(self) -> Annealing:
         self._refines, self._end, self.rounds = False, np.inf, self.rounds + 1
-        return Annealing(self._coordinates, self._rng, self._work)
+        smoothing = SMOOTHING if self.rounds > 1 else 0.0
+        return Annealing(self._coordinates, self._rng, self._work, smoothing=smoothing)
 
     def _refining(self, start: Array) -> Annealing:
         self._refines = True
@@ -168,9 +192,9 @@ class AnnealingRounds(Runs):
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x, best = self.ask().x, int(np.argmin(checked(cost)))
-        if cost[best] < self._end:
-            self._end_x, self._end = x[best].copy(), float(cost[best])
+        trials, best = self.ask(), int(np.argmin(checked(cost)))
+        if cost[best] < self._end and not trials.smoothing:
+            self._end_x, self._end = trials.x[best].copy(), float(cost[best])
         super().tell(cost)
 
     def _follow(self) -> None:

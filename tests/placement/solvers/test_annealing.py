@@ -201,12 +201,13 @@ def works(solver, rounds, ends):
     return runs
 
 
-def test_rounds_become_longer_and_the_best_end_so_far_is_refined():
-    """2,000 a dimension in the first one, 50,000 in the second, then half as much again, and a quarter for refining."""
+def test_rounds_become_longer_and_the_best_end_so_far_is_refined(monkeypatch):
+    """2,000 a dimension, twice 25,000, then twice half as much again and so on; a quarter of it for refining."""
+    monkeypatch.setattr(annealing, "SMOOTHING", 0.0)  # else they ask at times for something else
     solver = AnnealingRounds(PAIR, 1)
     runs = works(solver, 6, (5.0, 6.0, 4.0, 4.5, 3.0))  # the first, the third and the fifth are the best so far
     assert [number for number, _ in runs] == [1, 1, 2, 3, 3, 4, 5, 5]
-    expected = [4000, 1000, 100_000, 150_000, 37_500, 225_000, 337_500, 84_375]
+    expected = [4000, 1000, 50_000, 50_000, 12_500, 75_000, 75_000, 18_750]
     for (_, work), wanted in zip(runs, expected, strict=True):
         assert wanted <= work < wanted + 8 * 16  # as many trials at a time
     assert solver.best_cost == 3.0
@@ -220,6 +221,46 @@ def test_a_given_point_is_refined_before_the_first_round():
     assert [number for number, _ in runs] == [0, 1, 1]
     for (_, work), wanted in zip(runs, (1000, 4000, 1000), strict=True):
         assert wanted <= work < wanted + 8 * 16
+
+
+def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():
+    """20 times, the last of them at the end; what it is told then moves no chain."""
+    run, asked_without = Annealing(PAIR, np.random.default_rng(1), 16_000, smoothing=0.1), []
+    while not run.over:
+        asked = run.ask()
+        if asked.smoothing:
+            assert asked.smoothing == 0.1
+            run.tell(1.5 * sphere(asked.x))
+            continue
+        asked_without.append(run.progress)
+        before, mean = run.sources.copy(), run.mean_cost
+        assert np.array_equal(asked.x, before)
+        assert np.isinf(asked.to_beat).all()
+        run.tell(sphere(asked.x))
+        assert np.array_equal(run.sources, before)
+        assert run.mean_cost == mean
+    assert asked_without[-1] == 1.0
+    assert asked_without == pytest.approx(np.arange(1, 21) / 20, abs=0.02)
+
+
+def test_rounds_but_the_first_smooth_and_the_best_cost_that_counts_is_refined(monkeypatch):
+    """Smoothed costs, which are less here, are not what a round is judged by."""
+    monkeypatch.setattr(annealing, "SECOND", 2_000)
+    solver, ends = AnnealingRounds(PAIR, 1), []
+    while solver.rounds < 2:
+        assert solver.ask().smoothing == 0.0
+        solver.tell(2 * sphere(solver.ask().x))
+    while len(np.unique(solver.ask().x, axis=0)) > 1:
+        asked = solver.ask()
+        assert asked.smoothing in (0.0, annealing.SMOOTHING)
+        cost = sphere(asked.x) * (1.0 if asked.smoothing else 1.5)
+        if not asked.smoothing:
+            best = int(np.argmin(cost))
+            ends.append((cost[best], asked.x[best]))
+        solver.tell(cost)
+    refined = solver.ask()
+    assert (solver.rounds, refined.smoothing) == (2, 0.0)
+    assert np.array_equal(refined.x[0], min(ends, key=lambda end: end[0])[1])
 
 
 def test_it_climbs_out_of_basins():
