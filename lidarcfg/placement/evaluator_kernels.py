@@ -16,7 +16,7 @@ from lidarcfg.placement.flood import Floods, Walls, flood, flood_room, inner_cub
 from lidarcfg.placement.rows import Counts, Grid, Work, link, put, put_links, room
 from lidarcfg.placement.turns import Turns, take
 from lidarcfg.placement.visibility_kernels import Looks, Obstacles, Sight
-from lidarcfg.placement.worst_subspaces import SURELY, keep, smoothed, worst, worth
+from lidarcfg.placement.worst_subspaces import keep, reaches, smoothed, worst, worth
 
 WITNESSES = 12
 LAZY = 4  # once floods have compared more than one in so many rows, all are, which costs less than one by one
@@ -189,7 +189,7 @@ def _link_moved(trial: int, batch: Batch, grid: Grid, scratch: Scratch) -> None:
 def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) -> tuple[int, bool]:
     """Flood the subspaces of a trial's witnesses, those of the first `known` cases, until one refutes it.
 
-    Where costs are smoothed, several may do so together.
+    Where costs are smoothed, several together may.
 
     Writes the refuter to found.refuter, or −1. Returns for how many rows the gaps of moved LiDARs were computed, and
     whether all links were (see LAZY); not where LiDARs may be blind to cuboids, as rows that no flood gets to would
@@ -202,7 +202,7 @@ def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) 
         batch.placed.cones[trial],
     )
     found.refuter[0] = -1
-    rows, linked, limited, total = 0, False, sight.limits.shape[0] > 0, 0.0
+    rows, linked, limited = 0, False, sight.limits.shape[0] > 0
     for number in range(known):
         case = scratch.cases[number]
         put_links(fixed, grid.links)
@@ -221,12 +221,12 @@ def _refute(trial: int, known: int, batch: Batch, grid: Grid, scratch: Scratch) 
                 found.stamp[0] += 1
                 rows += int(flood(grid, walls, found.stamp[0], cuboid, floods))
                 value = worth(grid, grid.edge, grid.weight.size > 0, floods)
-                if batch.smoothing > 0.0 and value < to_beat:
-                    total += (value / to_beat) ** (1.0 / batch.smoothing)
-                if value >= to_beat or total >= 1.0 + SURELY:
+                if value >= to_beat or (
+                    keep(value, case * size + inner_cuboid(floods), found.values, found.cuboids)
+                    and reaches(found.values, batch.smoothing, to_beat)
+                ):
                     found.refuter[0] = w
                     return rows, linked
-                keep(value, case * size + inner_cuboid(floods), found.values, found.cuboids)
         put(found.left[case], floods.left)
     return rows, linked
 

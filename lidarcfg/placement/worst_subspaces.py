@@ -110,6 +110,13 @@ def smoothed(values: Array, smoothing: float) -> float:
 
 
 @inner()
+def reaches(values: Array, smoothing: float, least: float) -> bool:
+    """Whether the cost of values (n,), descending, is surely at least so much, whatever values may be added."""
+    greatest: bool = values[0] >= least
+    return greatest or (smoothing > 0.0 and smoothed(values, smoothing) >= least * (1.0 + SURELY))
+
+
+@inner()
 def worst(
     grid: Grid,
     walls: Walls,
@@ -123,8 +130,8 @@ def worst(
     """The worst subspaces: values (n,) their V / S, descending, and a cuboid in each; both may hold some already.
 
     V / S is taken times the weight of a subspace, where cuboids have weights. walls: without moved LiDARs. `first` is
-    added to the numbers of cuboids. Ends as soon as a subspace of at least `enough` is found, or some whose norm is
-    that, see smoothed; returns whether it did. Skips cuboids that cannot be in one of the worst: see links_needed.
+    added to the numbers of cuboids. Ends as soon as the cost reaches `enough`; returns whether it did. Skips cuboids
+    that cannot be in one of the worst: see links_needed.
     """
     step_y, step_z = steps(grid)
     left, included, edge, links = floods.left, grid.included, grid.edge, walls.links
@@ -139,7 +146,7 @@ def worst(
             flood(grid, walls, 0, row << 6 | lowest(word), floods)
             word &= left[row]
             if keep(worth(grid, edge, weighted, floods), first + inner_cuboid(floods), values, cuboids):
-                if values[0] >= enough or (smoothing > 0.0 and smoothed(values, smoothing) >= enough * (1.0 + SURELY)):
+                if reaches(values, smoothing, enough):
                     return True
                 links_needed(values[-1] / most, edge, need)
                 word &= promising(row, step_y, step_z, need, included, links)
