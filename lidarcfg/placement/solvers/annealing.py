@@ -16,7 +16,8 @@ without smoothing, for these alone are minimised.
 How far a run has come is counted by work, not by trials: a trial that is taken was evaluated in full, which takes ten
 times as long as to refute one. Otherwise hot chains, which take every second trial, would have most of the time.
 
-Chains that learn from each other all end in one basin, so there is more than one round.
+Chains that learn from each other all end in one basin. So there are several populations of them, and more than one
+round. Long before its end it shows which population is in the best basin: only that one goes on.
 """
 
 import numpy as np
@@ -25,7 +26,9 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
 
-CHAINS = 16
+CHAINS = 16  # of a population
+POPULATIONS = 3  # of a round
+PROMISING = 0.7  # the progress of a round from which on only its best population goes on
 TRIES = 8  # at most so many trials of a chain at a time; the first that it takes moves it
 TAKEN = 10  # the work of a trial that is taken, besides the 1 of any trial
 HOT, WARM, COLD = 0.03, 0.004, 0.0005  # T at the beginning, where a run goes on from a good point, and at the end
@@ -36,18 +39,18 @@ LEARNING = (0.6, 0.1)  # the probability of a step that takes over coordinates, 
 OWN = 0.6  # the probability of taking them from its own chain
 NEARLY = 0.3  # the standard deviation of what is taken over, in those of Gaussian steps
 RENEWALS, RENEWED = 20, 2  # how often in a run the worst chains go to the best, and how many
-FIRST, SECOND = 2_000, 25_000  # the work of rounds, per dimension: of the first; of the second and the third
-LONGER = 1.5  # the work of every two further rounds, by that of the two before
+FIRST, SECOND = 1_000, 21_000  # the work of rounds, per dimension and population: of the first; of the second
+LONGER = 1.5  # the work of every further round, by that of the one before
 SMOOTHING = 1 / 32  # of the costs in all rounds but the first; refining is without
 REFINING = 0.25  # the work of refining what a round found, by the round's
 
 
 class Annealing:
-    """One run of about so much work; `over` once it is done.
+    """One run of about so much work for each population; `over` once it is done.
 
     Coordinates of a group move together. `start` (dimensions,): where all chains begin, less hot; without it each one
     begins at a random point. With `smoothing`, costs are smoothed, but now and then, and at the end, it asks for those
-    of its chains without.
+    of its chains without. Of several populations the best one goes on alone, once it shows which that is.
     """
 
     def __init__(
@@ -57,16 +60,17 @@ class Annealing:
         work: float,
         start: Array | None = None,
         smoothing: float = 0.0,
+        populations: int = 1,
     ) -> None:
         self._rng, self._renewals, self._smoothing = rng, 0, smoothing
         self._tries = 1  # of each chain at a time
         self._done = 0.0  # work of a chain so far
         self._members = np.unique(coordinates.group)[:, None] == coordinates.group
         self._counterpart = _counterparts(coordinates.kind, self._members)
-        self._x = rng.random((CHAINS, len(coordinates)))
+        self._x = rng.random((populations * CHAINS, len(coordinates)))
         if start is not None:
             self._x[:] = start
-        self._cost = np.full(CHAINS, np.inf)
+        self._cost = np.full(len(self._x), np.inf)
         self._hot = HOT if start is None else WARM
         self._work = work / CHAINS  # of each
         self.over = False
@@ -100,12 +104,12 @@ class Annealing:
         """The costs (n,) of the trials, in order; inf stands for any cost not below what was to beat."""
         trials, cost = self._asked, checked(cost)
         if trials.smoothing != self._smoothing:
-            self.over, self._asked = self._done >= self._work, self._draw()
+            self._go_on(cost)
             return
         taken = np.flatnonzero(cost < trials.to_beat)
         chain, first = np.unique(trials.source[taken], return_index=True)
         self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
-        self._done += self._tries + TAKEN * len(taken) / CHAINS
+        self._done += self._tries + TAKEN * len(taken) / len(self._x)
         self._tries = int(np.clip(len(cost) // (2 * max(len(taken), 1)), 1, TRIES))  # so that few are taken in vain
         renews = self._done * RENEWALS >= (self._renewals + 1) * self._work
         if renews:
@@ -114,21 +118,31 @@ class Annealing:
         if renews and self._smoothing:
             self._asked = self._positions(0.0)
         else:
-            self.over, self._asked = self._done >= self._work, self._draw()
+            self._go_on(self._cost)
 
     def _positions(self, smoothing: float) -> Trials:
         """Where the chains are, to be evaluated whatever they cost."""
-        return Trials("trial", self._x.copy(), np.arange(CHAINS), np.full(CHAINS, np.inf), smoothing)
+        chains = len(self._x)
+        return Trials("trial", self._x.copy(), np.arange(chains), np.full(chains, np.inf), smoothing)
 
     def _renew(self) -> None:
-        """Move the worst chains to where the best are."""
-        order = np.argsort(self._cost, kind="stable")
-        worst, best = order[-RENEWED:], order[:RENEWED]
-        self._x[worst], self._cost[worst] = self._x[best], self._cost[best]
+        """Move the worst chains of each population to where its best are."""
+        for first in range(0, len(self._x), CHAINS):
+            order = first + np.argsort(self._cost[first : first + CHAINS], kind="stable")
+            worst, best = order[-RENEWED:], order[:RENEWED]
+            self._x[worst], self._cost[worst] = self._x[best], self._cost[best]
+
+    def _go_on(self, cost: Array) -> None:
+        """Draw the next trials; from PROMISING on, of the population with the least of the costs (chains,) alone."""
+        self.over = self._done >= self._work
+        if self.progress >= PROMISING and len(self._x) > CHAINS:
+            first = int(np.argmin(cost)) // CHAINS * CHAINS
+            self._x, self._cost = self._x[first : first + CHAINS], self._cost[first : first + CHAINS]
+        self._asked = self._draw()
 
     def _draw(self) -> Trials:
         rng, dimensions = self._rng, self._x.shape[1]
-        chain = np.repeat(np.arange(CHAINS), self._tries)
+        chain = np.repeat(np.arange(len(self._x)), self._tries)
         n, groups = len(chain), len(self._members)
         group = rng.integers(groups, size=n)
         moves = self._members[group]
@@ -136,7 +150,8 @@ class Annealing:
         some = np.where(some.any(axis=1, keepdims=True), some, moves)
         deviation = LEAST * (MOST / LEAST) ** rng.random((n, 1))
         normal = rng.standard_normal((n, dimensions))
-        one, other = ((chain + rng.integers(1, CHAINS, size=n)) % CHAINS for _ in range(2))
+        first = chain // CHAINS * CHAINS  # of its population
+        one, other = (first + (chain + rng.integers(1, CHAINS, size=n)) % CHAINS for _ in range(2))
         difference = rng.uniform(0.2, 1.0, (n, 1)) * (self._x[one] - self._x[other]) + JITTER * normal
         gaussian = rng.random((n, 1)) < 0.5
         x = self._x[chain] + np.where(gaussian, some * deviation * normal, moves * difference)
@@ -178,13 +193,13 @@ class AnnealingRounds(Runs):
 
     @property
     def _work(self) -> float:
-        each = FIRST if self.rounds < 2 else SECOND * LONGER ** (self.rounds // 2 - 1)
+        each = FIRST if self.rounds < 2 else SECOND * LONGER ** (self.rounds - 2)
         return each * len(self._coordinates)
 
     def _round(self) -> Annealing:
         self._refines, self._end, self.rounds = False, np.inf, self.rounds + 1
         smoothing = SMOOTHING if self.rounds > 1 else 0.0
-        return Annealing(self._coordinates, self._rng, self._work, smoothing=smoothing)
+        return Annealing(self._coordinates, self._rng, self._work, None, smoothing, POPULATIONS)
 
     def _refining(self, start: Array) -> Annealing:
         self._refines = True

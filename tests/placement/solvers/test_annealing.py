@@ -149,14 +149,49 @@ def test_what_means_the_same_nowhere_else_is_taken_over_from_a_second_chain(monk
     assert all(to[0] != taken[0] for step in steps for to, taken in step if to[1] == taken[1])
 
 
-def test_the_worst_chains_go_on_from_where_the_best_are():
-    run = Annealing(COORDINATES, np.random.default_rng(3), 10**6)
+@pytest.mark.parametrize("populations", [1, 3])
+def test_the_worst_chains_of_a_population_go_on_from_where_its_best_are(populations):
+    run = Annealing(COORDINATES, np.random.default_rng(3), 10**6, populations=populations)
     begin = run.ask().x
-    run.tell(1.0 + np.arange(16))
+    run.tell(1.0 + np.arange(16 * populations))
     while np.array_equal(run.sources, begin):
         run.tell(np.full(len(run.ask().x), np.inf))
-    assert np.array_equal(run.sources[:14], begin[:14])
-    assert np.array_equal(run.sources[14:], begin[:2])
+    for now, before in zip(np.split(run.sources, populations), np.split(begin, populations), strict=True):
+        assert np.array_equal(now[:14], before[:14])
+        assert np.array_equal(now[14:], before[:2])
+
+
+def test_populations_do_not_learn_from_each_other(monkeypatch):
+    """All chains of one are in one place, and Gaussian steps are tiny: nothing that it learns leads away from there."""
+    monkeypatch.setattr(annealing, "LEAST", 1e-12)
+    monkeypatch.setattr(annealing, "MOST", 1e-12)
+    run = Annealing(ALIKE, np.random.default_rng(5), 10**9, populations=3)
+    run.tell(np.ones(48))
+    run.sources[:] = np.repeat([0.2, 0.5, 0.8], 16)[:, None]
+    run.tell(np.full(48, np.inf))
+    for _ in range(20):
+        asked = run.ask()
+        assert set(asked.source) == set(range(48))
+        assert np.abs(asked.x - run.sources[asked.source]).max() < 1e-3  # ten times JITTER
+        run.tell(np.full(len(asked.x), np.inf))
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.1])
+def test_only_the_best_population_ends_a_round(smoothing):
+    """From seven tenths on: the one with the best chain, by costs without smoothing, which here say the opposite."""
+    run = Annealing(PAIR, np.random.default_rng(1), 16_000, None, smoothing, 3)
+    best, seen = 2 if smoothing else 1, []
+    while not run.over:
+        asked, before, alone = run.ask(), run.sources.copy(), len(run.sources) == 16
+        population = np.full(len(asked.x), best) if alone else asked.source // 16
+        ranks = np.array([3.0, 1.0, 2.0] if asked.smoothing or not smoothing else [2.0, 3.0, 1.0])
+        start = np.isinf(asked.to_beat).all()
+        run.tell(np.where(start, ranks[population], np.inf))
+        seen.append((run.progress, len(run.sources)))
+        if len(run.sources) < len(before):
+            assert np.array_equal(run.sources, before[16 * best : 16 * best + 16])
+    assert {chains for progress, chains in seen if progress < 0.7} == {48}
+    assert {chains for progress, chains in seen if progress >= 0.72} == {16}
 
 
 @pytest.mark.parametrize(("start", "hot"), [(None, 0.03), (np.full(6, 0.5), 0.004)])
@@ -202,14 +237,17 @@ def works(solver, rounds, ends):
 
 
 def test_rounds_become_longer_and_the_best_end_so_far_is_refined(monkeypatch):
-    """2,000 a dimension, twice 25,000, then twice half as much again and so on; a quarter of it for refining."""
+    """1,000 a dimension, 21,000, half as much again and so on, and a quarter of it for refining.
+
+    Each of three populations does seven tenths of it, and one the rest: 2.4 times as much.
+    """
     monkeypatch.setattr(annealing, "SMOOTHING", 0.0)  # else they ask at times for something else
     solver = AnnealingRounds(PAIR, 1)
     runs = works(solver, 6, (5.0, 6.0, 4.0, 4.5, 3.0))  # the first, the third and the fifth are the best so far
     assert [number for number, _ in runs] == [1, 1, 2, 3, 3, 4, 5, 5]
-    expected = [4000, 1000, 50_000, 50_000, 12_500, 75_000, 75_000, 18_750]
+    expected = [4800, 500, 100_800, 151_200, 15_750, 226_800, 340_200, 35_437.5]
     for (_, work), wanted in zip(runs, expected, strict=True):
-        assert wanted <= work < wanted + 8 * 16  # as many trials at a time
+        assert wanted <= work < wanted + 8 * 48  # as many trials at a time
     assert solver.best_cost == 3.0
 
 
@@ -219,8 +257,8 @@ def test_a_given_point_is_refined_before_the_first_round():
     assert np.array_equal(solver.ask().x, np.tile(start, (16, 1)))
     runs = works(solver, 2, (5.0, 6.0))
     assert [number for number, _ in runs] == [0, 1, 1]
-    for (_, work), wanted in zip(runs, (1000, 4000, 1000), strict=True):
-        assert wanted <= work < wanted + 8 * 16
+    for (_, work), wanted in zip(runs, (500, 4800, 500), strict=True):
+        assert wanted <= work < wanted + 8 * 48
 
 
 def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():

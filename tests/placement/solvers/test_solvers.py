@@ -126,8 +126,8 @@ def test_auto_is_one_run_of_cma_es_and_rounds_of_annealing(flat):
         trials, cost, work = len(solver.ask().x), np.inf if annealed else 1.0, 1 if annealed else 11
         solver.tell(np.full(trials, cost))
         annealed += trials * work
-    assert annealed == pytest.approx(500 * dimensions, abs=128)
-    assert len(np.unique(solver.ask().x, axis=0)) == 16
+    assert annealed == pytest.approx(250 * dimensions, abs=128)
+    assert len(np.unique(solver.ask().x, axis=0)) == 48
 
 
 def test_lshade_restarts_with_twice_the_evaluations():
