@@ -1,0 +1,18 @@
+/// What each file of this folder adds to the module.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace lidarcfg::bind {
+
+void bind_view(nanobind::module_& module);
+void bind_world(nanobind::module_& module);
+void bind_simulate(nanobind::module_& module);
+void bind_packets(nanobind::module_& module);
+void bind_ouster(nanobind::module_& module);
+void bind_placement(nanobind::module_& module);
+void bind_visibility(nanobind::module_& module);
+void bind_analytic(nanobind::module_& module);
+void bind_returns(nanobind::module_& module);
+
+}  // namespace lidarcfg::bind

@@ -1,0 +1,8 @@
+#include "bind/arguments.h"
+#include "bind/modules.h"
+
+namespace lidarcfg::bind {
+
+void bind_placement(nb::module_& module) { (void)module; }
+
+}  // namespace lidarcfg::bind

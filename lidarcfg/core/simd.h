@@ -1,0 +1,89 @@
+/// Vectors of the compiler's vector extensions, exactly as wide as a register: wider ones are taken apart lane by lane.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+namespace lidarcfg::simd {
+
+template <class T, int N>
+struct VectorOf {
+  typedef T type __attribute__((vector_size(N * sizeof(T))));
+};
+
+#if defined(__AVX__)
+constexpr int register_bytes = 32;
+#else
+constexpr int register_bytes = 16;
+#endif
+
+/// How many values a register holds.
+template <class T>
+constexpr int lanes = register_bytes / sizeof(T);
+
+template <class T>
+using Vector = typename VectorOf<T, lanes<T>>::type;
+
+using Doubles = Vector<double>;
+using Floats = Vector<float>;
+using Words = Vector<std::uint64_t>;
+
+template <class V, class T>
+V load(const T* from) {
+  V out;
+  std::memcpy(&out, from, sizeof out);
+  return out;
+}
+
+template <class V, class T>
+void store(T* to, V value) {
+  std::memcpy(to, &value, sizeof value);
+}
+
+template <class V>
+V min(V a, V b) {
+  return a < b ? a : b;
+}
+
+template <class V>
+V max(V a, V b) {
+  return a > b ? a : b;
+}
+
+template <class V>
+auto highest(V value) {
+  auto out = value[0];
+  for (int n = 1; n < static_cast<int>(sizeof(V) / sizeof(out)); ++n) {
+    out = out > value[n] ? out : value[n];
+  }
+  return out;
+}
+
+/// A bit for each lane of a comparison of floats.
+inline unsigned bits(Vector<int> mask) {
+#if defined(__AVX__)
+  return __builtin_ia32_movmskps256(reinterpret_cast<Floats>(mask));
+#elif defined(__SSE__)
+  return __builtin_ia32_movmskps(reinterpret_cast<Floats>(mask));
+#else
+  unsigned out = 0;
+  for (int n = 0; n < lanes<float>; ++n) {
+    out |= static_cast<unsigned>(mask[n] & 1) << n;
+  }
+  return out;
+#endif
+}
+
+/// Whether any lane of a comparison of doubles is true.
+template <class Mask>
+bool any(Mask mask) {
+#if defined(__AVX__)
+  return __builtin_ia32_movmskpd256(reinterpret_cast<Doubles>(mask)) != 0;
+#elif defined(__SSE2__)
+  return __builtin_ia32_movmskpd(reinterpret_cast<Doubles>(mask)) != 0;
+#else
+  return (mask[0] | mask[1]) != 0;
+#endif
+}
+
+}  // namespace lidarcfg::simd

@@ -1,0 +1,124 @@
+/// Views of memory that somebody else owns, most often numpy. Indices are signed; asserts check them in debug builds.
+#pragma once
+
+#include <array>
+#include <cassert>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+namespace lidarcfg {
+
+using Index = std::ptrdiff_t;
+using Vec3 = std::array<double, 3>;
+
+/// A column of values.
+template <class T>
+using View = std::span<T>;
+
+/// A table of rows of equal length.
+template <class T>
+class Rows {
+ public:
+  using Element = T;
+
+  Rows() = default;
+  Rows(T* data, Index rows, Index columns) : data_(data), rows_(rows), columns_(columns) {}
+
+  T* data() const { return data_; }
+  Index rows() const { return rows_; }
+  Index columns() const { return columns_; }
+  Index size() const { return rows_ * columns_; }
+
+  View<T> operator[](Index row) const {
+    assert(0 <= row && row < rows_);
+    return {data_ + row * columns_, static_cast<std::size_t>(columns_)};
+  }
+
+  T& operator()(Index row, Index column) const {
+    assert(0 <= row && row < rows_ && 0 <= column && column < columns_);
+    return data_[row * columns_ + column];
+  }
+
+  operator Rows<const T>() const { return {data_, rows_, columns_}; }
+
+ private:
+  T* data_ = nullptr;
+  Index rows_ = 0;
+  Index columns_ = 0;
+};
+
+/// Tables of equal size, one after another.
+template <class T>
+class Tables {
+ public:
+  using Element = T;
+
+  Tables() = default;
+  Tables(T* data, Index tables, Index rows, Index columns)
+      : data_(data), tables_(tables), rows_(rows), columns_(columns) {}
+
+  T* data() const { return data_; }
+  Index tables() const { return tables_; }
+  Index rows() const { return rows_; }
+  Index columns() const { return columns_; }
+  Index size() const { return tables_ * rows_ * columns_; }
+
+  Rows<T> operator[](Index table) const {
+    assert(0 <= table && table < tables_);
+    return {data_ + table * rows_ * columns_, rows_, columns_};
+  }
+
+  T& operator()(Index table, Index row, Index column) const {
+    assert(0 <= table && table < tables_ && 0 <= row && row < rows_ && 0 <= column && column < columns_);
+    return data_[(table * rows_ + row) * columns_ + column];
+  }
+
+  operator Tables<const T>() const { return {data_, tables_, rows_, columns_}; }
+
+ private:
+  T* data_ = nullptr;
+  Index tables_ = 0;
+  Index rows_ = 0;
+  Index columns_ = 0;
+};
+
+/// A table whose rows lie in the records of packets, one record every `stride` bytes.
+///
+/// The values of a row lie next to each other, but not aligned: they are read and written by value.
+template <class T>
+class Strided {
+ public:
+  using Element = T;
+  using Value = std::remove_const_t<T>;
+  using Byte = std::conditional_t<std::is_const_v<T>, const std::byte, std::byte>;
+
+  Strided() = default;
+  Strided(Byte* data, Index rows, Index row_stride, Index columns, Index column_stride)
+      : data_(data), rows_(rows), row_stride_(row_stride), columns_(columns), column_stride_(column_stride) {}
+
+  Index rows() const { return rows_; }
+  Index columns() const { return columns_; }
+
+  Value get(Index row, Index column = 0) const {
+    Value out;
+    __builtin_memcpy(&out, at(row, column), sizeof out);
+    return out;
+  }
+
+  void set(Index row, Index column, Value value) const { __builtin_memcpy(at(row, column), &value, sizeof value); }
+
+ private:
+  Byte* at(Index row, Index column) const {
+    assert(0 <= row && row < rows_ && 0 <= column && column < columns_);
+    return data_ + row * row_stride_ + column * column_stride_;
+  }
+
+  Byte* data_ = nullptr;
+  Index rows_ = 0;
+  Index row_stride_ = 0;
+  Index columns_ = 0;
+  Index column_stride_ = 0;
+};
+
+}  // namespace lidarcfg
