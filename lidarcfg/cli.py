@@ -23,7 +23,6 @@ from lidarcfg.commands.files import init, schema, validate
 from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.commands.optimize import optimize
 from lidarcfg.commands.replay import replay
-from lidarcfg.commands.screen import shown
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.sweep import sweep
 from lidarcfg.commands.view import view
@@ -58,9 +57,7 @@ def _run(interrupts: Interrupts) -> int:
             stream.reconfigure(errors="replace")
     try:
         _check_environment()
-        interrupts.screen.quiet = bool({"--quiet", "--json"} & set(sys.argv))
-        with shown(interrupts.screen):
-            return int(cli.main(standalone_mode=False, obj=interrupts) or 0)
+        return int(cli.main(standalone_mode=False, obj=interrupts) or 0)
     except click.Abort:
         raise KeyboardInterrupt from None
     except Exception as error:
@@ -93,8 +90,6 @@ def _check_environment() -> None:
     """Raises LidarcfgError for what libraries would raise ValueError for, or hang, as they are imported."""
     if not {"-h", "--help", "--version"} & set(sys.argv):
         check_memory("any command", 0.0, reserved=LIBRARIES_BYTES)
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        raise ConfigError("NUMBA_DISABLE_JIT: is set, and nothing works without compiled loops; unset it")
     os.environ["MPLBACKEND"] = "agg"  # for all commands; matplotlib would reject an unknown backend
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not epoch.isdecimal() or len(epoch) > EPOCH_DIGITS:

@@ -58,14 +58,9 @@ class _Loader(Reader, Scanner, Parser, Composer, _Resolver):
 
 _QuickLoader: type[Any] = _Loader
 if yaml.__with_libyaml__:
-    from yaml._yaml import CParser
 
-    class _LibraryLoader(CParser, _Resolver):
+    class _LibraryLoader(_Resolver, yaml.CBaseLoader):
         """The same with libyaml: several times as fast, but it does not limit nesting and words errors differently."""
-
-        def __init__(self, text: str) -> None:
-            CParser.__init__(self, text)
-            _Resolver.__init__(self)
 
     _QuickLoader = _LibraryLoader
 

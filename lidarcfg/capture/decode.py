@@ -30,7 +30,6 @@ from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets
-RETURNED_BYTES = (1 << 25) - (1 << 13)  # of memory: the largest block that raises glibc's thresholds
 COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
 CLAIMED_BY = 3  # packets of a source, at most, that are examined to find its family
 
@@ -104,15 +103,6 @@ def decode(
     return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
 
 
-def _keep_memory() -> None:
-    """Make glibc keep the memory of finished chunks for the next ones, instead of returning it to the system.
-
-    Freeing a block of 32 MB raises glibc's thresholds (mallopt(3): M_MMAP_THRESHOLD, M_TRIM_THRESHOLD), so that it
-    keeps up to 64 MB. Otherwise the page faults of new memory take as long as decoding.
-    """
-    np.empty(RETURNED_BYTES, np.uint8)
-
-
 def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
     """The results of the jobs in their order, computed on all cores."""
     threads = os.cpu_count() or 1
@@ -154,7 +144,6 @@ class Capture:
 
     def clouds(self, chunk_packets: int = CHUNK_PACKETS) -> Iterator[PointCloud]:
         """The points of at most about `chunk_packets` packets at a time; of fewer, if they are large."""
-        _keep_memory()
         return _ahead(self._jobs(chunk_packets))
 
     def sources(self) -> list[Recorded]:

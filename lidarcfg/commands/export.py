@@ -1,5 +1,6 @@
 """lidarcfg export: what a rig's sensors send or see in a scene."""
 
+import time
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -118,13 +119,11 @@ def export(
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
         from lidarcfg.capture.record import save_record
-        from lidarcfg.helpers import prepare
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
         from lidarcfg.world.vehicle import NONE, carried, check_outside
 
-        prepare("tracing")
         mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
         bodies = carried(mounted, vehicle)
         if bodies:
@@ -176,15 +175,14 @@ class Rays:
 @contextmanager
 def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[Run]":
     """A run with a progress bar, which says how large the files will be, and counts the rays."""
-    from lidarcfg.compiling import stopwatch
     from lidarcfg.simulate.tasks import Run
 
-    began = stopwatch()
+    began = time.perf_counter()
 
     with progress(quiet) as on_fraction:
 
         def on_progress(done_ns: int) -> None:
-            rate = done_ns / SECOND_NS / max(stopwatch() - began, 1e-9)
+            rate = done_ns / SECOND_NS / max(time.perf_counter() - began, 1e-9)
             done_s = done_ns / SECOND_NS
             said = f"{done_s:.1f} s simulated, {rate:.1f}× real time; {size(done_ns / duration_ns)} in all"
             on_fraction(done_ns / duration_ns, said)

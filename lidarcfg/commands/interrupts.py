@@ -8,7 +8,6 @@ from types import FrameType
 from typing import NoReturn
 
 from lidarcfg.commands.screen import Screen
-from lidarcfg.compiling import compiling
 
 SIGNALS = "SIGINT", "SIGTERM", "SIGHUP"  # not all of them exist on Windows
 AGAIN_S = 0.02
@@ -18,18 +17,18 @@ SHOW_CURSOR = b"\r\x1b[2K\x1b[?25h"  # on an empty line: bars hide it
 class Interrupts:
     """The handler of the signals that end a command.
 
-    The first signal raises KeyboardInterrupt, so that temporary files are removed and a search keeps what it found; but
-    never inside numba, which crashes on an exception raised in it: there the signal is raised again until numba has
-    finished. A callback of a C library may swallow the exception; `check` then raises it at the next progress. Other
-    code it may break, such as a lock that is being released; so whatever error follows, the command was interrupted.
-    A second signal ends the process at once, but not between two files that take their places together.
+    The first signal raises KeyboardInterrupt, so that temporary files are removed and a search keeps what it found. A
+    callback of a C library may swallow the exception; `check` then raises it at the next progress. Other code it may
+    break, such as a lock that is being released; so whatever error follows, the command was interrupted. A second
+    signal ends the process at once, but not between two files that take their places together.
     """
 
     def __init__(self) -> None:
         self._came, self.screen = Event(), Screen()
         self.raised = False  # KeyboardInterrupt was, and the command has not gone on
         self.doing = ""  # by the latest progress
-        self._done, self._waits = False, False  # for numba, or for files
+        self._done = False
+        self._waits = False  # for files
 
     def listen(self) -> None:
         """Handle the signals from now on, but for those that the caller ignores, as nohup has it."""
@@ -45,7 +44,7 @@ class Interrupts:
         self._waits = False
         if self.raised and not _within("lidarcfg.files", "together", frame):
             self.end()
-        if self.raised or (_within("numba", None, frame) and not compiling.may_be_left):
+        if self.raised:
             self._waits = True
             again = Timer(AGAIN_S, self._raise_again, (number,))
             again.daemon = True

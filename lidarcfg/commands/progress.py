@@ -9,7 +9,6 @@ from contextlib import contextmanager
 import click
 
 from lidarcfg.commands.interrupts import Interrupts
-from lidarcfg.compiling import compiling
 from lidarcfg.errors import one_line
 
 LINE_S = 10.0  # between two lines of a log
@@ -52,7 +51,6 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
         nonlocal task
         interrupts.check(text)
         bar = screen.bar()
-        screen.work()
         if task is None:
             task = bar.add_task("", total=1.0, left="")
         left = _left(pace, fraction)
@@ -67,7 +65,7 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
 
 
 class Pace:
-    """How fast work proceeds, by its updates of the last `mean_over_s` seconds, compiling aside."""
+    """How fast work proceeds, by its updates of the last `mean_over_s` seconds."""
 
     def __init__(self, mean_over_s: float) -> None:
         self._mean_over_s = mean_over_s
@@ -86,7 +84,7 @@ class Pace:
 
 def _left(pace: Pace, fraction: float) -> str:
     """The time left after an update, as far as it can be known."""
-    left_s = pace.left_s(time.monotonic() - compiling.seconds, fraction)
+    left_s = pace.left_s(time.monotonic(), fraction)
     return "" if left_s is None else f"about {duration(left_s)} left"
 
 

@@ -99,7 +99,7 @@ def _processors() -> int:
 
 def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quiet: bool) -> int:
     """Do the runs, and keep what comes of them; returns how many have no rig."""
-    from lidarcfg.placement.sweep import kind, sweep, warm
+    from lidarcfg.placement.sweep import sweep
 
     failed, finished = 0, len(plan.runs) - len(runs)
     with progress(quiet, mean_over_s=math.inf) as on_progress:
@@ -115,9 +115,6 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
             show()
 
         show()
-        if not where.scheduler:
-            for run in {kind(run.file): run for run in runs}.values():
-                warm(plan.studies.of(run.file))
         workers = where.workers()
         try:
             sweep(plan, runs, workers, done)

@@ -25,7 +25,7 @@ from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
 from lidarcfg.rig import Rig
 
-PACKAGES = ("numpy", "scipy", "numba", "open3d", "matplotlib")
+PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
 
 
 def date() -> str:

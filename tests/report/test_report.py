@@ -171,7 +171,6 @@ def test_the_page_says_what_result_json_says(runs):
         "lidarcfg <typed>",
         "lidarcfg again",
         f"numpy {np.__version__}",
-        "numba ",
         "open3d",
     ]
     said += [f"{rate:.2%}" for rate in result["detection"].values()]
