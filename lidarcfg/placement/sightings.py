@@ -194,6 +194,8 @@ def sightings(
 def missed(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles, limit: float) -> float:
     """1 − the rate of `sightings`; or, once it is known to be at least `limit`, any number that is."""
     poses, shape, count = placed(lidars), one.target.shape, len(one.places)
+    if limit > 1.0:  # more than any rate
+        limit = math.inf
     if not one.item.samples:
         most = limit * count
         while 1.0 - (1.0 - most / count) < limit < math.inf:  # rounding
