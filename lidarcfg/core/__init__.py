@@ -25,6 +25,7 @@ def _load() -> ModuleType:
 
 compiled = _load()
 analytic = compiled.analytic
+maths = compiled.maths
 ouster = compiled.ouster
 packets = compiled.packets
 placement = compiled.placement
