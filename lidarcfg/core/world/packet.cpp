@@ -38,28 +38,30 @@ float outward(double at, bool down) {
   return static_cast<float>(down ? at - wide : at + wide);
 }
 
-/// Combine what each of several vectors, from a row on, has in its lanes: a value for each vector. What is no number is
-/// taken as `neutral`.
-template <class Combine>
-Doubles by_group(const double* row, double neutral, Combine combine) {
-  const auto at = [&](int n) {
-    const Doubles values = load<Doubles>(row + n * lanes<double>);
-    return values == values ? values : Doubles{} + neutral;
-  };
-  const auto pairs = [&](Doubles one, Doubles other) {
-    if constexpr (lanes<double> == 4) {
-      return combine(__builtin_shufflevector(one, other, 0, 4, 2, 6), __builtin_shufflevector(one, other, 1, 5, 3, 7));
-    } else {
-      return combine(__builtin_shufflevector(one, other, 0, 2), __builtin_shufflevector(one, other, 1, 3));
-    }
-  };
+/// Combine what each of several vectors has in its lanes: a value for each vector.
+template <class V, class Combine>
+V by_vector(const V* rows, Combine combine) {
   if constexpr (lanes<double> == 4) {
-    const Doubles left = pairs(at(0), at(1));
-    const Doubles right = pairs(at(2), at(3));
+    const auto pairs = [&](V one, V other) {
+      return combine(__builtin_shufflevector(one, other, 0, 4, 2, 6), __builtin_shufflevector(one, other, 1, 5, 3, 7));
+    };
+    const V left = pairs(rows[0], rows[1]);
+    const V right = pairs(rows[2], rows[3]);
     return combine(__builtin_shufflevector(left, right, 0, 1, 4, 5), __builtin_shufflevector(left, right, 2, 3, 6, 7));
   } else {
-    return pairs(at(0), at(1));
+    return combine(__builtin_shufflevector(rows[0], rows[1], 0, 2), __builtin_shufflevector(rows[0], rows[1], 1, 3));
   }
+}
+
+/// The same of groups of rays, from a row on; what is no number is taken as `neutral`.
+template <class Combine>
+Doubles by_group(const double* row, double neutral, Combine combine) {
+  Doubles rows[lanes<double>];
+  for (int g = 0; g < lanes<double>; ++g) {
+    const Doubles values = load<Doubles>(row + g * lanes<double>);
+    rows[g] = values == values ? values : Doubles{} + neutral;
+  }
+  return by_vector(rows, combine);
 }
 
 /// Which of several directions in a row face another way.
