@@ -176,15 +176,19 @@ class Builder {
   }
 
   Cut cheapest(std::int32_t first, std::int32_t end, const Binning& binning) const {
+    Bin all[3][bins];
+    for (std::int32_t i = first; i < end; ++i) {
+      const Bin one{items_[i].box, 1};
+      for (int axis = 0; axis < 3; ++axis) {
+        all[axis][binning(one.box, axis)].add(one);
+      }
+    }
     Cut best;
     for (int axis = 0; axis < 3; ++axis) {
       if (binning.scale[axis] == 0) {
         continue;
       }
-      Bin bin[bins];
-      for (std::int32_t i = first; i < end; ++i) {
-        bin[binning(items_[i].box, axis)].add({items_[i].box, 1});
-      }
+      const auto& bin = all[axis];
       double right[bins];
       Bin side;
       for (int b = bins - 1; b > 0; --b) {
