@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import simulate as core
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Sensor
-from lidarcfg.simulate.echo_kernels import merged
 from lidarcfg.simulate.noise import CELL, lose, roughen, uniforms
 from lidarcfg.world.scene import Weather
 
@@ -117,25 +117,19 @@ def echoes(
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
-    drops, fade = np.empty((0, 2)), np.empty((0, 0))
+    droplets = np.empty((0, 2))
+    fade = np.empty((0, 0))
     if alpha:
-        drops = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
-        fade = np.exp(-2 * alpha * np.column_stack([hits.range_m, drops[:, :1]]))
+        droplets = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
+        fade = np.exp(-2 * alpha * np.column_stack([hits.range_m, droplets[:, :1]]))
     found = Echoes(
         range_m=np.empty((count, 6)),
         noise_m=np.zeros((count, 6)),
         reflectivity=np.empty((count, 6), np.uint8),
         object=np.empty((count, 6), np.int32),
     )
-    merged(
-        (hits.range_m, hits.reflectivity, hits.object, hits.cosine),
-        hits.laser,
-        weights,
-        (sensor.range.reported_m[1], _step_rad(sensor, realism), least),
-        drops,
-        fade,
-        (found.range_m, found.reflectivity, found.object),
-    )
+    range_max_m = sensor.range.reported_m[1]
+    core.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, found)
     lose(found, realism, sensor_index, first)
     roughen(found, realism, sensor_index, first)
     return found

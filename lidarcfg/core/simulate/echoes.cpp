@@ -105,11 +105,12 @@ void pick(View<const Echo> echoes, Index count, double least, View<double> range
 class Merger {
  public:
   Merger(const SubRays& rays, View<const double> weights, const Receiver& receiver, const Droplets& droplets)
-      : rays_(rays), weights_(weights), receiver_(receiver), droplets_(droplets), echoes_(weights.size() + 1) {
-    for (int byte = 0; byte < 256; ++byte) {
-      albedo_[byte] = byte / 100.0;
-    }
-  }
+      : rays_(rays),
+        weights_(weights),
+        receiver_(receiver),
+        droplets_(droplets),
+        power_(weights.size()),
+        echoes_(weights.size() + 1) {}
 
   /// Find the echoes of a firing's rays, whose order in range is `order`; returns how many there are.
   Index merge(Index firing, View<const Index> order);
@@ -117,32 +118,56 @@ class Merger {
   View<const Echo> echoes() const { return echoes_; }
 
  private:
-  bool is_apart(Index firing, Index ray, Index before, double apart_m) const;
-  double power(Index firing, Index ray) const;
+  void find_power(Index firing);
 
   SubRays rays_;
   View<const double> weights_;
   Receiver receiver_;
   Droplets droplets_;
+  std::vector<double> power_;  // of each ray
   std::vector<Echo> echoes_;
-  double albedo_[256];
 };
 
+/// Find the power that each ray of a firing sends back: the LiDAR equation for Lambertian targets and retro-reflectors.
+void Merger::find_power(Index firing) {
+  const double* const range_m = rays_.range_m[firing].data();
+  const std::uint8_t* const reflectivity = rays_.reflectivity[firing].data();
+  const double* const cosine = rays_.cosine[firing].data();
+  const Index width = std::ssize(weights_);
+  for (Index k = 0; k < width; ++k) {
+    const double albedo = reflectivity[k] / 100.0;
+    power_[k] = weights_[k] * (reflectivity[k] > diffuse_max ? albedo : albedo * cosine[k]);
+  }
+  if (droplets_.fade.rows()) {
+    for (Index k = 0; k < width; ++k) {
+      power_[k] *= droplets_.fade(firing, k);
+    }
+  }
+  for (Index k = 0; k < width; ++k) {
+    power_[k] = std::max(power_[k] / (range_m[k] * range_m[k]), faintest);
+  }
+}
+
 Index Merger::merge(Index firing, View<const Index> order) {
-  const View<const double> range_m = rays_.range_m[firing];
+  const double* const range_m = rays_.range_m[firing].data();
+  const std::uint8_t* const reflectivity = rays_.reflectivity[firing].data();
+  const std::int32_t* const object = rays_.object[firing].data();
+  const double* const cosine = rays_.cosine[firing].data();
+  const bool weather = droplets_.fade.rows() > 0;
+  find_power(firing);
+  Echo echo;
   Index found = 0;
   Index before = no_ray;
   double before_m = 0;
-  echoes_[0] = {};
-  if (droplets_.strongest.rows()) {
+  if (weather) {
     const double drop_m = droplets_.strongest(firing, 0);
     const double nearest_m = range_m[order[0]];
     if (drop_m < (nearest_m <= receiver_.most_m ? nearest_m : inf)) {
       const double albedo = droplets_.strongest(firing, 1);
-      const double light = albedo * droplets_.fade(firing, std::ssize(order));
-      const double drop_power = std::max(light / (drop_m * drop_m), faintest);
+      const double power = std::max(albedo * droplets_.fade(firing, std::ssize(order)) / (drop_m * drop_m), faintest);
+      echo = {power, power * drop_m, 100 * albedo, power, nothing};
       before_m = drop_m;
-      echoes_[found++] = {drop_power, drop_power * drop_m, 100 * albedo, drop_power, nothing};
+      found = 1;
     }
   }
   for (const Index ray : order) {
@@ -150,41 +175,23 @@ Index Merger::merge(Index firing, View<const Index> order) {
     if (!(far_m <= receiver_.most_m)) {
       break;
     }
-    if (found == 0 || is_apart(firing, ray, before, far_m - before_m)) {
-      echoes_[found++] = {};
+    bool apart = found == 0;
+    if (found && !(far_m - before_m <= separation_m)) {
+      apart = before == no_ray || object[ray] != object[before] ||
+              !(far_m - before_m <= separation_m + std::max(slant_m(far_m, cosine[ray], receiver_.step_rad),
+                                                            slant_m(before_m, cosine[before], receiver_.step_rad)));
     }
-    echoes_[found - 1].add(power(firing, ray), far_m, weights_[ray] * rays_.reflectivity(firing, ray),
-                           rays_.object(firing, ray));
+    if (apart) {
+      echoes_[std::max<Index>(found - 1, 0)] = echo;
+      echo = {};
+      ++found;
+    }
+    echo.add(power_[ray], far_m, weights_[ray] * reflectivity[ray], object[ray]);
     before = ray;
     before_m = far_m;
   }
+  echoes_[std::max<Index>(found - 1, 0)] = echo;
   return found;
-}
-
-/// Whether the sensor can tell a ray's hit from that of the ray before it, which is so much nearer.
-bool Merger::is_apart(Index firing, Index ray, Index before, double apart_m) const {
-  if (apart_m <= separation_m) {
-    return false;
-  }
-  if (before == no_ray || rays_.object(firing, ray) != rays_.object(firing, before)) {
-    return true;
-  }
-  const auto slant = [&](Index k) {
-    return slant_m(rays_.range_m(firing, k), rays_.cosine(firing, k), receiver_.step_rad);
-  };
-  return !(apart_m <= separation_m + std::max(slant(ray), slant(before)));
-}
-
-/// By the LiDAR equation for Lambertian targets and retro-reflectors.
-double Merger::power(Index firing, Index ray) const {
-  const std::uint8_t reflectivity = rays_.reflectivity(firing, ray);
-  const double albedo = albedo_[reflectivity];
-  const double far_m = rays_.range_m(firing, ray);
-  double light = weights_[ray] * (reflectivity > diffuse_max ? albedo : albedo * rays_.cosine(firing, ray));
-  if (droplets_.fade.rows()) {
-    light *= droplets_.fade(firing, ray);
-  }
-  return std::max(light / (far_m * far_m), faintest);
 }
 
 }  // namespace
