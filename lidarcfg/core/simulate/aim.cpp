@@ -21,12 +21,10 @@ void Poses::set(int n, const Pose& pose) {
 }
 
 Aim::Aim(const Lasers& lasers, const Mounting& mounting) : lasers_(lasers), mounting_(mounting) {
-  const world::Motion motion = mounting_.path.kind[0];
-  turns_ = motion == world::Motion::arc || motion == world::Motion::poses;
+  turns_ = mounting_.path->kind() != world::Path::Kind::velocity;
   const Pose start = pose(0.0);
   start_m_ = start.t;
-  const View<const double> values = mounting_.path.values[0];
-  velocity_m_s_ = times(mounting_.T_world_start.R, {values[0], values[1], values[2]});
+  velocity_m_s_ = times(mounting_.T_world_start.R, mounting_.path->velocity_m_s());
   for (int n = 0; n < most_beams; ++n) {
     in_world_.set(n, start);
     in_vehicle_.set(n, mounting_.T_vehicle_sensor);
@@ -45,7 +43,7 @@ void Aim::set(const Firings& firings, View<const Index> which, Index laser) {
 
 /// Where the sensor is in the world.
 Pose Aim::pose(double path_s) const {
-  const Pose vehicle = world::pose_at(mounting_.path, 0, path_s);
+  const Pose vehicle = mounting_.path->at(path_s);
   const auto R_world_vehicle = product(mounting_.T_world_start.R, vehicle.R);
   const Vec3 mount = times(R_world_vehicle, mounting_.T_vehicle_sensor.t);
   const Vec3 driven = times(mounting_.T_world_start.R, vehicle.t);
@@ -61,7 +59,7 @@ Pose Aim::pose(double path_s) const {
 void Aim::move(const Firings& firings, View<const Index> which) {
   Lanes path_s;
   for (int n = 0; n < beams_; ++n) {
-    path_s[n] = (firings.time_ns[which[n]] - mounting_.zero_ns) / 1e9;
+    path_s[n] = seconds_between(mounting_.zero_ns, firings.time_ns[which[n]]);
   }
   if (turns_) {
     for (int n = 0; n < beams_; ++n) {
@@ -101,6 +99,9 @@ void Aim::point(Index laser) {
 
 /// Find the directions of all rays.
 void Aim::spread() {
+  if (std::ssize(lasers_.across) == 1 && lasers_.across[0] == 0 && lasers_.above[0] == 0) {
+    return;
+  }
   const Vectors<most_beams> axes = directions_[0];
   Lanes right[2];  // unit vectors to the right of the axes, in the plane
   for (int n = 0; n < beams_; ++n) {

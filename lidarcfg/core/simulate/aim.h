@@ -7,7 +7,7 @@
 
 namespace lidarcfg::simulate {
 
-constexpr int most_beams = 32;       // that are aimed at a time
+constexpr int most_beams = 32;  // that are aimed at a time
 constexpr int most_rays_a_beam = 9;
 constexpr int most_rays = most_beams * most_rays_a_beam;
 
@@ -27,7 +27,7 @@ struct Lasers {
 /// Where a sensor is: mounted in a vehicle that moves along a path in the world. All relative to a local origin.
 struct Mounting {
   world::Pose T_world_start;
-  world::Paths path;     // one
+  const world::Path* path;
   std::int64_t zero_ns;  // its time 0
   world::Pose T_vehicle_sensor;
 };

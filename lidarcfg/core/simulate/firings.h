@@ -34,4 +34,9 @@ struct Batches {
 /// Blocks last at least `block_ns`, and longer where there would be thousands; 0: there is one.
 Batches divide(const Firings& firings, Index most, std::int64_t block_ns);
 
+/// Seconds from a time to a later one.
+inline double seconds_between(std::int64_t from_ns, std::int64_t to_ns) {
+  return static_cast<std::int64_t>(static_cast<std::uint64_t>(to_ns) - static_cast<std::uint64_t>(from_ns)) / 1e9;
+}
+
 }  // namespace lidarcfg::simulate
