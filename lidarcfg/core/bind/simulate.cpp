@@ -1,6 +1,10 @@
+#include <algorithm>
+
+#include "angles.h"
 #include "bind/arguments.h"
 #include "bind/modules.h"
 #include "simulate/echoes.h"
+#include "simulate/trace.h"
 
 namespace lidarcfg::bind {
 
@@ -18,6 +22,52 @@ struct Fields<Candidates> {
   static constexpr auto members =
       fields(field("range_m", &Candidates::range_m), field("reflectivity", &Candidates::reflectivity),
              field("object", &Candidates::object));
+};
+
+template <>
+struct Fields<Lasers> {
+  static constexpr auto members =
+      fields(field("cos_elevation", &Lasers::cos_elevation), field("sin_elevation", &Lasers::sin_elevation),
+             field("cos_offset", &Lasers::cos_offset), field("sin_offset", &Lasers::sin_offset),
+             field("forward_m", &Lasers::forward_m), field("left_m", &Lasers::left_m), field("up_m", &Lasers::up_m),
+             field("across", &Lasers::across), field("above", &Lasers::above));
+};
+
+template <>
+struct Fields<Mounting> {
+  static constexpr auto members =
+      fields(field("T_world_start", &Mounting::T_world_start), field("path", &Mounting::path),
+             field("zero_ns", &Mounting::zero_ns), field("T_vehicle_sensor", &Mounting::T_vehicle_sensor));
+};
+
+template <>
+struct Fields<Surfaces> {
+  static constexpr auto members =
+      fields(field("object", &Surfaces::object), field("reflectivity", &Surfaces::reflectivity));
+};
+
+template <>
+struct Fields<Firings> {
+  static constexpr auto members = fields(field("time_ns", &Firings::time_ns), field("laser", &Firings::laser),
+                                         field("encoder_rad", &Firings::encoder_rad));
+};
+
+template <>
+struct Fields<Hits> {
+  static constexpr auto members = fields(field("range_m", &Hits::range_m), field("reflectivity", &Hits::reflectivity),
+                                         field("object", &Hits::object), field("cosine", &Hits::cosine));
+};
+
+template <>
+struct From<world::Pose> {  // from a homogeneous matrix (4, 4)
+  static world::Pose python(nb::handle object, Held& held, const Name& name) {
+    const auto T = From<Rows<const double>>::python(object, held, name);
+    if (T.rows() != 4 || T.columns() != 4) {
+      name.refuse("not of shape (4, 4)");
+    }
+    return {{T(0, 0), T(0, 1), T(0, 2), T(1, 0), T(1, 1), T(1, 2), T(2, 0), T(2, 1), T(2, 2)},
+            {T(0, 3), T(1, 3), T(2, 3)}};
+  }
 };
 
 namespace {
@@ -51,8 +101,60 @@ void bind_echoes(nb::module_& module) {
       "out");
 }
 
+void require_lasers(const Lasers& lasers) {
+  const std::size_t count = lasers.cos_elevation.size();
+  require(lasers.sin_elevation.size() == count, "lasers.sin_elevation: one for each laser");
+  require(lasers.cos_offset.size() == count, "lasers.cos_offset: one for each laser");
+  require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each laser");
+  require(lasers.forward_m.size() == count, "lasers.forward_m: one for each laser");
+  require(lasers.left_m.size() == count, "lasers.left_m: one for each laser");
+  require(lasers.up_m.size() == count, "lasers.up_m: one for each laser");
+  require(!lasers.across.empty() && std::ssize(lasers.across) <= most_rays_a_beam, "lasers.across: one to nine");
+  require(lasers.above.size() == lasers.across.size(), "lasers.above: one for each of lasers.across");
+}
+
+void require_firings(const Firings& firings, const Lasers& lasers) {
+  require(firings.laser.size() == firings.time_ns.size(), "firings.laser: one for each time");
+  require(firings.encoder_rad.size() == firings.time_ns.size(), "firings.encoder_rad: one for each time");
+  require(std::all_of(firings.laser.begin(), firings.laser.end(),
+                      [&](std::uint8_t one) { return one < lasers.cos_elevation.size(); }),
+          "firings.laser: one of the lasers");
+}
+
+void bind_trace(nb::module_& module) {
+  def(
+      module, "trace_firings",
+      [](const world::World& world, const world::Bvh& bodies, const Surfaces& surfaces, const Lasers& lasers,
+         const Mounting& mounting, const Firings& firings, std::int64_t zero_ns, double limit_m, const Hits& hits) {
+        const Index slots = 2 + world.slots() + bodies.size();
+        require(std::ssize(surfaces.object) == slots, "surfaces.object: nothing, ground, and each shape");
+        require(std::ssize(surfaces.reflectivity) == slots, "surfaces.reflectivity: nothing, ground, and each shape");
+        require_lasers(lasers);
+        require_firings(firings, lasers);
+        const Index count = std::ssize(firings.time_ns);
+        const Index width = std::ssize(lasers.across);
+        require(is_shape(hits.range_m, count, width), "hits.range_m: one for each ray");
+        require(is_shape(hits.reflectivity, count, width), "hits.reflectivity: one for each ray");
+        require(is_shape(hits.object, count, width), "hits.object: one for each ray");
+        require(!hits.cosine.rows() || is_shape(hits.cosine, count, width), "hits.cosine: one for each ray, or none");
+        trace_firings({world, bodies, surfaces, lasers, mounting, zero_ns, limit_m}, firings, hits);
+      },
+      "Write what the rays of firings hit.", "world", "bodies", "surfaces", "lasers", "mounting", "firings", "zero_ns",
+      "limit_m", "hits");
+}
+
 }  // namespace
 
-void bind_simulate(nb::module_& module) { bind_echoes(module); }
+void bind_simulate(nb::module_& module) {
+  bind_echoes(module);
+  bind_trace(module);
+  def(
+      module, "cos_sin",
+      [](double angle_rad) {
+        const auto [cos, sin] = cos_sin(angle_rad);
+        return std::tuple(cos, sin);
+      },
+      "The core's own cosine and sine.", "angle_rad");
+}
 
 }  // namespace lidarcfg::bind
