@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import simulate as core
+from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Sensor
@@ -129,7 +129,7 @@ def echoes(
         object=np.empty((count, 6), np.int32),
     )
     range_max_m = sensor.range.reported_m[1]
-    core.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, found)
+    simulate.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, found)
     lose(found, realism, sensor_index, first)
     roughen(found, realism, sensor_index, first)
     return found

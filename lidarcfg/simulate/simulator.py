@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import simulate as core
-from lidarcfg.core.world import Bvh, Path
+from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Firings
@@ -55,7 +54,7 @@ class Mounting(NamedTuple):
     """Where a sensor is: mounted in a vehicle that moves along a path in the world, relative to its tracer's origin."""
 
     T_world_start: Array  # (4, 4)
-    path: Path
+    path: world.Path
     zero_ns: int  # its time 0
     T_vehicle_sensor: Array  # (4, 4)
 
@@ -73,7 +72,7 @@ class Simulator:
         self._mount = mount
         self._tracer = tracer
         self._trajectory = trajectory
-        self._bodies = bodies.world.fixed if bodies else Bvh(*NO_SHAPES)
+        self._bodies = bodies.world.fixed if bodies else world.Bvh(*NO_SHAPES)
         self._surfaces = _surfaces(tracer, bodies)
         self._realism = mount.realism or EXACT
         self._weather = tracer.scene.file.weather
@@ -119,7 +118,7 @@ class Simulator:
         )
         if len(fired.time_ns):
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
-        core.trace_firings(
+        simulate.trace_firings(
             self._tracer.world,
             self._bodies,
             self._surfaces,
