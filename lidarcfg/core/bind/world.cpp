@@ -100,7 +100,9 @@ Path timed_path(View<const double> times_s, View<const Vec3> positions_m, Tables
 
 void bind_path(nb::module_& module) {
   nb::class_<Path> path(module, "Path", "An immutable motion: where something is at any time.");
-  def(module, "path_of_velocity", &Path::velocity, "Along a line, from the origin at time 0.", "velocity_m_s");
+  def(
+      module, "path_of_velocity", [](Vec3 velocity_m_s) { return Path::velocity(velocity_m_s); },
+      "Along a line, from the origin at time 0.", "velocity_m_s");
   def(module, "path_of_arc", &Path::arc, "Along a circle, from the origin at time 0.", "speed_m_s", "yaw_rate_rad_s",
       "heading_rad");
   def(module, "path_of_poses", &timed_path, "Through timed poses.", "times_s", "positions_m", "rotations",
