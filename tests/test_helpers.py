@@ -49,28 +49,6 @@ print(len(before), [name for name in before if after[name] > before[name]])
 print(*sorted(after.keys() - before.keys()))
 """
 
-PARTS = """
-import sys
-from numba.core.caching import NullCache
-from lidarcfg.commands import rehearsals
-from lidarcfg.cli import main
-from lidarcfg.simulate.simulator_kernels import hit_bodies, trace_firings
-from lidarcfg.simulate.aim_kernels import aimed, locate
-from lidarcfg.world.tracer_kernels import trace
-from lidarcfg.world.world_kernels import hit_dynamic, keep_normals
-
-trace_firings._cache = NullCache()  # so that it asks for its parts
-rehearsals.tracing()
-parts = trace, hit_dynamic, keep_normals, hit_bodies, locate, aimed
-before = [set(loop.overloads) for loop in parts]
-sys.argv[1:] = [*"export data/rigs/roof.yaml --scene data/scenes/street.yaml --duration 0.01 --quiet -o".split(), sys.argv[1]]
-try:
-    main()
-finally:
-    after = [set(loop.overloads) for loop in parts]
-    print(list(map(len, before)), before == after, len(trace_firings.overloads))
-"""
-
 
 def ended(pid, seconds=60.0):
     """Whether a process ends within that time."""
@@ -110,13 +88,6 @@ def test_rehearsals_compile_what_a_real_study_needs():
     assert "try_out" not in left
     read = {"lidarcfg.world.bvh", "lidarcfg.world.solids"}
     assert {name.rpartition(".")[0] for name in left.split()} <= read
-
-
-def test_a_rehearsal_compiles_the_parts_that_an_export_takes_in(tmp_path):
-    """`trace_firings`, compiled after them, needs none of them for other types."""
-    words = (sys.executable, "-c", PARTS, tmp_path / "c.pcap")
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert done.stdout == "[1, 1, 1, 1, 1, 1] True 1\n"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")

@@ -118,13 +118,11 @@ def export(
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
         from lidarcfg.capture.record import save_record
-        from lidarcfg.helpers import prepare
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
         from lidarcfg.world.vehicle import NONE, carried, check_outside
 
-        prepare("tracing")
         mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
         bodies = carried(mounted, vehicle)
         if bodies:

@@ -78,32 +78,6 @@ def evaluation() -> None:
     details(study, rig, evaluate(study, rig))
 
 
-def tracing() -> None:
-    """Compile what rays of firings hit: most of `trace_firings`, of which the command compiles the rest."""
-    import numpy as np
-
-    from lidarcfg.simulate.aim_kernels import Frames, Lasers, aimed, locate
-    from lidarcfg.simulate.simulator_kernels import hit_bodies, new_work
-    from lidarcfg.world.bvh import NO_INDEX, NO_TREE
-    from lidarcfg.world.numba_trees import packed
-    from lidarcfg.world.ray_kernels import new_packet
-    from lidarcfg.world.tracer_kernels import trace
-    from lidarcfg.world.world_kernels import Dynamics, Found, World, hit_dynamic, keep_normals
-
-    none, rows = np.empty(0), np.empty(0, np.int64)
-    dynamic = Dynamics(NO_TREE, NO_INDEX, NO_INDEX, np.empty((0, 3)), none, none, packed([]))
-    frames = Frames(np.eye(3), np.zeros(3), packed([]), 0, np.eye(3), np.zeros(3), NO_TREE)
-    found = Found(none, NO_INDEX, np.empty((0, 3)), none)
-    _compile(trace, NO_TREE, new_packet(0), 0, False)
-    packet, aim, own, _, beams, _ = new_work(frames, 0)
-    poses, firings = aim.placed, (rows, np.empty(0, np.uint8), none)
-    _compile(hit_dynamic, dynamic, NO_TREE, packet, poses, none, 0, 0, 0, 0)
-    _compile(keep_normals, World(0.0, NO_TREE, dynamic), packet, poses, none, 0, 0, 0, rows, found)
-    _compile(hit_bodies, own, packet, beams, beams, rows, 0, 0.0, 0, found)
-    _compile(locate, aim, frames)
-    _compile(aimed, aim, Lasers(*[none] * 9), frames, firings, 0, rows, 0)
-
-
 def _compile(loop: Any, *arguments: object) -> None:
     """For arguments of these types."""
     from numba import typeof

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <numeric>
 #include <optional>
 
 #include "world/shapes.h"
@@ -17,28 +18,33 @@ using world::no_slot;
 constexpr double inf = std::numeric_limits<double>::infinity();
 constexpr std::int64_t block_ns = 50'000'000;  // for which moving objects are held by the same spheres
 
-double cosine(const Vec3& normal, const Vec3& direction) {
-  return std::abs(normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]);
-}
+/// What rays hit.
+struct RayHits {
+  double range_m[most_rays];  // inf: nothing
+  double cosine[most_rays];   // of the angle between ray and normal
+  std::int32_t slot[most_rays];
+};
 
-/// The unit normals of a hierarchy's shapes; that of a triangle is known if it was asked for last.
+/// The unit normals of a hierarchy's triangles, of which it remembers some.
 class Normals {
  public:
-  explicit Normals(const Bvh& bvh) : bvh_(bvh) {}
+  explicit Normals(const Bvh& bvh) : bvh_(bvh) { std::fill(std::begin(slot_), std::end(slot_), no_slot); }
 
-  const Vec3& at(std::int32_t slot, const Vec3& origin, const Vec3& direction, double range_m) {
-    if (slot != known_) {
-      const world::Kind kind = bvh_.kind[slot];
-      normal_ = world::normal_at(bvh_.leaves[slot].shape, kind, origin, direction, range_m);
-      known_ = kind == world::Kind::triangle ? slot : no_slot;
+  const Vec3& operator[](std::int32_t slot) {
+    const int at = slot % count;
+    if (slot_[at] != slot) {
+      slot_[at] = slot;
+      normal_[at] = world::normal_at(bvh_.leaves[slot].shape, world::Kind::triangle, {}, {}, 0);
     }
-    return normal_;
+    return normal_[at];
   }
 
  private:
+  static constexpr int count = 64;
+
   const Bvh& bvh_;
-  std::int32_t known_ = no_slot;
-  Vec3 normal_;
+  std::int32_t slot_[count];
+  Vec3 normal_[count];
 };
 
 /// Traces firings, batch by batch.
@@ -52,17 +58,23 @@ class FiringTracer {
         width_(static_cast<int>(stage.lasers.across.size())),
         cosines_(hits.cosine.rows() > 0),
         aim_(stage.lasers, stage.mounting),
-        fixed_normals_(stage.world.fixed()),
+        normals_(stage.world.fixed()),
         body_normals_(stage.bodies) {}
 
   void trace();
 
  private:
-  template <class Take>
-  void by_face(Take take);
-  void hit_world(const Rays& rays, int face);
-  void hit_bodies(const Rays& rays, int face);
+  template <class Hit>
+  void by_face(Hit hit);
+  void hit_world(const Rays& rays, int face, RayHits& hits);
+  void hit_bodies(const Rays& rays, int face, RayHits& hits);
+  void find_cosines(const Rays& rays, RayHits& hits);
   void write() const;
+
+  double cosine(const Rays& rays, int n, const Vec3& normal) const {
+    return std::abs(normal[0] * rays.directions[0][n] + normal[1] * rays.directions[1][n] +
+                    normal[2] * rays.directions[2][n]);
+  }
 
   const Stage& stage_;
   const Firings& firings_;
@@ -71,21 +83,20 @@ class FiringTracer {
   const bool cosines_;
   Aim aim_;
   std::optional<world::MovingTracer> moving_;
-  Normals fixed_normals_;
+  Normals normals_;
   Normals body_normals_;
 
-  View<const Index> which_;    // firings of the batch
-  Rays rays_;                  // of the batch
-  int face_[most_rays];        // what they face
-  double range_m_[most_rays];  // what they hit
-  std::int32_t slot_[most_rays];
-  double cosine_[most_rays];
+  View<const Index> which_;  // firings of the batch
+  Rays rays_;                // of the batch
+  RayHits found_;            // what they hit
+  double face_[most_rays];   // what they face
 
   Packet packet_;
-  int count_;                  // rays of the batch in the packet
-  int number_[most_rays];      // which they are
+  int count_;                       // rays of the batch in the packet
+  int number_[most_rays];           // which they are
   double seconds_[most_rays] = {};  // when they start, if anything moves
-  Rays gathered_;              // they
+  Rays gathered_;                   // they, unless they are the whole batch
+  RayHits gathered_hits_;
 };
 
 template <class Packet>
@@ -104,58 +115,69 @@ void FiringTracer<Packet>::trace() {
     which_ = batches[b];
     aim_.set(firings_, which_, firings_.laser[which_[0]]);
     aim_.in_world(rays_);
-    by_face([&](const Rays& rays, int face) { hit_world(rays, face); });
+    by_face([&](const Rays& rays, int face, RayHits& hits) { hit_world(rays, face, hits); });
     if (stage_.bodies.size()) {
       aim_.in_vehicle(rays_);
-      by_face([&](const Rays& rays, int face) { hit_bodies(rays, face); });
+      by_face([&](const Rays& rays, int face, RayHits& hits) { hit_bodies(rays, face, hits); });
     }
     write();
   }
 }
 
-/// Hand on the batch's rays, those that face the same way together, with what they face.
+/// Have the batch's rays hit something by `hit(rays, face, hits)`: those that face the same way at a time.
 template <class Packet>
-template <class Take>
-void FiringTracer<Packet>::by_face(Take take) {
-  constexpr int done = -1;
-  const int count = aim_.rays();
-  bool same = true;
-  for (int n = 0; n < count; ++n) {
+template <class Hit>
+void FiringTracer<Packet>::by_face(Hit hit) {
+  constexpr double done = -1;
+  const int all = aim_.rays();
+  double others = 0;
+  for (int n = 0; n < all; ++n) {
     face_[n] = world::facing(rays_.directions[0][n], rays_.directions[1][n], rays_.directions[2][n]);
-    same &= face_[n] == face_[0];
   }
-  for (int first = 0; first < count; ++first) {
-    const int face = face_[first];
+  for (int n = 0; n < all; ++n) {
+    others += face_[n] == face_[0] ? 0.0 : 1.0;
+  }
+  if (others == 0) {
+    count_ = all;
+    std::iota(number_, number_ + all, 0);
+    hit(rays_, static_cast<int>(face_[0]), found_);
+    return;
+  }
+  for (int first = 0; first < all; ++first) {
+    const double face = face_[first];
     if (face == done) {
       continue;
     }
     count_ = 0;
-    for (int n = first; n < count; ++n) {
+    for (int n = first; n < all; ++n) {
       if (face_[n] == face) {
         number_[count_++] = n;
         face_[n] = done;
       }
     }
-    if (same) {
-      take(rays_, face);
-      return;
-    }
-    for (int axis = 0; axis < 3; ++axis) {
-      for (int n = 0; n < count_; ++n) {
+    for (int n = 0; n < count_; ++n) {
+      for (int axis = 0; axis < 3; ++axis) {
         gathered_.origins[axis][n] = rays_.origins[axis][number_[n]];
         gathered_.directions[axis][n] = rays_.directions[axis][number_[n]];
       }
+      gathered_hits_.range_m[n] = found_.range_m[number_[n]];
+      gathered_hits_.cosine[n] = found_.cosine[number_[n]];
+      gathered_hits_.slot[n] = found_.slot[number_[n]];
     }
-    take(gathered_, face);
+    hit(gathered_, static_cast<int>(face), gathered_hits_);
+    for (int n = 0; n < count_; ++n) {
+      found_.range_m[number_[n]] = gathered_hits_.range_m[n];
+      found_.cosine[number_[n]] = gathered_hits_.cosine[n];
+      found_.slot[number_[n]] = gathered_hits_.slot[n];
+    }
   }
 }
 
 template <class Packet>
-void FiringTracer<Packet>::hit_world(const Rays& rays, int face) {
-  const world::World& world = stage_.world;
+void FiringTracer<Packet>::hit_world(const Rays& rays, int face, RayHits& hits) {
   packet_.load(rays.origins, rays.directions, 0, count_, face);
-  packet_.hit_ground(world.ground_m(), stage_.limit_m);
-  packet_.first_hits(world.fixed());
+  packet_.hit_ground(stage_.world.ground_m(), stage_.limit_m);
+  packet_.first_hits(stage_.world.fixed());
   if (moving_) {
     for (int n = 0; n < count_; ++n) {
       seconds_[n] = seconds_between(stage_.zero_ns, firings_.time_ns[which_[number_[n] / width_]]);
@@ -163,56 +185,79 @@ void FiringTracer<Packet>::hit_world(const Rays& rays, int face) {
     moving_->hit(packet_, View<const double>(seconds_, count_));
   }
   for (int n = 0; n < count_; ++n) {
-    const std::int32_t slot = packet_.slot(n);
-    slot_[number_[n]] = slot;
-    range_m_[number_[n]] = slot == no_slot ? inf : packet_.range(n);
+    hits.slot[n] = packet_.slot(n);
+    hits.range_m[n] = packet_.slot(n) == no_slot ? inf : packet_.range(n);
   }
-  for (int n = 0; n < (cosines_ ? count_ : 0); ++n) {
-    const std::int32_t slot = packet_.slot(n);
-    const Vec3 way = packet_.direction(n);
-    double& out = cosine_[number_[n]];
-    if (slot == no_slot) {
-      out = 1;
-    } else if (0 <= slot && slot < world.fixed().size()) {
-      out = cosine(fixed_normals_.at(slot, packet_.origin(n), way, packet_.range(n)), way);
+  if (cosines_) {
+    find_cosines(rays, hits);
+  }
+}
+
+/// Find the cosines of the angles at which rays hit the world.
+template <class Packet>
+void FiringTracer<Packet>::find_cosines(const Rays& rays, RayHits& hits) {
+  const Bvh& fixed = stage_.world.fixed();
+  for (int first = 0; first < count_;) {
+    const std::int32_t slot = hits.slot[first];
+    int end = first + 1;
+    if (slot >= 0 && (slot >= fixed.size() || fixed.kind[slot] != world::Kind::triangle)) {
+      const Vec3 normal = stage_.world.normal(slot, packet_.origin(first), packet_.direction(first),
+                                              packet_.range(first), seconds_[first]);
+      hits.cosine[first] = cosine(rays, first, normal);
     } else {
-      out = cosine(world.normal(slot, packet_.origin(n), way, packet_.range(n), seconds_[n]), way);
+      while (end < count_ && hits.slot[end] == slot) {  // neighbours hit the same plane
+        ++end;
+      }
+      const Vec3 normal = slot >= 0 ? normals_[slot] : Vec3{0, 0, 1};
+      for (int n = first; n < end; ++n) {
+        hits.cosine[n] = slot == no_slot ? 1.0 : cosine(rays, n, normal);
+      }
     }
+    first = end;
   }
 }
 
 template <class Packet>
-void FiringTracer<Packet>::hit_bodies(const Rays& rays, int face) {
+void FiringTracer<Packet>::hit_bodies(const Rays& rays, int face, RayHits& hits) {
+  const Bvh& bodies = stage_.bodies;
   packet_.load(rays.origins, rays.directions, 0, count_, face);
   for (int n = 0; n < count_; ++n) {
-    packet_.keep(n, std::min(range_m_[number_[n]], stage_.limit_m), no_slot);
+    packet_.keep(n, std::min(hits.range_m[n], stage_.limit_m), no_slot);
   }
-  packet_.first_hits(stage_.bodies);
+  packet_.first_hits(bodies);
   for (int n = 0; n < count_; ++n) {
     const std::int32_t slot = packet_.slot(n);
     if (slot == no_slot) {
       continue;
     }
-    const Vec3 way = packet_.direction(n);
-    slot_[number_[n]] = stage_.world.slots() + slot;
-    range_m_[number_[n]] = packet_.range(n);
-    cosine_[number_[n]] = cosine(body_normals_.at(slot, packet_.origin(n), way, packet_.range(n)), way);
+    hits.slot[n] = stage_.world.slots() + slot;
+    hits.range_m[n] = packet_.range(n);
+    if (cosines_) {
+      const world::Kind kind = bodies.kind[slot];
+      const Vec3 normal = kind == world::Kind::triangle
+                              ? body_normals_[slot]
+                              : world::normal_at(bodies.leaves[slot].shape, kind, packet_.origin(n),
+                                                 packet_.direction(n), packet_.range(n));
+      hits.cosine[n] = cosine(rays, n, normal);
+    }
   }
 }
 
+/// Write what the batch's rays hit.
 template <class Packet>
 void FiringTracer<Packet>::write() const {
-  const Surfaces& surfaces = stage_.surfaces;
-  int from = 0;
-  for (const Index firing : which_) {
-    for (int ray = 0; ray < width_; ++ray, ++from) {
-      const std::int32_t surface = slot_[from] - no_slot;
-      hits_.range_m(firing, ray) = range_m_[from];
-      hits_.reflectivity(firing, ray) = surfaces.reflectivity[surface];
-      hits_.object(firing, ray) = surfaces.object[surface];
-      if (cosines_) {
-        hits_.cosine(firing, ray) = cosine_[from];
-      }
+  const std::int32_t* const objects = stage_.surfaces.object.data() - no_slot;
+  const std::uint8_t* const reflectivities = stage_.surfaces.reflectivity.data() - no_slot;
+  for (Index beam = 0; beam < std::ssize(which_); ++beam) {
+    const std::int32_t* const slot = found_.slot + beam * width_;
+    const Index to = which_[beam] * width_;
+    std::copy_n(found_.range_m + beam * width_, width_, hits_.range_m.data() + to);
+    for (int ray = 0; ray < width_; ++ray) {
+      hits_.reflectivity.data()[to + ray] = reflectivities[slot[ray]];
+      hits_.object.data()[to + ray] = objects[slot[ray]];
+    }
+    if (cosines_) {
+      std::copy_n(found_.cosine + beam * width_, width_, hits_.cosine.data() + to);
     }
   }
 }
