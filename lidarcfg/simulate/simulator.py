@@ -30,10 +30,10 @@ class Counts(NamedTuple):
 
 
 class Surfaces(NamedTuple):
-    """The objects and reflectivities of slots: nothing, the ground, the world's shapes, then the vehicle's bodies."""
+    """Which objects are hit, and how they reflect."""
 
-    object: NDArray[np.int32]
-    reflectivity: NDArray[np.uint8]
+    object: NDArray[np.int32]  # by slot: of nothing, the ground, the world's shapes, then of the vehicle's bodies
+    reflectivity: NDArray[np.uint8]  # by object: of nothing, then of the others
 
 
 class Lasers(NamedTuple):
@@ -143,12 +143,11 @@ class Simulator:
 def _surfaces(tracer: Tracer, bodies: Tracer | None) -> Surfaces:
     """What rays of a tracer may hit, and bodies."""
     objects, _ = tracer.world.resolve(np.arange(NO_SLOT, len(tracer.world), dtype=np.int32))
-    reflectivity = [tracer.scene.reflectivity]
+    reflectivity = [np.zeros(1, np.uint8), tracer.scene.reflectivity]
     if bodies:
         objects = np.concatenate([objects, len(tracer.scene.names) + bodies.world.fixed.object], dtype=np.int32)
         reflectivity.append(bodies.scene.reflectivity)
-    nothing = np.zeros(1, np.uint8)  # object -1 has the last one
-    return Surfaces(objects, np.concatenate([*reflectivity, nothing])[objects])
+    return Surfaces(objects, np.concatenate(reflectivity))
 
 
 def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:

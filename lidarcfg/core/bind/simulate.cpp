@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <limits>
 
 #include "angles.h"
 #include "bind/arguments.h"
@@ -101,6 +102,14 @@ void bind_echoes(nb::module_& module) {
       "out");
 }
 
+void require_surfaces(const Surfaces& surfaces, Index slots) {
+  require(slots <= std::numeric_limits<std::int32_t>::max(), "bodies: too many shapes");
+  require(std::ssize(surfaces.object) == slots, "surfaces.object: of nothing, the ground, and each shape");
+  const auto [least, most] = std::minmax_element(surfaces.object.begin(), surfaces.object.end());
+  require(*least >= world::no_object && *most < std::ssize(surfaces.reflectivity) + world::no_object,
+          "surfaces.object: those of surfaces.reflectivity only");
+}
+
 void require_lasers(const Lasers& lasers) {
   const std::size_t count = lasers.cos_elevation.size();
   require(lasers.sin_elevation.size() == count, "lasers.sin_elevation: one for each laser");
@@ -109,7 +118,7 @@ void require_lasers(const Lasers& lasers) {
   require(lasers.forward_m.size() == count, "lasers.forward_m: one for each laser");
   require(lasers.left_m.size() == count, "lasers.left_m: one for each laser");
   require(lasers.up_m.size() == count, "lasers.up_m: one for each laser");
-  require(!lasers.across.empty() && std::ssize(lasers.across) <= most_rays_a_beam, "lasers.across: one to nine");
+  require(lasers.across.size() == thin || lasers.across.size() == wide, "lasers.across: one or nine");
   require(lasers.above.size() == lasers.across.size(), "lasers.above: one for each of lasers.across");
 }
 
@@ -126,9 +135,7 @@ void bind_trace(nb::module_& module) {
       module, "trace_firings",
       [](const world::World& world, const world::Bvh& bodies, const Surfaces& surfaces, const Lasers& lasers,
          const Mounting& mounting, const Firings& firings, std::int64_t zero_ns, double limit_m, const Hits& hits) {
-        const Index slots = 2 + world.slots() + bodies.size();
-        require(std::ssize(surfaces.object) == slots, "surfaces.object: nothing, ground, and each shape");
-        require(std::ssize(surfaces.reflectivity) == slots, "surfaces.reflectivity: nothing, ground, and each shape");
+        require_surfaces(surfaces, 2 + world.slots() + bodies.size());
         require_lasers(lasers);
         require_firings(firings, lasers);
         const Index count = std::ssize(firings.time_ns);

@@ -20,7 +20,8 @@ void Poses::set(int n, const Pose& pose) {
   }
 }
 
-Aim::Aim(const Lasers& lasers, const Mounting& mounting) : lasers_(lasers), mounting_(mounting) {
+template <int Width>
+Aim<Width>::Aim(const Lasers& lasers, const Mounting& mounting) : lasers_(lasers), mounting_(mounting) {
   turns_ = mounting_.path->kind() != world::Path::Kind::velocity;
   const Pose start = pose(0.0);
   start_m_ = start.t;
@@ -31,7 +32,8 @@ Aim::Aim(const Lasers& lasers, const Mounting& mounting) : lasers_(lasers), moun
   }
 }
 
-void Aim::set(const Firings& firings, View<const Index> which, Index laser) {
+template <int Width>
+void Aim<Width>::set(const Firings& firings, View<const Index> which, Index laser) {
   beams_ = static_cast<int>(which.size());
   for (int n = 0; n < beams_; ++n) {
     encoder_rad_[n] = firings.encoder_rad[which[n]];
@@ -42,7 +44,8 @@ void Aim::set(const Firings& firings, View<const Index> which, Index laser) {
 }
 
 /// Where the sensor is in the world.
-Pose Aim::pose(double path_s) const {
+template <int Width>
+Pose Aim<Width>::pose(double path_s) const {
   const Pose vehicle = mounting_.path->at(path_s);
   const auto R_world_vehicle = product(mounting_.T_world_start.R, vehicle.R);
   const Vec3 mount = times(R_world_vehicle, mounting_.T_vehicle_sensor.t);
@@ -56,7 +59,8 @@ Pose Aim::pose(double path_s) const {
 }
 
 /// Find where the sensor is at each firing.
-void Aim::move(const Firings& firings, View<const Index> which) {
+template <int Width>
+void Aim<Width>::move(const Firings& firings, View<const Index> which) {
   Lanes path_s;
   for (int n = 0; n < beams_; ++n) {
     path_s[n] = seconds_between(mounting_.zero_ns, firings.time_ns[which[n]]);
@@ -75,7 +79,8 @@ void Aim::move(const Firings& firings, View<const Index> which) {
 }
 
 /// Find where beams start, and their axes: the directions of a beam's first ray, for now.
-void Aim::point(Index laser) {
+template <int Width>
+void Aim<Width>::point(Index laser) {
   const double cos_elevation = lasers_.cos_elevation[laser];
   const double sin_elevation = lasers_.sin_elevation[laser];
   const double cos_offset = lasers_.cos_offset[laser];
@@ -98,8 +103,9 @@ void Aim::point(Index laser) {
 }
 
 /// Find the directions of all rays.
-void Aim::spread() {
-  if (std::ssize(lasers_.across) == 1 && lasers_.across[0] == 0 && lasers_.above[0] == 0) {
+template <int Width>
+void Aim<Width>::spread() {
+  if (Width == thin && lasers_.across[0] == 0 && lasers_.above[0] == 0) {
     return;
   }
   const Vectors<most_beams> axes = directions_[0];
@@ -109,7 +115,7 @@ void Aim::spread() {
     right[0][n] = axes[1][n] / flat;
     right[1][n] = -axes[0][n] / flat;
   }
-  for (Index ray = 0; ray < std::ssize(lasers_.across); ++ray) {
+  for (int ray = 0; ray < Width; ++ray) {
     const double across = lasers_.across[ray];
     const double above = lasers_.above[ray];
     Vectors<most_beams>& out = directions_[ray];
@@ -132,8 +138,8 @@ void Aim::spread() {
 }
 
 /// Bring rays from the sensor's frame into another.
-void Aim::place(const Poses& poses, Rays& rays) const {
-  const Index width = std::ssize(lasers_.across);
+template <int Width>
+void Aim<Width>::place(const Poses& poses, Rays<Width>& rays) const {
   const auto& R = poses.R;
   for (int axis = 0; axis < 3; ++axis) {
     const double* const a = R[3 * axis];
@@ -144,18 +150,21 @@ void Aim::place(const Poses& poses, Rays& rays) const {
       value[n] = a[n] * starts_[0][n] + b[n] * starts_[1][n] + c[n] * starts_[2][n] + poses.t[axis][n];
     }
     for (int n = 0; n < beams_; ++n) {
-      std::fill_n(rays.origins[axis] + n * width, width, value[n]);
+      std::fill_n(rays.origins[axis] + n * Width, Width, value[n]);
     }
-    for (Index ray = 0; ray < width; ++ray) {
+    for (int ray = 0; ray < Width; ++ray) {
       const Vectors<most_beams>& from = directions_[ray];
       for (int n = 0; n < beams_; ++n) {
         value[n] = a[n] * from[0][n] + b[n] * from[1][n] + c[n] * from[2][n];
       }
       for (int n = 0; n < beams_; ++n) {
-        rays.directions[axis][n * width + ray] = value[n];
+        rays.directions[axis][n * Width + ray] = value[n];
       }
     }
   }
 }
+
+template class Aim<thin>;
+template class Aim<wide>;
 
 }  // namespace lidarcfg::simulate

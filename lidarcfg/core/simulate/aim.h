@@ -8,10 +8,10 @@
 namespace lidarcfg::simulate {
 
 constexpr int most_beams = 32;  // that are aimed at a time
-constexpr int most_rays_a_beam = 9;
-constexpr int most_rays = most_beams * most_rays_a_beam;
+constexpr int thin = 1;         // rays of a beam
+constexpr int wide = 9;
 
-/// The L lasers of a sensor, and the K rays of a beam of each: at most `most_rays_a_beam`.
+/// The L lasers of a sensor, and the K rays of a beam of each: `thin` or `wide`.
 struct Lasers {
   View<const double> cos_elevation;  // (L,)
   View<const double> sin_elevation;  // (L,)
@@ -50,13 +50,15 @@ struct Poses {
   void set(int n, const world::Pose& pose);
 };
 
-/// Rays, beam by beam.
+/// The rays of beams of so many, beam by beam.
+template <int Width>
 struct Rays {
-  Vectors<most_rays> origins;
-  Vectors<most_rays> directions;
+  Vectors<Width * most_beams> origins;
+  Vectors<Width * most_beams> directions;
 };
 
 /// Aims the beams of up to `most_beams` firings of one laser at a time.
+template <int Width>
 class Aim {
  public:
   Aim(const Lasers& lasers, const Mounting& mounting);
@@ -64,17 +66,17 @@ class Aim {
   /// Aim the beams of some firings of a laser.
   void set(const Firings& firings, View<const Index> which, Index laser);
 
-  int rays() const { return beams_ * std::ssize(lasers_.across); }
+  int rays() const { return beams_ * Width; }
 
-  void in_world(Rays& rays) const { place(in_world_, rays); }
-  void in_vehicle(Rays& rays) const { place(in_vehicle_, rays); }
+  void in_world(Rays<Width>& rays) const { place(in_world_, rays); }
+  void in_vehicle(Rays<Width>& rays) const { place(in_vehicle_, rays); }
 
  private:
   world::Pose pose(double path_s) const;
   void move(const Firings& firings, View<const Index> which);
   void point(Index laser);
   void spread();
-  void place(const Poses& poses, Rays& rays) const;
+  void place(const Poses& poses, Rays<Width>& rays) const;
 
   using Lanes = double[most_beams];
 
@@ -87,8 +89,11 @@ class Aim {
   alignas(32) Lanes encoder_rad_;
   Poses in_world_;
   Poses in_vehicle_;
-  Vectors<most_beams> starts_;                        // of the beams, in the sensor's frame
-  Vectors<most_beams> directions_[most_rays_a_beam];  // of their rays, in the sensor's frame
+  Vectors<most_beams> starts_;             // of the beams, in the sensor's frame
+  Vectors<most_beams> directions_[Width];  // of their rays, in the sensor's frame
 };
+
+extern template class Aim<thin>;
+extern template class Aim<wide>;
 
 }  // namespace lidarcfg::simulate

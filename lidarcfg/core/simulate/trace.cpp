@@ -19,10 +19,11 @@ constexpr double inf = std::numeric_limits<double>::infinity();
 constexpr std::int64_t block_ns = 50'000'000;  // for which moving objects are held by the same spheres
 
 /// What rays hit.
+template <int Width>
 struct RayHits {
-  double range_m[most_rays];  // inf: nothing
-  double cosine[most_rays];   // of the angle between ray and normal
-  std::int32_t slot[most_rays];
+  double range_m[Width * most_beams];  // inf: nothing
+  double cosine[Width * most_beams];   // of the angle between ray and normal
+  std::int32_t slot[Width * most_beams];
 };
 
 /// The unit normals of a hierarchy's triangles, of which it remembers some.
@@ -48,14 +49,16 @@ class Normals {
 };
 
 /// Traces firings, batch by batch.
-template <class Packet>
+template <int Width>
 class FiringTracer {
  public:
+  using Rays = simulate::Rays<Width>;
+  using RayHits = simulate::RayHits<Width>;
+
   FiringTracer(const Stage& stage, const Firings& firings, const Hits& hits)
       : stage_(stage),
         firings_(firings),
         hits_(hits),
-        width_(static_cast<int>(stage.lasers.across.size())),
         cosines_(hits.cosine.rows() > 0),
         aim_(stage.lasers, stage.mounting),
         normals_(stage.world.fixed()),
@@ -64,6 +67,8 @@ class FiringTracer {
   void trace();
 
  private:
+  static constexpr int most_rays = Width * most_beams;
+
   template <class Hit>
   void by_face(Hit hit);
   void hit_world(const Rays& rays, int face, RayHits& hits);
@@ -79,9 +84,8 @@ class FiringTracer {
   const Stage& stage_;
   const Firings& firings_;
   const Hits& hits_;
-  const int width_;  // rays of a beam
   const bool cosines_;
-  Aim aim_;
+  Aim<Width> aim_;
   std::optional<world::MovingTracer> moving_;
   Normals normals_;
   Normals body_normals_;
@@ -91,7 +95,7 @@ class FiringTracer {
   RayHits found_;            // what they hit
   double face_[most_rays];   // what they face
 
-  Packet packet_;
+  world::PacketOf<most_rays> packet_;
   int count_;                       // rays of the batch in the packet
   int number_[most_rays];           // which they are
   double seconds_[most_rays] = {};  // when they start, if anything moves
@@ -99,8 +103,8 @@ class FiringTracer {
   RayHits gathered_hits_;
 };
 
-template <class Packet>
-void FiringTracer<Packet>::trace() {
+template <int Width>
+void FiringTracer<Width>::trace() {
   const bool moves = !stage_.world.moving().empty();
   const Batches batches = divide(firings_, most_beams, moves ? block_ns : 0);
   if (moves) {
@@ -125,9 +129,9 @@ void FiringTracer<Packet>::trace() {
 }
 
 /// Have the batch's rays hit something by `hit(rays, face, hits)`: those that face the same way at a time.
-template <class Packet>
+template <int Width>
 template <class Hit>
-void FiringTracer<Packet>::by_face(Hit hit) {
+void FiringTracer<Width>::by_face(Hit hit) {
   constexpr double done = -1;
   const int all = aim_.rays();
   double others = 0;
@@ -173,14 +177,14 @@ void FiringTracer<Packet>::by_face(Hit hit) {
   }
 }
 
-template <class Packet>
-void FiringTracer<Packet>::hit_world(const Rays& rays, int face, RayHits& hits) {
+template <int Width>
+void FiringTracer<Width>::hit_world(const Rays& rays, int face, RayHits& hits) {
   packet_.load(rays.origins, rays.directions, 0, count_, face);
   packet_.hit_ground(stage_.world.ground_m(), stage_.limit_m);
   packet_.first_hits(stage_.world.fixed());
   if (moving_) {
     for (int n = 0; n < count_; ++n) {
-      seconds_[n] = seconds_between(stage_.zero_ns, firings_.time_ns[which_[number_[n] / width_]]);
+      seconds_[n] = seconds_between(stage_.zero_ns, firings_.time_ns[which_[number_[n] / Width]]);
     }
     moving_->hit(packet_, View<const double>(seconds_, count_));
   }
@@ -194,8 +198,8 @@ void FiringTracer<Packet>::hit_world(const Rays& rays, int face, RayHits& hits) 
 }
 
 /// Find the cosines of the angles at which rays hit the world.
-template <class Packet>
-void FiringTracer<Packet>::find_cosines(const Rays& rays, RayHits& hits) {
+template <int Width>
+void FiringTracer<Width>::find_cosines(const Rays& rays, RayHits& hits) {
   const Bvh& fixed = stage_.world.fixed();
   for (int first = 0; first < count_;) {
     const std::int32_t slot = hits.slot[first];
@@ -217,8 +221,8 @@ void FiringTracer<Packet>::find_cosines(const Rays& rays, RayHits& hits) {
   }
 }
 
-template <class Packet>
-void FiringTracer<Packet>::hit_bodies(const Rays& rays, int face, RayHits& hits) {
+template <int Width>
+void FiringTracer<Width>::hit_bodies(const Rays& rays, int face, RayHits& hits) {
   const Bvh& bodies = stage_.bodies;
   packet_.load(rays.origins, rays.directions, 0, count_, face);
   for (int n = 0; n < count_; ++n) {
@@ -244,20 +248,24 @@ void FiringTracer<Packet>::hit_bodies(const Rays& rays, int face, RayHits& hits)
 }
 
 /// Write what the batch's rays hit.
-template <class Packet>
-void FiringTracer<Packet>::write() const {
-  const std::int32_t* const objects = stage_.surfaces.object.data() - no_slot;
-  const std::uint8_t* const reflectivities = stage_.surfaces.reflectivity.data() - no_slot;
+template <int Width>
+void FiringTracer<Width>::write() const {
+  const Surfaces& surfaces = stage_.surfaces;
+  std::int32_t object[most_rays];
+  for (int n = 0; n < aim_.rays(); ++n) {
+    object[n] = surfaces.object[found_.slot[n] - no_slot];
+  }
   for (Index beam = 0; beam < std::ssize(which_); ++beam) {
-    const std::int32_t* const slot = found_.slot + beam * width_;
-    const Index to = which_[beam] * width_;
-    std::copy_n(found_.range_m + beam * width_, width_, hits_.range_m.data() + to);
-    for (int ray = 0; ray < width_; ++ray) {
-      hits_.reflectivity.data()[to + ray] = reflectivities[slot[ray]];
-      hits_.object.data()[to + ray] = objects[slot[ray]];
-    }
+    const Index from = beam * Width;
+    const Index to = which_[beam] * Width;
+    std::copy_n(found_.range_m + from, Width, hits_.range_m.data() + to);
+    std::copy_n(object + from, Width, hits_.object.data() + to);
     if (cosines_) {
-      std::copy_n(found_.cosine + beam * width_, width_, hits_.cosine.data() + to);
+      std::copy_n(found_.cosine + from, Width, hits_.cosine.data() + to);
+    }
+    std::uint8_t* const reflectivity = hits_.reflectivity.data() + to;
+    for (int ray = 0; ray < Width; ++ray) {
+      reflectivity[ray] = surfaces.reflectivity[object[from + ray] - world::no_object];
     }
   }
 }
@@ -265,10 +273,10 @@ void FiringTracer<Packet>::write() const {
 }  // namespace
 
 void trace_firings(const Stage& stage, const Firings& firings, const Hits& hits) {
-  if (stage.lasers.across.size() == 1) {
-    std::make_unique<FiringTracer<world::Packet>>(stage, firings, hits)->trace();
+  if (stage.lasers.across.size() == thin) {
+    std::make_unique<FiringTracer<thin>>(stage, firings, hits)->trace();
   } else {
-    std::make_unique<FiringTracer<world::WidePacket>>(stage, firings, hits)->trace();
+    std::make_unique<FiringTracer<wide>>(stage, firings, hits)->trace();
   }
 }
 

@@ -8,10 +8,10 @@
 
 namespace lidarcfg::simulate {
 
-/// The objects and reflectivities of slots: nothing, the ground, the world's shapes, then the vehicle's bodies.
+/// Which objects are hit, and how they reflect.
 struct Surfaces {
-  View<const std::int32_t> object;
-  View<const std::uint8_t> reflectivity;
+  View<const std::int32_t> object;        // by slot: of nothing, the ground, the world's shapes, the vehicle's bodies
+  View<const std::uint8_t> reflectivity;  // by object: of `no_object`, then of the others
 };
 
 /// A sensor in a world, and among the bodies of its vehicle, which are in the vehicle's frame.
