@@ -12,7 +12,7 @@ from lidarcfg.packets.codec import Firings
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
-from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
+from lidarcfg.simulate.echoes import CELLS, REPORTED, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import laser_errors_m, separate
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Weather
@@ -98,8 +98,8 @@ class Simulator:
         counts = Counts(hits.range_m.size, np.count_nonzero(hits.range_m <= sensor.range.reported_m[1]))
         if self._exact:
             return single(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
-        candidates = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, hits)
-        reported = candidates.reported(mount.return_mode)
+        candidates = REPORTED[mount.return_mode]
+        reported = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, hits, candidates)
         reported.noise_m[:] += self._errors_m[fired.laser][:, None]
         if mount.return_mode == "dual":
             separate(reported, self._realism, self._index, first)

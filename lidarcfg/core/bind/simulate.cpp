@@ -82,7 +82,7 @@ void bind_echoes(nb::module_& module) {
   def(
       module, "merge_echoes",
       [](const SubRays& rays, View<const double> weights, double range_max_m, double step_rad, double least,
-         Rows<const double> droplets, Rows<const double> fade, const Candidates& out) {
+         Rows<const double> droplets, Rows<const double> fade, View<const std::uint8_t> which, const Candidates& out) {
         const Index count = rays.range_m.rows();
         const Index width = std::ssize(weights);
         require(width > 0, "weights: at least one");
@@ -93,12 +93,16 @@ void bind_echoes(nb::module_& module) {
         require(std::ssize(rays.laser) == count, "rays.laser: one for each row of ranges");
         require(is_shape(droplets, fade.rows() ? count : 0, 2), "droplets: two for each firing, or none without fade");
         require(!fade.rows() || is_shape(fade, count, width + 1), "fade: one for each ray and one more, or none");
-        require(is_shape(out.range_m, count, candidates), "out.range_m: six for each firing");
-        require(is_shape(out.reflectivity, count, candidates), "out.reflectivity: six for each firing");
-        require(is_shape(out.object, count, candidates), "out.object: six for each firing");
-        merge_echoes(rays, weights, {range_max_m, step_rad, least}, {droplets, fade}, out);
+        const Index columns = std::ssize(which);
+        require(std::all_of(which.begin(), which.end(), [](std::uint8_t one) { return one < candidates; }),
+                "which: below six");
+        require(is_shape(out.range_m, count, columns), "out.range_m: one for each firing and of which");
+        require(is_shape(out.reflectivity, count, columns), "out.reflectivity: one for each firing and of which");
+        require(is_shape(out.object, count, columns), "out.object: one for each firing and of which");
+        merge_echoes(rays, weights, {range_max_m, step_rad, least}, {droplets, fade},
+                     {reinterpret_cast<const Candidate*>(which.data()), which.size()}, out);
       },
-      "Write the six candidates of beams.", "rays", "weights", "range_max_m", "step_rad", "least", "droplets", "fade",
+      "Write candidates of beams.", "rays", "weights", "range_max_m", "step_rad", "least", "droplets", "fade", "which",
       "out");
 }
 

@@ -1,6 +1,7 @@
 #include "simulate/echoes.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -60,9 +61,8 @@ std::uint8_t to_byte(double value) {
   return rounded > 0 ? static_cast<std::uint8_t>(std::min(rounded, 255.0)) : 0;
 }
 
-/// Write the candidates (6,) of a beam's echoes, in the order of range.
-void pick(View<const Echo> echoes, Index count, double least, View<double> range_m, View<std::uint8_t> reflectivity,
-          View<std::int32_t> object) {
+/// Which of a beam's echoes (in the order of range) each candidate is; returns whether any is seen.
+bool rank(View<const Echo> echoes, Index count, double least, std::array<Index, candidates>& echo_of) {
   Index strongest = 0;
   Index second = 0;
   Index last = 0;
@@ -83,22 +83,9 @@ void pick(View<const Echo> echoes, Index count, double least, View<double> range
     }
     ++seen;
   }
-  const Index with_last = strongest == last ? second : strongest;
-  const Index with_first = strongest == first ? second : strongest;
-  const Index which[candidates] = {strongest, with_last, last, first, with_first, second};
-  for (Index i = 0; i < candidates; ++i) {
-    const Index same = std::find(which, which + i, which[i]) - which;
-    if (same < i) {
-      range_m[i] = range_m[same];
-      reflectivity[i] = reflectivity[same];
-      object[i] = object[same];
-      continue;
-    }
-    const Echo& echo = echoes[which[i]];
-    range_m[i] = seen ? echo.range_m / echo.power : inf;
-    reflectivity[i] = to_byte(echo.reflectivity);
-    object[i] = echo.object;
-  }
+  echo_of = {strongest, strongest == last ? second : strongest,  last,
+             first,     strongest == first ? second : strongest, second};
+  return seen > 0;
 }
 
 /// Merges the echoes of one beam after another.
@@ -109,42 +96,56 @@ class Merger {
         weights_(weights),
         receiver_(receiver),
         droplets_(droplets),
-        power_(weights.size()),
-        echoes_(weights.size() + 1) {}
+        echoes_(weights.size() + 1),
+        weight_(block * weights.size()),
+        power_(block * weights.size()) {
+    for (std::size_t n = 0; n < weight_.size(); ++n) {
+      weight_[n] = weights[n % weights.size()];
+    }
+  }
 
-  /// Find the echoes of a firing's rays, whose order in range is `order`; returns how many there are.
+  /// Find the echoes of a firing's rays, whose order in range is `order`; returns how many there are. Firings come one
+  /// after another.
   Index merge(Index firing, View<const Index> order);
 
   View<const Echo> echoes() const { return echoes_; }
 
  private:
-  void find_power(Index firing);
+  static constexpr Index block = 64;  // firings whose rays' powers are found at once
+
+  void find_power(Index first, Index count);
 
   SubRays rays_;
   View<const double> weights_;
   Receiver receiver_;
   Droplets droplets_;
-  std::vector<double> power_;  // of each ray
   std::vector<Echo> echoes_;
+  std::vector<double> weight_;  // of the rays of a block
+  std::vector<double> power_;
 };
 
-/// Find the power that each ray of a firing sends back: the LiDAR equation for Lambertian targets and retro-reflectors.
-void Merger::find_power(Index firing) {
-  const double* const range_m = rays_.range_m[firing].data();
-  const std::uint8_t* const reflectivity = rays_.reflectivity[firing].data();
-  const double* const cosine = rays_.cosine[firing].data();
+/// Find the powers that rays send back: the LiDAR equation for Lambertian targets and retro-reflectors.
+void Merger::find_power(Index first, Index count) {
   const Index width = std::ssize(weights_);
-  for (Index k = 0; k < width; ++k) {
-    const double albedo = reflectivity[k] / 100.0;
-    power_[k] = weights_[k] * (reflectivity[k] > diffuse_max ? albedo : albedo * cosine[k]);
+  const Index all = count * width;
+  const double* const range_m = rays_.range_m.data() + first * width;
+  const double* const cosine = rays_.cosine.data() + first * width;
+  const std::uint8_t* const reflectivity = rays_.reflectivity.data() + first * width;
+  const double* const weight = weight_.data();
+  double* const power = power_.data();
+  for (Index n = 0; n < all; ++n) {
+    const double albedo = reflectivity[n] / 100.0;
+    power[n] = weight[n] * (reflectivity[n] > diffuse_max ? albedo : albedo * cosine[n]);
   }
   if (droplets_.fade.rows()) {
-    for (Index k = 0; k < width; ++k) {
-      power_[k] *= droplets_.fade(firing, k);
+    for (Index n = 0; n < count; ++n) {
+      for (Index k = 0; k < width; ++k) {
+        power[n * width + k] *= droplets_.fade(first + n, k);
+      }
     }
   }
-  for (Index k = 0; k < width; ++k) {
-    power_[k] = std::max(power_[k] / (range_m[k] * range_m[k]), faintest);
+  for (Index n = 0; n < all; ++n) {
+    power[n] = std::max(power[n] / (range_m[n] * range_m[n]), faintest);
   }
 }
 
@@ -154,7 +155,10 @@ Index Merger::merge(Index firing, View<const Index> order) {
   const std::int32_t* const object = rays_.object[firing].data();
   const double* const cosine = rays_.cosine[firing].data();
   const bool weather = droplets_.fade.rows() > 0;
-  find_power(firing);
+  if (firing % block == 0) {
+    find_power(firing, std::min(block, rays_.range_m.rows() - firing));
+  }
+  const double* const power = power_.data() + firing % block * std::ssize(weights_);
   Echo echo;
   Index found = 0;
   Index before = no_ray;
@@ -164,8 +168,8 @@ Index Merger::merge(Index firing, View<const Index> order) {
     const double nearest_m = range_m[order[0]];
     if (drop_m < (nearest_m <= receiver_.most_m ? nearest_m : inf)) {
       const double albedo = droplets_.strongest(firing, 1);
-      const double power = std::max(albedo * droplets_.fade(firing, std::ssize(order)) / (drop_m * drop_m), faintest);
-      echo = {power, power * drop_m, 100 * albedo, power, nothing};
+      const double light = std::max(albedo * droplets_.fade(firing, std::ssize(order)) / (drop_m * drop_m), faintest);
+      echo = {light, light * drop_m, 100 * albedo, light, nothing};
       before_m = drop_m;
       found = 1;
     }
@@ -186,7 +190,7 @@ Index Merger::merge(Index firing, View<const Index> order) {
       echo = {};
       ++found;
     }
-    echo.add(power_[ray], far_m, weights_[ray] * reflectivity[ray], object[ray]);
+    echo.add(power[ray], far_m, weights_[ray] * reflectivity[ray], object[ray]);
     before = ray;
     before_m = far_m;
   }
@@ -197,19 +201,27 @@ Index Merger::merge(Index firing, View<const Index> order) {
 }  // namespace
 
 void merge_echoes(const SubRays& rays, View<const double> weights, const Receiver& receiver, const Droplets& droplets,
-                  const Candidates& out) {
+                  View<const Candidate> which, const Candidates& out) {
   const Index width = std::ssize(weights);
   std::vector<Index> orders(256 *
-                            width);  // that of the beam which each laser fired before: the next one's is much alike
+                            width);  // of the beam that each laser fired before: that of its next is much the same
   for (Index n = 0; n < std::ssize(orders); ++n) {
     orders[n] = n % width;
   }
   Merger merger(rays, weights, receiver, droplets);
+  const View<const Echo> echoes = merger.echoes();
+  std::array<Index, candidates> echo_of;
   for (Index n = 0; n < rays.range_m.rows(); ++n) {
     const View<Index> order(orders.data() + rays.laser[n] * width, width);
     sort_by_range(rays.range_m[n], order);
     const Index found = merger.merge(n, order);
-    pick(merger.echoes(), found, receiver.least, out.range_m[n], out.reflectivity[n], out.object[n]);
+    const bool seen = rank(echoes, found, receiver.least, echo_of);
+    for (Index c = 0; c < std::ssize(which); ++c) {
+      const Echo& echo = echoes[echo_of[static_cast<int>(which[c])]];
+      out.range_m(n, c) = seen ? echo.range_m / echo.power : inf;
+      out.reflectivity(n, c) = to_byte(echo.reflectivity);
+      out.object(n, c) = echo.object;
+    }
   }
 }
 

@@ -27,20 +27,22 @@ struct Droplets {
   Rows<const double> fade;       // (N, K + 1) what is left of the light of each ray, and of that echo
 };
 
-/// The six candidates of N firings that return modes report: see `Echoes` of lidarcfg.simulate.echoes.
+/// What a return mode may report of a firing; see `Echoes` of lidarcfg.simulate.echoes.
+enum class Candidate : std::uint8_t { strongest, strongest_but_last, last, first, strongest_but_first, second };
+constexpr int candidates = 6;
+
+/// Some candidates of N firings, to be written.
 struct Candidates {
-  Rows<double> range_m;             // (N, 6) inf: none
-  Rows<std::uint8_t> reflectivity;  // (N, 6)
-  Rows<std::int32_t> object;        // (N, 6)
+  Rows<double> range_m;             // (N, C) inf: none
+  Rows<std::uint8_t> reflectivity;  // (N, C)
+  Rows<std::int32_t> object;        // (N, C)
 };
 
-constexpr Index candidates = 6;
-
-/// Write the candidates of N beams of K rays with weights (K,).
+/// Write the candidates `which` (C,) of N beams of K rays with weights (K,).
 ///
 /// Neighbours in range merge into an echo; on one object also if its slant explains the distance between them: a
 /// surface hit at a grazing angle is one echo, though its few rays are far apart.
 void merge_echoes(const SubRays& rays, View<const double> weights, const Receiver& receiver, const Droplets& droplets,
-                  const Candidates& out);
+                  View<const Candidate> which, const Candidates& out);
 
 }  // namespace lidarcfg::simulate
