@@ -216,6 +216,18 @@ struct Memory {
   std::vector<std::int32_t> object;
 };
 
+Bvh view_of(std::shared_ptr<const Memory> memory) {
+  Bvh out{memory->nodes, memory->leaves, memory->kind, memory->number, memory->object, 0, memory};
+  for (const Leaf& leaf : memory->leaves) {
+    float reach_m = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+      reach_m += std::max(std::abs(leaf.box.low[axis]), std::abs(leaf.box.high[axis]));
+    }
+    out.reach_m = std::max(out.reach_m, reach_m);
+  }
+  return out;
+}
+
 }  // namespace
 
 Box Box::none() { return {{inf, inf, inf}, {-inf, -inf, -inf}}; }
@@ -255,36 +267,31 @@ Bvh build(View<const Shape> shapes, View<const Kind> kind, View<const std::int32
   if (std::ssize(shapes) > most_shapes) {
     throw std::invalid_argument("shapes: more than 268,435,456");
   }
-  Bvh out;
-  if (shapes.empty()) {
-    return out;
-  }
   auto memory = std::make_shared<Memory>();
-  const Builder builder(shapes, kind);
-  builder.collapse(0, memory->nodes);
-  memory->nodes.shrink_to_fit();
-  memory->leaves.reserve(shapes.size());
-  memory->kind.reserve(shapes.size());
-  memory->number.reserve(shapes.size());
-  memory->object.reserve(shapes.size());
-  for (const auto& [box, s] : builder.items()) {
-    memory->leaves.push_back({box, shapes[s]});
-    memory->kind.push_back(kind[s]);
-    memory->number.push_back(number[s]);
-    memory->object.push_back(object[s]);
-    float reach_m = 0;
-    for (int axis = 0; axis < 3; ++axis) {
-      reach_m += std::max(std::abs(box.low[axis]), std::abs(box.high[axis]));
+  if (!shapes.empty()) {
+    const Builder builder(shapes, kind);
+    builder.collapse(0, memory->nodes);
+    memory->nodes.shrink_to_fit();
+    memory->leaves.reserve(shapes.size());
+    memory->kind.reserve(shapes.size());
+    memory->number.reserve(shapes.size());
+    memory->object.reserve(shapes.size());
+    for (const auto& [box, s] : builder.items()) {
+      memory->leaves.push_back({box, shapes[s]});
+      memory->kind.push_back(kind[s]);
+      memory->number.push_back(number[s]);
+      memory->object.push_back(object[s]);
     }
-    out.reach_m = std::max(out.reach_m, reach_m);
   }
-  out.nodes = memory->nodes;
-  out.leaves = memory->leaves;
-  out.kind = memory->kind;
-  out.number = memory->number;
-  out.object = memory->object;
-  out.memory = memory;
-  return out;
+  return view_of(std::move(memory));
+}
+
+Bvh copy_of(const Bvh& views) {
+  return view_of(std::make_shared<Memory>(Memory{{views.nodes.begin(), views.nodes.end()},
+                                                 {views.leaves.begin(), views.leaves.end()},
+                                                 {views.kind.begin(), views.kind.end()},
+                                                 {views.number.begin(), views.number.end()},
+                                                 {views.object.begin(), views.object.end()}}));
 }
 
 }  // namespace lidarcfg::world
