@@ -18,7 +18,7 @@ def merge_echoes(
     which: NDArray[np.uint8],
     out: Echoes,
 ) -> None:
-    """Write candidates `which` (C,) of beams of K rays (N, K) with weights (K,): ranges, reflectivities, objects (N, C).
+    """Write candidates `which` (C,) of beams of K rays (N, K) with weights : ranges, reflectivities, objects (N, C).
 
     Echoes beyond a range, or with less than the least power, do not count; `step_rad` is the angle between neighbouring
     rays. In bad weather droplets (N, 2) are range and albedo of what the weather echoes, and fade (N, K + 1) is what is

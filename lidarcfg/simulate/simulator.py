@@ -95,7 +95,7 @@ class Simulator:
         sensor = mount.sensor
         assert sensor.range
         hits = self._trace(fired)
-        counts = Counts(hits.range_m.size, np.count_nonzero(hits.range_m <= sensor.range.reported_m[1]))
+        counts = Counts(hits.range_m.size, int(np.count_nonzero(hits.range_m <= sensor.range.reported_m[1])))
         if self._exact:
             return single(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
         candidates = REPORTED[mount.return_mode]
