@@ -27,14 +27,14 @@ struct Placed {
 /// Trials to evaluate, and what is known of the food sources that they were drawn around.
 struct Batch {
   Placed placed;
-  View<const double> upper_bound;          // (n,) the cost that a trial has to be below
-  Rows<const bool> moved;                  // (n, lidars) the LiDARs whose pose differs from the source's
-  View<const std::int64_t> source;         // (n,) a row of `links`
-  Rows<const std::int64_t> certificates;   // (n, c) cuboids whose subspaces may refute a trial; −1 for none
-  Tables<const Links> links;               // (sources, lidars, rows) not where all LiDARs count as moved
-  Rows<const bool> same_position;          // (n, lidars) the LiDARs of which `clear` of the source is true
-  Tables<const Word> clear;                // (sources, lidars, rows), see VisibilityCache; or none
-  double smoothing = 0.0;                  // see WorstList; 0: none
+  View<const double> upper_bound;         // (n,) the cost that a trial has to be below
+  Rows<const bool> moved;                 // (n, lidars) the LiDARs whose pose differs from the source's
+  View<const std::int64_t> source;        // (n,) a row of `links`
+  Rows<const std::int64_t> certificates;  // (n, c) cuboids whose subspaces may refute a trial; −1 for none
+  Tables<const Links> links;              // (sources, lidars, rows) not where all LiDARs count as moved
+  Rows<const bool> same_position;         // (n, lidars) the LiDARs of which `clear` of the source is true
+  Tables<const Word> clear;               // (sources, lidars, rows), see VisibilityCache; or none
+  double smoothing = 0.0;                 // see WorstList; 0: none
 };
 
 /// What becomes of the trials.
@@ -48,14 +48,14 @@ struct BatchResult {
 
 /// How much was done.
 struct Effort {
-  Index full_cases = 0;              // cases that were evaluated in full
-  Index compared_rows = 0;           // rows that were compared with cones for other trials
-  std::int64_t cast_segments = 0;    // from LiDARs to cuboids
+  Index full_cases = 0;            // cases that were evaluated in full
+  Index compared_rows = 0;         // rows that were compared with cones for other trials
+  std::int64_t cast_segments = 0;  // from LiDARs to cuboids
 };
 
 /// Some food sources, and what is to be computed anew of them.
 struct Sources {
-  View<const std::int64_t> row;    // (n,) of `links` and `clear`
+  View<const std::int64_t> row;  // (n,) of `links` and `clear`
   Placed placed;
   Rows<const bool> changed;        // (n, lidars) whose links are those of another pose
   Rows<const bool> same_position;  // (n, lidars) whose `clear` is not
@@ -75,7 +75,8 @@ class TrialEvaluator {
   Index certificates() const { return std::ssize(worst_.values()); }
   const Grid& grid() const { return grid_; }
 
-  /// Take the next trials of a batch from a counter that threads share, at most so many, and write what becomes of them.
+  /// Take the next trials of a batch from a counter that threads share, at most so many, and write what becomes of
+  /// them.
   ///
   /// First the subspaces of a trial's certificates are flooded, and rows are compared with cones as the flood gets to
   /// them; one whose value is no less than the bound refutes the trial. Only without one are all links computed, once
@@ -108,13 +109,13 @@ class TrialEvaluator {
   Linker linker_;
   Flooder flooder_;
   VisibilityCache visibility_;
-  std::vector<Word> seen_;                 // (rows,) by a LiDAR
-  std::vector<Links> links_;               // (rows,) of a case
-  std::vector<std::vector<Links>> own_;    // (lidars, rows) of LiDARs that moved
-  std::vector<std::vector<Word>> left_;    // (cases, rows) cuboids that no flood from a certificate has reached
-  std::vector<Index> order_;               // (cases,) in the order of evaluation
-  std::vector<std::int64_t> moved_;        // LiDARs
-  WorstList worst_;                        // of all cases, by certificates
+  std::vector<Word> seen_;               // (rows,) by a LiDAR
+  std::vector<Links> links_;             // (rows,) of a case
+  std::vector<std::vector<Links>> own_;  // (lidars, rows) of LiDARs that moved
+  std::vector<std::vector<Word>> left_;  // (cases, rows) cuboids that no flood from a certificate has reached
+  std::vector<Index> order_;             // (cases,) in the order of evaluation
+  std::vector<std::int64_t> moved_;      // LiDARs
+  WorstList worst_;                      // of all cases, by certificates
 };
 
 /// Move what refuted a trial, in the order of trials, to the front of its source's certificates.

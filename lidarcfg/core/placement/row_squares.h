@@ -25,8 +25,7 @@ class RowSquares {
   Word at_or_above(double beam) const {
     simd::Words found{};
     for (int i = 0; i < row_size; i += simd::lanes<double>) {
-      const auto above =
-          simd::load<simd::Doubles>(height_ + i) >= beam * simd::load<simd::Doubles>(distance_ + i);
+      const auto above = simd::load<simd::Doubles>(height_ + i) >= beam * simd::load<simd::Doubles>(distance_ + i);
       found |= reinterpret_cast<simd::Words>(above) & simd::load<simd::Words>(bits_.data() + i);
     }
     Word word = 0;

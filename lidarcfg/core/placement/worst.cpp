@@ -27,8 +27,7 @@ class Promising {
  public:
   Promising(double least, const Vec3& edge) {
     const auto [ex, ey, ez] = edge;
-    const double inner =
-        least > 0.0 ? 2.0 * (ey * ez + ex * ez + ex * ey) * (1.0 - 1e-9) - ex * ey * ez / least : -1.0;
+    const double inner = least > 0.0 ? 2.0 * (ey * ez + ex * ez + ex * ey) * (1.0 - 1e-9) - ex * ey * ez / least : -1.0;
     for (int z = 0; z < 3; ++z) {
       for (int y = 0; y < 3; ++y) {
         int x = 0;
