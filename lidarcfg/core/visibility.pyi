@@ -1,8 +1,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core.world import Bvh
 from lidarcfg.geometry import Array
 from lidarcfg.placement.coverage import Span
+from lidarcfg.placement.sight import Sight
+
+def boxes_of(bvh: Bvh) -> Array:
+    """(6, 16) low and high corners of boxes that together hold a hierarchy's shapes; (6, 0) if there are none."""
+
+def see_points(points: Array, cone: Array, sight: Sight, out: NDArray[np.bool_]) -> None:
+    """Write to out (N,) which of points (3, N) a LiDAR sees, whose position `cone` begins with; see Sight."""
 
 def mark_subspaces(label: NDArray[np.int32], cells: NDArray[np.int64], found: NDArray[np.bool_]) -> None:
     """Mark in found (n + 1,) the subspaces of label (nx, ny, nz) with a cuboid in cells (3, 2); last: excluded ones."""

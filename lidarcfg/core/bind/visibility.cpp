@@ -66,9 +66,32 @@ void bind_columns(nb::module_& module) {
       "z");
 }
 
+void bind_sight(nb::module_& module) {
+  def(
+      module, "boxes_of",
+      [](const world::Bvh& bvh) {
+        std::vector<double> boxes = world::boxes_of(bvh);
+        const std::size_t columns = boxes.size() / 6;
+        return Array<double, 2>{std::move(boxes), {6, columns}};
+      },
+      "Boxes that together hold a hierarchy's shapes.", "bvh");
+  def(
+      module, "see_points",
+      [](Rows<const double> points, View<const double> cone, const placement::Sight& sight, View<bool> out) {
+        require(points.rows() == 3, "points: three rows");
+        require(std::ssize(cone) >= 3, "cone: fewer than three numbers");
+        require(std::ssize(out) == points.columns(), "out: one for each point");
+        require(sight.limited(), "sight.limits: a row for the LiDAR");
+        check_sight(sight, 1);
+        placement::see_points(points, cone, sight, out);
+      },
+      "Which of some points a LiDAR sees.", "points", "cone", "sight", "out");
+}
+
 }  // namespace
 
 void bind_visibility(nb::module_& module) {
+  bind_sight(module);
   bind_columns(module);
   def(
       module, "trace_outline",

@@ -22,7 +22,7 @@ Word select(const double* x, Test test) {
     }
   } else {
     for (int n = 0; n < N; ++n) {
-      word |= Word{test(x[n])} << n;
+      word |= static_cast<Word>(test(x[n])) << n;
     }
   }
   return word;
