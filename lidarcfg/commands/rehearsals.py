@@ -55,7 +55,6 @@ def lines() -> None:
     import numpy as np
 
     from lidarcfg.placement.analytic_kernels import Flips, Sheaf, Sums, sweep
-    from lidarcfg.placement.blind_spots import trace_outline
     from lidarcfg.placement.boundary_kernels import Crossings, Lattice, solid_flips, triangle_crossings
 
     none, counts, table = np.empty(0), np.empty(0, np.int64), np.empty((0, 0))
@@ -65,7 +64,6 @@ def lines() -> None:
     _compile(sweep, Sheaf(0, label, within, none, none, table), np.empty((0, 0), np.int64), table, flips, sums)
     _compile(triangle_crossings, lattice, np.empty((0, 3, 3)), table)
     _compile(solid_flips, lattice, crossings, counts, 0)
-    _compile(trace_outline, table, np.empty((0, 3), np.int64), none)
 
 
 def evaluation() -> None:

@@ -1,5 +1,3 @@
-from numpy.typing import NDArray
-
 from lidarcfg.geometry import Array
 
 def blend_triangles(

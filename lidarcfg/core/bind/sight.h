@@ -23,7 +23,9 @@ struct Fields<placement::Sight> {
 inline void check_sight(const placement::Sight& sight, Index lidars) {
   require(sight.limits.columns() == placement::limit_columns, "sight.limits: nine columns");
   require(!sight.limited() || sight.limits.rows() >= lidars, "sight.limits: a row for each LiDAR, or none");
-  require(sight.obstacles.boxes.rows() == 6, "sight.obstacles.boxes: six rows");
+  const Index boxes = sight.obstacles.boxes.columns();
+  require(sight.obstacles.boxes.rows() == 6 && (boxes == 0 || boxes == world::shadow_boxes),
+          "sight.obstacles.boxes: neither (6, 16) nor (6, 0)");
 }
 
 }  // namespace lidarcfg::bind

@@ -81,11 +81,16 @@ class VisibilityCache {
   std::int64_t take_cast_count() { return shadows_.take_cast_count(); }
 
  private:
+  View<Word> row_words(Index lidar) { return {clear_.data() + lidar * rows_, static_cast<std::size_t>(rows_)}; }
+
   Index lidars_;
   Index rows_;
   std::vector<Word> clear_;  // (lidars, rows)
   std::vector<Word> known_;  // (lidars, rows) the cuboids of which that is known
   world::ShadowCaster shadows_;
 };
+
+/// Write which of points (3, N) the first LiDAR of a sight sees, whose position `cone` begins with.
+void see_points(Rows<const double> points, View<const double> cone, const Sight& sight, View<bool> out);
 
 }  // namespace lidarcfg::placement

@@ -6,15 +6,17 @@
 /// for certain are found at once, too, without segments.
 #pragma once
 
-#include <vector>
-
-#include "views.h"
+#include "world/packer.h"
 
 namespace lidarcfg::world {
 
-class Bvh;
+constexpr Index shadow_boxes = 16;  // around a hierarchy's shapes
 
-/// 64 targets along x, relative to the tree's origin.
+/// (6, shadow_boxes) low and high corners of boxes that together hold a hierarchy's shapes, row by row; not all of them
+/// need be different. None if there are no shapes.
+std::vector<double> boxes_of(const Bvh& bvh);
+
+/// 64 targets along x, relative to the hierarchy's origin.
 struct TargetRow {
   const double* x;  // (64,) before `offset_m` is subtracted
   double offset_m;
@@ -24,41 +26,37 @@ struct TargetRow {
   double first_x() const { return x[0] - offset_m; }
 };
 
-/// The targets of a row to which a segment from a point may hit one of the boxes (6, B): low and high corners.
+/// The targets of a row to which a segment from a point may hit one of the boxes (6, shadow_boxes) of `boxes_of`.
 std::uint64_t behind_boxes(Rows<const double> boxes, const Vec3& origin, const TargetRow& targets);
 
 /// Segments from one point that wait for others that face the same way.
 class ShadowCaster {
  public:
-  static constexpr int faces = 32;
-  static constexpr int size = 32;  // segments of a packet
-
   /// Have segments start at this point from now on.
   void start(const Vec3& origin) { origin_ = origin; }
 
   /// Take hidden targets from seen (rows,), of those that a word names of a row. Some of them wait until `flush`.
-  void apply(const Bvh& tree, const TargetRow& targets, std::uint64_t word, Index row, View<std::uint64_t> seen);
+  void apply(const Bvh& bvh, const TargetRow& targets, std::uint64_t word, Index row, View<std::uint64_t> seen);
 
   /// Cast all segments that wait.
-  void flush(const Bvh& tree, View<std::uint64_t> seen);
+  void flush(const Bvh& bvh, View<std::uint64_t> seen);
 
   /// How many segments were cast since the last call.
   std::int64_t take_cast_count();
 
  private:
-  struct Queue {
-    std::array<Vec3, size> directions;
-    std::array<Index, size> targets;  // row · 64 + bit
-    int count = 0;
-    std::array<std::int32_t, 2> last_slots{-1, -1};  // of triangles that hid others; -1: none
-  };
-
-  void cast(const Bvh& tree, int face, View<std::uint64_t> seen);
-  std::uint64_t without_occluded(const Bvh& tree, const TargetRow& targets, std::uint64_t word, Index row,
+  void cast(const Bvh& bvh, Packet& packet, View<const Index> targets, View<std::uint64_t> seen);
+  std::uint64_t without_occluded(const Bvh& bvh, const TargetRow& targets, std::uint64_t word, Index row,
                                  View<std::uint64_t> seen) const;
 
+  struct Occluders {
+    std::int32_t older = -1;
+    std::int32_t latest = -1;
+  };
+
   Vec3 origin_{};
-  std::vector<Queue> queues_ = std::vector<Queue>(faces);
+  Packer<> packer_;                                                   // of segments, whose numbers are row · 64 + bit
+  std::vector<Occluders> occluders_ = std::vector<Occluders>(faces);  // slots of triangles that hid others; -1: none
   std::int64_t cast_count_ = 0;
 };
 
