@@ -183,7 +183,7 @@ void bind_placement(nb::module_& module) {
   nb::class_<Grid> grid(module, "Grid", "A region as rows of bits; it does not change.");
   init(
       grid,
-      [](View<const double> x, View<const double> y, View<const double> z, View<const Word> included, const Vec3& edge,
+      [](View<const double> x, View<const double> y, View<const double> z, View<const Word> included, Vec3 edge,
          View<const double> weight,
          Rows<const Word> weighted) { return Grid(x, y, z, included, edge, weight, weighted); },
       "A region's centres, the cuboids that count, their edges, and their weights.", "x", "y", "z", "included", "edge",
