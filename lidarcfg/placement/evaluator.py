@@ -129,7 +129,9 @@ class Evaluator:
         """Whether costs can be smoothed."""
         return self._criterion is None or self._criterion.is_max_vsr
 
-    def costs(self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0) -> Array:
+    def costs(
+        self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
+    ) -> Array:
         """(n,) the costs, or inf where one is not below `upper_bound` (n,).
 
         poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn

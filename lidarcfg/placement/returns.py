@@ -22,7 +22,7 @@ from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.returns_kernels import Counts, Poses, Scans, Shape
 from lidarcfg.placement.rows import EVERYTHING
-from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
 from lidarcfg.world.bvh import TRIANGLE, build, corners

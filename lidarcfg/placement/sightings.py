@@ -26,7 +26,7 @@ from lidarcfg.placement.detection import (
 from lidarcfg.placement.region import AXES, Region
 from lidarcfg.placement.returns import Target, placed, returns
 from lidarcfg.placement.returns_kernels import Scans
-from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.world.meshes import box_mesh, read_mesh
 from lidarcfg.world.scene import Box
 from lidarcfg.world.solids import open_edges, welded

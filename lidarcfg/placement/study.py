@@ -28,6 +28,7 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.returns import NOTHING, scanner, scans
 from lidarcfg.placement.returns_kernels import Scans
 from lidarcfg.placement.robustness import Robust, mounted
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.placement.sightings import Sought, sought, target
 from lidarcfg.placement.slots import Slot, check_bounds, slots_of
 from lidarcfg.placement.solvers.search import Coordinates
@@ -35,7 +36,6 @@ from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, St
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.terms import Missed, Trial
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.scene import Scene, load_scene
