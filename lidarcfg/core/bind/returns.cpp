@@ -75,7 +75,7 @@ void bind_counter(nb::module_& module) {
       module, "ReturnCounter", "In how many places an object is missed, trial after trial. Not for several threads.");
   init(
       counter,
-      [](const Scanners& scanners, const TargetShape& target, Rows<const double> places, const Obstacles& obstacles,
+      [](Scanners scanners, const TargetShape& target, Rows<const double> places, const Obstacles& obstacles,
          std::int32_t enough) {
         require(enough >= 0 && enough < 1 << 24, "enough: not from 0 to 2^24");
         std::vector<Scanner> copies;
@@ -108,7 +108,7 @@ void bind_returns(nb::module_& module) {
   bind_counter(module);
   def(
       module, "count_returns",
-      [](Rows<const double> places, View<const std::int64_t> which, const Scanners& scanners, Tables<const double> R,
+      [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
          Rows<const double> t, const TargetShape& target, const Obstacles& obstacles, Tables<std::int32_t> counts) {
         const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
         require(counts.tables() == places.rows(), "counts: a table for each place");
