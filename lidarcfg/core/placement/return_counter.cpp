@@ -100,6 +100,18 @@ View<std::int32_t> ReturnCounter::counts_of(Index place, const Sensor& sensor) {
   return {sensor.known->counts.data() + place * phases, static_cast<std::size_t>(phases)};
 }
 
+/// The sensor of which the most returns are possible at a place, of those whose returns are not counted; or none.
+const ReturnCounter::Sensor* ReturnCounter::most_promising(Index place, View<const Sensor> sensors) {
+  const Sensor* found = nullptr;
+  for (const Sensor& sensor : sensors) {
+    const Bounds& bounds = sensor.known->bounds[place];
+    if (!bounds.counted && (!found || bounds.most > found->known->bounds[place].most)) {
+      found = &sensor;
+    }
+  }
+  return found;
+}
+
 /// The probability that the object is missed at a place.
 double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
   Index least = 0;
@@ -119,14 +131,13 @@ double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
     }
     most += bounds.most;
   }
-  for (const Sensor& sensor : sensors) {
-    if (most < enough_) {
-      return 1.0;
+  while (most >= enough_) {
+    const Sensor* const next = most_promising(place, sensors);
+    if (!next) {
+      break;
     }
+    const Sensor& sensor = *next;
     Bounds& bounds = sensor.known->bounds[place];
-    if (bounds.counted) {
-      continue;
-    }
     const View<std::int32_t> counts = counts_of(place, sensor);
     std::fill(counts.begin(), counts.end(), 0);
     aim(place, sensor);

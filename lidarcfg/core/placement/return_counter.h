@@ -51,6 +51,7 @@ class ReturnCounter {
   };
 
   Known& known_at(std::int64_t sensor, const SensorPose& pose);
+  static const Sensor* most_promising(Index place, View<const Sensor> sensors);
   double missed_at(Index place, View<const Sensor> sensors);
   void aim(Index place, const Sensor& sensor);
   View<std::int32_t> counts_of(Index place, const Sensor& sensor);

@@ -14,6 +14,7 @@ constexpr double ahead_m = 1e-9;   // an object's corners are all at least so fa
 constexpr double wider = 1e-9;     // of azimuths and slopes, for rounding
 constexpr double fov_rad = 1e-11;  // by which a field of view is wider, for rounding
 constexpr double steep_rad = 1.5;
+constexpr std::int32_t middle_heads = 64;  // of the surest firing, that come first
 constexpr double inf = std::numeric_limits<double>::infinity();
 
 double floor_modulo(double value, double divisor) {
@@ -118,6 +119,29 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
     if (seen.meets(scanner.firings()[f])) {
       add(seen, f);
     }
+  }
+  put_middle_first(seen);
+}
+
+/// Have the beams come first that are the surest to hit: those of the firing nearest to the middle of the window.
+void AimedBeams::put_middle_first(const Window& seen) {
+  if (heads_.empty() || seen.near_m == 0) {
+    return;
+  }
+  const double middle = (seen.low_m + seen.high_m) / (seen.near_m + seen.far_m);
+  const auto off = [&](const Heads& some) {
+    const Scanner::Firing& one = scanner_->firings()[some.firing];
+    return std::abs(one.rise - middle);
+  };
+  const auto nearest = std::min_element(heads_.begin(), heads_.end(),
+                                        [&](const Heads& one, const Heads& other) { return off(one) < off(other); });
+  std::swap(heads_.front(), *nearest);
+  const Heads first = heads_.front();
+  const std::int32_t before = (first.end - first.first - middle_heads) / 2;
+  if (before > 0) {
+    heads_.front() = {first.firing, first.first + before, first.first + before + middle_heads};
+    heads_.push_back({first.firing, first.first, first.first + before});
+    heads_.push_back({first.firing, first.first + before + middle_heads, first.end});
   }
 }
 

@@ -134,6 +134,7 @@ class AimedBeams {
 
   Window window() const;
   void add(const Window& window, Index firing);
+  void put_middle_first(const Window& seen);
   void add_heads(Index firing, double begin_rad, double end_rad);
 
   const Scanner* scanner_ = nullptr;
