@@ -58,6 +58,17 @@ std::vector<SensorPose> poses_of(Index sensors, Tables<const double> R, Rows<con
   return out;
 }
 
+void check_sensors(const ReturnCounter& counter, View<const std::int64_t> sensors) {
+  for (std::size_t n = 0; n < sensors.size(); ++n) {
+    require(0 <= sensors[n] && sensors[n] < counter.sensors(), "sensors: no number of a scanner");
+    require(n == 0 || sensors[n - 1] < sensors[n], "sensors: not ascending");
+  }
+}
+
+void check_range(const ReturnCounter& counter, Index first, Index end) {
+  require(0 <= first && first <= end && end <= counter.places(), "first, end: no range of places");
+}
+
 void bind_shapes(nb::module_& module) {
   nb::class_<Scanner> scanner(module, "Scanner", "A sensor's firing pattern, whatever its pose; it does not change.");
   init(scanner, make_scanner, "Heads at the start of cycles of all phases, and the firings of a cycle.", "cos_head",
@@ -89,15 +100,20 @@ void bind_counter(nb::module_& module) {
       counter, "missed",
       [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
          Index first, Index end, double most) {
-        const std::vector<SensorPose> poses = poses_of(std::ssize(sensors), R, t);
-        for (std::size_t n = 0; n < sensors.size(); ++n) {
-          require(0 <= sensors[n] && sensors[n] < self.sensors(), "sensors: no number of a scanner");
-          require(n == 0 || sensors[n - 1] < sensors[n], "sensors: not ascending");
-        }
-        require(0 <= first && first <= end && end <= self.places(), "first, end: no range of places");
-        return self.missed(sensors, poses, first, end, most);
+        check_sensors(self, sensors);
+        check_range(self, first, end);
+        return self.missed(sensors, poses_of(std::ssize(sensors), R, t), first, end, most);
       },
       "In how many places the object is missed.", "sensors", "R", "t", "first", "end", "most");
+  def(
+      counter, "missed_again",
+      [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
+         Index first, Index end) {
+        check_sensors(self, sensors);
+        check_range(self, first, end);
+        return self.missed_again(sensors, poses_of(std::ssize(sensors), R, t), first, end);
+      },
+      "In how many places that were missed lately the object is missed again.", "sensors", "R", "t", "first", "end");
   counter.def_prop_ro("traced", &ReturnCounter::traced);
 }
 

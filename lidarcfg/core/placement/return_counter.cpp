@@ -22,6 +22,7 @@ ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, 
       obstacles_(obstacles),
       enough_(enough),
       known_(scanners_.size()),
+      missed_lately_(places_.size()),
       order_(places_.size()),
       probability_(enough) {
   obstacles_.boxes = {};
@@ -67,12 +68,17 @@ bool ReturnCounter::sums_exactly(View<const std::int64_t> sensors, Index places)
   return bits <= std::numeric_limits<double>::digits;
 }
 
-double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end,
-                             double most) {
+/// Look up what is known of some sensors at poses.
+void ReturnCounter::place_sensors(View<const std::int64_t> sensors, View<const SensorPose> poses) {
   sensors_now_.clear();
   for (Index n = 0; n < std::ssize(sensors); ++n) {
     sensors_now_.push_back({sensors[n], &known_at(sensors[n], poses[n])});
   }
+}
+
+double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end,
+                             double most) {
+  place_sensors(sensors, poses);
   double missed = 0.0;
   if (!sums_exactly(sensors, end - first)) {
     for (Index place = first; place < end && missed < most; ++place) {
@@ -82,10 +88,24 @@ double ReturnCounter::missed(View<const std::int64_t> sensors, View<const Sensor
   }
   Index next = first;  // where in the order a missed place comes
   for (Index n = first; n < end && missed < most; ++n) {
-    const double here = missed_at(order_[n], sensors_now_);
+    const Index place = order_[n];
+    const double here = missed_at(place, sensors_now_);
     missed += here;
+    missed_lately_[place] = here > 0.0;
     if (here > 0.0) {
       std::swap(order_[next++], order_[n]);
+    }
+  }
+  return missed;
+}
+
+double ReturnCounter::missed_again(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first,
+                                   Index end) {
+  double missed = 0.0;
+  if (sums_exactly(sensors, end - first)) {
+    place_sensors(sensors, poses);
+    for (Index n = first; n < end && missed_lately_[order_[n]]; ++n) {
+      missed += missed_at(order_[n], sensors_now_);
     }
   }
   return missed;

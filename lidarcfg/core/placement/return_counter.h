@@ -27,6 +27,10 @@ class ReturnCounter {
   /// sensors, whose numbers ascend, at poses. Or, as soon as it is known to be at least `most`, any number that is.
   double missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end, double most);
 
+  /// In how many of the places from `first` to `end` that were missed lately it is missed again: no more than `missed`.
+  /// 0 where sums are not exact.
+  double missed_again(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end);
+
   /// How many pairs of sensor and place were traced so far.
   std::int64_t traced() const { return traced_; }
 
@@ -50,6 +54,7 @@ class ReturnCounter {
     Known* known;
   };
 
+  void place_sensors(View<const std::int64_t> sensors, View<const SensorPose> poses);
   Known& known_at(std::int64_t sensor, const SensorPose& pose);
   static const Sensor* most_promising(Index place, View<const Sensor> sensors);
   double missed_at(Index place, View<const Sensor> sensors);
@@ -66,6 +71,7 @@ class ReturnCounter {
 
   Index most_poses_;                       // that are kept of a sensor
   std::vector<std::vector<Known>> known_;  // by sensor
+  std::vector<char> missed_lately_;        // (places,)
   std::vector<Index> order_;               // of places
   std::vector<Sensor> sensors_now_;
   std::vector<View<const std::int32_t>> counts_now_;
