@@ -48,7 +48,7 @@ ReturnCounter::Known& ReturnCounter::known_at(std::int64_t sensor, const SensorP
                                [](const Known& one, const Known& other) { return one.last_use < other.last_use; });
     }
     found->pose = pose;
-    found->bounds.assign(places_.size(), Bounds{});
+    found->bounds.assign(places_.size(), nothing);
     found->counts.assign(places_.size() * scanners_[sensor].phases(), 0);
   }
   found->last_use = ++uses_;
@@ -125,7 +125,7 @@ const ReturnCounter::Sensor* ReturnCounter::most_promising(Index place, View<con
   const Sensor* found = nullptr;
   for (const Sensor& sensor : sensors) {
     const Bounds& bounds = sensor.known->bounds[place];
-    if (!bounds.counted && (!found || bounds.most > found->known->bounds[place].most)) {
+    if (!bounds.exact && (!found || bounds.most > found->known->bounds[place].most)) {
       found = &sensor;
     }
   }
@@ -147,7 +147,7 @@ double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
     if (bounds.most == unknown) {
       aim(place, sensor);
       bounds.most = beams_.most_of_a_phase();
-      bounds.counted = bounds.most == 0;
+      bounds.exact = bounds.most == 0;
     }
     most += bounds.most;
   }
@@ -165,10 +165,9 @@ double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
     least -= bounds.least;
     most -= bounds.most;
     obstacles_.tree = &bodies_;
-    bounds.counted = tracer_.count(beams_, obstacles_, static_cast<std::int32_t>(enough_ - least), counts);
-    const auto [low, high] = std::minmax_element(counts.begin(), counts.end());
-    bounds.least = *low;
-    bounds.most = bounds.counted ? *high : bounds.most;
+    const Bounds found = tracer_.count_until(beams_, obstacles_, static_cast<std::int32_t>(enough_ - least),
+                                             static_cast<std::int32_t>(enough_ - most), counts);
+    bounds = {std::max(bounds.least, found.least), std::min(bounds.most, found.most), found.exact};
     least += bounds.least;
     most += bounds.most;
     if (least >= enough_) {

@@ -6,6 +6,7 @@
 /// were missed lately come first, so that a trial that is worse is soon known to be.
 #pragma once
 
+#include <limits>
 #include <vector>
 
 #include "placement/return_counts.h"
@@ -35,19 +36,15 @@ class ReturnCounter {
   std::int64_t traced() const { return traced_; }
 
  private:
-  /// Between how many returns of a sensor at a place there are in any phase.
-  struct Bounds {
-    std::int32_t least = 0;
-    std::int32_t most = unknown;
-    bool counted = false;
-  };
+  using Bounds = ReturnTracer::Bounds;
   static constexpr std::int32_t unknown = std::numeric_limits<std::int32_t>::max();
+  static constexpr Bounds nothing{0, unknown, false};  // is known
 
   struct Known {
     SensorPose pose;
     std::int64_t last_use = 0;
     std::vector<Bounds> bounds;        // (places,)
-    std::vector<std::int32_t> counts;  // (places, phases) where they are counted
+    std::vector<std::int32_t> counts;  // (places, phases) where bounds are exact
   };
   struct Sensor {
     std::int64_t number;

@@ -241,23 +241,29 @@ void AimedBeams::add_heads(Index firing, double begin_rad, double end_rad) {
 }
 
 std::int32_t AimedBeams::most_of_a_phase() {
-  const int phases = scanner_->phases();
-  by_phase_.assign(phases, 0);
-  std::int32_t all = 0;
-  for (const Heads& some : heads_) {
-    all += (some.end - some.first) / phases;
-    for (std::int32_t head = some.first + (some.end - some.first) / phases * phases; head < some.end; ++head) {
-      ++by_phase_[head % phases];
-    }
+  by_phase_.assign(scanner_->phases(), 0);
+  for (const Heads& heads : heads_) {
+    add_by_phase(heads, 1, by_phase_);
   }
-  return all + *std::max_element(by_phase_.begin(), by_phase_.end());
+  return *std::max_element(by_phase_.begin(), by_phase_.end());
 }
 
-void AimedBeams::rays(const Heads& which, Index first, int count, double* origins, double* directions,
-                      int stride) const {
-  const Scanner::Firing& one = scanner_->firings()[which.firing];
-  const double* const cos_head = scanner_->cos_head() + first;
-  const double* const sin_head = scanner_->sin_head() + first;
+void add_by_phase(const AimedBeams::Heads& heads, std::int32_t times, View<std::int32_t> counts) {
+  const auto phases = static_cast<std::int32_t>(counts.size());
+  const std::int32_t of_each = (heads.end - heads.first) / phases;
+  for (std::int32_t& count : counts) {
+    count += times * of_each;
+  }
+  for (std::int32_t head = heads.first + of_each * phases; head < heads.end; ++head) {
+    counts[head % phases] += times;
+  }
+}
+
+void AimedBeams::rays(const Heads& heads, double* origins, double* directions, int stride) const {
+  const Scanner::Firing& one = scanner_->firings()[heads.firing];
+  const double* const cos_head = scanner_->cos_head() + heads.first;
+  const double* const sin_head = scanner_->sin_head() + heads.first;
+  const int count = heads.end - heads.first;
   for (int k = 0; k < 3; ++k) {
     const auto [u, v, w] = M_[k];
     const double up = w * one.up_m + origin_[k];
