@@ -48,8 +48,8 @@ class ReturnCounter:
 
         By the mean over phases; or, as soon as it is known to be at least `most`, any number that is.
         """
-    def missed_again(self, sensors: NDArray[np.int64], R: Array, t: Array, first: int, end: int) -> float:
-        """In how many of those places that were missed lately it is missed again: no more than `missed`."""
+    def missed_among(self, sensors: NDArray[np.int64], R: Array, t: Array, first: int, end: int, count: int) -> float:
+        """The same among so many of these places, the likeliest to be missed: no more than `missed`."""
     @property
     def traced(self) -> int:
         """How many pairs of sensor and place were traced so far."""

@@ -106,14 +106,16 @@ void bind_counter(nb::module_& module) {
       },
       "In how many places the object is missed.", "sensors", "R", "t", "first", "end", "most");
   def(
-      counter, "missed_again",
+      counter, "missed_among",
       [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
-         Index first, Index end) {
+         Index first, Index end, Index count) {
         check_sensors(self, sensors);
         check_range(self, first, end);
-        return self.missed_again(sensors, poses_of(std::ssize(sensors), R, t), first, end);
+        require(0 <= count, "count: below 0");
+        return self.missed_among(sensors, poses_of(std::ssize(sensors), R, t), first, end, count);
       },
-      "In how many places that were missed lately the object is missed again.", "sensors", "R", "t", "first", "end");
+      "In how many of those places that are the likeliest to be missed the object is.", "sensors", "R", "t", "first",
+      "end", "count");
   counter.def_prop_ro("traced", &ReturnCounter::traced);
 }
 

@@ -22,8 +22,8 @@ ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, 
       obstacles_(obstacles),
       enough_(enough),
       known_(scanners_.size()),
-      missed_lately_(places_.size()),
       order_(places_.size()),
+      possible_(places_.size()),
       probability_(enough) {
   obstacles_.boxes = {};
   Index phases = 0;
@@ -86,25 +86,21 @@ double ReturnCounter::missed(View<const std::int64_t> sensors, View<const Sensor
     }
     return missed;
   }
-  Index next = first;  // where in the order a missed place comes
-  for (Index n = first; n < end && missed < most; ++n) {
-    const Index place = order_[n];
-    const double here = missed_at(place, sensors_now_);
-    missed += here;
-    missed_lately_[place] = here > 0.0;
-    if (here > 0.0) {
-      std::swap(order_[next++], order_[n]);
-    }
+  Index n = first;
+  for (; n < end && missed < most; ++n) {
+    missed += missed_at(order_[n], sensors_now_);
   }
+  std::stable_sort(order_.begin() + first, order_.begin() + end,
+                   [&](Index one, Index other) { return possible_[one] < possible_[other]; });
   return missed;
 }
 
-double ReturnCounter::missed_again(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first,
-                                   Index end) {
+double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first,
+                                   Index end, Index count) {
   double missed = 0.0;
   if (sums_exactly(sensors, end - first)) {
     place_sensors(sensors, poses);
-    for (Index n = first; n < end && missed_lately_[order_[n]]; ++n) {
+    for (Index n = first; n < std::min(first + count, end); ++n) {
       missed += missed_at(order_[n], sensors_now_);
     }
   }
@@ -134,6 +130,16 @@ const ReturnCounter::Sensor* ReturnCounter::most_promising(Index place, View<con
 
 /// The probability that the object is missed at a place.
 double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
+  const double missed = find_missed(place, sensors);
+  Index possible = 0;
+  for (const Sensor& sensor : sensors) {
+    possible += sensor.known->bounds[place].most;
+  }
+  possible_[place] = missed > 0.0 ? -1 : possible;
+  return missed;
+}
+
+double ReturnCounter::find_missed(Index place, View<const Sensor> sensors) {
   Index least = 0;
   for (const Sensor& sensor : sensors) {
     least += sensor.known->bounds[place].least;

@@ -28,9 +28,10 @@ class ReturnCounter {
   /// sensors, whose numbers ascend, at poses. Or, as soon as it is known to be at least `most`, any number that is.
   double missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end, double most);
 
-  /// In how many of the places from `first` to `end` that were missed lately it is missed again: no more than `missed`.
+  /// The same among `count` of these places, those that are the likeliest to be missed: no more than `missed`.
   /// 0 where sums are not exact.
-  double missed_again(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end);
+  double missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end,
+                      Index count);
 
   /// How many pairs of sensor and place were traced so far.
   std::int64_t traced() const { return traced_; }
@@ -55,6 +56,7 @@ class ReturnCounter {
   Known& known_at(std::int64_t sensor, const SensorPose& pose);
   static const Sensor* most_promising(Index place, View<const Sensor> sensors);
   double missed_at(Index place, View<const Sensor> sensors);
+  double find_missed(Index place, View<const Sensor> sensors);
   void aim(Index place, const Sensor& sensor);
   View<std::int32_t> counts_of(Index place, const Sensor& sensor);
   bool sums_exactly(View<const std::int64_t> sensors, Index places) const;
@@ -68,8 +70,8 @@ class ReturnCounter {
 
   Index most_poses_;                       // that are kept of a sensor
   std::vector<std::vector<Known>> known_;  // by sensor
-  std::vector<char> missed_lately_;        // (places,)
-  std::vector<Index> order_;               // of places
+  std::vector<Index> order_;               // of places: those missed lately, then those of the fewest possible returns
+  std::vector<Index> possible_;            // (places,) returns lately; -1: it was missed
   std::vector<Sensor> sensors_now_;
   std::vector<View<const std::int32_t>> counts_now_;
   DetectionProbability probability_;
