@@ -336,7 +336,7 @@ def test_what_is_no_cost_is_an_error(name, wrong):
 @pytest.mark.parametrize("objective", ["max_vsr: 1, inscribed_radius: 1", "inscribed_radius: 2"])
 def test_nan_from_an_objective_is_no_result(tmp_path, objective):
     class Broken(Criterion):
-        def of(self, subspaces, to_beat=math.inf):
+        def of(self, subspaces, upper_bound=math.inf):
             return math.nan
 
     path = tmp_path / "s.yaml"

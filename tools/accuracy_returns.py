@@ -20,7 +20,7 @@ from lidarcfg.geometry import directions
 from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.returns import PHASES, Target, placed, returns, scanner, scans
-from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.rig import Mount
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.numba_trees import tree

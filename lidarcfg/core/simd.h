@@ -81,6 +81,21 @@ inline unsigned bits(Vector<int> mask) {
 #endif
 }
 
+/// A bit for each lane of a comparison of doubles.
+inline unsigned bits(Vector<std::int64_t> mask) {
+#if defined(__AVX__)
+  return __builtin_ia32_movmskpd256(reinterpret_cast<Doubles>(mask));
+#elif defined(__SSE2__)
+  return __builtin_ia32_movmskpd(reinterpret_cast<Doubles>(mask));
+#else
+  unsigned out = 0;
+  for (int n = 0; n < lanes<double>; ++n) {
+    out |= static_cast<unsigned>(mask[n] & 1) << n;
+  }
+  return out;
+#endif
+}
+
 /// Whether any lane of a comparison of doubles is true.
 template <class Mask>
 bool any(Mask mask) {

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.geometry import Array
 from lidarcfg.placement.bits import Words
-from lidarcfg.placement.column_kernels import Lines, count_lines
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sphere_kernels import Search, clearance, largest
 from lidarcfg.placement.subspace import Subspaces
 
 RECENT = 8  # columns of cuboids that are tried first, see Search
 Counts = NDArray[np.int64]
+Lines = NDArray[np.int32]
 Node = tuple[int, int, int]  # a point of the lattice of half cuboids, whose origin is the region's lower corner
 
 
@@ -158,5 +159,5 @@ def extents(subspaces: Subspaces, numbers: Sequence[int]) -> list[Extent]:
     place[list(numbers)] = np.arange(len(numbers))
     nx, ny, nz = subspaces.region.shape
     lines = [np.zeros((len(numbers), *shape), np.int32) for shape in ((ny, nz), (nx, nz), (nx, ny))]
-    count_lines(subspaces.label, place, *lines)
+    core.visibility.count_lines(subspaces.label, place, *lines)
     return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*lines, strict=True)]

@@ -1,0 +1,102 @@
+#include "placement/linker.h"
+
+#include <algorithm>
+
+#include "placement/row_squares.h"
+
+namespace lidarcfg::placement {
+namespace {
+
+/// Write which centres of a row lie at or above each beam.
+///
+/// Only beams that pass between the centres need a comparison, and those lie next to one another: the search for them
+/// starts at `guess`. Returns where it may start for the next row.
+Index compare_row(const RowSquares& squares, View<const double> beams, Index guess, View<Word> beyond) {
+  Index low = guess;
+  while (low >= 0 && (beyond[low] = squares.at_or_above(beams[low])) != all_bits) {
+    --low;
+  }
+  Index high = guess;
+  while (high < std::ssize(beams) && beyond[high] != 0) {
+    if (++high < std::ssize(beams)) {
+      beyond[high] = squares.at_or_above(beams[high]);
+    }
+  }
+  std::fill(beyond.begin(), beyond.begin() + std::max<Index>(low, 0), all_bits);
+  std::fill(beyond.begin() + high, beyond.end(), Word{0});
+  return std::max<Index>((low + high) / 2, 0);
+}
+
+/// What differs between each cuboid of a row and the one before it along x.
+Word differs_along_x(Word row, Word before) { return row ^ (row << 1 | before >> (row_size - 1)); }
+
+}  // namespace
+
+void Linker::compare_layer(const Cones& lidar, View<const Word> seen, Index layer, View<Word> beyond) {
+  const Index beams = std::ssize(lidar.beams);
+  const Index step_y = grid_.step_y();
+  const Index first = (layer + 1) * grid_.step_z();
+  if (beams == 0) {
+    return;
+  }
+  for (Index j = 0; j < std::ssize(grid_.y); ++j) {
+    for (Index chunk = 0; chunk < step_y; ++chunk) {
+      const Index at = (j + 1) * step_y + chunk;
+      if (!grid_.included[first + at]) {
+        continue;
+      }
+      const RowSquares squares(lidar, &grid_.x[chunk * row_size], grid_.y[j], grid_.z[layer]);
+      const View<Word> words = beyond.subspan(at * beams, beams);
+      guess_ = compare_row(squares, lidar.beams, guess_, words);
+      if (!seen.empty()) {
+        for (Word& word : words) {
+          word &= seen[first + at];
+        }
+      }
+    }
+  }
+}
+
+void Linker::cut_layer(Index beams, View<const Word> seen, Index layer, View<const Word> here, View<const Word> below,
+                       View<Links> links) const {
+  const Index step_y = grid_.step_y();
+  const Index step_z = grid_.step_z();
+  for (Index at = step_y; at < step_z - step_y; ++at) {
+    const Index row = (layer + 1) * step_z + at;
+    if (!grid_.included[row]) {
+      continue;
+    }
+    const Word* const words = here.data() + at * beams;
+    const Word* const words_x = words - beams;
+    const Word* const words_y = words - step_y * beams;
+    const Word* const words_z = below.data() + at * beams;
+    Links differs;  // on another side of some beam
+    for (Index beam = 0; beam < beams; ++beam) {
+      differs.x |= differs_along_x(words[beam], words_x[beam]);
+      differs.y |= words[beam] ^ words_y[beam];
+      differs.z |= words[beam] ^ words_z[beam];
+    }
+    if (!seen.empty()) {
+      differs.x |= differs_along_x(seen[row], seen[row - 1]);
+      differs.y |= seen[row] ^ seen[row - step_y];
+      differs.z |= seen[row] ^ seen[row - step_z];
+    }
+    links[row] &= {~differs.x, ~differs.y, ~differs.z};
+  }
+}
+
+void Linker::cut(const Cones& lidar, View<const Word> seen, View<Links> links) {
+  const Index beams = std::ssize(lidar.beams);
+  const Index layer_size = grid_.step_z() * beams;
+  beyond_.resize(2 * layer_size);
+  guess_ = std::min(guess_, std::max<Index>(beams - 1, 0));
+  View<Word> here(beyond_.data(), layer_size);
+  View<Word> below(beyond_.data() + layer_size, layer_size);
+  for (Index layer = 0; layer < std::ssize(grid_.z); ++layer) {
+    compare_layer(lidar, seen, layer, here);
+    cut_layer(beams, seen, layer, here, below, links);
+    std::swap(here, below);
+  }
+}
+
+}  // namespace lidarcfg::placement
