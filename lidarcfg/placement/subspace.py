@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import placement as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.core import placement as core
 from lidarcfg.placement.components import components
 from lidarcfg.placement.cones import Lidar, cone_rows
 from lidarcfg.placement.grid import Words, count_set, cuboid_number, linked

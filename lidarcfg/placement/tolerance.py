@@ -83,7 +83,9 @@ class StudyEvaluator:
         """Whether costs can be smoothed."""
         return self._at_rest is not None and self._at_rest.smooths and self._off is None
 
-    def costs(self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0) -> Array:
+    def costs(
+        self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
+    ) -> Array:
         """(n,) the costs, or inf where one is not below `upper_bound` (n,). See Evaluator.costs."""
         cost = np.full(len(poses), -np.inf)
         self.trials += len(poses)
