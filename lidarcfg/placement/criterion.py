@@ -20,7 +20,7 @@ from lidarcfg.placement.terms import (
     BlindSpot,
     InscribedRadius,
     MaxVsr,
-    Missed,
+    MissRate,
     Recent,
     Term,
     Trial,
@@ -45,7 +45,7 @@ class Criterion:
         region: Region,
         objects: Sequence[DetectionObject],
         around: Directions | None = None,  # needed for a blind spot
-        by_returns: Mapping[str, Missed] = MappingProxyType({}),  # needed for objects that are detected by them
+        by_returns: Mapping[str, MissRate] = MappingProxyType({}),  # needed for objects that are detected by them
         weight: Weights | None = None,  # of max VSR, by cuboid
         kept: Flags = EVERY_CASE,  # (cases, lidars); no cases: the whole rig alone
     ) -> None:

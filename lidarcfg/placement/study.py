@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import combinations, islice
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.config import error_at, errors_at, load
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -25,17 +26,16 @@ from lidarcfg.placement.criterion import EVERY_CASE, Criterion
 from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.returns import NOTHING, scanner, scans
-from lidarcfg.placement.returns_kernels import Scans
+from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
+from lidarcfg.placement.returns import NOTHING, compiled, scanner
 from lidarcfg.placement.robustness import Robust, mounted
-from lidarcfg.placement.sightings import Sought, sought, target
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.placement.slots import Slot, check_bounds, slots_of
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import mirrored, violation
-from lidarcfg.placement.terms import Missed, Trial
+from lidarcfg.placement.terms import MissRate, Trial
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.scene import Scene, load_scene
@@ -61,7 +61,7 @@ class Study:
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
     robust: Robust | None = None  # what a rig has to withstand
     zones: tuple[Zone, ...] = ()
-    sought: tuple[Sought, ...] = ()  # the objects that are detected by returns
+    detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
     patterns: Patterns | None = None  # where sensors fire; needed for these
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
 
@@ -192,17 +192,13 @@ class Study:
         around = None if spot is None else self.directions(spot.height_m)
         mounts = mounts or self.rig(self.lower).mounts
 
-        @cache
-        def fired(some: tuple[int, ...]) -> Scans:
-            return self.scans([mounts[i] for i in some])
-
-        missed = {one.item.name: Missed(one, fired) for one in self.sought if one.item.name in self.objective.detection}
-        if missed:
-            fired(tuple(range(len(mounts))))  # an error comes before the search
+        wanted = [one for one in self.detection_targets if one.item.name in self.objective.detection]
+        scanners = self.scanners(mounts) if wanted else ()
+        missed = {one.item.name: MissRate(one, scanners) for one in wanted}
         weight = weights(self.zones, self.region)
         return Criterion(self.objective, self.region, self.detection, around, missed, weight, kept)
 
-    def scans(self, mounts: Sequence[Mount]) -> Scans:
+    def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
         if self.patterns is None:
             what = "detection by returns needs to know where sensors fire"
@@ -213,7 +209,7 @@ class Study:
                 found.append(scanner(mount, self.patterns))
             except ConfigError as error:
                 raise error.of(mount.name) from None
-        return scans(found)
+        return compiled(found)
 
     @property
     def obstacles(self) -> Obstacles:
@@ -312,7 +308,7 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
     if file.robust:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
-    sought_for = _sought(file, region, path)
+    detection_targets = _detection_targets(file, region, path)
     study = Study(
         name=path.stem,
         region=region,
@@ -329,15 +325,15 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         visibility=_visibility(file, region, bodies, surroundings),
         robust=file.robust,
         zones=zones,
-        sought=sought_for,
+        detection_targets=detection_targets,
         patterns=patterns,
         file=_resolved(file, slots.slots, choices, bodies, path),
     )
-    if sought_for and patterns:
+    if detection_targets and patterns:
         for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
             for sensor in [choice.sensor for choice in slot.choices if choice] or [slot.sensor]:
                 with errors_at(path, "sensors", number):
-                    study.scans([replace(mount, sensor=sensor)])
+                    study.scanners([replace(mount, sensor=sensor)])
     return study
 
 
@@ -358,15 +354,15 @@ def _zones(file: StudyFile, region: Region, path: Path) -> tuple[Zone, ...]:
     return tuple(found)
 
 
-def _sought(file: StudyFile, region: Region, path: Path) -> tuple[Sought, ...]:
+def _detection_targets(file: StudyFile, region: Region, path: Path) -> tuple[DetectionTarget, ...]:
     """The objects that are detected by returns. Raises ConfigError for any object that the region does not hold."""
-    found: dict[tuple[object, ...], Sought] = {}  # of those that look alike, the first
+    found: dict[tuple[object, ...], DetectionTarget] = {}  # of those that look alike, the first
     every = []
     for i, item in enumerate(file.detection):
         with errors_at(path, "detection", i, *(("mesh",) if item.mesh else ())):
             if item.returns:
                 if item.appearance not in found:
-                    found[item.appearance] = sought(region, item, target(item, region, path.parent))
+                    found[item.appearance] = detection_target(region, item, target(item, region, path.parent))
                 every.append(replace(found[item.appearance], item=item))
             else:
                 check_fits(item, region)

@@ -19,7 +19,7 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Returns
 from lidarcfg.placement.hiding import Hiding
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sightings import HEADINGS_DEG, STEP_M
+from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
