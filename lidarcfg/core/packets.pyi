@@ -1,0 +1,1 @@
+from lidarcfg.geometry import Array
