@@ -49,4 +49,3 @@ def decode(
     """
     out = Returns.room(decoder.count(octets, wanted), polar)
     return out.first(decoder.decode(octets, wanted, stamp_ns, np.append(gap_ns, 0), kind, out))
-

@@ -4,6 +4,7 @@
 #include "bind/arguments.h"
 #include "bind/modules.h"
 #include "packets/block_decoder.h"
+#include "packets/crc.h"
 #include "packets/firings.h"
 #include "packets/hesai.h"
 #include "packets/robosense.h"
@@ -326,6 +327,17 @@ void bind_hesai(nb::module_& module) {
 }  // namespace
 
 void bind_packets(nb::module_& module) {
+  def(
+      module, "crc32_mpeg2",
+      [](Bytes packets, Index first, Index end) {
+        require(0 <= first && first <= end && end <= packets.columns(), "end: beyond the packets, or before first");
+        std::vector<std::uint32_t> out(packets.rows());
+        for (Index p = 0; p < packets.rows(); ++p) {
+          out[p] = packets::crc32_mpeg2(packets[p].subspan(first, end - first));
+        }
+        return out;
+      },
+      "The CRC of each packet's bytes from first until end.", "packets", "first", "end");
   bind_velodyne(module);
   bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
   bind_hesai(module);

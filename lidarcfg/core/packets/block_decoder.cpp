@@ -4,6 +4,7 @@
 
 #include "packets/robosense.h"
 #include "packets/velodyne.h"
+#include "simd.h"
 
 namespace lidarcfg::packets {
 namespace {
@@ -44,12 +45,27 @@ class Rotations {
   std::vector<Turned> kept_;  // (steps, groups, blocks)
 };
 
+/// Four returns, which are twelve bytes; the four bytes after them are read, too.
 template <class Maker>
-void read(View<const std::uint8_t> packet, Index block, Cells& cells) {
-  const std::uint8_t* at = return_at<Maker>(packet, block * slots_per_block);
-  for (Index k = 0; k < slots_per_block; ++k) {
-    cells.distance[k] = word<Maker>(at + k * return_bytes);
-    cells.intensity[k] = at[k * return_bytes + 2];
+void read_four(const std::uint8_t* at, int* distance, int* intensity) {
+  typedef std::uint8_t Bytes __attribute__((vector_size(16)));
+  constexpr int low = Maker::big_endian ? 1 : 0;
+  constexpr int high = 1 - low;
+  constexpr int zero = 16;  // the first byte of the second vector
+  const Bytes bytes = simd::load<Bytes>(at);
+  const Bytes none{};
+  simd::store(distance, __builtin_shufflevector(bytes, none, low, high, zero, zero, 3 + low, 3 + high, zero, zero,
+                                                6 + low, 6 + high, zero, zero, 9 + low, 9 + high, zero, zero));
+  simd::store(intensity, __builtin_shufflevector(bytes, none, 2, zero, zero, zero, 5, zero, zero, zero, 8, zero, zero,
+                                                 zero, 11, zero, zero, zero));
+}
+
+/// The returns of a group of blocks (W,).
+template <class Maker>
+void read(View<const std::uint8_t> packet, Index first_slot, View<int> distance, View<int> intensity) {
+  static_assert(Maker::first_block + blocks_per_packet * block_bytes + 4 <= Maker::packet_bytes, "for read_four");
+  for (Index k = 0; k < std::ssize(distance); k += 4) {
+    read_four<Maker>(return_at<Maker>(packet, first_slot + k), &distance[k], &intensity[k]);
   }
 }
 
@@ -93,7 +109,8 @@ Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const b
   typename Maker::Turning turning(groups_, period_ns_, group_ns_);
   Rotations<Maker> rotations(groups_, blocks);
   std::vector<std::uint16_t> azimuth(groups_);
-  std::vector<Cells> cells(blocks);
+  std::vector<int> distance(slots);
+  std::vector<int> intensity(slots);
   Index row = 0;
   for (Index p = 0; p < packets.rows(); ++p) {
     for (Index g = 0; g < groups_; ++g) {
@@ -105,12 +122,11 @@ Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const b
       continue;
     }
     for (Index g = 0; g < groups_; ++g) {
-      for (Index block = 0; block < blocks; ++block) {
-        read<Maker>(packets[p], g * blocks + block, cells[block]);
-      }
+      read<Maker>(packets[p], g * slots, distance, intensity);
       const double azimuth_rad = azimuth[g] * radians_per_hundredth;
       const Group group{
-          .cells = cells,
+          .distance = distance,
+          .intensity = intensity,
           .turned = rotations.of(g, turning.step()[g], &fraction_[g * slots]),
           .offset_ns = View<const std::int64_t>(offset_ns_).subspan(g * slots, slots),
           .azimuth_rad = azimuth_rad,

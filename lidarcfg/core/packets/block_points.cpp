@@ -38,6 +38,15 @@ void copy(const Returns& from, Index count, const Returns& to, Index row) {
   }
 }
 
+/// Write one of four bytes of each value.
+void spread(const Column<std::uint32_t>& values, int shift, std::uint8_t* to) {
+  Column<std::uint8_t> bytes;
+  for (Index n = 0; n < width; ++n) {
+    bytes[n] = values[n] >> shift & 255;
+  }
+  std::copy_n(bytes.data(), width, to);
+}
+
 }  // namespace
 
 BlockPoints::BlockPoints(const Slots& slots, const Lasers& lasers, double unit_m)
@@ -51,10 +60,9 @@ BlockPoints::BlockPoints(const Slots& slots, const Lasers& lasers, double unit_m
     Beams& beams = beams_[slot / width];
     const Index i = slot % width;
     const Index k = slots.laser[slot];
-    beams.laser[i] = static_cast<std::uint8_t>(k);
-    beams.ring[i] = lasers.ring[k];
+    beams.laser_ring[i] = static_cast<int>(k) | lasers.ring[k] << 8;
     beams.kind[i] = slots.kind[slot];
-    beams.other[i] = paired_ ? slots.other[slot] : 0;
+    beams.other[i] = paired_ ? static_cast<int>(slots.other[slot]) : 0;
     beams.cos_w[i] = std::cos(lasers.elevation[k]);
     beams.sin_w[i] = std::sin(lasers.elevation[k]);
     beams.azimuth_offset[i] = lasers.azimuth_offset[k];
@@ -99,7 +107,8 @@ Index BlockPoints::write(const Group& group, const Returns& out, Index row) cons
 
 void BlockPoints::locate(const Group& group, Index block, Points& points) const {
   const Beams& beams = beams_[block];
-  const Cells& cells = group.cells[block];
+  const int* distance = &group.distance[block * width];
+  const int* intensity = &group.intensity[block * width];
   const Turned& turned = group.turned[block];
   const double cos_g = group.cos_azimuth;
   const double sin_g = group.sin_azimuth;
@@ -111,11 +120,11 @@ void BlockPoints::locate(const Group& group, Index block, Points& points) const 
     sin_h[k] = sin_g * turned.cos[k] + cos_g * turned.sin[k];
     c[k] = cos_h[k] * beams.cos_o[k] - sin_h[k] * beams.sin_o[k];
     s[k] = sin_h[k] * beams.cos_o[k] + cos_h[k] * beams.sin_o[k];
-    ahead[k] = cells.distance[k] * unit_m_ + beams.offset[k];
+    ahead[k] = distance[k] * unit_m_ + beams.offset[k];
     side[k] = ahead[k];
   }
   if (near_) {
-    correct_near(beams, cells, c, s, ahead, side);
+    correct_near(beams, distance, c, s, ahead, side);
   }
   for (Index k = 0; k < width; ++k) {
     points.x[k] = ahead[k] * beams.cos_w[k] * c[k];
@@ -130,22 +139,22 @@ void BlockPoints::locate(const Group& group, Index block, Points& points) const 
   }
   for (Index k = 0; k < width; ++k) {
     points.x[k] += beams.left[k] * s[k];
-    points.kept[k] = cells.distance[k] != 0;
-    points.intensity[k] = static_cast<std::uint8_t>(cells.intensity[k]);
+    points.kept[k] = distance[k] != 0;
+    points.intensity[k] = intensity[k];
     points.kind[k] = group.kind;
   }
   if (focal_) {
     for (Index k = 0; k < width; ++k) {
-      points.intensity[k] = Focus(beams.focal[k]).correct(points.intensity[k], cells.distance[k]);
+      points.intensity[k] = Focus(beams.focal[k]).correct(intensity[k], distance[k]);
     }
   }
 }
 
 /// Correct the distances near by; z gets the mean of both.
-void BlockPoints::correct_near(const Beams& beams, const Cells& cells, const Column<double>& c, const Column<double>& s,
-                               Column<double>& ahead, Column<double>& side) const {
+void BlockPoints::correct_near(const Beams& beams, const int* distance, const Column<double>& c,
+                               const Column<double>& s, Column<double>& ahead, Column<double>& side) const {
   for (Index k = 0; k < width; ++k) {
-    if (cells.distance[k] * unit_m_ < far_m) {
+    if (distance[k] * unit_m_ < far_m) {
       const double range_m = ahead[k];
       const double flat_m = range_m * beams.cos_w[k];
       const double to_x = std::abs(flat_m * s[k] - beams.left[k] * c[k]);
@@ -159,34 +168,44 @@ void BlockPoints::correct_near(const Beams& beams, const Cells& cells, const Col
 /// Tell which of a block's dual returns are returns of their own, and of which kind.
 void BlockPoints::pair(const Group& group, Index block, Points& points) const {
   const Beams& beams = beams_[block];
-  const Cells& cells = group.cells[block];
+  const int* distance = &group.distance[block * width];
+  const int* intensity = &group.intensity[block * width];
+  Column<int> other_distance, other_intensity;
   for (Index k = 0; k < width; ++k) {
-    const Cells& others = group.cells[beams.other[k] / width];
-    const int other_distance = others.distance[beams.other[k] % width];
-    const int other_intensity = others.intensity[beams.other[k] % width];
-    const bool differs = cells.distance[k] != other_distance || cells.intensity[k] != other_intensity;
-    const bool weaker = other_distance != 0 && cells.intensity[k] < other_intensity;
+    other_distance[k] = group.distance[beams.other[k]];
+    other_intensity[k] = group.intensity[beams.other[k]];
+  }
+  for (Index k = 0; k < width; ++k) {
+    const bool differs = (distance[k] != other_distance[k]) | (intensity[k] != other_intensity[k]);
+    const bool weaker = (other_distance[k] != 0) & (intensity[k] < other_intensity[k]);
     const bool is_strongest = beams.kind[k] == strongest;
-    points.kept[k] &= is_strongest || differs;
-    points.kind[k] = is_strongest && differs && weaker ? second_strongest : beams.kind[k];
+    points.kept[k] &= is_strongest | differs;
+    points.kind[k] = is_strongest & differs & weaker ? second_strongest : beams.kind[k];
   }
 }
 
 /// Write what is kept of a block from a row on, after which there are enough for all slots; returns how many.
 Index BlockPoints::store(const Group& group, Index block, const Points& points, const Returns& out, Index row) const {
   const Beams& beams = beams_[block];
-  const View<const std::int64_t> offset_ns = group.offset_ns.subspan(block * width, width);
+  const std::int64_t* offset_ns = &group.offset_ns[block * width];
+  const std::int64_t began_ns = group.began_ns;
+  Vec3* const xyz_m = &out.xyz_m[row];
+  std::int64_t* const time_ns = &out.time_ns[row];
+  Column<std::uint32_t> marks;  // laser, ring, intensity and kind, a byte each
+  for (Index k = 0; k < width; ++k) {
+    marks[k] = beams.laser_ring[k] | points.intensity[k] << 16 | points.kind[k] << 24;
+  }
   Index found = 0;
   for (Index k = 0; k < width; ++k) {  // what is not kept is written over: no branch
-    const Index at = row + found;
-    out.xyz_m[at] = {points.x[k], points.y[k], points.z[k]};
-    out.time_ns[at] = group.began_ns + offset_ns[k];
-    out.laser[at] = beams.laser[k];
-    out.ring[at] = beams.ring[k];
-    out.intensity[at] = points.intensity[k];
-    out.return_type[at] = points.kind[k];
+    xyz_m[found] = {points.x[k], points.y[k], points.z[k]};
+    time_ns[found] = began_ns + offset_ns[k];
+    marks[found] = marks[k];
     found += points.kept[k];
   }
+  spread(marks, 0, &out.laser[row]);
+  spread(marks, 8, &out.ring[row]);
+  spread(marks, 16, &out.intensity[row]);
+  spread(marks, 24, &out.return_type[row]);
   if (!out.polar()) {
     return found;
   }
@@ -195,7 +214,7 @@ Index BlockPoints::store(const Group& group, Index block, const Points& points, 
     if (points.kept[k] != 0) {
       constexpr double turn = 2 * std::numbers::pi;
       const double angle = group.azimuth_rad + group.turned[block].angle_rad[k] + beams.azimuth_offset[k];
-      out.range_m[at] = group.cells[block].distance[k] * unit_m_ + beams.offset[k];
+      out.range_m[at] = group.distance[block * width + k] * unit_m_ + beams.offset[k];
       out.azimuth_rad[at] = angle - turn * std::floor(angle / turn);
       ++at;
     }

@@ -35,12 +35,6 @@ struct Lasers {
 template <class T>
 using Column = std::array<T, slots_per_block>;
 
-/// A block's returns as a packet says them.
-struct Cells {
-  Column<int> distance;
-  Column<int> intensity;
-};
-
 /// How far the head has turned at each slot of a block since the group's azimuth.
 struct Turned {
   double step = std::numeric_limits<double>::quiet_NaN();  // for which this was computed
@@ -51,7 +45,8 @@ struct Turned {
 
 /// A group of blocks of one packet.
 struct Group {
-  View<const Cells> cells;             // (blocks,)
+  View<const int> distance;            // (W,) in units of the packet; 0 is no return
+  View<const int> intensity;           // (W,)
   View<const Turned> turned;           // (blocks,)
   View<const std::int64_t> offset_ns;  // (W,)
   double azimuth_rad;
@@ -76,8 +71,9 @@ class BlockPoints {
  private:
   /// The lasers of a block's slots.
   struct Beams {
-    Column<std::uint8_t> laser, ring, kind;
-    Column<Index> other;
+    Column<int> laser_ring;  // laser, and 256 times the ring
+    Column<int> kind;
+    Column<int> other;
     Column<double> cos_w, sin_w;  // of the elevation
     Column<double> azimuth_offset, cos_o, sin_o;
     Column<double> forward, left, up;
@@ -88,12 +84,12 @@ class BlockPoints {
   /// A block's points, of slots with a return and of those without.
   struct Points {
     Column<double> x, y, z;
-    Column<Index> kept;
-    Column<std::uint8_t> intensity, kind;
+    Column<int> kept;
+    Column<int> intensity, kind;
   };
 
   void locate(const Group& group, Index block, Points& points) const;
-  void correct_near(const Beams& beams, const Cells& cells, const Column<double>& c, const Column<double>& s,
+  void correct_near(const Beams& beams, const int* distance, const Column<double>& c, const Column<double>& s,
                     Column<double>& ahead, Column<double>& side) const;
   void pair(const Group& group, Index block, Points& points) const;
   Index store(const Group& group, Index block, const Points& points, const Returns& out, Index row) const;

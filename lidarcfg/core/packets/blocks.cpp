@@ -1,16 +1,9 @@
 #include "packets/blocks.h"
 
-#include <cmath>
-
 #include "packets/robosense.h"
 #include "packets/velodyne.h"
 
 namespace lidarcfg::packets {
-
-double Limits::units(double range_m, double offset_m) const {
-  const double units = std::nearbyint((range_m - offset_m) / unit_m);
-  return least_m <= range_m && range_m <= most_m && 0 <= units && units <= units_max ? units : 0;
-}
 
 template <class Maker>
 void write_returns(Rows<const double> range_m, Rows<const std::uint8_t> reflectivity, View<const std::int64_t> number,

@@ -4,6 +4,8 @@
 /// A maker is a type that says what is its own: where the blocks begin, the order of bytes, how its head turns.
 #pragma once
 
+#include <cmath>
+
 #include "views.h"
 
 namespace lidarcfg::packets {
@@ -46,7 +48,10 @@ struct Limits {
   double units_max;
 
   /// A range in whole units; 0, which is no return, unless it is within the limits.
-  double units(double range_m, double offset_m) const;
+  double units(double range_m, double offset_m) const {
+    const double units = std::nearbyint((range_m - offset_m) / unit_m);
+    return least_m <= range_m && range_m <= most_m && 0 <= units && units <= units_max ? units : 0;
+  }
 };
 
 /// Write the returns of packets into their blocks.

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cmath>
+#include <cstring>
 #include <numbers>
 #include <stdexcept>
 
@@ -11,7 +12,7 @@ namespace lidarcfg::packets::hesai {
 namespace {
 
 constexpr Index lasers_max = 256;
-constexpr std::uint8_t no_return = 255;
+constexpr int no_return = 255;
 
 template <class T>
 std::vector<T> owned(View<const T> values) {
@@ -20,16 +21,25 @@ std::vector<T> owned(View<const T> values) {
 
 int word(const std::uint8_t* bytes) { return bytes[0] | bytes[1] << 8; }
 
-/// A block's returns as the packet says them, and of which kind each is.
+/// A block's returns, and of which kind each is.
 struct Block {
   std::array<int, lasers_max> distance;
-  std::array<std::uint8_t, lasers_max> reflectivity;
-  std::array<std::uint8_t, lasers_max> kind;
+  std::array<int, lasers_max> reflectivity;
+  std::array<int, lasers_max> kind;
 
   void read(const std::uint8_t* at, Index lasers) {
     for (Index k = 0; k < lasers; ++k) {
-      distance[k] = word(at + k * Layout::return_bytes);
-      reflectivity[k] = at[k * Layout::return_bytes + 2];
+      std::uint32_t bytes;
+      std::memcpy(&bytes, at + k * Layout::return_bytes, sizeof bytes);
+      distance[k] = bytes & 65535;
+      reflectivity[k] = bytes >> 16 & 255;
+    }
+  }
+
+  /// All are returns of one kind.
+  void set(Index lasers, int single) {
+    for (Index k = 0; k < lasers; ++k) {
+      kind[k] = distance[k] != 0 ? single : no_return;
     }
   }
 };
@@ -38,26 +48,22 @@ struct Block {
 ///
 /// An identical pair is one return, the strongest, and stands in the even block. Which of two is the last return, the
 /// distance decides and not the block, as early firmware has them the other way round.
-void pair(Block& block, const Block& other, Index lasers, bool odd, std::uint8_t near, std::uint8_t far) {
+void pair(Block& block, const Block& other, Index lasers, bool odd, int near, int far) {
+  const bool ranked = near != by_block;  // else the strongest stands in the even block
+  const int nearer_kind = ranked ? near : odd ? second_strongest : strongest;
+  const int farther_kind = far != by_block ? far : odd ? second_strongest : strongest;
+  const int same_kind = odd ? no_return : strongest;
   for (Index k = 0; k < lasers; ++k) {
     const int distance = block.distance[k];
-    const int strength = block.reflectivity[k];
-    if (distance == 0) {
-      block.kind[k] = no_return;
-    } else if (other.distance[k] == 0) {
-      block.kind[k] = strongest;
-    } else if (distance == other.distance[k] && strength == other.reflectivity[k]) {
-      block.kind[k] = odd ? no_return : strongest;
-    } else {
-      const bool nearer = distance < other.distance[k] || (distance == other.distance[k] && odd);
-      std::uint8_t kind = nearer ? near : far;
-      if (kind == by_block) {
-        kind = odd ? second_strongest : strongest;
-      } else if (kind == strongest && strength < other.reflectivity[k]) {
-        kind = second_strongest;
-      }
-      block.kind[k] = kind;
-    }
+    const int other_distance = other.distance[k];
+    const bool weaker = block.reflectivity[k] < other.reflectivity[k];
+    const bool same = (distance == other_distance) & (block.reflectivity[k] == other.reflectivity[k]);
+    const bool nearer = (distance < other_distance) | ((distance == other_distance) & odd);
+    int kind = nearer ? nearer_kind : farther_kind;
+    kind = (kind == strongest) & weaker & ranked ? second_strongest : kind;
+    kind = same ? same_kind : kind;
+    kind = other_distance == 0 ? strongest : kind;
+    block.kind[k] = distance == 0 ? no_return : kind;
   }
 }
 
@@ -113,9 +119,7 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
         loop = said.loop[p];
       } else {
         block.read(layout_.returns(packets[p], b), lasers);
-        for (Index k = 0; k < lasers; ++k) {
-          block.kind[k] = block.distance[k] != 0 ? said.near[p] : no_return;
-        }
+        block.set(lasers, said.near[p]);
         start_ns += group_ns_[b];
         loop = b % loops_;
       }
@@ -140,8 +144,8 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
         out.time_ns[row] = start_ns + offset_ns_[loop * lasers + k];
         out.laser[row] = static_cast<std::uint8_t>(k);
         out.ring[row] = ring_[k];
-        out.intensity[row] = block.reflectivity[k];
-        out.return_type[row] = block.kind[k];
+        out.intensity[row] = static_cast<std::uint8_t>(block.reflectivity[k]);
+        out.return_type[row] = static_cast<std::uint8_t>(block.kind[k]);
         if (out.polar()) {
           constexpr double turn = 2 * std::numbers::pi;
           const double angle = azimuth_rad + std::atan2(sin_o_[k], cos_o_[k]) - std::numbers::pi / 2;

@@ -105,9 +105,9 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         near[mode] = kind
     for mode, pair in PAIR.items():
         near[mode], far[mode] = pair
-    loop = np.zeros(len(packets), np.uint8)
+    loop: Octets = np.zeros(len(packets), np.uint8)
     if len(unit.facts.firing.loops) > 1:
-        loop = 1 - (packets["mode_flag"] & 1)
+        loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
     said = Said(
         unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
         stamp_ns=device_time_ns(packets),

@@ -43,7 +43,7 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     returns = blocks["returns"]
     returns["confidence"] = unit.facts.packet.confidence
     column = np.array(pair * shape[1], np.int64)
-    limits = *facts.reported_m, facts.resolution_m, float(DISTANCE_MAX)
+    limits = *facts.reported_m, unit.resolution_m, float(DISTANCE_MAX)
     firings = len(packets), shape[1] * shape[2]
     core.write_hesai_returns(
         np.ascontiguousarray(range_m, np.float64).reshape(*firings, 1 + dual),

@@ -27,7 +27,7 @@ from lidarcfg.packets.velodyne.status import calibration, status_bytes
 
 
 class NearLasers(NamedTuple):
-    """The L lasers of a sensor whose distances have offsets of their own near by: angles in radians, lengths in metres."""
+    """The L lasers, whose distances near by have offsets of their own: angles in radians, lengths in metres."""
 
     elevation: Array
     azimuth_offset: Array

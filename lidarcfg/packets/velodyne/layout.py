@@ -89,7 +89,8 @@ def stamp_us(time_ns: Times) -> Times:
 
 def gaps_ns(stamp_us: NDArray[np.uint32]) -> Times:
     """(P - 1,) from each of successive stamps (P,) past the hour to the next one."""
-    return np.asarray(np.diff(stamp_us.astype(np.int64)) % HOUR_US * 1000)
+    past_hour_us: Times = stamp_us.astype(np.int64)
+    return np.asarray(np.diff(past_hour_us) % HOUR_US * 1000)
 
 
 def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:
