@@ -44,8 +44,6 @@ if "--random" in sys.argv:
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.packets.velodyne import decode_kernels, encode_kernels  # noqa: F401 - compiled as they are
-
 with (
     atheris.instrument_imports(include=["lidarcfg.capture", "lidarcfg.packets"])
     if atheris

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Codec, Firings, Pace, Times
@@ -91,13 +92,14 @@ def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: fl
 
     With a phase lock the head points to `phase_deg` at each whole second instead.
     """
-    from lidarcfg.packets.spin_kernels import turned  # decoding needs none of them
-
     begun = revolutions(rpm, spin.period_ns, start_ns, packets, phase_deg)
-    first_ns = start_ns + np.array(packets, np.int64) * spin.period_ns
-    time_ns, encoder_rad = turned(begun, spin.offsets_ns.ravel(), rpm / MINUTE_NS, first_ns)
-    laser = np.tile(np.arange(len(spin.offset_ns), dtype=np.uint8), len(time_ns) // len(spin.offset_ns))
-    return Firings(time_ns, laser, encoder_rad)
+    stamp_ns = start_ns + np.array(packets, np.int64) * spin.period_ns
+    offset_ns = spin.offsets_ns.ravel()
+    time_ns = np.empty((len(stamp_ns), len(offset_ns)), np.int64)
+    encoder_rad = np.empty(time_ns.shape)
+    core.fire(begun, stamp_ns, offset_ns, rpm / MINUTE_NS, time_ns, encoder_rad)
+    laser = np.tile(np.arange(len(spin.offset_ns), dtype=np.uint8), time_ns.size // len(spin.offset_ns))
+    return Firings(time_ns.ravel(), laser, encoder_rad.ravel())
 
 
 def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase_deg: float | None) -> Array:

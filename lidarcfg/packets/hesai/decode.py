@@ -2,20 +2,21 @@
 
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
-from lidarcfg.packets.decode_kernels import filled
-from lidarcfg.packets.hesai import decode_kernels as kernels
-from lidarcfg.packets.hesai.decode_kernels import BY_BLOCK, FIRST, LAST, STRONGEST
 from lidarcfg.packets.hesai.facts import Unit
-from lidarcfg.packets.hesai.layout import MODES, Packets, device_time_ns, encoder_rad, is_dual
+from lidarcfg.packets.hesai.layout import MODES, Packets, device_time_ns, encoder_rad, is_dual, octets_of
 from lidarcfg.packets.hesai.losses import Losses
-from lidarcfg.packets.unit import read_only
+
+STRONGEST, LAST, FIRST = 0, 1, 3  # types of returns, as `Returns` has them
+BY_BLOCK = 254  # which of a pair is the strongest, its block tells
 
 SINGLE = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
 PAIR = {  # the nearer return, the farther
@@ -24,6 +25,30 @@ PAIR = {  # the nearer return, the farther
     0x3C: (FIRST, STRONGEST),
     0x3E: (BY_BLOCK, BY_BLOCK),  # the strongest stands in the even block
 }
+
+
+class Said(NamedTuple):
+    """What P packets say beside their blocks."""
+
+    unit_mm: Octets  # (P,) of distances
+    stamp_ns: Times  # (P,)
+    dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
+    loop: Octets  # (P,) with dual returns: which lasers fire
+    near: Octets  # (P,) the type of a pair's nearer return, or of single returns
+    far: Octets  # (P,) the type of a pair's farther return
+
+
+class Lasers(NamedTuple):
+    """What is known of the L lasers and of when they fire."""
+
+    cos_elevation: Array
+    sin_elevation: Array
+    cos_offset: Array  # of the azimuth offset
+    sin_offset: Array
+    ring: Octets
+    offset_ns: Times  # (loops, L)
+    group_ns: Times  # (B,) single: when each block starts, after the stamp
+    pair_ns: Times  # (B / 2,) dual: when each pair starts
 
 
 class HesaiDecoder(Decoder):
@@ -74,30 +99,27 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     """
     check(unit, packets)
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
-    blocks, header = packets["blocks"], packets["header"]
-    distance, reflectivity = (read_only(blocks["returns"][key]) for key in ("distance", "reflectivity"))
     modes = packets["tail"]["return_mode"]
     near, far = np.zeros(256, np.uint8), np.zeros(256, np.uint8)
     for mode, kind in SINGLE.items():
         near[mode] = kind
     for mode, pair in PAIR.items():
         near[mode], far[mode] = pair
-    loop = np.zeros(len(packets), np.int64)
+    loop: Octets = np.zeros(len(packets), np.uint8)
     if len(unit.facts.firing.loops) > 1:
-        loop = 1 - (packets["mode_flag"].astype(np.int64) & 1)
-    wire = kernels.Wire(
-        distance,
-        reflectivity,
-        read_only(blocks["azimuth"]),
-        read_only(header["unit_mm"]),
-        device_time_ns(packets),
-        is_dual(packets),
-        loop,
-        near[modes],
-        far[modes],
+        loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
+    said = Said(
+        unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
+        stamp_ns=device_time_ns(packets),
+        dual=is_dual(packets),
+        loop=loop,
+        near=near[modes],
+        far=far[modes],
     )
-    out = Returns.room(filled(distance, wanted), polar)
-    return out.first(kernels.points(wire, wanted, _tables(unit), out))
+    octets = octets_of(packets)
+    decoder = _decoder(unit)
+    out = Returns.room(decoder.count(octets, wanted), polar)
+    return out.first(decoder.decode(octets, wanted, said, out))
 
 
 def check(unit: Unit, packets: Packets) -> None:
@@ -129,15 +151,16 @@ def _other(name: str, key: str, right: int, said: int) -> str:
 
 
 @lru_cache
-def _tables(unit: Unit) -> kernels.Tables:
+def _decoder(unit: Unit) -> core.HesaiDecoder:
     sensor = unit.sensor
-    return kernels.Tables(
-        np.cos(sensor.elevation_rad),
-        np.sin(sensor.elevation_rad),
-        np.cos(sensor.azimuth_offset_rad),
-        np.sin(sensor.azimuth_offset_rad),
-        sensor.ring.astype(np.uint8),
-        unit.offset_ns,
-        unit.group_ns(dual=False),
-        unit.group_ns(dual=True),
+    lasers = Lasers(
+        cos_elevation=np.cos(sensor.elevation_rad),
+        sin_elevation=np.sin(sensor.elevation_rad),
+        cos_offset=np.cos(sensor.azimuth_offset_rad),
+        sin_offset=np.sin(sensor.azimuth_offset_rad),
+        ring=sensor.ring.astype(np.uint8),
+        offset_ns=unit.offset_ns,
+        group_ns=unit.group_ns(dual=False),
+        pair_ns=unit.group_ns(dual=True),
     )
+    return core.HesaiDecoder(lasers)

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets, Times
 from lidarcfg.packets.hesai import safety
@@ -19,9 +20,9 @@ from lidarcfg.packets.hesai.layout import (
     Packets,
     azimuth_of,
     date_of,
+    octets_of,
 )
 from lidarcfg.packets.hesai.schedule import within
-from lidarcfg.packets.unit import read_only
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
@@ -32,8 +33,6 @@ COLUMNS = ("time_ns", "laser", "encoder_rad")
 
 def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
-    from lidarcfg.packets.hesai import encode_kernels  # decoding needs none of them
-
     dual, pair = mount.dual, unit.columns(mount.return_mode)
     packets = np.zeros(len(batch.number), unit.dtype)
     shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
@@ -43,11 +42,19 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
     returns = blocks["returns"]
     returns["confidence"] = unit.facts.packet.confidence
-    column = np.array(pair * shape[1])
-    limits = *facts.reported_m, facts.resolution_m, float(DISTANCE_MAX)
-    at_m, strength = (read_only(np.ascontiguousarray(one).reshape(*shape, 1 + dual)) for one in (range_m, reflectivity))
-    wire = returns["distance"], returns["reflectivity"]
-    encode_kernels.fill(at_m, strength, read_only(laser), column, inside, limits, *wire)
+    column = np.array(pair * shape[1], np.int64)
+    limits = *facts.reported_m, unit.resolution_m, float(DISTANCE_MAX)
+    firings = len(packets), shape[1] * shape[2]
+    core.write_hesai_returns(
+        np.ascontiguousarray(range_m, np.float64).reshape(*firings, 1 + dual),
+        np.ascontiguousarray(reflectivity).reshape(*firings, 1 + dual),
+        np.ascontiguousarray(laser).reshape(firings),
+        column,
+        inside,
+        limits,
+        unit.count,
+        octets_of(packets),
+    )
     first = laser[:, -1, 0]
     stamp_ns = time_ns[:, -1, 0] - unit.offset_ns[loop[:, -1], first] - unit.facts.firing.stamp_ns
     stamp_ns = (stamp_ns + 500) // 1000 * 1000

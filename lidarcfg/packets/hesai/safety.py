@@ -1,7 +1,7 @@
 """What a QT128C2X adds to its packets: functional safety, the mode flag and three checksums."""
 
+from lidarcfg.core import packets as core
 from lidarcfg.packets.codec import Times
-from lidarcfg.packets.hesai.crc import crc32
 from lidarcfg.packets.hesai.layout import HEADER, SAFETY, Packets, octets_of
 
 VERSION = 1
@@ -22,7 +22,7 @@ def sign(packets: Packets) -> None:
     assert fields
     octets = octets_of(packets)
     at = {key: value[1] for key, value in fields.items()}
-    packets["body_crc"] = crc32(octets[:, HEADER.itemsize : at["body_crc"]])
+    packets["body_crc"] = core.crc32_mpeg2(octets, HEADER.itemsize, at["body_crc"])
     end = at["safety"] + SAFETY.itemsize - 4
-    packets["safety"]["crc"] = crc32(octets[:, at["safety"] + 1 : end])
-    packets["tail_crc"] = crc32(octets[:, at["status"] : at["tail_crc"]])
+    packets["safety"]["crc"] = core.crc32_mpeg2(octets, at["safety"] + 1, end)
+    packets["tail_crc"] = core.crc32_mpeg2(octets, at["status"], at["tail_crc"])

@@ -40,8 +40,6 @@ def _firings(unit: Unit, mount: "Mount", start_ns: int, numbers: range) -> tuple
 
     All lasers of a group fire where the head is at its start, as the group's azimuth says.
     """
-    from lidarcfg.packets.hesai import encode_kernels as kernels  # decoding needs none of them
-
     dual = mount.dual
     groups, period_ns = unit.groups(dual), unit.period_ns(dual)
     first_ns = start_ns + np.array(numbers, np.int64) * period_ns
@@ -52,9 +50,15 @@ def _firings(unit: Unit, mount: "Mount", start_ns: int, numbers: range) -> tuple
     number = np.array(numbers, np.int64)[:, None]
     group = np.arange(groups)
     loop = (number + 0 * group if dual else number * groups + group) % len(unit.lasers)
-    columns = kernels.fired(first_ns[:, None] + starts_ns, encoder_rad, loop, unit.lasers, unit.offset_ns)
+    lasers = unit.lasers
+    offset_ns = np.take_along_axis(unit.offset_ns, lasers, axis=1)
+    fired = Firings(
+        time_ns=((first_ns[:, None] + starts_ns)[:, :, None] + offset_ns[loop]).ravel(),
+        laser=lasers.astype(np.uint8)[loop].ravel(),
+        encoder_rad=np.repeat(encoder_rad, lasers.shape[1]),
+    )
     stamp_ns = first_ns + (groups - 1) * unit.facts.firing.period_ns
-    return Firings(*columns), stamp_ns, within(mount, encoder_rad)
+    return fired, stamp_ns, within(mount, encoder_rad)
 
 
 def within(mount: "Mount", encoder_rad: Array) -> Flags:

@@ -1,20 +1,21 @@
 """Decodes MSOP packets into points."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
+from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Source, Tally, Times
-from lidarcfg.packets.robosense import decode_kernels as kernels
 from lidarcfg.packets.robosense.difop import Difop
 from lidarcfg.packets.robosense.facts import Unit
 from lidarcfg.packets.robosense.layout import RADIANS, Packets, packets_of, read_time_ns
 from lidarcfg.packets.robosense.losses import Losses
 from lidarcfg.packets.robosense.recognise import check_msop, is_dual, sound
 from lidarcfg.packets.robosense.slots import slots
-from lidarcfg.packets.unit import read_only
 
 SINGLE = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
 
@@ -32,6 +33,26 @@ class Reading:
     def dual(self) -> bool:
         """Whether each laser's returns come in pairs."""
         return self.return_mode == "dual"
+
+    @cached_property
+    def core(self) -> core.RobosenseDecoder:
+        """The core's decoder."""
+        unit = self.unit
+        sensor = unit.sensor
+        spin = unit.spin(self.dual)
+        lasers = blocks.Lasers(
+            elevation=self.elevation_rad,
+            azimuth_offset=self.azimuth_offset_rad,
+            forward=sensor.forward_offset_m,
+            left=sensor.lateral_offset_m,
+            up=sensor.vertical_offset_m,
+            distance_offset=np.zeros(unit.count),
+            ring=np.argsort(np.argsort(self.elevation_rad, kind="stable")).astype(np.uint8),
+            near_offset=np.empty((0, 2)),
+            focal=np.empty((0, 4)),
+        )
+        group_ns = spin.per_azimuth * spin.sequence_ns
+        return core.RobosenseDecoder(slots(unit, self.dual), lasers, spin.period_ns, group_ns, unit.resolution_m)
 
 
 def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> Reading:
@@ -88,26 +109,7 @@ class RobosenseDecoder(Decoder):
 
 def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
-    unit, dual = reading.unit, reading.dual
-    spin, packets, layout = unit.spin(dual), packets_of(octets), slots(unit, dual)
-    azimuth = np.ascontiguousarray(packets["blocks"]["azimuth"][:, :: layout.blocks], np.int64)
-    stamp_ns, group_ns = read_time_ns(packets), spin.per_azimuth * spin.sequence_ns
-    step, late_ns = kernels.steps(azimuth, stamp_ns, spin.period_ns, group_ns)
-    data = read_only(np.ascontiguousarray(octets))
-    out = Returns.room(kernels.count(data, wanted))
-    turning = azimuth, step, late_ns, stamp_ns
-    single = SINGLE[reading.return_mode]
-    found = kernels.points(data, wanted, turning, layout, _lasers(reading), group_ns, unit.resolution_m, single, out)
-    return out.first(found)
-
-
-def _lasers(reading: Reading) -> kernels.Lasers:
-    sensor = reading.unit.sensor
-    return kernels.Lasers(
-        elevation=reading.elevation_rad,
-        azimuth_offset=reading.azimuth_offset_rad,
-        forward=sensor.forward_offset_m,
-        left=sensor.lateral_offset_m,
-        up=sensor.vertical_offset_m,
-        ring=np.argsort(np.argsort(reading.elevation_rad, kind="stable")).astype(np.uint8),
-    )
+    octets = np.ascontiguousarray(octets)
+    stamp_ns = read_time_ns(packets_of(octets))
+    kind = np.full(len(octets), SINGLE[reading.return_mode], np.uint8)
+    return blocks.decode(reading.core, octets, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)

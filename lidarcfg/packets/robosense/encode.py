@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets
 from lidarcfg.packets.robosense.facts import Unit
@@ -19,14 +20,12 @@ from lidarcfg.packets.robosense.layout import (
     octets_of,
     write_time,
 )
-from lidarcfg.packets.robosense.slots import places
+from lidarcfg.packets.robosense.slots import numbers, places
 from lidarcfg.packets.unit import matrix
 
 
 def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
-    from lidarcfg.packets.robosense import encode_kernels  # decoding needs none of them
-
     spin, fired = unit.spin(dual), batch.firings
     stamped_ns, _ = spin.stamps_ns(fired)
     packets: Packets = np.zeros(len(stamped_ns), MSOP)
@@ -39,8 +38,9 @@ def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: O
     azimuth = np.rint(spin.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
     blocks["azimuth"] = np.repeat(azimuth, blocks.shape[1] // azimuth.shape[1], axis=1)
     limits = *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
-    measured = matrix(range_m, len(packets)), matrix(reflectivity, len(packets))
-    encode_kernels.fill(*measured, places(unit, dual), limits, octets_of(packets))
+    measured = matrix(range_m, len(packets), np.float64), matrix(reflectivity, len(packets), np.uint8)
+    number = np.argsort(numbers(unit, dual))
+    core.write_robosense_returns(*measured, number, np.zeros(len(number)), limits, octets_of(packets))
     return packets
 
 

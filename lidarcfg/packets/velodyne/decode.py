@@ -7,12 +7,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
+from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import Decoder, Flags, Known, Octets, Returns, Tally, Times
-from lidarcfg.packets.decode_kernels import filled
-from lidarcfg.packets.unit import read_only
-from lidarcfg.packets.velodyne import decode_kernels as kernels
 from lidarcfg.packets.velodyne.facts import SLOTS, Unit
 from lidarcfg.packets.velodyne.facts import unit as unit_of
 from lidarcfg.packets.velodyne.layout import (
@@ -20,7 +19,9 @@ from lidarcfg.packets.velodyne.layout import (
     Packets,
     block_flags,
     device_time_ns,
+    gaps_ns,
     is_dual,
+    octets_of,
     one_of,
     packets_of,
     slots,
@@ -105,59 +106,53 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
     flags = np.tile(block_flags(facts, dual), len(order) // span)
     _check(used["flag"], used["flag"] == flags, f"not a packet of {unit.name}: block flag", facts.block_flags)
 
-    tables, lasers = _tables(unit, dual)
-    group_ns = facts.sequences_per_block * unit.firing.sequence_ns
-    azimuth = np.ascontiguousarray(used["azimuth"][:, ::span], np.int64)
-    stamp = packets["stamp_us"].astype(np.int64)
-    step, late_ns = kernels.steps(azimuth, stamp, unit.period_ns(dual), group_ns)
-
-    distance, intensity = (read_only(used["returns"][key]) for key in ("distance", "intensity"))
     modes = facts.return_modes
-    out = Returns.room(filled(distance, wanted), polar)
     last = packets["return_mode"] == modes.codes.get("last", -1) if modes else np.zeros(len(packets), np.bool_)
-    count = kernels.points(
-        kernels.Wire(
-            distance, intensity, azimuth, step, late_ns, device_time_ns(packets["stamp_us"], host_time_ns), last
-        ),
+    return blocks.decode(
+        _decoder(unit, dual),
+        octets_of(packets),
         wanted,
-        tables,
-        lasers,
-        unit.resolution_m,
-        out,
+        device_time_ns(packets["stamp_us"], host_time_ns),
+        gaps_ns(packets["stamp_us"]),
+        last.astype(np.uint8),
+        polar,
     )
-    return out.first(count)
 
 
 @lru_cache
-def _tables(unit: Unit, dual: bool) -> tuple[kernels.Slots, kernels.Lasers]:
-    """The kernels' tables of a packet's slots and of the lasers."""
-    numbers, width = slots(unit.packet, dual).ravel(), unit.span(dual) * SLOTS
-    fired, group = numbers // (1 + dual), np.arange(numbers.size) // width
+def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
+    numbers = slots(unit.packet, dual).ravel()
+    width = unit.span(dual) * SLOTS
+    fired = numbers // (1 + dual)
+    group = np.arange(numbers.size) // width
     offset_ns = unit.offsets_ns(dual).ravel()[fired]
     group_ns = unit.packet.sequences_per_block * unit.firing.sequence_ns
-    other = np.full(width, -1)
+    other = np.empty(width * dual, np.int64)
     if dual:
         pairs = np.argsort(numbers[:width]).reshape(-1, 2)
         other[pairs] = pairs[:, ::-1]
-    sensor, near, focal = unit.sensor, unit.near_offset_m, unit.focal
-    slots_of_packet = kernels.Slots(
+    sensor = unit.sensor
+    near = unit.near_offset_m
+    focal = unit.focal
+    slots_ = blocks.Slots(
         laser=fired[:width] % unit.count,
-        fraction=(offset_ns - unit.head_offset_ns) / group_ns - group,
-        offset_ns=offset_ns,
+        fraction=((offset_ns - unit.head_offset_ns) / group_ns - group).reshape(-1, width),
+        offset_ns=offset_ns.reshape(-1, width),
         kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
         other=other,
     )
-    lasers = kernels.Lasers(
-        sensor.elevation_rad,
-        sensor.azimuth_offset_rad,
-        sensor.lateral_offset_m,
-        sensor.vertical_offset_m,
-        unit.distance_offset_m,
-        sensor.ring.astype(np.uint8),  # packets have no more beams
-        np.empty((0, 2)) if near is None else near,
-        np.empty((0, 4)) if focal is None else focal,
+    lasers = blocks.Lasers(
+        elevation=sensor.elevation_rad,
+        azimuth_offset=sensor.azimuth_offset_rad,
+        forward=np.zeros(unit.count),
+        left=sensor.lateral_offset_m,
+        up=sensor.vertical_offset_m,
+        distance_offset=unit.distance_offset_m,
+        ring=sensor.ring.astype(np.uint8),  # packets have no more beams
+        near_offset=np.empty((0, 2)) if near is None else near,
+        focal=np.empty((0, 4)) if focal is None else focal,
     )
-    return slots_of_packet, lasers
+    return core.VelodyneDecoder(slots_, lasers, unit.period_ns(dual), group_ns, unit.resolution_m)
 
 
 def _check(got: NDArray[np.integer], right: Flags, what: str, allowed: Sequence[int]) -> None:

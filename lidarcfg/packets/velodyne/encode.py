@@ -1,8 +1,11 @@
 """Encodes firings and their measurements as packets."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Firings, Flags, Octets
@@ -15,11 +18,22 @@ from lidarcfg.packets.velodyne.layout import (
     REVOLUTION,
     Packets,
     block_flags,
+    octets_of,
     slots,
     stamp_us,
 )
 from lidarcfg.packets.velodyne.schedule import stamps_ns
 from lidarcfg.packets.velodyne.status import calibration, status_bytes
+
+
+class NearLasers(NamedTuple):
+    """The L lasers, whose distances near by have offsets of their own: angles in radians, lengths in metres."""
+
+    elevation: Array
+    azimuth_offset: Array
+    left: Array
+    distance_offset: Array  # far off
+    near_offset: Array  # (L, 2) to the side and ahead
 
 
 def encode(
@@ -34,8 +48,6 @@ def encode(
 
     Distances and intensities are those of which decoding makes the nearest there are. Raises ConfigError.
     """
-    from lidarcfg.packets.velodyne import encode_kernels  # decoding needs none of them
-
     check_encodable(unit, return_mode)
     dual = return_mode == "dual"
     number, span = slots(unit.packet, dual), unit.span(dual)
@@ -44,16 +56,25 @@ def encode(
     blocks = packets["blocks"][:, : len(number)]
     blocks["flag"] = np.tile(block_flags(unit.packet, dual), len(number) // span)
     blocks["azimuth"] = np.repeat(_block_azimuths(unit, fired, dual), span, axis=1)
-    laser, limits = number // (1 + dual) % unit.count, _limits(unit)
-    measured = matrix(range_m, len(packets)), matrix(reflectivity, len(packets))
-    returns = blocks["returns"]["distance"], blocks["returns"]["intensity"]
-    encode_kernels.fill(*measured, number, unit.distance_offset_m[laser], limits, *returns)
+    number = number.ravel()
+    laser = number // (1 + dual) % unit.count
+    limits = _limits(unit)
+    octets = octets_of(packets)
+    measured = matrix(range_m, len(packets), np.float64), matrix(reflectivity, len(packets), np.uint8)
+    core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, octets)
     if unit.near_offset_m is not None:
-        sensor, azimuth = unit.sensor, matrix(fired.encoder_rad, len(packets))
-        tables = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, unit.distance_offset_m
-        encode_kernels.fill_near(*measured, azimuth, number, laser, (*tables, unit.near_offset_m), limits, *returns)
+        sensor = unit.sensor
+        lasers = NearLasers(
+            elevation=sensor.elevation_rad,
+            azimuth_offset=sensor.azimuth_offset_rad,
+            left=sensor.lateral_offset_m,
+            distance_offset=unit.distance_offset_m,
+            near_offset=unit.near_offset_m,
+        )
+        azimuth = matrix(fired.encoder_rad, len(packets), np.float64)
+        core.write_velodyne_near_returns(*measured, azimuth, number, laser, lasers, limits, octets)
     if unit.focal is not None:
-        encode_kernels.unfocus(returns[0], laser, unit.focal, returns[1])
+        core.uncorrect_velodyne_intensities(laser, unit.focal, octets)
     packets["stamp_us"] = stamp_us(stamped_ns)
     if unit.packet.return_modes:
         packets["return_mode"] = unit.packet.return_modes.codes[return_mode]

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Times
-from lidarcfg.packets.velodyne import decode_kernels as kernels
 from lidarcfg.packets.velodyne.encode import encode, returned
 from lidarcfg.packets.velodyne.facts import Calibration, Unit
-from lidarcfg.packets.velodyne.layout import RADIANS, REVOLUTION, Packets, device_time_ns, is_dual, slots
+from lidarcfg.packets.velodyne.layout import RADIANS, REVOLUTION, Packets, device_time_ns, gaps_ns, is_dual, slots
 
 MODES = "strongest", "last", "dual"
 
@@ -21,10 +21,11 @@ def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
     spin = unit.spin(dual)
     azimuth = np.ascontiguousarray(
         packets["blocks"]["azimuth"][:, : unit.span(dual) * (spin.sequences // spin.per_azimuth) : unit.span(dual)],
-        np.int64,
+        np.uint16,
     )
     group_ns = spin.per_azimuth * spin.sequence_ns
-    step, late_ns = kernels.steps(azimuth, packets["stamp_us"].astype(np.int64), spin.period_ns, group_ns)
+    gap_ns = np.append(gaps_ns(packets["stamp_us"]), 0)
+    step, late_ns = core.velodyne_turning(azimuth, gap_ns, spin.period_ns, group_ns)
     group = np.arange(spin.sequences) // spin.per_azimuth
     fraction = (spin.offsets_ns - unit.head_offset_ns) / group_ns - group[:, None]
     head = (azimuth[:, group, None] + step[:, group, None] * fraction) * RADIANS

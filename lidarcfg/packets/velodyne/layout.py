@@ -87,6 +87,12 @@ def stamp_us(time_ns: Times) -> Times:
     return np.asarray((time_ns + 500) // 1000 % HOUR_US)
 
 
+def gaps_ns(stamp_us: NDArray[np.uint32]) -> Times:
+    """(P - 1,) from each of successive stamps (P,) past the hour to the next one."""
+    past_hour_us: Times = stamp_us.astype(np.int64)
+    return np.asarray(np.diff(past_hour_us) % HOUR_US * 1000)
+
+
 def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:
     """Device time since 1970 from stamps past the hour: the hour that brings them nearest to host time."""
     past_hour = stamp_us.astype(np.int64) * 1000
