@@ -66,7 +66,7 @@ void check(const Layout& layout, Rows<const Byte> packets) {
 std::vector<PixelField> fields_of(View<const std::array<std::int64_t, 3>> bits, const Layout& layout) {
   std::vector<PixelField> out;
   for (const auto& [word, shift, mask] : bits) {
-    require(is_within(4 * word, 0, layout.pixel - 4) && is_within(shift, 0, 31) && is_within(mask, 0, 0xFFFFFFFF),
+    require(is_within(word, 0, layout.pixel / 4 - 1) && is_within(shift, 0, 31) && is_within(mask, 0, 0xFFFFFFFF),
             "bits: not within a pixel");
     out.push_back({word, static_cast<int>(shift), static_cast<std::uint32_t>(mask)});
   }
@@ -77,7 +77,7 @@ std::vector<ReturnField> returns_of(const Decoding& profile, const Layout& layou
   require(is_within(std::ssize(profile.returns), 1, 2), "profile.returns: one or two");
   std::vector<ReturnField> out;
   for (const auto& [range, reflectivity, shift] : profile.returns) {
-    require(is_within(4 * range, 0, layout.pixel - 4) && is_within(4 * reflectivity, 0, layout.pixel - 4) &&
+    require(is_within(range, 0, layout.pixel / 4 - 1) && is_within(reflectivity, 0, layout.pixel / 4 - 1) &&
                 is_within(shift, 0, 31),
             "profile.returns: not within a pixel");
     out.push_back({range, reflectivity, static_cast<int>(shift)});

@@ -244,6 +244,19 @@ std::uint64_t remainder(std::uint64_t value, std::uint32_t bytes) {
   return value;
 }
 
+/// Write a field's values into pixels of a size. All by value: what is written could be any of what is read.
+void pack_column(View<const std::uint32_t> values, PixelField field, Index pixel, Byte* pixels) {
+  if (field.mask == 0) {
+    return;
+  }
+  Byte* to = pixels + field.word * word_size;
+  for (const std::uint32_t value : values) {
+    const std::uint32_t word = read<std::uint32_t>(to) | (value & field.mask) << field.shift;
+    std::memcpy(to, &word, sizeof word);
+    to += pixel;
+  }
+}
+
 }  // namespace
 
 Index decode_points(Rows<const Byte> packets, const Profile& profile, const Beams& beams, const Points& out) {
@@ -305,16 +318,7 @@ void pack_fields(Rows<const std::uint32_t> values, View<const PixelField> fields
       Byte* const pixels = &packets(p, layout.head + column * layout.column + layout.column_head);
       const Index first = (p * layout.columns + column) * layout.pixels;
       for (Index f = 0; f < std::ssize(fields); ++f) {
-        const PixelField& field = fields[f];
-        if (field.mask == 0) {
-          continue;
-        }
-        const std::uint32_t* from = &values(f, first);
-        Byte* to = pixels + field.word * word_size;
-        for (Index pixel = 0; pixel < layout.pixels; ++pixel, to += layout.pixel) {
-          const std::uint32_t word = read<std::uint32_t>(to) | (from[pixel] & field.mask) << field.shift;
-          std::memcpy(to, &word, sizeof word);
-        }
+        pack_column(values[f].subspan(first, layout.pixels), fields[f], layout.pixel, pixels);
       }
     }
   }
