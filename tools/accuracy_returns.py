@@ -23,7 +23,7 @@ from lidarcfg.placement.returns import PHASES, Target, placed, returns, scanner,
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.rig import Mount
 from lidarcfg.world.meshes import read_mesh
-from lidarcfg.world.tracer import tree
+from lidarcfg.world.numba_trees import tree
 from tests.returns_cases import at_place, lidars, mount, revolution, scene_with, simulated, tracer_of
 
 OBJECTS = "pedestrian", "child", "cyclist", "car", "tyre"

@@ -24,7 +24,7 @@ from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.returns import Target, placed, returns, scanner, scans
 from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.world.meshes import Mesh, read_mesh
-from lidarcfg.world.tracer import tree
+from lidarcfg.world.numba_trees import tree
 from tests.returns_cases import lidars, mount, scene_with
 
 OBJECTS = "pedestrian", "child", "cyclist", "car", "tyre"

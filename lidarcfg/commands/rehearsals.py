@@ -85,7 +85,7 @@ def tracing() -> None:
     from lidarcfg.simulate.aim_kernels import Frames, Lasers, aimed, locate
     from lidarcfg.simulate.simulator_kernels import hit_bodies, new_work
     from lidarcfg.world.bvh import NO_INDEX, NO_TREE
-    from lidarcfg.world.motion import packed
+    from lidarcfg.world.numba_trees import packed
     from lidarcfg.world.ray_kernels import new_packet
     from lidarcfg.world.tracer_kernels import trace
     from lidarcfg.world.world_kernels import Dynamics, Found, World, hit_dynamic, keep_normals

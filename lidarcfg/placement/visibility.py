@@ -24,9 +24,9 @@ from lidarcfg.placement.visibility_kernels import (
     seen_points,
 )
 from lidarcfg.world.bvh import EMPTY
+from lidarcfg.world.numba_trees import obstacles
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.shadow_kernels import ROW, boxes_of
-from lidarcfg.world.vehicle import obstacles
 
 ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
 EXACT = 1e-15  # a cosine or sine below it is 0

@@ -17,7 +17,8 @@ from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extin
 from lidarcfg.simulate.noise import laser_errors_m, separate
 from lidarcfg.simulate.simulator_kernels import looked_up, new_work, trace_firings
 from lidarcfg.world.bvh import NO_TREE, Tree
-from lidarcfg.world.motion import Trajectory, packed
+from lidarcfg.world.motion import Trajectory
+from lidarcfg.world.numba_trees import numba_world, packed
 from lidarcfg.world.scene import Weather
 from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.world_kernels import NOTHING, Found
@@ -43,7 +44,7 @@ class Simulator:
         self, index: int, mount: Mount, tracer: Tracer, trajectory: Trajectory, bodies: Tracer | None = None
     ) -> None:
         self._index, self._mount, self._tracer, self._trajectory = index, mount, tracer, trajectory
-        self._bodies = bodies.world.static if bodies else NO_TREE
+        self._bodies = numba_world(bodies).static if bodies else NO_TREE
         own = bodies.scene.reflectivity if bodies else np.empty(0, np.uint8)
         self._objects = _objects(tracer, self._bodies)
         self._reflectivity = np.concatenate([tracer.scene.reflectivity, own, np.zeros(1, np.uint8)])[self._objects]
@@ -75,7 +76,7 @@ class Simulator:
         if count:
             self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
             columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), most_m + BEYOND_M
-            world = self._tracer.world
+            world = numba_world(self._tracer)
             work = new_work(self._frames, len(world.dynamic.roots))
             told = world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m, work
             if width == 1:
@@ -107,7 +108,7 @@ class Simulator:
 
 def _objects(tracer: Tracer, bodies: Tree) -> NDArray[np.int32]:
     """The objects by slot number, from NONE on: nothing, ground, static and dynamic objects, the vehicle's bodies."""
-    world, own = tracer.world, len(tracer.scene.names) + bodies.object
+    world, own = numba_world(tracer), len(tracer.scene.names) + bodies.object
     return np.concatenate([[NOTHING, 0], world.static.object, world.dynamic.trees.object, own], dtype=np.int32)
 
 

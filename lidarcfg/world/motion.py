@@ -1,23 +1,21 @@
 """The motion of an object or a vehicle: a constant velocity, an arc, or timed poses."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidarcfg.config import Model, Vec3, fault, load
+from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, rotation, transform
 from lidarcfg.inputs import read_regular
 from lidarcfg.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.world.motion_kernels import Paths
 
 TUM = ".tum"  # text lines of time_s x y z qx qy qz qw, as the TUM RGB-D benchmark defined and evo reads them
 TUM_ROW = ("time_s", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -103,15 +101,22 @@ class MotionPath:
         """
         if self.is_static:
             return np.eye(3)[None], np.zeros((1, 3))
-        from lidarcfg.world.motion_kernels import poses
-
         seconds = np.asarray(seconds, np.float64)
         if len(seconds):
             self.check_span(float(seconds.min()), float(seconds.max()))
-        R, t = np.empty((9, len(seconds))), np.empty((3, len(seconds)))
-        poses(packed([self]), 0, seconds, 0, len(seconds), R, t)
+        R, t = self.compiled.at(seconds)
         upright = self.motion.velocity_m_s is not None
-        return np.eye(3)[None] if upright else R.T.reshape(-1, 3, 3), np.ascontiguousarray(t.T)
+        return np.eye(3)[None] if upright else R, t
+
+    @cached_property
+    def compiled(self) -> world.Path:
+        """The same for the core."""
+        if self.motion.velocity_m_s is not None:
+            return world.path_of_velocity(self.motion.velocity_m_s)
+        if self.motion.arc is not None:
+            rate_rad_s, heading_rad = np.radians([self.motion.arc.yaw_rate_deg_s, self.motion.arc.heading_deg])
+            return world.path_of_arc(self.motion.arc.speed_m_s, rate_rad_s, heading_rad)
+        return world.path_of_poses(self.times_s, self.positions_m, self.rotations, self.rotation_vectors_rad)
 
     @property
     def is_static(self) -> bool:
@@ -165,32 +170,6 @@ def _path(motion: Motion, times_s: Array, positions_m: Array, rotations: Array) 
         attitudes = Rotation.from_matrix(rotations)
         vectors[:-1] = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec()
     return MotionPath(motion, times_s, positions_m, rotations, vectors)
-
-
-def packed(paths: Sequence[MotionPath]) -> "Paths":
-    """Motions as one table for compiled loops."""
-    from lidarcfg.world.motion_kernels import ARC, POSES, STANDING, VELOCITY, Paths
-
-    kinds, values = [], np.zeros((len(paths), 3))
-    for i, path in enumerate(paths):
-        motion = path.motion
-        if motion.arc:
-            kinds.append(ARC)
-            values[i] = motion.arc.speed_m_s, *np.radians([motion.arc.yaw_rate_deg_s, motion.arc.heading_deg])
-        elif motion.velocity_m_s is not None:
-            kinds.append(STANDING if path.is_static else VELOCITY)
-            values[i] = motion.velocity_m_s
-        else:
-            kinds.append(POSES)
-    return Paths(
-        kind=np.array(kinds, np.uint8),
-        values=values,
-        first=np.cumsum([0, *(len(path.times_s) for path in paths)], dtype=np.int64),
-        times_s=np.concatenate([np.empty(0), *(path.times_s for path in paths)]),
-        positions_m=np.concatenate([np.empty((0, 3)), *(path.positions_m for path in paths)]),
-        rotations=np.concatenate([np.empty((0, 3, 3)), *(path.rotations for path in paths)]),
-        rotation_vectors_rad=np.concatenate([np.empty((0, 3)), *(path.rotation_vectors_rad for path in paths)]),
-    )
 
 
 @dataclass(frozen=True)

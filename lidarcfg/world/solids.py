@@ -1,13 +1,12 @@
 """Closed bodies: which points are inside, and which edges are open where a mesh is not closed."""
 
-# mypy: disallow-untyped-decorators=False
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import world
 from lidarcfg.geometry import Array
-from lidarcfg.jit import inner, njit
 from lidarcfg.world.meshes import Mesh
 
 Index = NDArray[np.int64]
@@ -83,7 +82,7 @@ def inside(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Inside:
     odd = np.empty((len(y), len(z), len(x) + 1), np.bool_)
     for vertices, triangles in closed:
         odd[:] = False
-        _toggle(vertices, triangles, _lines(vertices[triangles], y, z), x, y, z, odd)
+        world.toggle_lines(vertices, triangles, _lines(vertices[triangles], y, z), x, y, z, odd)
         found |= np.logical_xor.accumulate(odd[..., :-1], axis=2).transpose(2, 0, 1)
     return found
 
@@ -99,7 +98,9 @@ def inside_points(closed: Sequence[Mesh], points: Array) -> Inside:
     """(N,): which points (N, 3) are inside any of the parts of a closed, welded mesh, as `inside` has it."""
     found = np.zeros(len(points), np.bool_)
     for vertices, triangles in closed:
-        found |= _odd(vertices, triangles, points)
+        odd = np.zeros(len(points), np.bool_)
+        world.toggle_points(vertices, triangles, points, odd)
+        found |= odd
     return found
 
 
@@ -114,77 +115,3 @@ def holds(closed: Sequence[Mesh], low: Array, high: Array) -> bool:
         if not away.any(axis=1).all():
             return False
     return bool(inside_points(closed, np.array([low]))[0])
-
-
-@njit(cache=True, nogil=True)
-def _odd(vertices: Array, triangles: Index, points: Array) -> Inside:
-    """(N,): whether an odd number of triangles is crossed on the way along x to points (N, 3)."""
-    odd = np.zeros(len(points), np.bool_)
-    for t in range(len(triangles)):
-        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        low_y, high_y, low_z, high_z = (
-            min(a[1], b[1], c[1]),
-            max(a[1], b[1], c[1]),
-            min(a[2], b[2], c[2]),
-            max(a[2], b[2], c[2]),
-        )
-        for n in range(len(points)):
-            y, z = points[n, 1], points[n, 2]
-            if low_y <= y <= high_y and low_z <= z <= high_z and _crossed(a, b, c, y, z):
-                odd[n] ^= _along(a, b, c, y, z) <= points[n, 0]
-    return odd
-
-
-@inner(makes_arrays=True)
-def _crossed(a: Array, b: Array, c: Array, y: float, z: float) -> bool:
-    """Whether a line along x at (y, z) passes through a triangle."""
-    one, other, last = (
-        _beside(a[1], a[2], b[1], b[2], y, z),
-        _beside(b[1], b[2], c[1], c[2], y, z),
-        _beside(c[1], c[2], a[1], a[2], y, z),
-    )
-    return bool(one ^ other ^ last)
-
-
-@inner(makes_arrays=True)
-def _along(a: Array, b: Array, c: Array, y: float, z: float) -> float:
-    """Where it does, no farther than the corners."""
-    uy, uz, vy, vz = b[1] - a[1], b[2] - a[2], c[1] - a[1], c[2] - a[2]
-    ux, vx, nx = b[0] - a[0], c[0] - a[0], uy * vz - uz * vy
-    low, high = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
-    at = a[0] - ((uz * vx - ux * vz) * (y - a[1]) + (ux * vy - uy * vx) * (z - a[2])) / nx if nx != 0.0 else low
-    return float(min(max(at, low), high))
-
-
-@inner(makes_arrays=True)
-def _beside(ay: float, az: float, by: float, bz: float, y: float, z: float) -> bool:
-    """Whether a line at (y, z) in the direction of falling y crosses an edge; the same for both of its directions."""
-    if az > bz or (az == bz and ay > by):
-        ay, az, by, bz = by, bz, ay, az
-    if not az <= z < bz:
-        return False
-    return bool(y > ay + (by - ay) * ((z - az) / (bz - az)))
-
-
-@njit(cache=True, nogil=True)
-def _toggle(vertices: Array, triangles: Index, lines: Index, x: Array, y: Array, z: Array, odd: Inside) -> None:
-    """Toggle odd (ny, nz, nx + 1) at the first point beyond each triangle, on every line along x that crosses it."""
-    for t in range(len(triangles)):
-        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        for j in range(lines[t, 0], lines[t, 1]):
-            for k in range(lines[t, 2], lines[t, 3]):
-                if _crossed(a, b, c, y[j], z[k]):
-                    odd[j, k, _first_from(x, _along(a, b, c, y[j], z[k]))] ^= True
-
-
-@inner(makes_arrays=True)
-def _first_from(x: Array, least: float) -> int:
-    """The index of the first of ascending x that is not below the least, by halving."""
-    low, high = 0, len(x)
-    while low < high:
-        middle = (low + high) // 2
-        if x[middle] < least:
-            low = middle + 1
-        else:
-            high = middle
-    return low

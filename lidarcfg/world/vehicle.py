@@ -14,13 +14,13 @@ import numpy as np
 from pydantic import model_validator
 
 from lidarcfg.config import Model, Position, Section, error_at, fault, load
+from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.kinds import OTHERS
 from lidarcfg.rig import Mount, Rig
 from lidarcfg.sensor import Byte
-from lidarcfg.world.bvh import NO_TREE, Tree, build
 from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.scene import (
     KINDS,
@@ -36,7 +36,7 @@ from lidarcfg.world.scene import (
     check_names,
 )
 from lidarcfg.world.solids import Inside, holds, inside, inside_points, open_edges, parts, welded
-from lidarcfg.world.tracer import Tracer, shapes_of
+from lidarcfg.world.tracer import NO_SHAPES, Tracer, shapes_of
 from lidarcfg.yaml_document import Key
 
 MANY = 500_000  # triangles: reading and checking them takes seconds
@@ -316,12 +316,10 @@ def _oddities(item: MeshFile, mesh: Mesh) -> list[str]:
     return [f"{item.name!r} of {item.file} is {size} m large; if its unit is the {UNITS[scale]}, set scale: {scale:g}"]
 
 
-def obstacles(scenes: Sequence[Scene], origin_m: Array) -> Tree:
-    """The tree over the static objects of scenes, relative to a point (3,)."""
-    if not scenes:
-        return NO_TREE
-    columns = []
+def obstacles(scenes: Sequence[Scene], origin_m: Array) -> world.Bvh:
+    """The hierarchy over the static objects of scenes, relative to a point (3,)."""
+    columns = [NO_SHAPES]
     for scene in scenes:
         static = np.array([motion is None for motion in scene.motions])
         columns.append(shapes_of(scene, static, origin_m))
-    return build(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
+    return world.Bvh(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))

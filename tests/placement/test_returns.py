@@ -12,7 +12,7 @@ from lidarcfg.packets.families import pattern
 from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.returns import NOTHING, PHASES, Target, placed, returns, scanner, scans
 from lidarcfg.placement.visibility_kernels import Obstacles
-from lidarcfg.world.tracer import tree
+from lidarcfg.world.numba_trees import tree
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated, tracer_of
 

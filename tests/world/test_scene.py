@@ -48,7 +48,7 @@ def test_large_spheres_take_no_memory(tmp_path):
     items = ", ".join(f"{{name: s{i}, center_m: [0, 0, {i}], radius_m: 1e7, reflectivity: 9}}" for i in range(100))
     stage = scene(tmp_path, f"spheres: [{items}]")
     assert len(stage.vertices_m) == len(stage.triangles) == 0
-    assert sum(values.nbytes for values in Tracer(stage, np.zeros(3)).world.static[1:]) < 20_000
+    assert len(Tracer(stage, np.zeros(3)).world.fixed) < 200
 
 
 def test_yaw_turns_left(tmp_path):

@@ -1,8 +1,217 @@
+#include "bind/world.h"
+
+#include <algorithm>
+#include <tuple>
+
 #include "bind/arguments.h"
 #include "bind/modules.h"
+#include "world/solids.h"
+#include "world/tracer.h"
 
 namespace lidarcfg::bind {
+namespace {
 
-void bind_world(nb::module_& module) { (void)module; }
+using world::Bvh;
+using world::Kind;
+using world::Path;
+using world::World;
+
+/// A read-only array that looks at what an object of a class holds.
+template <class T>
+nb::object column(View<const T> values, nb::handle owner) {
+  return nb::cast(nb::ndarray<nb::numpy, const T>(values.data(), {values.size()}, owner));
+}
+
+/// Raises ValueError unless origins and directions are (3, rays).
+void require_rays(Rows<const double> origins, Rows<const double> directions) {
+  require(origins.rows() == 3, "origins: three rows");
+  require(directions.rows() == 3 && directions.columns() == origins.columns(), "directions: one for each origin");
+}
+
+Bvh build(Rows<const double> shapes, View<const std::uint8_t> kind, View<const std::int32_t> number,
+          View<const std::int32_t> object) {
+  require(shapes.columns() == 9, "shapes: nine numbers each");
+  require(std::ssize(kind) == shapes.rows(), "kind: one for each shape");
+  require(std::ssize(number) == shapes.rows(), "number: one for each shape");
+  require(std::ssize(object) == shapes.rows(), "object: one for each shape");
+  for (const std::uint8_t one : kind) {
+    require(one <= static_cast<std::uint8_t>(Kind::instance), "kind: unknown");
+  }
+  const auto count = static_cast<std::size_t>(shapes.rows());
+  return world::build({reinterpret_cast<const world::Shape*>(shapes.data()), count},
+                      {reinterpret_cast<const Kind*>(kind.data()), count}, number, object);
+}
+
+void bind_bvh(nb::module_& module) {
+  nb::class_<Bvh> bvh(module, "Bvh", "An immutable bounding volume hierarchy over shapes, in the order of its leaves.");
+  init(bvh, &build, "Build it over shapes.", "shapes", "kind", "number", "object");
+  bvh.def("__len__", [](const Bvh& self) { return self.size(); });
+  bvh.def_prop_ro("number", [](nb::handle self) { return column(nb::cast<const Bvh&>(self).number, self); });
+  bvh.def_prop_ro("object", [](nb::handle self) { return column(nb::cast<const Bvh&>(self).object, self); });
+  bvh.def_prop_ro("kind", [](nb::handle self) {
+    const View<const Kind> kind = nb::cast<const Bvh&>(self).kind;
+    return column(View<const std::uint8_t>(reinterpret_cast<const std::uint8_t*>(kind.data()), kind.size()), self);
+  });
+  bvh.def_prop_ro("shapes", [](nb::handle self) {
+    const View<const world::Leaf> leaves = nb::cast<const Bvh&>(self).leaves;
+    const double* const first = leaves.empty() ? nullptr : leaves[0].shape.data();
+    return nb::cast(nb::ndarray<nb::numpy, const double>(first, {leaves.size(), 9}, self,
+                                                         {sizeof(world::Leaf) / sizeof(double), 1}));
+  });
+  def(
+      module, "first_hits",
+      [](const Bvh& bvh, Rows<const double> origins, Rows<const double> directions, double limit_m,
+         View<double> range_m, View<std::int32_t> slot) {
+        require_rays(origins, directions);
+        require(std::ssize(range_m) == origins.columns(), "range_m: one for each ray");
+        require(std::ssize(slot) == origins.columns(), "slot: one for each ray");
+        world::first_hits(bvh, origins, directions, limit_m, range_m, slot);
+      },
+      "What rays hit first.", "bvh", "origins", "directions", "limit_m", "range_m", "slot");
+  def(
+      module, "any_hits",
+      [](const Bvh& bvh, Rows<const double> origins, Rows<const double> directions, View<bool> hit) {
+        require_rays(origins, directions);
+        require(std::ssize(hit) == origins.columns(), "hit: one for each ray");
+        world::any_hits(bvh, origins, directions, hit);
+      },
+      "Which of the open segments from origins along directions a hierarchy blocks.", "bvh", "origins", "directions",
+      "hit");
+}
+
+Path timed_path(View<const double> times_s, View<const Vec3> positions_m, Tables<const double> rotations,
+                View<const Vec3> rotation_vectors_rad) {
+  const Index count = std::ssize(times_s);
+  require(count >= 2, "times_s: two or more");
+  require(std::ssize(positions_m) == count, "positions_m: one for each of times_s");
+  require(rotations.tables() == count && rotations.rows() == 3 && rotations.columns() == 3,
+          "rotations: 3 by 3 for each of times_s");
+  require(std::ssize(rotation_vectors_rad) == count, "rotation_vectors_rad: one for each of times_s");
+  std::vector<Path::Timed> poses(count);
+  for (Index k = 0; k < count; ++k) {
+    require(k == 0 || times_s[k] > times_s[k - 1], "times_s: ascending");
+    poses[k].time_s = times_s[k];
+    std::copy_n(rotations[k].data(), 9, poses[k].pose.R.begin());
+    poses[k].pose.t = positions_m[k];
+    poses[k].rotation_vector_rad = rotation_vectors_rad[k];
+  }
+  return Path::timed(std::move(poses));
+}
+
+void bind_path(nb::module_& module) {
+  nb::class_<Path> path(module, "Path", "An immutable motion: where something is at any time.");
+  def(
+      module, "path_of_velocity", [](Vec3 velocity_m_s) { return Path::velocity(velocity_m_s); },
+      "Along a line, from the origin at time 0.", "velocity_m_s");
+  def(module, "path_of_arc", &Path::arc, "Along a circle, from the origin at time 0.", "speed_m_s", "yaw_rate_rad_s",
+      "heading_rad");
+  def(module, "path_of_poses", &timed_path, "Through timed poses.", "times_s", "positions_m", "rotations",
+      "rotation_vectors_rad");
+  def(
+      path, "at",
+      [](const Path& self, View<const double> seconds) {
+        const std::size_t count = seconds.size();
+        Array<double, 3> rotations{std::vector<double>(9 * count), {count, 3, 3}};
+        Array<double, 2> positions_m{std::vector<double>(3 * count), {count, 3}};
+        for (std::size_t n = 0; n < count; ++n) {
+          const world::Pose pose = self.at(seconds[n]);
+          std::copy(pose.R.begin(), pose.R.end(), rotations.values.begin() + 9 * n);
+          std::copy(pose.t.begin(), pose.t.end(), positions_m.values.begin() + 3 * n);
+        }
+        return std::tuple(std::move(rotations), std::move(positions_m));
+      },
+      "Rotations and positions at times.", "seconds");
+}
+
+World make_world(double ground_m, const Bvh& fixed, std::vector<Bvh> moving, View<const Vec3> places_m,
+                 View<const double> speeds_m_s, std::vector<Path> paths) {
+  require(std::ssize(places_m) == std::ssize(moving), "places_m: one for each of moving");
+  require(std::ssize(speeds_m_s) == std::ssize(moving), "speeds_m_s: one for each of moving");
+  require(std::ssize(paths) == std::ssize(moving), "paths: one for each of moving");
+  std::vector<world::Moving> objects(moving.size());
+  for (std::size_t p = 0; p < moving.size(); ++p) {
+    objects[p].bvh = moving[p];
+    objects[p].place_m = places_m[p];
+    objects[p].path = paths[p];
+    objects[p].speed_m_s = speeds_m_s[p];
+  }
+  return World(ground_m, fixed, std::move(objects));
+}
+
+void bind_whole(nb::module_& module) {
+  nb::class_<World> whole(module, "World", "All that rays may hit: ground, static and dynamic objects; immutable.");
+  init(whole, &make_world, "Put it together.", "ground_m", "fixed", "moving", "places_m", "speeds_m_s", "paths");
+  whole.def("__len__", [](const World& self) { return self.slots(); });
+  whole.def_prop_ro("fixed", [](const World& self) { return self.fixed(); });
+  def(
+      whole, "cast",
+      [](const World& self, Rows<const double> origins, Rows<const double> directions, View<const double> seconds,
+         double limit_m, const world::Found& found) {
+        require_rays(origins, directions);
+        require(std::ssize(seconds) == origins.columns(), "seconds: one for each ray");
+        require_rows(found, origins.columns());
+        world::cast(self, origins, directions, seconds, limit_m, found);
+      },
+      "What rays at times hit first within a limit.", "origins", "directions", "seconds", "limit_m", "found");
+  def(
+      whole, "resolve",
+      [](const World& self, View<const std::int32_t> slot) {
+        std::vector<std::int32_t> objects(slot.size());
+        std::vector<std::int32_t> triangles(slot.size());
+        for (std::size_t n = 0; n < slot.size(); ++n) {
+          require(world::no_slot <= slot[n] && slot[n] < self.slots(), "slot: not of this world");
+          objects[n] = self.object(slot[n]);
+          triangles[n] = self.triangle(slot[n]);
+        }
+        return std::tuple(std::move(objects), std::move(triangles));
+      },
+      "The objects and triangles of slots.", "slot");
+}
+
+/// Raises ValueError unless triangles (T, 3) are of vertices.
+void require_mesh(View<const Vec3> vertices, Rows<const std::int64_t> triangles) {
+  require(triangles.columns() == 3, "triangles: three corners each");
+  const std::span<const std::int64_t> corners(triangles.data(), triangles.size());
+  require(std::all_of(corners.begin(), corners.end(),
+                      [&](std::int64_t one) { return 0 <= one && one < std::ssize(vertices); }),
+          "triangles: of vertices only");
+}
+
+void bind_solids(nb::module_& module) {
+  def(
+      module, "toggle_points",
+      [](View<const Vec3> vertices, Rows<const std::int64_t> triangles, View<const Vec3> points, View<bool> odd) {
+        require_mesh(vertices, triangles);
+        require(std::ssize(odd) == std::ssize(points), "odd: one for each of points");
+        world::toggle_points(vertices, triangles, points, odd);
+      },
+      "Toggle what says of points whether an odd number of triangles is before them, along x.", "vertices", "triangles",
+      "points", "odd");
+  def(
+      module, "toggle_lines",
+      [](View<const Vec3> vertices, Rows<const std::int64_t> triangles, Rows<const std::int64_t> lines,
+         View<const double> x, View<const double> y, View<const double> z, Tables<bool> odd) {
+        require_mesh(vertices, triangles);
+        require(lines.rows() == triangles.rows() && lines.columns() == 4, "lines: four indices for each of triangles");
+        for (Index t = 0; t < lines.rows(); ++t) {
+          require(0 <= lines(t, 0) && lines(t, 1) <= std::ssize(y), "lines: indices of y first");
+          require(0 <= lines(t, 2) && lines(t, 3) <= std::ssize(z), "lines: indices of z last");
+        }
+        require(odd.tables() == std::ssize(y) && odd.rows() == std::ssize(z) && odd.columns() == std::ssize(x) + 1,
+                "odd: of another size");
+        world::toggle_lines(vertices, triangles, lines, x, y, z, odd);
+      },
+      "Toggle the first points beyond triangles, on all lines along x.", "vertices", "triangles", "lines", "x", "y",
+      "z", "odd");
+}
+
+}  // namespace
+
+void bind_world(nb::module_& module) {
+  bind_bvh(module);
+  bind_path(module);
+  bind_whole(module);
+  bind_solids(module);
+}
 
 }  // namespace lidarcfg::bind

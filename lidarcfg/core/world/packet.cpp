@@ -1,0 +1,514 @@
+#include "world/packet.h"
+
+#include <algorithm>
+#include <bit>
+#include <limits>
+
+#include "world/shapes.h"
+
+namespace lidarcfg::world {
+namespace {
+
+using namespace simd;
+
+constexpr float wider = 4e-7f;      // by which intervals are, for float32
+constexpr double pad_m = 1e-9;      // the same of origins
+constexpr float flattest = 1e-28f;  // of a direction's component: its inverse is finite
+constexpr float farthest = 1e38f;
+constexpr double farthest_ground_m = 3e38f;
+constexpr int stack_size = 512;  // 7 a level, and no hierarchy has more than 70
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+struct Waiting {
+  float near;
+  std::int32_t code;
+};
+
+/// Have the memory of a subtree's top fetched, which is wanted soon.
+void prefetch(const Bvh& bvh, std::int32_t code) {
+  const void* const at = code >= 0 ? static_cast<const void*>(&bvh.nodes[code]) : &bvh.leaves[LeafCode(code).first()];
+  for (int line = 0; line < 3; ++line) {
+    __builtin_prefetch(static_cast<const char*>(at) + 64 * line);
+  }
+}
+
+/// A side of an interval of origins, moved outwards by more than what float32 rounds.
+float outward(double at, bool down) {
+  const double wide = std::abs(at) * wider + pad_m;
+  return static_cast<float>(down ? at - wide : at + wide);
+}
+
+/// Combine what each of several vectors has in its lanes: a value for each vector.
+template <class V, class Combine>
+V by_vector(const V* rows, Combine combine) {
+  if constexpr (lanes<double> == 4) {
+    const auto pairs = [&](V one, V other) {
+      return combine(__builtin_shufflevector(one, other, 0, 4, 2, 6), __builtin_shufflevector(one, other, 1, 5, 3, 7));
+    };
+    const V left = pairs(rows[0], rows[1]);
+    const V right = pairs(rows[2], rows[3]);
+    return combine(__builtin_shufflevector(left, right, 0, 1, 4, 5), __builtin_shufflevector(left, right, 2, 3, 6, 7));
+  } else {
+    return combine(__builtin_shufflevector(rows[0], rows[1], 0, 2), __builtin_shufflevector(rows[0], rows[1], 1, 3));
+  }
+}
+
+/// The same of groups of rays, from a row on; what is no number is taken as `neutral`.
+template <class Combine>
+Doubles by_group(const double* row, double neutral, Combine combine) {
+  Doubles rows[lanes<double>];
+  for (int g = 0; g < lanes<double>; ++g) {
+    const Doubles values = load<Doubles>(row + g * lanes<double>);
+    rows[g] = values == values ? values : Doubles{} + neutral;
+  }
+  return by_vector(rows, combine);
+}
+
+/// Which of several directions in a row face another way.
+auto other_facing(int face, const double* from_x, const double* from_y, const double* from_z) {
+  const Doubles dx = load<Doubles>(from_x);
+  const Doubles dy = load<Doubles>(from_y);
+  const Doubles dz = load<Doubles>(from_z);
+  const Doubles x = dx < 0 ? -dx : dx;
+  const Doubles y = dy < 0 ? -dy : dy;
+  const Doubles z = dz < 0 ? -dz : dz;
+  const Doubles zero{};
+  const Doubles largest = ((z >= x) & (z >= y)) ? zero + 2 : (y >= x ? zero + 1 : zero);
+  const Doubles octant = (dx < 0 ? zero + 4 : zero) + (dy < 0 ? zero + 8 : zero) + (dz < 0 ? zero + 16 : zero);
+  return largest + octant != face;
+}
+
+Doubles lowest_by_group(const double* row) {
+  return by_group(row, infinity, [](Doubles a, Doubles b) { return min(a, b); });
+}
+
+Doubles highest_by_group(const double* row) {
+  return by_group(row, -infinity, [](Doubles a, Doubles b) { return max(a, b); });
+}
+
+}  // namespace
+
+template <int Capacity>
+void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> directions, Index first, int count,
+                              int face) {
+  count_ = count;
+  const int per_chunk = chunk * group_size;
+  groups_ = (count + per_chunk - 1) / per_chunk * chunk;
+  for (int axis = 0; axis < 3; ++axis) {
+    const int row = (axis + 5 - (face & 3)) % 3;
+    axis_[row] = axis;
+    const double* const from = origins[axis].data() + first;
+    const double* const way = directions[axis].data() + first;
+    std::copy(from, from + count, origin_[row]);
+    std::copy(way, way + count, direction_[row]);
+    std::fill(origin_[row] + count, origin_[row] + groups_ * group_size, from[count - 1]);
+    std::fill(direction_[row] + count, direction_[row] + groups_ * group_size, way[count - 1]);
+  }
+  bound(face);
+  span_fan();
+  sheared_ = false;
+}
+
+/// Find the intervals that hold the rays. A ray that has what is no number is in none: it hits nothing.
+template <int Capacity>
+void PacketOf<Capacity>::bound(int face) {
+  for (int row = 0; row < 3; ++row) {
+    const int axis = axis_[row];
+    const bool negative = face >> (2 + axis) & 1;
+    const float way = negative ? -1 : 1;
+    double low[most_groups];
+    double high[most_groups];
+    double flat[most_groups];  // the least and the greatest component of directions
+    double steep[most_groups];
+    for (int g = 0; g < groups_; g += lanes<double>) {
+      const double* const from = origin_[row] + g * group_size;
+      const double* const along = direction_[row] + g * group_size;
+      store(low + g, lowest_by_group(from));
+      store(high + g, highest_by_group(from));
+      store(flat + g, negative ? -highest_by_group(along) : lowest_by_group(along));
+      store(steep + g, negative ? -lowest_by_group(along) : highest_by_group(along));
+    }
+    float near_inverse = farthest;
+    float far_inverse = 0;
+    double all_low = infinity;
+    double all_high = -infinity;
+    for (int g = 0; g < groups_; ++g) {
+      const float least = 1 / std::max(static_cast<float>(steep[g]), flattest) * (1 - wider);
+      const float most = 1 / std::max(static_cast<float>(flat[g]), flattest) * (1 + wider);
+      near_origin_[axis][g] = outward(negative ? low[g] : high[g], negative);
+      far_origin_[axis][g] = outward(negative ? high[g] : low[g], !negative);
+      near_inverse_[axis][g] = way * least;
+      far_inverse_[axis][g] = way * most;
+      near_inverse = std::min(near_inverse, least);
+      far_inverse = std::max(far_inverse, most);
+      all_low = std::min(all_low, low[g]);
+      all_high = std::max(all_high, high[g]);
+    }
+    sign_[axis] = negative;
+    near_.inverse[axis] = way * near_inverse;
+    far_.inverse[axis] = way * far_inverse;
+    near_.origin[axis] = outward(negative ? all_low : all_high, negative);
+    far_.origin[axis] = outward(negative ? all_high : all_low, !negative);
+  }
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::span_fan() {
+  const int last = count_ - 1;
+  double normal[3];
+  double square = 0;
+  for (int row = 0; row < 3; ++row) {
+    const int i = (row + 1) % 3;
+    const int j = (row + 2) % 3;
+    normal[row] = direction_[i][0] * direction_[j][last] - direction_[j][0] * direction_[i][last];
+    square += normal[row] * normal[row];
+  }
+  const bool flat = !(square > 0 && square < infinity);  // no plane
+  for (int row = 0; row < 3; ++row) {
+    const float one = flat ? 0.0f : static_cast<float>(normal[row] / std::sqrt(square));
+    fan_.normal[axis_[row]] = one;
+    normal[row] = one;
+  }
+  Doubles low = Doubles{} + infinity;
+  Doubles high = Doubles{} - infinity;
+  Doubles dip{};
+  Doubles rise{};
+  const auto along = [&](const Lanes(&rows)[3], int n) {
+    return normal[0] * simd::load<Doubles>(rows[0] + n) + normal[1] * simd::load<Doubles>(rows[1] + n) +
+           normal[2] * simd::load<Doubles>(rows[2] + n);
+  };
+  for (int n = 0; n < groups_ * group_size; n += group_size) {
+    const Doubles start = along(origin_, n);
+    const Doubles way = along(direction_, n);
+    low = min(start, low);  // the second, if the first is no number
+    high = max(start, high);
+    dip = min(way, dip);
+    rise = max(way, rise);
+  }
+  fan_.low = static_cast<float>(-highest(-low));
+  fan_.high = static_cast<float>(highest(high));
+  fan_.dip = static_cast<float>(-highest(-dip)) * (1 + wider);
+  fan_.rise = static_cast<float>(highest(rise)) * (1 + wider);
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::limit(double range) {
+  std::fill(range_, range_ + groups_ * group_size, range);
+  std::fill(slot_, slot_ + groups_ * group_size, no_slot);
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::hit_ground(double ground_m, double limit_m) {
+  const int row = static_cast<int>(std::find(axis_, axis_ + 3, 2) - axis_);
+  for (int n = 0; n < groups_ * group_size; n += group_size) {
+    const Doubles far = (ground_m - simd::load<Doubles>(origin_[row] + n)) / simd::load<Doubles>(direction_[row] + n);
+    const auto ground = (far > 0) & (far <= limit_m) & (far < farthest_ground_m);
+    store(range_ + n, ground ? far : Doubles{} + limit_m);
+    store(slot_ + n, ground ? Doubles{} + ground_slot : Doubles{} + no_slot);
+  }
+}
+
+/// Find how far boxes matter, and what turns each ray into an axis.
+template <int Capacity>
+void PacketOf<Capacity>::begin() {
+  std::fill(range_ + count_, range_ + groups_ * group_size, -1.0);  // the rest of a packet is nowhere
+  std::fill(slot_ + count_, slot_ + groups_ * group_size, no_slot);
+  for (int g = 0; g < groups_; g += chunk) {
+    shorten(g);
+  }
+  if (!sheared_) {
+    for (int n = 0; n < groups_ * group_size; n += group_size) {
+      const Doubles ahead = simd::load<Doubles>(direction_[2] + n);
+      store(shear_[0] + n, simd::load<Doubles>(direction_[0] + n) / ahead);
+      store(shear_[1] + n, simd::load<Doubles>(direction_[1] + n) / ahead);
+      store(shear_[2] + n, 1 / ahead);
+    }
+    sheared_ = true;
+  }
+}
+
+/// Have boxes tested up to what the groups of a chunk have hit.
+template <int Capacity>
+void PacketOf<Capacity>::shorten(int first_group) {
+  double far[chunk];
+  for (int g = 0; g < chunk; g += lanes<double>) {
+    store(far + g, min(highest_by_group(range_ + (first_group + g) * group_size), Doubles{} + farthest));
+  }
+  for (int g = 0; g < chunk; ++g) {
+    group_most_[first_group + g] = static_cast<float>(far[g]) * (1 + wider);
+  }
+  Floats most = simd::load<Floats>(group_most_);
+  for (int g = chunk; g < groups_; g += chunk) {
+    most = max(most, simd::load<Floats>(group_most_ + g));
+  }
+  most_ = highest(most);
+}
+
+/// Which children of a node the packet may be in, as bits, and from where on.
+template <int Capacity>
+unsigned PacketOf<Capacity>::enter(const Node& node, float slack_m, float* near) const {
+  unsigned found = 0;
+  for (int c = 0; c < node_size; c += lanes<float>) {
+    Floats enters{};
+    Floats leaves = Floats{} + most_;
+    for (int axis = 0; axis < 3; ++axis) {
+      const Floats entry = simd::load<Floats>(node.side[sign_[axis]][axis] + c);
+      const Floats exit = simd::load<Floats>(node.side[!sign_[axis]][axis] + c);
+      enters = max((entry - near_.origin[axis]) * near_.inverse[axis], enters);
+      leaves = min((exit - far_.origin[axis]) * far_.inverse[axis], leaves);
+    }
+    Floats highest = Floats{} + (slack_m - fan_.low);
+    Floats lowest = Floats{} - (slack_m + fan_.high);
+    for (int axis = 0; axis < 3; ++axis) {
+      const float normal = fan_.normal[axis];
+      highest += normal * simd::load<Floats>(node.side[normal > 0][axis] + c);
+      lowest += normal * simd::load<Floats>(node.side[!(normal > 0)][axis] + c);
+    }
+    store(near + c, enters);
+    found |= bits((enters <= leaves) & (highest >= fan_.dip * leaves) & (lowest <= fan_.rise * leaves)) << c;
+  }
+  return found;
+}
+
+/// Which groups of a chunk may be in a box, as bits.
+template <int Capacity>
+unsigned PacketOf<Capacity>::groups_at(const Box& box, int g) const {
+  Floats enters{};
+  Floats leaves = simd::load<Floats>(group_most_ + g);
+  for (int axis = 0; axis < 3; ++axis) {
+    const float entry = sign_[axis] ? box.high[axis] : box.low[axis];
+    const float exit = sign_[axis] ? box.low[axis] : box.high[axis];
+    const Floats near = entry - simd::load<Floats>(near_origin_[axis] + g);
+    const Floats far = exit - simd::load<Floats>(far_origin_[axis] + g);
+    enters = max(near * simd::load<Floats>(near_inverse_[axis] + g), enters);
+    leaves = min(far * simd::load<Floats>(far_inverse_[axis] + g), leaves);
+  }
+  return bits(enters <= leaves);
+}
+
+/// Keep a triangle where some groups of a chunk hit it first; returns which do.
+template <int Capacity>
+unsigned PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, double after, int first_group,
+                                          unsigned which) {
+  const auto [i, j, k] = axis_;
+  const Vec3 a{shape[i], shape[j], shape[k]};
+  const Vec3 b{shape[3 + i], shape[3 + j], shape[3 + k]};
+  const Vec3 c{shape[6 + i], shape[6 + j], shape[6 + k]};
+  Vec3 across{};
+  bool across_known = false;
+  unsigned found = 0;
+  for (; which; which &= which - 1) {
+    const int group = std::countr_zero(which);
+    const int n = (first_group + group) * group_size;
+    const Doubles ox = simd::load<Doubles>(origin_[0] + n);
+    const Doubles oy = simd::load<Doubles>(origin_[1] + n);
+    const Doubles oz = simd::load<Doubles>(origin_[2] + n);
+    const Doubles sx = simd::load<Doubles>(shear_[0] + n);
+    const Doubles sy = simd::load<Doubles>(shear_[1] + n);
+    const Doubles az = a[2] - oz;  // the corners as seen along the ray
+    const Doubles bz = b[2] - oz;
+    const Doubles cz = c[2] - oz;
+    const Doubles ax = (a[0] - ox) - sx * az;
+    const Doubles ay = (a[1] - oy) - sy * az;
+    const Doubles bx = (b[0] - ox) - sx * bz;
+    const Doubles by = (b[1] - oy) - sy * bz;
+    const Doubles cx = (c[0] - ox) - sx * cz;
+    const Doubles cy = (c[1] - oy) - sy * cz;
+    const Doubles u = cx * by - cy * bx;
+    const Doubles v = ax * cy - ay * cx;
+    const Doubles w = bx * ay - by * ax;
+    const Doubles low = min(min(u, v), w);
+    const Doubles high = max(max(u, v), w);
+    auto hit = ((low >= 0) | (high <= 0)) & ((high > low) | (high != 0));
+    if (!any(hit)) {
+      continue;
+    }
+    if (!across_known) {
+      across = normal(a, b, c);
+      across_known = true;
+    }
+    const auto [nx, ny, nz] = across;
+    const Doubles dx = simd::load<Doubles>(direction_[0] + n);
+    const Doubles dy = simd::load<Doubles>(direction_[1] + n);
+    const Doubles dz = simd::load<Doubles>(direction_[2] + n);
+    const Doubles sz = simd::load<Doubles>(shear_[2] + n);
+    const Doubles along = nx * dx + ny * dy + nz * dz;
+    const Doubles as = az * sz;
+    const Doubles bs = bz * sz;
+    const Doubles cs = cz * sz;
+    Doubles far = (nx * (a[0] - ox) + ny * (a[1] - oy) + nz * (a[2] - oz)) / (along == 0 ? Doubles{} + tiny : along);
+    far = min(max(far, min(min(as, bs), cs)), max(max(as, bs), cs));  // no nearer or farther than the corners
+    const Doubles nearest = simd::load<Doubles>(range_ + n);
+    const Doubles known = simd::load<Doubles>(slot_ + n);
+    hit &= (far > after) & ((far < nearest) | ((far == nearest) & (slot < known)));
+    store(range_ + n, hit ? far : nearest);
+    store(slot_ + n, hit ? Doubles{} + slot : known);
+    found |= static_cast<unsigned>(any(hit)) << group;
+  }
+  return found;
+}
+
+/// The same of a sphere or a cylinder.
+template <int Capacity>
+unsigned PacketOf<Capacity>::hit_round(const Shape& shape, Kind kind, double slot, double after, int first_group,
+                                       unsigned which) {
+  unsigned found = 0;
+  for (; which; which &= which - 1) {
+    const int group = std::countr_zero(which);
+    for (int n = (first_group + group) * group_size; n < (first_group + group + 1) * group_size; ++n) {
+      Vec3 way = direction(n);
+      double length = 1;
+      if (after != 0) {  // a segment
+        length = std::sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2]);
+        way = {way[0] / length, way[1] / length, way[2] / length};
+      }
+      const double far = round_range(shape, kind, origin(n), way) / length;
+      if (far > after && (far < range_[n] || (far == range_[n] && slot < slot_[n]))) {
+        range_[n] = far;
+        slot_[n] = slot;
+        found |= 1u << group;
+      }
+    }
+  }
+  return found;
+}
+
+template <int Capacity>
+unsigned PacketOf<Capacity>::hit(const Bvh& bvh, std::int32_t s, Kind kind, double slot, double after, int first_group,
+                                 unsigned which) {
+  const Shape& shape = bvh.leaves[s].shape;
+  return kind == Kind::triangle ? hit_triangle(shape, slot, after, first_group, which)
+                                : hit_round(shape, kind, slot, after, first_group, which);
+}
+
+/// Visit the leaves that the packet may be in, nearest first: `visit(leaf)`.
+template <int Capacity>
+template <class Visit>
+void PacketOf<Capacity>::walk(const Bvh& bvh, Visit visit) {
+  if (bvh.nodes.empty()) {
+    return;
+  }
+  begin();
+  const float slack_m = 2e-6f * (bvh.reach_m + std::abs(fan_.low) + std::abs(fan_.high));  // for float32
+  Waiting stack[stack_size];
+  Waiting* top = stack;
+  *top++ = {0, 0};
+  while (top > stack) {
+    const auto [near, code] = *--top;
+    if (near > most_) {
+      continue;
+    }
+    if (code < 0) {
+      visit(LeafCode(code));
+      continue;
+    }
+    const Node& node = bvh.nodes[code];
+    alignas(32) float enters[node_size];
+    Waiting* const base = top;
+    for (unsigned children = enter(node, slack_m, enters); children; children &= children - 1) {
+      const int c = std::countr_zero(children);
+      Waiting* at = top++;
+      for (; at > base && at[-1].near < enters[c]; --at) {  // the nearest comes first
+        at[0] = at[-1];
+      }
+      *at = {enters[c], node.child[c]};
+      prefetch(bvh, node.child[c]);
+    }
+  }
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::first_hits(const Bvh& bvh, std::int32_t first_slot) {
+  walk(bvh, [&](LeafCode leaf) {
+    for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
+      const Kind kind = leaf.mixed() ? bvh.kind[s] : Kind::triangle;
+      for (int g = 0; g < groups_; g += chunk) {
+        if (const unsigned which = groups_at(bvh.leaves[s].box, g)) {
+          if (const unsigned found = hit(bvh, s, kind, s + static_cast<double>(first_slot), 0.0, g, which)) {
+            shorten(g);
+          }
+        }
+      }
+    }
+  });
+}
+
+/// Have rays that hit anything end before everything.
+template <int Capacity>
+void PacketOf<Capacity>::end_hit() {
+  for (int n = 0; n < groups_ * group_size; ++n) {
+    range_[n] = slot_[n] >= 0 ? -1 : range_[n];
+  }
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::any_hits(const Bvh& bvh) {
+  walk(bvh, [&](LeafCode leaf) {
+    for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
+      const Kind kind = leaf.mixed() ? bvh.kind[s] : Kind::triangle;
+      for (int g = 0; g < groups_; g += chunk) {
+        if (const unsigned which = groups_at(bvh.leaves[s].box, g)) {
+          if (const unsigned found = hit(bvh, s, kind, s, ends, g, which)) {
+            end_hit();
+            shorten(g);
+          }
+        }
+      }
+    }
+  });
+}
+
+template <int Capacity>
+int PacketOf<Capacity>::any_hits(const Bvh& bvh, std::int32_t slot) {
+  begin();
+  for (int g = 0; g < groups_; g += chunk) {
+    hit(bvh, slot, bvh.kind[slot], slot, ends, g, (1u << chunk) - 1);
+  }
+  end_hit();
+  return static_cast<int>(std::count_if(slot_, slot_ + count_, [](double one) { return one >= 0; }));
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::list_near(const Bvh& bvh, std::vector<std::int32_t>& numbers) {
+  walk(bvh, [&](LeafCode leaf) {
+    for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
+      unsigned near = 0;
+      for (int g = 0; g < groups_; g += chunk) {
+        near |= groups_at(bvh.leaves[s].box, g);
+      }
+      if (near) {
+        numbers.push_back(bvh.number[s]);
+      }
+    }
+  });
+}
+
+template <int Capacity>
+Vec3 PacketOf<Capacity>::vector(const Lanes (&rows)[3], int ray) const {
+  Vec3 out;
+  for (int row = 0; row < 3; ++row) {
+    out[axis_[row]] = rows[row][ray];
+  }
+  return out;
+}
+
+template class PacketOf<packet_size>;
+template class PacketOf<9 * packet_size>;
+
+Alike alike(Rows<const double> directions, Index first, Index end, int most) {
+  const double* const x = directions[0].data();
+  const double* const y = directions[1].data();
+  const double* const z = directions[2].data();
+  const int face = facing(x[first], y[first], z[first]);
+  const Index last = std::min(first + most, end);
+  Index n = first;
+  while (n + lanes<double> <= last && !any(other_facing(face, x + n, y + n, z + n))) {
+    n += lanes<double>;
+  }
+  while (n < last && facing(x[n], y[n], z[n]) == face) {
+    ++n;
+  }
+  return {static_cast<int>(n - first), face};
+}
+
+}  // namespace lidarcfg::world
