@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import view as core
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
@@ -30,7 +31,6 @@ from lidarcfg.view.colours import (
     rgb,
     scaled,
 )
-from lidarcfg.view.kernels import fill
 from lidarcfg.view.scenery import mesh_at
 from lidarcfg.view.shades import point_colours, span
 from lidarcfg.view.stage import Stage
@@ -185,9 +185,8 @@ def _draw_bodies(
         light = 0.6 + 0.4 * abs(np.nan_to_num(sides[:, 2] / np.linalg.norm(sides, axis=1)))
     order = np.argsort(ahead_m - triangles[:, :, 2].mean(axis=1), kind="stable")
     focal_px = camera.focal_px(image.shape[1])
-    return int(
-        fill(image, nearest_m, triangles[order], (colours * light[:, None])[order], alpha[order], focal_px, NEAR_M)
-    )
+    shaded = (colours * light[:, None])[order]
+    return core.blend_triangles(image, nearest_m, triangles[order], shaded, alpha[order], focal_px, NEAR_M)
 
 
 def _shapes(stage: Stage, worst: int) -> list[Shape]:

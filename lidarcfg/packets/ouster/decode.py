@@ -1,21 +1,45 @@
 """Decodes an Ouster's packets into points, by the metadata beside them."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times, chosen
-from lidarcfg.packets.ouster import decode_kernels as kernels
 from lidarcfg.packets.ouster.layout import LEGACY_VALID, Layout, columns, heads
 from lidarcfg.packets.ouster.metadata import Metadata
-from lidarcfg.packets.ouster.pixels import fields, place, words_of
+from lidarcfg.packets.ouster.pixels import fields
 from lidarcfg.units import MINUTE_NS
 
 STRONGEST, LAST, SECOND = 0, 1, 2
+
+
+class Profile(NamedTuple):
+    """Where a column's status and a pixel's returns are."""
+
+    status: int  # the byte of a column's word that says whether it is valid
+    status_mask: int  # its bits that are set if so
+    returns: NDArray[np.int64]  # (R, 3) the words that begin with a range, those of a reflectivity, and its first bit
+    range_mask: int
+    unit_m: float  # of a range
+
+
+class Beams(NamedTuple):
+    """The L pixels of a column, in a frame whose z is the axis."""
+
+    ahead: Array  # (L,) parts of the directions where the encoder's angle is 0
+    right: Array  # (L,)
+    up: Array  # (L,)
+    heading: Array  # (columns of a revolution, 2) cosine and sine of the encoder's angle
+    ahead_m: float  # from the axis to where all beams start
+    origin_m: float  # from the lidar's origin to there, which ranges include
+    shift_m: tuple[float, float, float]  # that is added to all
+    ring: Octets  # (L,)
+    return_type: Octets  # (R,)
 
 
 class OusterDecoder(Decoder):
@@ -25,7 +49,8 @@ class OusterDecoder(Decoder):
         self._where, self._metadata, self._model = where, metadata, model
         self._layout = layout = metadata.layout
         self.period_ns = 100_000_000 * layout.columns_per_packet // layout.columns_per_frame  # as at 10 Hz
-        self._pixels, self._beams = _pixels(layout), _beams(metadata)
+        self._profile = _profile(layout)
+        self._beams = _beams(metadata)
         self._T = None if _upright(metadata.T_sensor_lidar) else metadata.T_sensor_lidar
         self._in_frame = _packets_in_window(metadata)
         self._before: tuple[int, int, int] | None = None  # in the sequence of packets, of columns; device time
@@ -85,9 +110,17 @@ class OusterDecoder(Decoder):
         layout, packets = self._layout, np.ascontiguousarray(chosen(packets, wanted))
         slots = len(packets) * layout.columns_per_packet * layout.pixels
         returns = Returns.room(slots * layout.profile.returns)
-        xyz, (time_ns, _, ring, intensity, kind) = returns.xyz_m.reshape(-1), returns[3:]
-        out = kernels.Returned(xyz, time_ns, ring, intensity, kind)
-        count = kernels.points(words_of(packets), self._pixels, self._beams, out)
+        count = core.decode_points(
+            packets,
+            layout,
+            self._profile,
+            self._beams,
+            returns.xyz_m,
+            returns.time_ns,
+            returns.ring,
+            returns.intensity,
+            returns.return_type,
+        )
         returns = returns._replace(laser=np.empty(0, np.uint8)).first(count)
         if self._T is not None:
             returns.xyz_m[:] = transform(self._T, returns.xyz_m)
@@ -109,28 +142,23 @@ class OusterDecoder(Decoder):
         }
 
 
-def _pixels(layout: Layout) -> kernels.Pixels:
+def _profile(layout: Layout) -> Profile:
     ends = ("", "2")[: layout.profile.returns]
-    ranges, bright = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
+    ranges, reflectivities = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
     assert all(field.bit % 32 == 0 for field in ranges)
-    assert all((field.bit % 8, field.bits) == (0, 8) for field in bright)
-    first, column, width = place(layout)
-    head = layout.head // 4
-    return kernels.Pixels(
-        head,
-        first - head,
-        column,
-        layout.columns_per_packet,
-        (layout.column // 4 - 1, LEGACY_VALID) if layout.legacy else (2, 1 << 16),
-        width,
-        np.array([field.bit // 32 for field in ranges], np.uint64),
-        np.array([divmod(field.bit, 32) for field in bright], np.uint64),
-        (1 << ranges[0].bits) - 1,
-        0.001 * (1 << ranges[0].dropped),
+    assert all((field.bit % 8, field.bits) == (0, 8) for field in reflectivities)
+    return Profile(
+        status=layout.column - 4 if layout.legacy else 8,
+        status_mask=LEGACY_VALID if layout.legacy else 1 << 16,
+        returns=np.array(
+            [(one.bit // 32, *divmod(other.bit, 32)) for one, other in zip(ranges, reflectivities, strict=True)]
+        ),
+        range_mask=ranges[0].most,
+        unit_m=0.001 * (1 << ranges[0].dropped),
     )
 
 
-def _beams(metadata: Metadata) -> kernels.Beams:
+def _beams(metadata: Metadata) -> Beams:
     """All pixels of a column: in the sensor's frame, if the lidar stands upright in it, or else in the lidar's."""
     flat, azimuth, T = np.cos(metadata.elevation_rad), metadata.azimuth_rad, metadata.T_sensor_lidar
     T = T if _upright(T) else np.eye(4)
@@ -140,15 +168,16 @@ def _beams(metadata: Metadata) -> kernels.Beams:
     heading = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ T[:2, :2].T
     kinds = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()
-    return kernels.Beams(
-        flat * np.cos(azimuth),
-        flat * np.sin(azimuth),
-        np.sin(metadata.elevation_rad),
-        heading,
-        (ahead_m, math.hypot(ahead_m, up_m)),
-        (x, y, z + up_m),
-        np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8),  # 0 is the lowest
-        np.array(kinds[: metadata.layout.profile.returns], np.uint8),
+    return Beams(
+        ahead=flat * np.cos(azimuth),
+        right=flat * np.sin(azimuth),
+        up=np.sin(metadata.elevation_rad),
+        heading=heading,
+        ahead_m=ahead_m,
+        origin_m=math.hypot(ahead_m, up_m),
+        shift_m=(x, y, z + up_m),
+        ring=np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8),  # 0 is the lowest
+        return_type=np.array(kinds[: metadata.layout.profile.returns], np.uint8),
     )
 
 

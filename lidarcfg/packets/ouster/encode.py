@@ -1,10 +1,12 @@
 """Encodes firings and their measurements as an Ouster's packets."""
 
+from typing import NamedTuple
+
 import numpy as np
 
+from lidarcfg.core import ouster as core
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets
-from lidarcfg.packets.ouster import kernels
 from lidarcfg.packets.ouster.facts import Mode, Unit
 from lidarcfg.packets.ouster.layout import Columns, Heads
 from lidarcfg.packets.ouster.pixels import ALERTS, Footer, assembled, fields
@@ -17,18 +19,27 @@ LIGHT = np.where(BYTE <= 100, BYTE, 100 * 2 ** ((BYTE - 100) / 16))
 MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
 
 
+class RangeLimits(NamedTuple):
+    """What packets can say of lengths."""
+
+    least_m: float
+    most_m: float
+    start_m: float  # of the beam, ahead of the axis, which ranges include
+    unit_m: float
+    most_units: float
+
+
 def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Octets) -> Octets:
     """(P, size): as `Codec.encode` says. Near-infrared light is none.
 
     Of two returns the nearer comes first, or the stronger, as the metadata says.
     """
     layout, width = mode.layout, mode.layout.profile.returns
-    names = list(layout.profile.fields)
     least_m, most_m = unit.range.reported_m
-    _, _, most, dropped = layout.bits[names.index("range")].tolist()
+    field = layout.profile.fields["range"]
+    limits = RangeLimits(least_m, most_m, unit.start_mm[0] / 1000, (1 << field.dropped) / 1000, field.most)
     raw = np.empty((3 * width, len(range_m)), np.uint32)
-    limits = least_m, most_m, unit.start_mm[0] / 1000, (1 << dropped) / 1000, float(most)
-    kernels.measured(
+    core.quantize_returns(
         np.ascontiguousarray(range_m),
         np.ascontiguousarray(reflectivity),
         limits,
@@ -47,11 +58,12 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
         serial=mode.serial,
         alerts=ALERTS if mode.modern else 0,
     )
-    rows = [names.index(name) if name in names else kernels.NO_FIELD for name in MEASURED[: 3 * width]]
     footer: Footer = "crc" if mode.modern else "constant"
     if layout.profile.header == "fusa":
         footer = "zero"  # as the one recording has it; ouster-sdk reads no checksum there
-    return assembled(layout, said, Columns(time_ns, measurement, valid), raw, np.array(rows, np.int64), footer)
+    return assembled(
+        layout, said, Columns(time_ns, measurement, valid), raw, layout.bits_of(MEASURED[: 3 * width]), footer
+    )
 
 
 def return_types(unit: Unit, range_m: Array, reflectivity: Octets) -> Octets:

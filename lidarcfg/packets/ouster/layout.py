@@ -1,5 +1,6 @@
 """The layout of an Ouster's packets, as in ouster-sdk's parsing.cpp: little endian, bits from the lowest."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +22,11 @@ class Field:
     bit: int
     bits: int
     dropped: int = 0
+
+    @property
+    def most(self) -> int:
+        """The largest value of the bits."""
+        return (1 << self.bits) - 1
 
 
 @dataclass(frozen=True)
@@ -147,6 +153,11 @@ class Layout:
         return self.column_head + self.pixels * self.profile.pixel + 4 * self.legacy
 
     @property
+    def pixel(self) -> int:
+        """Bytes of a pixel."""
+        return self.profile.pixel
+
+    @property
     def size(self) -> int:
         """Bytes of a packet."""
         return self.head + self.columns_per_packet * self.column + (0 if self.legacy else 32)
@@ -163,14 +174,14 @@ class Layout:
 
     @cached_property
     def bits(self) -> NDArray[np.int64]:
-        """(F, 4) of the profile's fields: the pixel's 32-bit word, shift in it, mask, number of dropped bits."""
-        return np.array(
-            [
-                (field.bit // 32, field.bit % 32, (1 << field.bits) - 1, field.dropped)
-                for field in self.profile.fields.values()
-            ],
-            np.int64,
-        )
+        """(F, 3) of the profile's fields: the pixel's 32-bit word, shift in it, mask."""
+        return self.bits_of(list(self.profile.fields))
+
+    def bits_of(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """(F, 3) the same of some fields; without a mask those that the profile does not have."""
+        none = Field(0, 0)
+        found = [self.profile.fields.get(name, none) for name in names]
+        return np.array([(field.bit // 32, field.bit % 32, field.most) for field in found], np.int64)
 
 
 def values(packets: Octets, dtype: str, at: int) -> NDArray[Any]:
