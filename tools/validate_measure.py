@@ -2,7 +2,8 @@
 
 For each study: rigs at random and the best of short searches; what each measure says of them; and how often objects
 around the vehicle give too few returns in one revolution, by the sensors' real firing pattern, past the vehicle's body.
-Rank correlations of the two, with intervals by bootstrap over the rigs, go to docs/validation.md, plots beside it.
+Rank correlations of the two, with intervals by bootstrap over the rigs, go to docs/evidence/validation.md
+with their plots.
 """
 
 import argparse
@@ -49,7 +50,7 @@ SEARCHED = 0.4  # of the rigs; the others are at random
 BUDGETS = (30, 250)  # evaluations of the shortest and the longest search
 RESAMPLES = 2000
 SPREAD = 0.01  # of undetected places between rigs; below it there is nothing to rank
-PAGE = ROOT / "docs/validation.md"
+PAGE = ROOT / "docs/evidence/validation.md"
 MEASURES = {  # as result.json would call them; all the better, the smaller
     "max_vsr": "max VSR (the paper's)",
     "analytic": "analytic max VSR",
@@ -313,14 +314,14 @@ def saved(path: Path, study: Path, asked: dict[str, int]) -> Rigs:
 
 
 def main() -> None:
-    """Validates, and writes docs/validation.md and its plots, unless they are to go elsewhere."""
+    """Validates, and writes docs/evidence/validation.md and its plots, unless they are to go elsewhere."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("studies", nargs="*", type=Path, default=STUDIES)
     parser.add_argument("--rigs", type=int, default=100, help="of each study")
     parser.add_argument("--places", type=int, default=48, help="of each object in each ring")
     parser.add_argument("--least", type=int, default=10, help="returns that make an object detected")
     parser.add_argument("--results", type=Path, default=ROOT / "out/validation", help="studies found here are not run")
-    parser.add_argument("--plots", type=Path, default=ROOT / "docs/validation")
+    parser.add_argument("--plots", type=Path, default=ROOT / "docs/evidence/validation")
     parser.add_argument("--page", type=Path, default=PAGE, help="with the sections' markers")
     given = parser.parse_args()
     asked = {"rigs": given.rigs, "places": given.places, "least": given.least}

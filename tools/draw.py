@@ -1,6 +1,6 @@
-"""Draw docs/pictures/: subspaces, axes and angles, a mounted vehicle, a height field, what sensors see, the data's way.
+"""Draw docs/pictures/: subspaces, terms, axes and angles, a mounted vehicle, a height field, what sensors see.
 
-Usage: .venv/bin/python tools/draw_concepts.py [NAME …]
+Usage: .venv/bin/python tools/draw.py [NAME …]
 """
 
 import argparse
@@ -9,12 +9,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from draw_flows import data, packets, parts, python, sweep
-from draw_pages import skipping, targets, terms, writing
 from draw_scenes import Camera, picture, save, seen_at
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.patches import Arc, Rectangle, Wedge
 from PIL import Image, ImageDraw
+from suburb_road import road
 
 from lidarcfg.cli import cli
 from lidarcfg.cloud import PointCloud, load_cloud
@@ -218,6 +218,77 @@ def height_field(path: Path) -> None:
     save_figure(figure, path)
 
 
+def terms(path: Path) -> None:
+    """Words of the glossary on a sensor from the side and from above."""
+    figure = new_figure(11, 4.6)
+    side, above = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    _from_the_side(side)
+    _from_above(above)
+    save_figure(figure, path)
+
+
+def _from_the_side(axis: Axes) -> None:
+    """Beams with their rings, and the gaps between them."""
+    elevations_deg = (-25.0, -12.0, 0.0, 12.0)
+    height, reach = 1.9, 9.0
+    ends = [(reach, height + reach * np.tan(np.radians(angle))) for angle in elevations_deg]
+    for ring, (x, z) in enumerate(ends):
+        axis.plot([0, x], [height, z], color=COLOURS[0], linewidth=1.6)
+        axis.text(x + 0.1, z, f"ring {ring}", color=COLOURS[0], va="center")
+    edges = [-40.0, *elevations_deg, 30.0]
+    for gap, (low, high) in enumerate(pairwise(edges)):
+        angle = np.radians((low + high) / 2)
+        axis.text(
+            5.2 * np.cos(angle),
+            height + 5.2 * np.sin(angle),
+            f"{gap}",
+            ha="center",
+            va="center",
+            fontsize=13,
+            color="0.35",
+        )
+    axis.text(2.1, 4.6, "0 … 4: beam gap index,\nhow many beams pass\nat or below a point", color="0.35", ha="center")
+    axis.add_patch(Arc((0, height), 13, 13, theta1=0, theta2=12, color=COLOURS[5], linewidth=1.6))
+    axis.annotate("elevation 12°", (6.45, height + 0.7), (6.9, height + 3.2), color=COLOURS[5], ha="center",
+                  arrowprops={"arrowstyle": "-", "color": COLOURS[5]})  # fmt: skip
+    axis.plot(0, height, "ko", markersize=9)
+    axis.text(-0.15, height + 0.35, "origin of the\nsensor frame", ha="right", va="bottom", fontsize=9)
+    axis.set(xlim=(-2.6, 10.4), ylim=(-3.6, 6.6), aspect="equal", title="From the side: beams, rings, gaps")
+    axis.axis("off")
+
+
+def _from_above(axis: Axes) -> None:
+    """A field of view, a beam that widens with two echoes, and what a body hides."""
+    axis.add_patch(Wedge((0, 0), 7.6, -110, 110, facecolor="#eaf2fa", edgecolor="none"))
+    axis.text(-1.2, -5.6, "horizontal field\nof view", ha="left", color=COLOURS[0])
+    axis.add_patch(Wedge((0, 0), 7.6, -62, -38, width=5.1, facecolor="0.8", edgecolor="none"))
+    axis.add_patch(Rectangle((1.2, -2.1), 1.3, 0.9, facecolor="0.35"))
+    axis.text(3.35, -4.0, "blind", ha="center", va="center")
+    axis.text(2.65, -1.7, "body", fontsize=9.5)
+    head = np.radians(20)
+    for turn in (-0.055, 0.055):
+        axis.plot([0, 7.2 * np.cos(head + turn)], [0, 7.2 * np.sin(head + turn)], color=COLOURS[1], linewidth=1)
+    axis.plot(*(4.1 * np.array([np.cos(head + 0.045), np.sin(head + 0.045)])), "o", color=COLOURS[2], markersize=9)
+    axis.annotate(
+        "first echo:\na pole", (3.9, 1.6), (3.2, 3.1), ha="center", arrowprops={"arrowstyle": "-"}, fontsize=9.5
+    )
+    wall = 7.2 * np.array([[np.cos(head - 0.1), np.sin(head - 0.1)], [np.cos(head + 0.1), np.sin(head + 0.1)]])
+    axis.plot(*wall.T, color="0.2", linewidth=4)
+    axis.annotate("last echo: a wall;\nthe beam has widened\nby its divergence", wall[1], (5.6, 4.1), ha="center",
+                  va="bottom", arrowprops={"arrowstyle": "-"}, fontsize=9.5)  # fmt: skip
+    axis.add_patch(Arc((0, 0), 2.2, 2.2, theta1=-102, theta2=0, color=COLOURS[5], linewidth=1.6))
+    tip, back = (1.1 * np.array([np.cos(angle), np.sin(angle)]) for angle in np.radians((-110, -100)))
+    axis.annotate("", tip, back, arrowprops={"arrowstyle": "-|>", "color": COLOURS[5]})
+    axis.text(-0.7, -1.1, "azimuth 110°,\nclockwise from x", color=COLOURS[5], fontsize=9.5, ha="right", va="center")
+    axis.annotate("", (8.1, 0), (0, 0), arrowprops={"arrowstyle": "->", "color": "0.4"})
+    axis.annotate("", (0, 3.2), (0, 0), arrowprops={"arrowstyle": "->", "color": "0.4"})
+    axis.text(8.15, 0, "x", va="center")
+    axis.text(0, 3.3, "y", ha="center")
+    axis.plot(0, 0, "ko", markersize=9)
+    axis.set(xlim=(-3.2, 8.6), ylim=(-6.6, 6.2), aspect="equal", title="From above: what is seen, and what comes back")
+    axis.axis("off")
+
+
 MAKERS = {
     "vlp-16": "Velodyne VLP-16",
     "os1-64": "Ouster OS1-64",
@@ -256,20 +327,19 @@ def _revolution(model: str, folder: Path) -> PointCloud:
     return load_cloud(folder / f"{model}.npz", print)
 
 
+def suburb(path: Path) -> None:
+    """The suburb of data/scenes, from above."""
+    camera = Camera((38, -40, 24), (82, 14, 0), 62, (900, 480))
+    save(picture(load_scene(ROOT / "data/scenes/suburb.yaml"), camera, road().points_m), path)
+
+
 PICTURES = {
     "subspace": subspace,
     "axes": axes_and_angles,
     "mounted": mounted,
     "height-field": height_field,
     "makers": makers,
-    "data": data,
-    "packets": packets,
-    "sweep": sweep,
-    "python": python,
-    "parts": parts,
-    "targets": targets,
-    "skipping": skipping,
-    "writing": writing,
+    "suburb": suburb,
     "terms": terms,
 }
 

@@ -1,6 +1,6 @@
-"""Draw docs/view.png and docs/view-drive.png: the page in a browser, with the commands of docs/view.md.
+"""Photograph the report and the page in a browser: docs/report.png, docs/view.png, docs/view-drive.png.
 
-Usage: .venv/bin/python tools/draw_view.py
+Usage: .venv/bin/python tools/draw_screens.py report|view
 """
 
 import re
@@ -29,6 +29,7 @@ from lidarcfg.view.stage import load_stage
 from tests.chromium import browser
 from tests.view.driver import click, opened, put, settled
 
+PARTS = "document.body", "document.querySelector('#blind')"  # what is at the top of each part
 FRAMES = 2, 14, 27
 FROM = (
     "const s = lidarcfg.stage; const at = (...x) => s.orbit.target.clone().set(...x);"
@@ -48,19 +49,34 @@ def served(*files: str) -> Iterator[str]:
         server.shutdown()
 
 
+def report() -> None:
+    """Place the sedan's sensors, and photograph two parts of the report."""
+    with tempfile.TemporaryDirectory() as folder, browser(700, 1300) as driver:
+        line = ["optimize", str(ROOT / "data/studies/sedan.yaml"), "-o", folder, "--evaluations", "4000", "--quiet"]
+        cli.main(line, prog_name="lidarcfg", standalone_mode=False)
+        driver.get((Path(folder) / "report.html").as_uri())
+        parts = []
+        for part in PARTS:
+            driver.execute_script(f"{part}.scrollIntoView()")
+            parts.append(np.asarray(Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB")))
+    save(Image.fromarray(np.concatenate(parts, axis=1)), "report.png", 64)
+
+
 def shot(driver: Any) -> Image.Image:
     """What the browser shows."""
     settled(driver)
     return Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB")
 
 
-def save(image: Image.Image, name: str) -> None:
-    """Write a picture of 256 colours, which keeps it small."""
-    image.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(ROOT / "docs" / name, optimize=True)
+def save(image: Image.Image, name: str, colours: int = 256) -> None:
+    """Write a picture of few colours, which keeps it small."""
+    image.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+        ROOT / "docs" / name, optimize=True
+    )
     print(f"docs/{name}: {(ROOT / 'docs' / name).stat().st_size / 1000:.0f} kB")
 
 
-def main() -> None:
+def view() -> None:
     """Export what the page of the documentation does, and photograph it."""
     text = (ROOT / "docs/view.md").read_text()
     with tempfile.TemporaryDirectory() as folder, chdir(folder), browser(1280, 1000) as driver:
@@ -85,4 +101,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    {"report": report, "view": view}[sys.argv[1]]()
