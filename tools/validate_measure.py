@@ -241,18 +241,6 @@ def picked(rigs: Rigs, key: str) -> tuple[str, str]:
     return f"{missed[order[:10]].mean():.1%}", f"{missed[order[0]]:.1%}"
 
 
-def by_part(rigs: Rigs) -> list[str]:
-    """Rank correlations by object, and by distance."""
-    parts: list[tuple[str, int | None, int | None]] = [(name, n, None) for n, name in enumerate(OBJECTS)]
-    parts += [(name, None, n) for n, name in enumerate(RINGS)]
-    keys = [key for key in MEASURES if key in rigs.measures]
-    rows = []
-    for name, item, ring in parts:
-        low, high = np.quantile(outcome(rigs.undetected, item, ring), (0.1, 0.9))
-        rows.append((name, f"{low:.1%} to {high:.1%}", *(ranked(rigs, key, item, ring) for key in keys)))
-    return table(("", "undetected", *(MEASURES[key] for key in keys)), rows)
-
-
 def draw(rigs: Rigs, path: Path) -> None:
     """Each measure against what goes undetected; and the rank correlations by object and distance."""
     keys = [key for key in MEASURES if key in rigs.measures]
@@ -334,8 +322,6 @@ def main() -> None:
     )
     when = f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}."
     write_section("studies", [when, how, "", *by_study(all_rigs)], given.page)
-    lines = [line for rigs in all_rigs for line in (f"**{rigs.study}**", "", *by_part(rigs), "")]
-    write_section("parts", lines, given.page)
 
 
 if __name__ == "__main__":
