@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from lidarcfg.report import to_json
-from tests.command_line import lidarcfg
 from tests.reliability.commands import run
 
 NAMES = {
@@ -105,13 +103,3 @@ def test_names_are_text_wherever_they_are_shown(tmp_path, what, times):
         assert page.acts == [], path
     for file, form in FORMS.items():
         assert form((tmp_path / "odd" / file).read_text()) == form((tmp_path / "plain" / file).read_text())
-
-
-@pytest.mark.parametrize("name", ["\x1b[31mred\x07", "\x9b31m", "\u202egnp.exe\u2066", "a\u2028b", "a\nlidarcfg: b"])
-def test_names_are_shown_as_escapes(tmp_path, name):
-    (tmp_path / "model.yaml").write_text(FILES["model.yaml"].format(json.dumps(name)))
-    shown = lidarcfg("sensors", "show", tmp_path / "model.yaml").stdout
-    assert "".join(c if c.isprintable() else repr(c)[1:-1] for c in name) in shown
-    text = to_json({"name": name})
-    assert json.loads(text) == {"name": name}
-    assert all(letter.isprintable() for letter in (shown + text).replace("\n", ""))
