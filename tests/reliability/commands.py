@@ -57,7 +57,6 @@ COMMANDS = BRIEF | {
     "evaluate": Command("evaluate {0}.yaml {0}-rig.yaml -o e", ("e",)),
     "compare": Command("compare {0}-rig.yaml {0}-rig.yaml --study {0}.yaml -o c", ("c",)),
     "export to .ply": _export("x.ply"),
-    "export to .npz": _export("x.npz"),
     "export to .mcap": _export("x.mcap"),
     "export to KITTI": _export("kitti --to kitti-odometry"),
     "export to nuScenes": _export("nuscenes --to nuscenes"),
