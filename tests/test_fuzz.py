@@ -1,4 +1,4 @@
-"""A short run of tools/fuzz.py; docs/capture.md has the long one. And what it found, each with a test of its own."""
+"""A short run of tools/fuzz.py; docs/evidence/reliability.md has the long one. And what it found, each with a test of its own."""
 
 import gc
 import re

@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
 """Captures made odd, millions of packets of them, through the decoder: nothing may crash, hang, grow or be nonsense.
 
-    .venv/bin/python tools/fuzz.py --packets 10000000     # the table of docs/capture.md
+    .venv/bin/python tools/fuzz.py --packets 10000000     # the table of docs/evidence/reliability.md
     .venv/bin/python tools/fuzz.py --case HEX              # one case again
 
 A case is a string of bytes that says which capture is made and what is changed in it: packets of every model and mode
 (and recordings, where LIDARCFG_CAPTURES names a folder of them), their fields, their order, headers, fragments, files
 beside the capture, the file around them, and what the decoder is asked for. --makers takes the other makers' only, not
-Velodyne's. With atheris from the package index, cases that reach new branches of the
-decoder are kept and varied, and all is done on one thread, as atheris sees no other; without it, or with --random, they
-are random. Kernels are compiled with checks of their bounds.
+Velodyne's. With atheris from the package index, cases that reach new branches of the decoder are kept and varied, and
+all is done on one thread, as atheris sees no other; without it, or with --random, they are random. tools/test
+--sanitize tests/test_fuzz.py has a short run on a core that finds reads and writes beyond arrays.
 """
 
 import argparse
@@ -30,8 +30,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-if os.environ.setdefault("NUMBA_BOUNDSCHECK", "1") == "1":
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "lidarcfg-fuzz"))  # kernels of its own
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 try:

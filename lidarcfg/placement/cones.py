@@ -5,8 +5,8 @@ is compared are the signed squares, h |h| >= u_k |p − t|² with h = a·(p − 
 the apex both sides are 0, so it is at or above every beam, as is every point within 1e-162 m, whose squares vanish.
 
 A point on a cone counts as above it. Rounding decides for points nearer to a cone than 8·2⁻⁵² in the sine, and for no
-others (docs/accuracy.md). It decides alike everywhere, because everything that asks for a beam gap compares what
-`signed_squares` returns.
+others (docs/evidence/accuracy.md). It decides alike everywhere, because everything that asks for a beam gap compares
+what `signed_squares` returns.
 """
 
 # mypy: disallow-untyped-decorators=False

@@ -340,7 +340,7 @@ sensors:
 
 
 def test_evaluate_has_an_error_bar_that_holds_around_a_car(tmp_path):
-    """Against edges of 1/4: tools/accuracy_vsr.py asks the same of hundreds of rigs."""
+    """Against edges of 1/4."""
     path = tmp_path / "car.yaml"
     path.write_text(CAR % (Path(__file__).parents[2] / "data/vehicles/sedan.ply"))
     loaded = load_study(path)

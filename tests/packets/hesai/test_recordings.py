@@ -77,7 +77,7 @@ def test_dual_returns_by_distance_and_strength(recorded):
 
 @pytest.mark.parametrize("recorded", ALL, ids=lambda one: one.model)
 def test_recorded_packets_byte_for_byte(recorded):
-    """What is not the same is the sensor's state: see docs/hesai.md."""
+    """What is not the same is the sensor's state."""
     octets = recorded.payloads
     if recorded is XT32:  # of early firmware: blocks of a pair the other way round
         blocks = octets[:, 12 : 12 + 8 * 130].reshape(-1, 4, 2, 130)
