@@ -53,7 +53,9 @@ template <class T>
 std::vector<T> values_of(nb::handle bytes) {
   const auto raw = nb::cast<nb::bytes>(bytes);
   std::vector<T> out(raw.size() / sizeof(T));
-  std::memcpy(out.data(), raw.data(), out.size() * sizeof(T));
+  if (!out.empty()) {
+    std::memcpy(out.data(), raw.data(), out.size() * sizeof(T));
+  }
   return out;
 }
 

@@ -24,7 +24,6 @@ struct Box {
   std::array<float, 3> high;
 
   static Box none();
-  void add(const Box& other);
   float half_area() const;
 };
 
