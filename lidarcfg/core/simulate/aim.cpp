@@ -1,6 +1,7 @@
 #include "simulate/aim.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "angles.h"
@@ -8,7 +9,6 @@
 namespace lidarcfg::simulate {
 
 using world::Pose;
-using world::product;
 using world::times;
 
 void Poses::set(int n, const Pose& pose) {
@@ -23,13 +23,13 @@ void Poses::set(int n, const Pose& pose) {
 template <int Width>
 Aim<Width>::Aim(const Lasers& lasers, const Mounting& mounting) : lasers_(lasers), mounting_(mounting) {
   turns_ = mounting_.path->kind() != world::Path::Kind::velocity;
-  const Pose start = pose(0.0);
-  start_m_ = start.t;
   velocity_m_s_ = times(mounting_.T_world_start.R, mounting_.path->velocity_m_s());
-  for (int n = 0; n < most_beams; ++n) {
-    in_world_.set(n, start);
-    in_vehicle_.set(n, mounting_.T_vehicle_sensor);
+  for (beams_ = 0; beams_ < most_beams; ++beams_) {
+    vehicle_.set(beams_, mounting_.path->at(0.0));
+    in_vehicle_.set(beams_, mounting_.T_vehicle_sensor);
   }
+  mount();
+  start_m_ = {in_world_.t[0][0], in_world_.t[1][0], in_world_.t[2][0]};
 }
 
 template <int Width>
@@ -43,19 +43,31 @@ void Aim<Width>::set(const Firings& firings, View<const Index> which, Index lase
   spread();
 }
 
-/// Where the sensor is in the world.
+/// Find where the sensor is in the world, from where the vehicle is on its path.
 template <int Width>
-Pose Aim<Width>::pose(double path_s) const {
-  const Pose vehicle = mounting_.path->at(path_s);
-  const auto R_world_vehicle = product(mounting_.T_world_start.R, vehicle.R);
-  const Vec3 mount = times(R_world_vehicle, mounting_.T_vehicle_sensor.t);
-  const Vec3 driven = times(mounting_.T_world_start.R, vehicle.t);
-  Pose out;
-  out.R = product(R_world_vehicle, mounting_.T_vehicle_sensor.R);
+void Aim<Width>::mount() {
+  const world::Pose& start = mounting_.T_world_start;
+  const world::Pose& sensor = mounting_.T_vehicle_sensor;
   for (int axis = 0; axis < 3; ++axis) {
-    out.t[axis] = mount[axis] + (driven[axis] + mounting_.T_world_start.t[axis]);
+    const auto [a, b, c] = std::array{start.R[3 * axis], start.R[3 * axis + 1], start.R[3 * axis + 2]};
+    Lanes R_world_vehicle[3];  // a row of it
+    for (int k = 0; k < 3; ++k) {
+      for (int n = 0; n < beams_; ++n) {
+        R_world_vehicle[k][n] = a * vehicle_.R[k][n] + b * vehicle_.R[3 + k][n] + c * vehicle_.R[6 + k][n];
+      }
+    }
+    const auto& [x, y, z] = R_world_vehicle;
+    for (int k = 0; k < 3; ++k) {
+      for (int n = 0; n < beams_; ++n) {
+        in_world_.R[3 * axis + k][n] = x[n] * sensor.R[k] + y[n] * sensor.R[3 + k] + z[n] * sensor.R[6 + k];
+      }
+    }
+    for (int n = 0; n < beams_; ++n) {
+      const double mounted = x[n] * sensor.t[0] + y[n] * sensor.t[1] + z[n] * sensor.t[2];
+      const double driven = a * vehicle_.t[0][n] + b * vehicle_.t[1][n] + c * vehicle_.t[2][n];
+      in_world_.t[axis][n] = mounted + (driven + start.t[axis]);
+    }
   }
-  return out;
 }
 
 /// Find where the sensor is at each firing.
@@ -67,8 +79,9 @@ void Aim<Width>::move(const Firings& firings, View<const Index> which) {
   }
   if (turns_) {
     for (int n = 0; n < beams_; ++n) {
-      in_world_.set(n, pose(path_s[n]));
+      vehicle_.set(n, mounting_.path->at(path_s[n]));
     }
+    mount();
     return;
   }
   for (int axis = 0; axis < 3; ++axis) {

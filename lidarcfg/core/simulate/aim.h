@@ -72,8 +72,8 @@ class Aim {
   void in_vehicle(Rays<Width>& rays) const { place(in_vehicle_, rays); }
 
  private:
-  world::Pose pose(double path_s) const;
   void move(const Firings& firings, View<const Index> which);
+  void mount();
   void point(Index laser);
   void spread();
   void place(const Poses& poses, Rays<Width>& rays) const;
@@ -87,6 +87,7 @@ class Aim {
   Vec3 velocity_m_s_;  // of the sensor, unless the vehicle turns
   int beams_ = 0;
   alignas(32) Lanes encoder_rad_;
+  Poses vehicle_;  // on its path, if it turns
   Poses in_world_;
   Poses in_vehicle_;
   Vectors<most_beams> starts_;             // of the beams, in the sensor's frame
