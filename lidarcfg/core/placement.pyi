@@ -18,7 +18,7 @@ class Grid:
     def __init__(
         self, x: Array, y: Array, z: Array, included: Words, edge: Sequence[float], weight: Array, weighted: Words
     ) -> None:
-        """Centres (nx,), (ny,), (nz,); included (rows,); edge (3,); weight (levels,) descending; weighted (levels, rows)."""
+        """Centres (nx,), (ny,), (nz,); included (rows,); edge (3,); weight (levels,); weighted (levels, rows)."""
     @property
     def rows(self) -> int:
         """How many rows of bits it has, those of the margin too."""
@@ -51,7 +51,7 @@ class TrialEvaluator:
         many segments were cast.
         """
     def recompute_links(self, counter: Counts, most: int, sources: Sources) -> None:
-        """Compute the links of LiDARs that have changed of the next food sources, at most so many, of a counter (1,)."""
+        """Compute the links of changed LiDARs of the next food sources of a counter (1,), at most so many."""
 
 def beam_gaps(points: Array, cones: Array) -> Counts:
     """(N, lidars) the beam gap index of points (N, 3) for each LiDAR of cones (lidars, 6 + beams)."""

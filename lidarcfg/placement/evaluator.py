@@ -1,10 +1,10 @@
 """The costs of many trials at once: on threads, and without the work that cannot change the answer.
 
-A trial is kept only if it beats the food source that it was drawn around. For max VSR the subspaces of a few
-cuboids are flooded first, its certificates: those in the source's worst subspaces, and those that refuted earlier
-trials of it. One that is no better than the source refutes the trial, as in branch and bound. Only the LiDARs that moved are computed anew. Other terms of an objective
-have their own ways to prove that they are too large, see objective.py. None of this changes a cost that is kept: tests
-run whole searches with and without it.
+A trial is kept only if it beats the food source that it was drawn around. For max VSR the subspaces of a few cuboids
+are flooded first, its certificates: those in the source's worst subspaces, and those that refuted earlier trials of
+it. One that is no better than the source refutes the trial, as in branch and bound. Only the LiDARs that moved are
+computed anew. Other terms of an objective have their own ways to prove that they are too large, see objective.py. None
+of this changes a cost that is kept: tests run whole searches with and without it.
 """
 
 import os
@@ -136,7 +136,7 @@ class Evaluator:
 
         poses (n, lidars, 6); source (n,) says which of source_poses (sources, lidars, 6) a trial was drawn
         around, and matters for speed alone. With `smoothing` the cost is not max VSR, but the p-norm of the VSR of the
-        worst subspaces, at most so many as there are certificates, with p = 1 / smoothing; other costs stay as they are.
+        worst subspaces, of at most CERTIFICATES, with p = 1 / smoothing; other costs stay as they are.
         """
         if not self._skip:
             upper_bound = np.full(len(poses), np.inf)
@@ -147,7 +147,7 @@ class Evaluator:
         return self._weighted(self._criterion, poses, source, source_poses, upper_bound)
 
     def refuted(self, poses: Array, source: Index, source_poses: Array, upper_bound: Array) -> Flags:
-        """(n,) whether a few certificates, and nothing else, show that a cost is not below `upper_bound`; as `costs`."""
+        """(n,) whether a few certificates alone show that a cost is not below `upper_bound`; as `costs`."""
         criterion = self._criterion
         if not self._skip or not len(poses) or (criterion and criterion.max_vsr is None):
             return np.zeros(len(poses), bool)

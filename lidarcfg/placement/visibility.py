@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lidarcfg import core
 from lidarcfg.geometry import Array
-from lidarcfg.placement import rows
 from lidarcfg.placement.cones import Lidar, cone_rows
+from lidarcfg.placement.grid import seen_words, unpack
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sight import BEYOND, LIMITS, UNLIMITED_SIGHT, WITHIN, Obstacles, Sight
 from lidarcfg.world.scene import Scene
@@ -82,7 +82,7 @@ class Visibility:
 
     def seen(self, region: Region, lidars: Sequence[Lidar]) -> NDArray[np.bool_]:
         """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
-        return rows.unpacked(region, rows.seen_words(region, lidars, self.sight(lidars)))
+        return unpack(region, seen_words(region, lidars, self.sight(lidars)))
 
     def seen_points(self, points_m: Array, lidar: Lidar) -> NDArray[np.bool_]:
         """(N,): which points (N, 3) a LiDAR sees."""

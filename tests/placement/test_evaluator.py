@@ -75,16 +75,16 @@ def test_what_a_source_takes_over_is_what_would_be_computed(tmp_path, body):
             sources = study.poses(x)
             step = x + np.where(study.groups == cycle % 3, rng.normal(0, 0.05, x.shape), 0.0)
             trials = np.clip(step, 0, 1)
-            before = evaluator._linked.copy()
+            before = evaluator._linked_poses.copy()
             cost = evaluator.costs(study.poses(trials), every, sources, np.full(6, 10.0))
-            taken_over += int(cycle > 1 and not (before == evaluator._linked).all())
+            taken_over += int(cycle > 1 and not (before == evaluator._linked_poses).all())
             x = np.where((cost < 10.0)[:, None], trials, x)
         assert taken_over
-        evaluator._follow(study.poses(x))
-        assert (evaluator._linked == study.poses(x)).all()  # nothing is left to compute
+        evaluator._sync(study.poses(x))
+        assert (evaluator._linked_poses == study.poses(x)).all()  # nothing is left to compute
         with Evaluator(study.region, lidars, 1, visibility=study.visibility) as other:
-            other._follow(study.poses(x))
-            other._renew(every)
+            other._sync(study.poses(x))
+            other._recompute_links(every)
             assert (evaluator._links == other._links).all()
             assert evaluator._clear.shape == other._clear.shape == (6 * bool(body), *other._clear.shape[1:])
             assert (evaluator._clear == other._clear).all()

@@ -26,12 +26,19 @@ Word along(Word bits, Word links) {
   return bits;
 }
 
+constexpr std::size_t sides = 6;  // of a row
+
 /// The gap between two neighbouring beams of a LiDAR that a cuboid lies in, or that the LiDAR is blind to the cuboid.
 struct Gap {
+  Gap(Index lidar, const Cones& cones) : lidar(lidar), cones(cones) {}
+
   Index lidar;
+  Cones cones;
   double below = -std::numeric_limits<double>::infinity();  // u of the beam below
   double above = std::numeric_limits<double>::infinity();   // and above
   bool is_seen = true;
+  XTerms terms;      // of some centres along x
+  Index first = -1;  // of these
 };
 
 }  // namespace
@@ -54,7 +61,7 @@ class Flooder::Gaps {
     for (const Index lidar : barriers.moved) {
       const Cones cones(barriers.cones[lidar]);
       const Index count = beam_gap({grid.x[place.first + cuboid % row_size], place.y, place.z}, cones);
-      Gap gap{.lidar = lidar};
+      Gap& gap = gaps_.emplace_back(lidar, cones);
       if (count > 0) {
         gap.below = cones.beams[count - 1];
       }
@@ -62,17 +69,20 @@ class Flooder::Gaps {
         gap.above = cones.beams[count];
       }
       gap.is_seen = !barriers.sight.limited() || seen(lidar, row, bit(cuboid % row_size)) != 0;
-      gaps_.push_back(gap);
     }
   }
 
   /// The cuboids of a row in the gaps.
-  Word inside(Index row) const {
+  Word inside(Index row) {
     Word word = all_bits;
     const Place place = grid_.place(row);
-    for (const Gap& gap : gaps_) {
+    for (Gap& gap : gaps_) {
       if (gap.is_seen) {
-        const RowSquares squares(Cones(barriers_.cones[gap.lidar]), &grid_.x[place.first], place.y, place.z);
+        if (gap.first != place.first) {
+          gap.first = place.first;
+          gap.terms = XTerms(gap.cones, &grid_.x[place.first]);
+        }
+        const RowSquares squares(gap.cones, gap.terms, place.y, place.z);
         word &= squares.at_or_above(gap.below) & ~squares.at_or_above(gap.above);
       }
     }
@@ -100,40 +110,47 @@ class Flooder::Gaps {
   std::vector<Gap> gaps_;
 };
 
-Flooder::Flooder(const Grid& grid) : grid_(grid), left_(grid.included.begin(), grid.included.end()) {}
+Flooder::Flooder(const Grid& grid)
+    : grid_(grid), left_(grid.included.begin(), grid.included.end()), waiting_(row_size), steps_(row_size) {}
 
 template <bool lazily, class Inside>
 const Subspace& Flooder::run(View<const Links> links, Index cuboid, Inside inside) {
   const Index step_y = grid_.step_y();
   const Index step_z = grid_.step_z();
   const bool one_word = step_y == 1;
+  Word* const left = left_.data();
   Subspace found;
   auto& [across_x, across_y, across_z] = found.internal;
   Index most = 0;
-  steps_.clear();
-  waiting_.clear();
-  waiting_.push_back({cuboid / row_size, bit(cuboid % row_size)});
+  step_count_ = 0;
+  waiting_[0] = {cuboid / row_size, bit(cuboid % row_size)};
+  std::size_t waiting = 1;
 
-  /// Go on from some cuboids of a row; returns how many of them are joined to those before.
+  /// Go on from some cuboids of a row, if they are left; returns how many of them are joined to those before.
   const auto go_on = [&](Index row, Word bits) {
-    if (!bits) {
-      return 0;
-    }
     if constexpr (lazily) {
+      if (!bits) {
+        return 0;
+      }
       bits &= inside(row);
     }
     const int count = std::popcount(bits);
-    if (bits &= left_[row]) {
-      waiting_.push_back({row, bits});
+    if (bits &= left[row]) {
+      waiting_[waiting++] = {row, bits};
     }
     return count;
   };
-  while (!waiting_.empty()) {
-    auto [row, bits] = waiting_.back();
-    waiting_.pop_back();
-    bits &= left_[row];
+  while (waiting > 0) {
+    auto [row, bits] = waiting_[--waiting];
+    bits &= left[row];
     if (!bits) {
       continue;
+    }
+    if (waiting + sides > waiting_.size()) {
+      waiting_.resize(2 * waiting_.size());
+    }
+    if (step_count_ == steps_.size()) {
+      steps_.resize(2 * steps_.size());
     }
     const Links own = links[row];
     Word within = own.x & ~Word{1};  // the link to the row before is not within
@@ -142,13 +159,13 @@ const Subspace& Flooder::run(View<const Links> links, Index cuboid, Inside insid
       within &= word & word << 1;
     }
     bits = along(bits, within);
-    left_[row] &= ~bits;
+    left[row] &= ~bits;
     const Index count = std::popcount(bits);
     if (count > most) {
       most = count;
-      fullest_ = steps_.size();
+      fullest_ = step_count_;
     }
-    steps_.push_back({row, bits});
+    steps_[step_count_++] = {row, bits};
     found.cuboids += count;
     across_x += std::popcount(bits & within);
 
@@ -176,7 +193,7 @@ const Subspace& Flooder::flood(const Barriers& barriers, VisibilityCache& cache,
   known_.resize(grid_.rows());
   inside_.resize(grid_.rows());
   ++stamp_;
-  const Gaps gaps(grid_, barriers, cache, cuboid);
+  Gaps gaps(grid_, barriers, cache, cuboid);
   return run<true>(barriers.links, cuboid, [&](Index row) {
     if (known_[row] != stamp_) {
       known_[row] = stamp_;
@@ -200,7 +217,7 @@ double Flooder::weight() const {
     return 1.0;
   }
   for (Index level = 0; level < std::ssize(grid_.weight) - 1; ++level) {
-    for (const auto& [row, bits] : steps_) {
+    for (const auto& [row, bits] : steps()) {
       if (bits & grid_.weighted(level, row)) {
         return grid_.weight[level];
       }

@@ -52,7 +52,7 @@ class Flooder {
   Index compared_rows() const { return compared_rows_; }
 
   /// The last flood, step by step.
-  View<const Step> steps() const { return steps_; }
+  View<const Step> steps() const { return {steps_.data(), step_count_}; }
 
   /// A cuboid of the last flood, halfway along its fullest row.
   Index inner_cuboid() const;
@@ -69,10 +69,11 @@ class Flooder {
 
   Grid grid_;
   std::vector<Word> left_;
-  std::vector<Step> waiting_;  // from where to go on
-  std::vector<Step> steps_;
-  Subspace found_;
+  std::vector<Step> waiting_;  // from where to go on; grows
+  std::vector<Step> steps_;    // grows
+  std::size_t step_count_ = 0;
   std::size_t fullest_ = 0;  // of the steps
+  Subspace found_;
 
   // Of floods by barriers:
   std::vector<Index> known_;  // (rows,) the stamp of the flood that `inside_` belongs to

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "placement/row_squares.h"
-
 namespace lidarcfg::placement {
 namespace {
 
@@ -45,7 +43,7 @@ void Linker::compare_layer(const Cones& lidar, View<const Word> seen, Index laye
       if (!grid_.included[first + at]) {
         continue;
       }
-      const RowSquares squares(lidar, &grid_.x[chunk * row_size], grid_.y[j], grid_.z[layer]);
+      const RowSquares squares(lidar, terms_[chunk], grid_.y[j], grid_.z[layer]);
       const View<Word> words = beyond.subspan(at * beams, beams);
       guess_ = compare_row(squares, lidar.beams, guess_, words);
       if (!seen.empty()) {
@@ -89,6 +87,10 @@ void Linker::cut(const Cones& lidar, View<const Word> seen, View<Links> links) {
   const Index beams = std::ssize(lidar.beams);
   const Index layer_size = grid_.step_z() * beams;
   beyond_.resize(2 * layer_size);
+  terms_.clear();
+  for (Index chunk = 0; chunk < grid_.step_y(); ++chunk) {
+    terms_.emplace_back(lidar, &grid_.x[chunk * row_size]);
+  }
   guess_ = std::min(guess_, std::max<Index>(beams - 1, 0));
   View<Word> here(beyond_.data(), layer_size);
   View<Word> below(beyond_.data() + layer_size, layer_size);

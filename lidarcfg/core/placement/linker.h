@@ -9,6 +9,7 @@
 
 #include "placement/cones.h"
 #include "placement/grid.h"
+#include "placement/row_squares.h"
 
 namespace lidarcfg::placement {
 
@@ -29,8 +30,9 @@ class Linker {
                  View<Links> links) const;
 
   Grid grid_;
-  std::vector<Word> beyond_;  // (2, rows of a layer, beams) the centres at or above each beam, of two layers
-  Index guess_ = 0;           // a beam that passes near the last row
+  std::vector<Word> beyond_;   // (2, rows of a layer, beams) the centres at or above each beam, of two layers
+  std::vector<XTerms> terms_;  // (chunks,) of the LiDAR
+  Index guess_ = 0;            // a beam that passes near the last row
 };
 
 }  // namespace lidarcfg::placement

@@ -7,17 +7,37 @@
 
 namespace lidarcfg::placement {
 
-/// The signed squares of the 64 centres of a row.
+/// What the signed squares of 64 centres along x have in common, whatever their y and z.
+struct XTerms {
+  XTerms() = default;
+
+  /// @param x  (64,)
+  XTerms(const Cones& lidar, const double* x) {
+    for (int i = 0; i < row_size; ++i) {
+      const double dx = x[i] - lidar.position[0];
+      height[i] = dx * lidar.axis[0];
+      distance[i] = dx * dx;
+    }
+  }
+
+  alignas(64) double height[row_size];
+  alignas(64) double distance[row_size];
+};
+
+/// The signed squares of the 64 centres of a row: those of `signed_squares`, operation by operation.
 class RowSquares {
  public:
-  /// @param x  (64,)
-  RowSquares(const Cones& lidar, const double* x, double y, double z) {
+  RowSquares(const Cones& lidar, const XTerms& terms, double y, double z) {
     const double dy = y - lidar.position[1];
     const double dz = z - lidar.position[2];
+    const double height_y = dy * lidar.axis[1];
+    const double height_z = dz * lidar.axis[2];
+    const double distance_y = dy * dy;
+    const double distance_z = dz * dz;
     for (int i = 0; i < row_size; ++i) {
-      const SignedSquares squares = signed_squares(x[i] - lidar.position[0], dy, dz, lidar.axis);
-      height_[i] = squares.height;
-      distance_[i] = squares.distance;
+      const double height = (terms.height[i] + height_y) + height_z;
+      height_[i] = height * std::abs(height);
+      distance_[i] = (terms.distance[i] + distance_y) + distance_z;
     }
   }
 
