@@ -226,6 +226,16 @@ class MissCounter:
                 break
         return 1.0 - float(np.mean(rates))
 
+    def lower_bound(self, sensors: Sequence[int], poses: Poses, share: float) -> float:
+        """No more than `rate`, by a share of the places, the likeliest to be missed; 0 of drawn places."""
+        if self._target.item.samples:
+            return 0.0
+        ((first, end),) = self._ranges
+        numbers = np.array(sensors, np.int64)
+        count = int(share * (end - first))
+        missed = self._counter.missed_among(numbers, poses.R, poses.t, first, end, count)
+        return 1.0 - (1.0 - missed / (end - first))
+
 
 def _most(limit: float, count: int) -> float:
     """Out of so many places, those from which on a miss rate is at least a limit, also as it is rounded."""

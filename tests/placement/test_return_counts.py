@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.sightings import missed
+from lidarcfg.placement.sightings import missed, sightings
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.terms import Trial
 from lidarcfg.report.words import object_in_words
@@ -147,6 +148,21 @@ def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name)
         trial = Trial(loaded.region, lidars, loaded.visibility)
         assert loaded.criterion().of(trial, limit) == (math.inf if value >= limit else value)
         assert not trial.is_cut
+
+
+@pytest.mark.parametrize("name", ["crate", "child"])
+@pytest.mark.parametrize("limit", [1.0, np.nextafter(1.0, 2.0), 1.8091036796430564, 2.0, 1e300, math.inf])
+def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
+    """Of a mean of several terms a limit of one of them may be above 1; 48 places, and 1.8…, once took forever."""
+    loaded = study(tmp_path, f"detection: {{{name}: 2}}")
+    one = next(one for one in loaded.sought if one.item.name == name)
+    some = np.linspace(0, len(one.places) - 1, 48).astype(int)
+    one = replace(one, places=one.places[some], part=one.part[some])
+    rig = rig_of(loaded)
+    (seen,) = sightings([one], loaded.scans(rig.mounts), rig_lidars(rig), loaded.obstacles)
+    found = missed(one, loaded.scans(rig.mounts), rig_lidars(rig), loaded.obstacles, limit)
+    assert 0 < found < 1
+    assert found == 1.0 - seen.detection.rate
 
 
 def test_skipping_and_threads_change_no_search(tmp_path):
