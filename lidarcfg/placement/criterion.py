@@ -1,8 +1,8 @@
 """The cost of a trial: a weighted mean of terms, each of which can stop early once it is too large.
 
 A trial has a cost to beat. Every term is at least 0, and sums, products and quotients of floating-point numbers are
-monotonic. So as soon as the weighted mean of the terms known so far, with 0 or lower bounds for the others, reaches the cost to
-beat, the trial is refuted exactly: its full cost would be no less.
+monotonic. So as soon as the weighted mean of the terms known so far, with 0 or lower bounds for the others, reaches
+the cost to beat, the trial is refuted exactly: its full cost would be no less.
 """
 
 import math

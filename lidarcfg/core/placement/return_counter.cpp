@@ -14,10 +14,11 @@ constexpr Index memory_bytes = 1 << 26;  // that these may take
 }  // namespace
 
 ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, std::vector<Place> places,
-                             const Obstacles& obstacles, std::int32_t enough)
+                             std::vector<Index> group_ends, const Obstacles& obstacles, std::int32_t enough)
     : scanners_(std::move(scanners)),
       target_(std::move(target)),
       places_(std::move(places)),
+      group_ends_(std::move(group_ends)),
       bodies_(*obstacles.tree),
       obstacles_(obstacles),
       enough_(enough),
@@ -76,32 +77,32 @@ void ReturnCounter::place_sensors(View<const std::int64_t> sensors, View<const S
   }
 }
 
-double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end,
-                             double most) {
+View<Index> ReturnCounter::order_of(Index group) {
+  const Index first = group ? group_ends_[group - 1] : 0;
+  return {order_.data() + first, static_cast<std::size_t>(group_ends_[group] - first)};
+}
+
+double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, double most) {
+  const View<Index> order = order_of(group);
+  const bool any_order = sums_exactly(sensors, std::ssize(order));
   place_sensors(sensors, poses);
+  const auto by_possible = [&](Index one, Index other) { return possible_[one] < possible_[other]; };
+  any_order ? std::stable_sort(order.begin(), order.end(), by_possible) : std::sort(order.begin(), order.end());
   double missed = 0.0;
-  if (!sums_exactly(sensors, end - first)) {
-    for (Index place = first; place < end && missed < most; ++place) {
-      missed += missed_at(place, sensors_now_);
-    }
-    return missed;
+  for (std::size_t n = 0; n < order.size() && missed < most; ++n) {
+    missed += missed_at(order[n], sensors_now_);
   }
-  Index n = first;
-  for (; n < end && missed < most; ++n) {
-    missed += missed_at(order_[n], sensors_now_);
-  }
-  std::stable_sort(order_.begin() + first, order_.begin() + end,
-                   [&](Index one, Index other) { return possible_[one] < possible_[other]; });
   return missed;
 }
 
-double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first,
-                                   Index end, Index count) {
+double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group,
+                                   Index count) {
+  const View<Index> order = order_of(group);
   double missed = 0.0;
-  if (sums_exactly(sensors, end - first)) {
+  if (sums_exactly(sensors, std::ssize(order))) {
     place_sensors(sensors, poses);
-    for (Index n = first; n < std::min(first + count, end); ++n) {
-      missed += missed_at(order_[n], sensors_now_);
+    for (const Index place : order.first(std::min(count, std::ssize(order)))) {
+      missed += missed_at(place, sensors_now_);
     }
   }
   return missed;
