@@ -69,11 +69,17 @@ bool ReturnCounter::sums_exactly(View<const std::int64_t> sensors, Index places)
   return bits <= std::numeric_limits<double>::digits;
 }
 
-/// Look up what is known of some sensors at poses.
-void ReturnCounter::place_sensors(View<const std::int64_t> sensors, View<const SensorPose> poses) {
-  sensors_now_.clear();
+/// Look up what is known of some sensors at poses, and have the likeliest misses come first if these are others.
+void ReturnCounter::begin(View<const std::int64_t> sensors, View<const SensorPose> poses, View<Index> order) {
+  const std::vector<Sensor> before = std::exchange(sensors_now_, {});
   for (Index n = 0; n < std::ssize(sensors); ++n) {
     sensors_now_.push_back({sensors[n], &known_at(sensors[n], poses[n])});
+  }
+  if (!sums_exactly(sensors, std::ssize(order))) {
+    std::sort(order.begin(), order.end());
+  } else if (sensors_now_ != before) {
+    std::stable_sort(order.begin(), order.end(),
+                     [&](Index one, Index other) { return possible_[one] < possible_[other]; });
   }
 }
 
@@ -84,10 +90,7 @@ View<Index> ReturnCounter::order_of(Index group) {
 
 double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, double most) {
   const View<Index> order = order_of(group);
-  const bool any_order = sums_exactly(sensors, std::ssize(order));
-  place_sensors(sensors, poses);
-  const auto by_possible = [&](Index one, Index other) { return possible_[one] < possible_[other]; };
-  any_order ? std::stable_sort(order.begin(), order.end(), by_possible) : std::sort(order.begin(), order.end());
+  begin(sensors, poses, order);
   double missed = 0.0;
   for (std::size_t n = 0; n < order.size() && missed < most; ++n) {
     missed += missed_at(order[n], sensors_now_);
@@ -98,12 +101,13 @@ double ReturnCounter::missed(View<const std::int64_t> sensors, View<const Sensor
 double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group,
                                    Index count) {
   const View<Index> order = order_of(group);
+  if (!sums_exactly(sensors, std::ssize(order))) {
+    return 0.0;
+  }
+  begin(sensors, poses, order);
   double missed = 0.0;
-  if (sums_exactly(sensors, std::ssize(order))) {
-    place_sensors(sensors, poses);
-    for (const Index place : order.first(std::min(count, std::ssize(order)))) {
-      missed += missed_at(place, sensors_now_);
-    }
+  for (const Index place : order.first(std::min(count, std::ssize(order)))) {
+    missed += missed_at(place, sensors_now_);
   }
   return missed;
 }

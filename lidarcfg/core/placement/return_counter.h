@@ -51,9 +51,11 @@ class ReturnCounter {
   struct Sensor {
     std::int64_t number;
     Known* known;
+
+    bool operator==(const Sensor&) const = default;
   };
 
-  void place_sensors(View<const std::int64_t> sensors, View<const SensorPose> poses);
+  void begin(View<const std::int64_t> sensors, View<const SensorPose> poses, View<Index> order);
   /// The places of a group, in the order in which they are asked.
   View<Index> order_of(Index group);
   Known& known_at(std::int64_t sensor, const SensorPose& pose);
