@@ -43,6 +43,7 @@ ReturnCounter::Known& ReturnCounter::known_at(std::int64_t sensor, const SensorP
   auto found = std::find_if(kept.begin(), kept.end(), [&](const Known& one) { return one.pose == pose; });
   if (found == kept.end()) {
     if (std::ssize(kept) < most_poses_) {
+      kept.reserve(most_poses_);
       found = kept.emplace(kept.end());
     } else {
       found = std::min_element(kept.begin(), kept.end(),
