@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import rows
-from lidarcfg.placement.cones import cone_rows, lidar, rig_lidars
+from lidarcfg.placement.cones import lidar, rig_lidars
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import vsr_m
@@ -163,7 +162,6 @@ def test_most_of_a_triangles_shadow_takes_no_segments(seed):
     naive.hidden(vertices.reshape(4, 3, 3), lidars[0].position_m, targets, hidden)
     assert 0.02 < hidden.mean() < 0.98
     assert np.array_equal(seen.ravel(), ~hidden)
-
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -83,7 +83,8 @@ class Flooder::Gaps {
           gap.terms = XTerms(gap.cones, &grid_.x[place.first]);
         }
         const RowSquares squares(gap.cones, gap.terms, place.y, place.z);
-        word &= squares.at_or_above(gap.below) & ~squares.at_or_above(gap.above);
+        const auto [from, until] = squares.at_or_above(gap.below, gap.above);
+        word &= from & ~until;
       }
     }
     if (barriers_.sight.limited()) {

@@ -5,24 +5,29 @@
 namespace lidarcfg::placement {
 namespace {
 
-/// Write which centres of a row lie at or above each beam.
+/// Write which centres of a row lie at or above each beam, of which there are an even number.
 ///
 /// Only beams that pass between the centres need a comparison, and those lie next to one another: the search for them
-/// starts at `guess`. Returns where it may start for the next row.
+/// starts at `guess`, an even one. Returns where it may start for the next row.
 Index compare_row(const RowSquares& squares, View<const double> beams, Index guess, View<Word> beyond) {
-  Index low = guess;
-  while (low >= 0 && (beyond[low] = squares.at_or_above(beams[low])) != all_bits) {
-    --low;
+  const auto compare = [&](Index beam) {
+    const auto [one, other] = squares.at_or_above(beams[beam], beams[beam + 1]);
+    beyond[beam] = one;
+    beyond[beam + 1] = other;
+  };
+  Index low = guess;  // what is below it is not compared
+  Index high = guess + 2;
+  compare(guess);
+  while (low > 0 && beyond[low] != all_bits) {
+    compare(low -= 2);
   }
-  Index high = guess;
-  while (high < std::ssize(beams) && beyond[high] != 0) {
-    if (++high < std::ssize(beams)) {
-      beyond[high] = squares.at_or_above(beams[high]);
-    }
+  while (high < std::ssize(beams) && beyond[high - 1] != 0) {
+    compare(high);
+    high += 2;
   }
-  std::fill(beyond.begin(), beyond.begin() + std::max<Index>(low, 0), all_bits);
+  std::fill(beyond.begin(), beyond.begin() + low, all_bits);
   std::fill(beyond.begin() + high, beyond.end(), Word{0});
-  return std::max<Index>((low + high) / 2, 0);
+  return (low + high) / 4 * 2;
 }
 
 /// What differs between each cuboid of a row and the one before it along x.
@@ -31,7 +36,7 @@ Word differs_along_x(Word row, Word before) { return row ^ (row << 1 | before >>
 }  // namespace
 
 void Linker::compare_layer(const Cones& lidar, View<const Word> seen, Index layer, View<Word> beyond) {
-  const Index beams = std::ssize(lidar.beams);
+  const Index beams = std::ssize(beams_);
   const Index step_y = grid_.step_y();
   const Index first = (layer + 1) * grid_.step_z();
   if (beams == 0) {
@@ -45,7 +50,7 @@ void Linker::compare_layer(const Cones& lidar, View<const Word> seen, Index laye
       }
       const RowSquares squares(lidar, terms_[chunk], grid_.y[j], grid_.z[layer]);
       const View<Word> words = beyond.subspan(at * beams, beams);
-      guess_ = compare_row(squares, lidar.beams, guess_, words);
+      guess_ = compare_row(squares, beams_, guess_, words);
       if (!seen.empty()) {
         for (Word& word : words) {
           word &= seen[first + at];
@@ -84,14 +89,16 @@ void Linker::cut_layer(Index beams, View<const Word> seen, Index layer, View<con
 }
 
 void Linker::cut(const Cones& lidar, View<const Word> seen, View<Links> links) {
-  const Index beams = std::ssize(lidar.beams);
+  const Index beams = std::ssize(lidar.beams) + std::ssize(lidar.beams) % 2;
   const Index layer_size = grid_.step_z() * beams;
   beyond_.resize(2 * layer_size);
+  beams_.assign(lidar.beams.begin(), lidar.beams.end());
+  beams_.resize(beams, beams ? lidar.beams.back() : 0.0);
   terms_.clear();
   for (Index chunk = 0; chunk < grid_.step_y(); ++chunk) {
     terms_.emplace_back(lidar, &grid_.x[chunk * row_size]);
   }
-  guess_ = std::min(guess_, std::max<Index>(beams - 1, 0));
+  guess_ = std::min(guess_, std::max<Index>(beams - 2, 0));
   View<Word> here(beyond_.data(), layer_size);
   View<Word> below(beyond_.data() + layer_size, layer_size);
   for (Index layer = 0; layer < std::ssize(grid_.z); ++layer) {

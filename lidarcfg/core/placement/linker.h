@@ -32,6 +32,7 @@ class Linker {
   Grid grid_;
   std::vector<Word> beyond_;   // (2, rows of a layer, beams) the centres at or above each beam, of two layers
   std::vector<XTerms> terms_;  // (chunks,) of the LiDAR
+  std::vector<double> beams_;  // of the LiDAR; the last one twice if their number is odd
   Index guess_ = 0;            // a beam that passes near the last row
 };
 

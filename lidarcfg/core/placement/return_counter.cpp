@@ -14,10 +14,11 @@ constexpr Index memory_bytes = 1 << 26;  // that these may take
 }  // namespace
 
 ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, std::vector<Place> places,
-                             const Obstacles& obstacles, std::int32_t enough)
+                             std::vector<Index> group_ends, const Obstacles& obstacles, std::int32_t enough)
     : scanners_(std::move(scanners)),
       target_(std::move(target)),
       places_(std::move(places)),
+      group_ends_(std::move(group_ends)),
       bodies_(*obstacles.tree),
       obstacles_(obstacles),
       enough_(enough),
@@ -42,6 +43,7 @@ ReturnCounter::Known& ReturnCounter::known_at(std::int64_t sensor, const SensorP
   auto found = std::find_if(kept.begin(), kept.end(), [&](const Known& one) { return one.pose == pose; });
   if (found == kept.end()) {
     if (std::ssize(kept) < most_poses_) {
+      kept.reserve(most_poses_);
       found = kept.emplace(kept.end());
     } else {
       found = std::min_element(kept.begin(), kept.end(),
@@ -68,41 +70,45 @@ bool ReturnCounter::sums_exactly(View<const std::int64_t> sensors, Index places)
   return bits <= std::numeric_limits<double>::digits;
 }
 
-/// Look up what is known of some sensors at poses.
-void ReturnCounter::place_sensors(View<const std::int64_t> sensors, View<const SensorPose> poses) {
-  sensors_now_.clear();
+/// Look up what is known of some sensors at poses, and have the likeliest misses come first if these are others.
+void ReturnCounter::begin(View<const std::int64_t> sensors, View<const SensorPose> poses, View<Index> order) {
+  const std::vector<Sensor> before = std::exchange(sensors_now_, {});
   for (Index n = 0; n < std::ssize(sensors); ++n) {
     sensors_now_.push_back({sensors[n], &known_at(sensors[n], poses[n])});
   }
+  if (!sums_exactly(sensors, std::ssize(order))) {
+    std::sort(order.begin(), order.end());
+  } else if (sensors_now_ != before) {
+    std::stable_sort(order.begin(), order.end(),
+                     [&](Index one, Index other) { return possible_[one] < possible_[other]; });
+  }
 }
 
-double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end,
-                             double most) {
-  place_sensors(sensors, poses);
+View<Index> ReturnCounter::order_of(Index group) {
+  const Index first = group ? group_ends_[group - 1] : 0;
+  return {order_.data() + first, static_cast<std::size_t>(group_ends_[group] - first)};
+}
+
+double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, double most) {
+  const View<Index> order = order_of(group);
+  begin(sensors, poses, order);
   double missed = 0.0;
-  if (!sums_exactly(sensors, end - first)) {
-    for (Index place = first; place < end && missed < most; ++place) {
-      missed += missed_at(place, sensors_now_);
-    }
-    return missed;
+  for (std::size_t n = 0; n < order.size() && missed < most; ++n) {
+    missed += missed_at(order[n], sensors_now_);
   }
-  Index n = first;
-  for (; n < end && missed < most; ++n) {
-    missed += missed_at(order_[n], sensors_now_);
-  }
-  std::stable_sort(order_.begin() + first, order_.begin() + end,
-                   [&](Index one, Index other) { return possible_[one] < possible_[other]; });
   return missed;
 }
 
-double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first,
-                                   Index end, Index count) {
+double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group,
+                                   Index count) {
+  const View<Index> order = order_of(group);
+  if (!sums_exactly(sensors, std::ssize(order))) {
+    return 0.0;
+  }
+  begin(sensors, poses, order);
   double missed = 0.0;
-  if (sums_exactly(sensors, end - first)) {
-    place_sensors(sensors, poses);
-    for (Index n = first; n < std::min(first + count, end); ++n) {
-      missed += missed_at(order_[n], sensors_now_);
-    }
+  for (const Index place : order.first(std::min(count, std::ssize(order)))) {
+    missed += missed_at(place, sensors_now_);
   }
   return missed;
 }

@@ -18,20 +18,21 @@ class ReturnCounter {
  public:
   /// For an object that is detected by `enough` returns, which stands at places, and for scanners in front of which
   /// there may be obstacles.
+  ///
+  /// @param group_ends  where groups of places end, ascending; the last one is the number of places
   ReturnCounter(std::vector<Scanner> scanners, TargetShape target, std::vector<Place> places,
-                const Obstacles& obstacles, std::int32_t enough);
+                std::vector<Index> group_ends, const Obstacles& obstacles, std::int32_t enough);
 
   Index sensors() const { return std::ssize(scanners_); }
-  Index places() const { return std::ssize(places_); }
+  Index groups() const { return std::ssize(group_ends_); }
 
-  /// In how many of the places from `first` to `end` the object is missed, by the mean over phases, by some of the
+  /// In how many places of a group the object is missed, by the mean over phases, by some of the
   /// sensors, whose numbers ascend, at poses. Or, as soon as it is known to be at least `most`, any number that is.
-  double missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end, double most);
+  double missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, double most);
 
   /// The same among `count` of these places, those that are the likeliest to be missed: no more than `missed`.
   /// 0 where sums are not exact.
-  double missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end,
-                      Index count);
+  double missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, Index count);
 
   /// How many pairs of sensor and place were traced so far.
   std::int64_t traced() const { return traced_; }
@@ -50,9 +51,13 @@ class ReturnCounter {
   struct Sensor {
     std::int64_t number;
     Known* known;
+
+    bool operator==(const Sensor&) const = default;
   };
 
-  void place_sensors(View<const std::int64_t> sensors, View<const SensorPose> poses);
+  void begin(View<const std::int64_t> sensors, View<const SensorPose> poses, View<Index> order);
+  /// The places of a group, in the order in which they are asked.
+  View<Index> order_of(Index group);
   Known& known_at(std::int64_t sensor, const SensorPose& pose);
   static const Sensor* most_promising(Index place, View<const Sensor> sensors);
   double missed_at(Index place, View<const Sensor> sensors);
@@ -64,6 +69,7 @@ class ReturnCounter {
   std::vector<Scanner> scanners_;
   TargetShape target_;
   std::vector<Place> places_;
+  std::vector<Index> group_ends_;
   world::Bvh bodies_;
   Obstacles obstacles_;
   std::int32_t enough_;

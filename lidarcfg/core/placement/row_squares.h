@@ -8,15 +8,18 @@
 namespace lidarcfg::placement {
 
 /// What the signed squares of 64 centres along x have in common, whatever their y and z.
+///
+/// Here and in RowSquares they are in the order of `simd::mask_place`.
 struct XTerms {
   XTerms() = default;
 
   /// @param x  (64,)
   XTerms(const Cones& lidar, const double* x) {
     for (int i = 0; i < row_size; ++i) {
+      const int place = i / simd::mask_block * simd::mask_block + simd::mask_place(i % simd::mask_block);
       const double dx = x[i] - lidar.position[0];
-      height[i] = dx * lidar.axis[0];
-      distance[i] = dx * dx;
+      height[place] = dx * lidar.axis[0];
+      distance[place] = dx * dx;
     }
   }
 
@@ -41,29 +44,31 @@ class RowSquares {
     }
   }
 
-  /// The centres at or above a beam of a given u.
-  Word at_or_above(double beam) const {
-    simd::Words found{};
-    for (int i = 0; i < row_size; i += simd::lanes<double>) {
-      const auto above = simd::load<simd::Doubles>(height_ + i) >= beam * simd::load<simd::Doubles>(distance_ + i);
-      found |= reinterpret_cast<simd::Words>(above) & simd::load<simd::Words>(bits_.data() + i);
+  /// The centres at or above each of two beams of a given u: both at once take little longer than one.
+  std::array<Word, 2> at_or_above(double one, double other) const {
+    using simd::Doubles;
+    constexpr int lanes = simd::lanes<double>;
+    std::array<Word, 2> out{};
+    for (int block = 0; block < row_size; block += simd::mask_block) {
+      simd::Vector<int> halves[2][4];
+      for (int n = 0; n < 4; ++n) {
+        const int at = block + 2 * n * lanes;
+        const auto height = simd::load<Doubles>(height_ + at);
+        const auto distance = simd::load<Doubles>(distance_ + at);
+        const auto next_height = simd::load<Doubles>(height_ + at + lanes);
+        const auto next_distance = simd::load<Doubles>(distance_ + at + lanes);
+        halves[0][n] = simd::high_halves(height >= one * distance, next_height >= one * next_distance);
+        halves[1][n] = simd::high_halves(height >= other * distance, next_height >= other * next_distance);
+      }
+      for (int beam = 0; beam < 2; ++beam) {
+        const auto& [a, b, c, d] = halves[beam];
+        out[beam] |= simd::block_bits(a, b, c, d) << block;
+      }
     }
-    Word word = 0;
-    for (int lane = 0; lane < simd::lanes<Word>; ++lane) {
-      word |= found[lane];
-    }
-    return word;
+    return out;
   }
 
  private:
-  static constexpr std::array<Word, row_size> bits_ = [] {
-    std::array<Word, row_size> out{};
-    for (int i = 0; i < row_size; ++i) {
-      out[i] = bit(i);
-    }
-    return out;
-  }();
-
   alignas(64) double height_[row_size];
   alignas(64) double distance_[row_size];
 };
