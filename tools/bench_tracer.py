@@ -17,14 +17,11 @@ import open3d as o3d
 from bench_capture import pave, rays_of
 from page import machine
 
+from lidarcfg.core import world
 from lidarcfg.geometry import Array
 from lidarcfg.rig import load_rig
-from lidarcfg.world.bvh import TRIANGLE, build, corners
-from lidarcfg.world.ray_kernels import NONE, new_packet
 from lidarcfg.world.scene import load_scene
-from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.tracer_kernels import blocked
-from lidarcfg.world.world_kernels import Found, cast
+from lidarcfg.world.tracer import NO_SLOT, TRIANGLE, Found, Tracer
 
 RUNS = 9
 PIECES = 16  # into which rays are cut for threads, so that both have as much to do
@@ -68,6 +65,13 @@ def sheet(columns: int, rows: int) -> tuple[Array, Array]:
     return vertices.reshape(-1, 3), np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
+def bvh_of(vertices: Array, triangles: Array) -> world.Bvh:
+    """Ours."""
+    number = np.arange(len(triangles), dtype=np.int32)
+    shapes = vertices[triangles].reshape(-1, 9)
+    return world.Bvh(shapes, np.full(len(triangles), TRIANGLE, np.uint8), number, number)
+
+
 def row(name: str, ours: Array, theirs: Array, count: int, required: str) -> None:
     """A line: rates in millions a second, and how many times as fast."""
     ratio = theirs / ours
@@ -85,7 +89,7 @@ def first_hits(folder: Path) -> None:
         np.concatenate([chunk[k][order] for chunk, order in zip(chunks, orders, strict=True)]) for k in (1, 2)
     )
     count, tracer = len(origins), Tracer(scene, np.zeros(3))
-    world = tracer.world._replace(ground_m=np.inf)
+    no_ground = world.World(np.inf, tracer.world.fixed, [], np.empty((0, 3)), np.empty(0), [])
     cuts = np.linspace(0, count, PIECES + 1).astype(int)
     pieces = [
         [np.ascontiguousarray(rows[low:high].T) for rows in (origins, along)] for low, high in pairwise(cuts.tolist())
@@ -96,8 +100,8 @@ def first_hits(folder: Path) -> None:
 
     def trace(rays: list[Array]) -> None:
         n = rays[0].shape[1]
-        found = Found(np.empty(n), np.full(n, int(NONE), np.int32), np.empty((0, 3)), np.empty(0))
-        cast(world, *rays, np.zeros(n), np.inf, found)
+        found = Found(np.empty(n), np.full(n, NO_SLOT, np.int32), np.empty((0, 3)), np.empty(0))
+        no_ground.cast(*rays, np.zeros(n), np.inf, found)
 
     seconds = measured({"ours": lambda: trace(whole), "theirs": lambda: theirs.cast_rays(given, nthreads=1)})
     row(
@@ -125,17 +129,14 @@ def any_hits(name: str) -> None:
     axes = [low + (np.arange(n) + 0.5) * (high - low) / n for low, high, n in zip(*REGIONS[name], strict=True)]
     targets = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     origin = np.array([0.4, 0.3, 0.95])
-    shapes = np.empty(9 * len(triangles))
-    corners(vertices, triangles, np.arange(len(triangles), dtype=np.int32), np.zeros(3), shapes)
-    kind, number = np.full(len(triangles), TRIANGLE, np.uint8), np.arange(len(triangles), dtype=np.int32)
-    tree, packet = build(shapes, kind, number, number), new_packet(0)
+    bvh = bvh_of(vertices, triangles)
     starts, along = np.tile(origin[:, None], (1, len(targets))), np.ascontiguousarray((targets - origin).T)
     out = np.empty(len(targets), np.bool_)
     theirs = raycasting(vertices, triangles)
     given = o3d.core.Tensor.from_numpy(np.concatenate([starts.T, along.T], 1).astype(np.float32))
     seconds = measured(
         {
-            "ours": lambda: blocked(tree, packet, starts, along, len(out), out),
+            "ours": lambda: world.any_hits(bvh, starts, along, out),
             "theirs": lambda: theirs.test_occlusions(given, 0.0, 1.0, nthreads=1),
         }
     )
@@ -151,14 +152,11 @@ def any_hits(name: str) -> None:
 def building() -> None:
     """A million triangles: seconds, and how much the process grew at its peak."""
     vertices, triangles = sheet(MILLION, MILLION)
-    which, kind = np.arange(len(triangles), dtype=np.int32), np.full(len(triangles), TRIANGLE, np.uint8)
     seconds = []
     before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     for _ in range(3):
         began = time.process_time()
-        shapes = np.empty(9 * len(triangles))
-        corners(vertices, triangles, which, np.zeros(3), shapes)
-        build(shapes, kind, which, which)
+        bvh_of(vertices, triangles)
         seconds.append(time.process_time() - began)
     grown_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before_mb
     spread = f"{min(seconds):.2f} to {max(seconds):.2f}"

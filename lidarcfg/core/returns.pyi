@@ -40,14 +40,22 @@ class ReturnCounter:
     """In how many places an object is missed, trial after trial. Not for several threads at once."""
 
     def __init__(
-        self, scanners: Sequence[Scanner], target: TargetShape, places: Array, obstacles: Obstacles, enough: int
+        self,
+        scanners: Sequence[Scanner],
+        target: TargetShape,
+        places: Array,
+        group_ends: NDArray[np.int64],
+        obstacles: Obstacles,
+        enough: int,
     ) -> None:
-        """For scanners, and an object at places (P, 4) that is detected by `enough` returns."""
-    def missed(self, sensors: NDArray[np.int64], R: Array, t: Array, first: int, end: int, most: float) -> float:
-        """In how many places from first to end it is missed by sensors (S,), ascending, at R (S, 3, 3), t (S, 3).
+        """For an object at places (P, 4), in groups that end at group_ends (G,), that `enough` returns detect."""
+    def missed(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, most: float) -> float:
+        """In how many places of a group it is missed by sensors (S,), ascending, at R (S, 3, 3), t (S, 3).
 
         By the mean over phases; or, as soon as it is known to be at least `most`, any number that is.
         """
+    def missed_among(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, count: int) -> float:
+        """The same among so many of these places, the likeliest to be missed: no more than `missed`."""
     @property
     def traced(self) -> int:
         """How many pairs of sensor and place were traced so far."""

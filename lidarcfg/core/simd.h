@@ -52,11 +52,18 @@ V max(V a, V b) {
 
 template <class V>
 auto highest(V value) {
-  auto out = value[0];
-  for (int n = 1; n < static_cast<int>(sizeof(V) / sizeof(out)); ++n) {
-    out = out > value[n] ? out : value[n];
+  constexpr int count = sizeof(V) / sizeof(value[0]);
+  if constexpr (count == 8) {
+    value = max(value, __builtin_shufflevector(value, value, 4, 5, 6, 7, 0, 1, 2, 3));
+    value = max(value, __builtin_shufflevector(value, value, 2, 3, 0, 1, 6, 7, 4, 5));
+    value = max(value, __builtin_shufflevector(value, value, 1, 0, 3, 2, 5, 4, 7, 6));
+  } else if constexpr (count == 4) {
+    value = max(value, __builtin_shufflevector(value, value, 2, 3, 0, 1));
+    value = max(value, __builtin_shufflevector(value, value, 1, 0, 3, 2));
+  } else {
+    value = max(value, __builtin_shufflevector(value, value, 1, 0));
   }
-  return out;
+  return value[0];
 }
 
 /// A bit for each lane of a comparison of floats.

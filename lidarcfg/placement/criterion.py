@@ -1,8 +1,8 @@
 """The cost of a trial: a weighted mean of terms, each of which can stop early once it is too large.
 
 A trial has a cost to beat. Every term is at least 0, and sums, products and quotients of floating-point numbers are
-monotonic. So as soon as the weighted mean of the terms known so far, with 0 for the others, reaches the cost to beat,
-the trial is refuted exactly: its full cost would be no less.
+monotonic. So as soon as the weighted mean of the terms known so far, with 0 or lower bounds for the others, reaches
+the cost to beat, the trial is refuted exactly: its full cost would be no less.
 """
 
 import math
@@ -18,6 +18,7 @@ from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.terms import (
     BlindSpot,
+    BoundedTerm,
     InscribedRadius,
     MaxVsr,
     MissRate,
@@ -30,6 +31,7 @@ from lidarcfg.placement.terms import (
 from lidarcfg.placement.zones import Weights
 
 Flags = NDArray[np.bool_]
+SHARES = 0.2, 0.35, 0.5, 0.65, 0.8  # of the work, by which a term is bounded before any is computed
 EVERY_CASE = np.empty((0, 0), bool)
 
 
@@ -72,6 +74,8 @@ class Criterion:
         if objective.blind_spot_m is not None and around is not None:
             self.terms.append(BlindSpot(around))
             self._weights.append(objective.blind_spot_m.weight)
+
+        self._bounded = [(number, one) for number, one in enumerate(self.terms) if isinstance(one, BoundedTerm)]
 
     @property
     def is_max_vsr(self) -> bool:
@@ -121,6 +125,11 @@ class Criterion:
     def _of_case(self, trial: Trial, upper_bound: float) -> float:
         """The cost in one case, or inf if it is not below `upper_bound`; cheap terms come first."""
         values = [0.0] * len(self.terms)
+        for share in SHARES if upper_bound < math.inf else ():
+            for number, one in self._bounded:
+                values[number] = one.lower_bound(trial, share)
+                if self.mean(values) >= upper_bound:
+                    return math.inf
         for term in sorted(range(len(self.terms)), key=lambda term: self.terms[term].work):
             limit = self.limit(values, term, upper_bound)
             values[term] = self.terms[term].value(trial, limit)

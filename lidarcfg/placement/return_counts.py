@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -201,30 +200,35 @@ class MissCounter:
     """
 
     def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner], obstacles: Obstacles) -> None:
-        places = target.places
-        shape = target.target.shape
+        ends = np.append(_ends(target) if target.item.samples else [], len(target.places)).astype(np.int64)
         self.obstacles = obstacles
-        self._counter = core.returns.ReturnCounter(scanners, shape, places, obstacles, target.enough)
-        self._target = target
-        ends = [0, *_ends(target).tolist(), len(places)] if target.item.samples else [0, len(places)]
-        self._ranges = list(pairwise(ends))
+        self._drawn = target.item.samples is not None
+        self._counts = np.diff(ends, prepend=0).tolist()  # of places in each replicate
+        self._counter = core.returns.ReturnCounter(
+            scanners, target.target.shape, target.places, ends, obstacles, target.enough
+        )
 
     def rate(self, sensors: Sequence[int], poses: Poses, limit: float = math.inf) -> float:
         """By some of the scanners, whose numbers ascend; or, once it is known to be at least `limit`, any that is."""
         numbers = np.array(sensors, np.int64)
-
-        def missed(first: int, end: int, most: float) -> float:
-            return self._counter.missed(numbers, poses.R, poses.t, first, end, most) / (end - first)
-
-        if not self._target.item.samples:
-            ((first, end),) = self._ranges
-            return 1.0 - (1.0 - missed(first, end, _most(limit, end - first)))
-        rates = np.ones(len(self._ranges))
-        for number, (first, end) in enumerate(self._ranges):
-            rates[number] = 1.0 - missed(first, end, math.inf)
+        if not self._drawn:
+            (count,) = self._counts
+            missed = self._counter.missed(numbers, *poses, 0, _most(limit, count))
+            return 1.0 - (1.0 - missed / count)
+        rates = np.ones(len(self._counts))
+        for number, count in enumerate(self._counts):
+            rates[number] = 1.0 - self._counter.missed(numbers, *poses, number, math.inf) / count
             if 1.0 - float(np.mean(rates)) >= limit:
                 break
         return 1.0 - float(np.mean(rates))
+
+    def lower_bound(self, sensors: Sequence[int], poses: Poses, share: float) -> float:
+        """No more than `rate`, by a share of the places, the likeliest to be missed; 0 of drawn places."""
+        if self._drawn:
+            return 0.0
+        (count,) = self._counts
+        missed = self._counter.missed_among(np.array(sensors, np.int64), *poses, 0, int(share * count))
+        return 1.0 - (1.0 - missed / count)
 
 
 def _most(limit: float, count: int) -> float:

@@ -1,7 +1,6 @@
 """A study: which sensors may be placed where, what is minimised, and how to search."""
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core
-from lidarcfg.config import error_at, errors_at, load
+from lidarcfg.config import NAME_MAX, error_at, errors_at, load, whole_values
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.firing import Patterns
@@ -279,7 +278,7 @@ class Study:
                     range_m=slot.range_m,
                 )
             )
-        return Rig(self.name, tuple(mounts), self.vehicle.section if self.vehicle else None)
+        return Rig(self.name[:NAME_MAX], tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
 def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
@@ -327,7 +326,7 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         zones=zones,
         detection_targets=detection_targets,
         patterns=patterns,
-        file=_resolved(file, slots.slots, choices, bodies, path),
+        file=_resolved(file, slots.slots, choices, path),
     )
     if detection_targets and patterns:
         for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
@@ -378,16 +377,9 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
     return Visibility.of(scenes if given.occlusion else [], region, given.range, given.field_of_view)
 
 
-def _resolved(
-    file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], bodies: Vehicle | None, path: Path
-) -> dict[str, Any]:
-    """The file's values with defaults filled in, and with the paths of models, meshes and scene resolved."""
-    values = file.model_dump(mode="json", exclude_none=True)
-    if bodies:
-        values["vehicle"] = bodies.file.model_dump(mode="json", exclude_none=True)
-    if file.surroundings is not None:
-        values["surroundings"] = os.path.realpath(path.parent / file.surroundings)
-    models = iter(slots)
+def _resolved(file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], path: Path) -> dict[str, Any]:
+    """The file's values with defaults filled in, and with the paths of models and other files resolved."""
+    values, models = whole_values(file, path.parent), iter(slots)
     for group in values["sensors"]:
         for slot in islice(models, group["count"]):
             if "choose" in group:

@@ -5,7 +5,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -81,6 +81,14 @@ class Term(Protocol):
         """Called after every batch of trials, so that later batches can use its findings."""
 
 
+@runtime_checkable
+class BoundedTerm(Term, Protocol):
+    """A term of which a part of the work tells how large it is at least."""
+
+    def lower_bound(self, trial: Trial, share: float) -> float:
+        """No more than its value, by a share of the work, 0 to 1."""
+
+
 class Recent(Generic[T]):
     """Findings that settled trials: first those of the last batch, the most frequent in front, then earlier ones."""
 
@@ -142,12 +150,19 @@ class MissRate:
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
+        return self._counter(trial).rate(trial.kept, trial.poses, limit)
+
+    def lower_bound(self, trial: Trial, share: float) -> float:
+        """By the places where the object is the likeliest to be missed."""
+        return self._counter(trial).lower_bound(trial.kept, trial.poses, share)
+
+    def _counter(self, trial: Trial) -> MissCounter:
         obstacles = trial.visibility.obstacles if trial.visibility else NOTHING
         counter: MissCounter | None = getattr(self._of_thread, "counter", None)
         if counter is None or counter.obstacles is not obstacles:
             counter = MissCounter(self._target, self._scanners, obstacles)
             self._of_thread.counter = counter
-        return counter.rate(trial.kept, trial.poses, limit)
+        return counter
 
     def learn(self) -> None:
         """Nothing: each thread has a MissCounter."""

@@ -165,7 +165,6 @@ def test_most_of_a_triangles_shadow_takes_no_segments(seed):
     assert np.array_equal(seen.ravel(), ~hidden)
 
 
-
 @pytest.mark.parametrize("seed", range(12))
 def test_the_whole_pipeline_cuboid_by_cuboid(seed):
     """Labels, blind ones too, and max VSR, against asin, atan2 and breadth-first search, with bodies, ranges and fields."""

@@ -58,6 +58,17 @@ std::vector<SensorPose> poses_of(Index sensors, Tables<const double> R, Rows<con
   return out;
 }
 
+void check_sensors(const ReturnCounter& counter, View<const std::int64_t> sensors) {
+  for (std::size_t n = 0; n < sensors.size(); ++n) {
+    require(0 <= sensors[n] && sensors[n] < counter.sensors(), "sensors: no number of a scanner");
+    require(n == 0 || sensors[n - 1] < sensors[n], "sensors: not ascending");
+  }
+}
+
+void check_group(const ReturnCounter& counter, Index group) {
+  require(0 <= group && group < counter.groups(), "group: no number of a group");
+}
+
 void bind_shapes(nb::module_& module) {
   nb::class_<Scanner> scanner(module, "Scanner", "A sensor's firing pattern, whatever its pose; it does not change.");
   init(scanner, make_scanner, "Heads at the start of cycles of all phases, and the firings of a cycle.", "cos_head",
@@ -75,29 +86,41 @@ void bind_counter(nb::module_& module) {
       module, "ReturnCounter", "In how many places an object is missed, trial after trial. Not for several threads.");
   init(
       counter,
-      [](Scanners scanners, const TargetShape& target, Rows<const double> places, const Obstacles& obstacles,
-         std::int32_t enough) {
+      [](Scanners scanners, const TargetShape& target, Rows<const double> places, View<const std::int64_t> group_ends,
+         const Obstacles& obstacles, std::int32_t enough) {
+        require(!group_ends.empty() && group_ends.back() == places.rows(), "group_ends: not up to the last place");
+        for (std::size_t n = 0; n < group_ends.size(); ++n) {
+          require(group_ends[n] >= (n ? group_ends[n - 1] : 0), "group_ends: not ascending");
+        }
         require(enough >= 0 && enough < 1 << 24, "enough: not from 0 to 2^24");
         std::vector<Scanner> copies;
         for (const Scanner* one : scanners) {
           copies.push_back(*one);
         }
-        return ReturnCounter(std::move(copies), target, places_of(places), obstacles, enough);
+        return ReturnCounter(std::move(copies), target, places_of(places), {group_ends.begin(), group_ends.end()},
+                             obstacles, enough);
       },
-      "For scanners and an object at places.", "scanners", "target", "places", "obstacles", "enough");
+      "For scanners and an object at places.", "scanners", "target", "places", "group_ends", "obstacles", "enough");
   def(
       counter, "missed",
       [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
-         Index first, Index end, double most) {
-        const std::vector<SensorPose> poses = poses_of(std::ssize(sensors), R, t);
-        for (std::size_t n = 0; n < sensors.size(); ++n) {
-          require(0 <= sensors[n] && sensors[n] < self.sensors(), "sensors: no number of a scanner");
-          require(n == 0 || sensors[n - 1] < sensors[n], "sensors: not ascending");
-        }
-        require(0 <= first && first <= end && end <= self.places(), "first, end: no range of places");
-        return self.missed(sensors, poses, first, end, most);
+         Index group, double most) {
+        check_sensors(self, sensors);
+        check_group(self, group);
+        return self.missed(sensors, poses_of(std::ssize(sensors), R, t), group, most);
       },
-      "In how many places the object is missed.", "sensors", "R", "t", "first", "end", "most");
+      "In how many places of a group the object is missed.", "sensors", "R", "t", "group", "most");
+  def(
+      counter, "missed_among",
+      [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
+         Index group, Index count) {
+        check_sensors(self, sensors);
+        check_group(self, group);
+        require(0 <= count, "count: below 0");
+        return self.missed_among(sensors, poses_of(std::ssize(sensors), R, t), group, count);
+      },
+      "In how many of those places of a group that are the likeliest to be missed the object is.", "sensors", "R", "t",
+      "group", "count");
   counter.def_prop_ro("traced", &ReturnCounter::traced);
 }
 

@@ -14,15 +14,17 @@ constexpr Index memory_bytes = 1 << 26;  // that these may take
 }  // namespace
 
 ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, std::vector<Place> places,
-                             const Obstacles& obstacles, std::int32_t enough)
+                             std::vector<Index> group_ends, const Obstacles& obstacles, std::int32_t enough)
     : scanners_(std::move(scanners)),
       target_(std::move(target)),
       places_(std::move(places)),
+      group_ends_(std::move(group_ends)),
       bodies_(*obstacles.tree),
       obstacles_(obstacles),
       enough_(enough),
       known_(scanners_.size()),
       order_(places_.size()),
+      possible_(places_.size()),
       probability_(enough) {
   obstacles_.boxes = {};
   Index phases = 0;
@@ -47,7 +49,7 @@ ReturnCounter::Known& ReturnCounter::known_at(std::int64_t sensor, const SensorP
                                [](const Known& one, const Known& other) { return one.last_use < other.last_use; });
     }
     found->pose = pose;
-    found->bounds.assign(places_.size(), Bounds{});
+    found->bounds.assign(places_.size(), nothing);
     found->counts.assign(places_.size() * scanners_[sensor].phases(), 0);
   }
   found->last_use = ++uses_;
@@ -67,26 +69,45 @@ bool ReturnCounter::sums_exactly(View<const std::int64_t> sensors, Index places)
   return bits <= std::numeric_limits<double>::digits;
 }
 
-double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index first, Index end,
-                             double most) {
-  sensors_now_.clear();
+/// Look up what is known of some sensors at poses, and have the likeliest misses come first if these are others.
+void ReturnCounter::begin(View<const std::int64_t> sensors, View<const SensorPose> poses, View<Index> order) {
+  const std::vector<Sensor> before = std::exchange(sensors_now_, {});
   for (Index n = 0; n < std::ssize(sensors); ++n) {
     sensors_now_.push_back({sensors[n], &known_at(sensors[n], poses[n])});
   }
-  double missed = 0.0;
-  if (!sums_exactly(sensors, end - first)) {
-    for (Index place = first; place < end && missed < most; ++place) {
-      missed += missed_at(place, sensors_now_);
-    }
-    return missed;
+  if (!sums_exactly(sensors, std::ssize(order))) {
+    std::sort(order.begin(), order.end());
+  } else if (sensors_now_ != before) {
+    std::stable_sort(order.begin(), order.end(),
+                     [&](Index one, Index other) { return possible_[one] < possible_[other]; });
   }
-  Index next = first;  // where in the order a missed place comes
-  for (Index n = first; n < end && missed < most; ++n) {
-    const double here = missed_at(order_[n], sensors_now_);
-    missed += here;
-    if (here > 0.0) {
-      std::swap(order_[next++], order_[n]);
-    }
+}
+
+View<Index> ReturnCounter::order_of(Index group) {
+  const Index first = group ? group_ends_[group - 1] : 0;
+  return {order_.data() + first, static_cast<std::size_t>(group_ends_[group] - first)};
+}
+
+double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, double most) {
+  const View<Index> order = order_of(group);
+  begin(sensors, poses, order);
+  double missed = 0.0;
+  for (std::size_t n = 0; n < order.size() && missed < most; ++n) {
+    missed += missed_at(order[n], sensors_now_);
+  }
+  return missed;
+}
+
+double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group,
+                                   Index count) {
+  const View<Index> order = order_of(group);
+  if (!sums_exactly(sensors, std::ssize(order))) {
+    return 0.0;
+  }
+  begin(sensors, poses, order);
+  double missed = 0.0;
+  for (const Index place : order.first(std::min(count, std::ssize(order)))) {
+    missed += missed_at(place, sensors_now_);
   }
   return missed;
 }
@@ -100,8 +121,30 @@ View<std::int32_t> ReturnCounter::counts_of(Index place, const Sensor& sensor) {
   return {sensor.known->counts.data() + place * phases, static_cast<std::size_t>(phases)};
 }
 
+/// The sensor of which the most returns are possible at a place, of those whose returns are not counted; or none.
+const ReturnCounter::Sensor* ReturnCounter::most_promising(Index place, View<const Sensor> sensors) {
+  const Sensor* found = nullptr;
+  for (const Sensor& sensor : sensors) {
+    const Bounds& bounds = sensor.known->bounds[place];
+    if (!bounds.exact && (!found || bounds.most > found->known->bounds[place].most)) {
+      found = &sensor;
+    }
+  }
+  return found;
+}
+
 /// The probability that the object is missed at a place.
 double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
+  const double missed = find_missed(place, sensors);
+  Index possible = 0;
+  for (const Sensor& sensor : sensors) {
+    possible += sensor.known->bounds[place].most;
+  }
+  possible_[place] = missed > 0.0 ? -1 : possible;
+  return missed;
+}
+
+double ReturnCounter::find_missed(Index place, View<const Sensor> sensors) {
   Index least = 0;
   for (const Sensor& sensor : sensors) {
     least += sensor.known->bounds[place].least;
@@ -115,18 +158,17 @@ double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
     if (bounds.most == unknown) {
       aim(place, sensor);
       bounds.most = beams_.most_of_a_phase();
-      bounds.counted = bounds.most == 0;
+      bounds.exact = bounds.most == 0;
     }
     most += bounds.most;
   }
-  for (const Sensor& sensor : sensors) {
-    if (most < enough_) {
-      return 1.0;
+  while (most >= enough_) {
+    const Sensor* const next = most_promising(place, sensors);
+    if (!next) {
+      break;
     }
+    const Sensor& sensor = *next;
     Bounds& bounds = sensor.known->bounds[place];
-    if (bounds.counted) {
-      continue;
-    }
     const View<std::int32_t> counts = counts_of(place, sensor);
     std::fill(counts.begin(), counts.end(), 0);
     aim(place, sensor);
@@ -134,10 +176,9 @@ double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
     least -= bounds.least;
     most -= bounds.most;
     obstacles_.tree = &bodies_;
-    bounds.counted = tracer_.count(beams_, obstacles_, static_cast<std::int32_t>(enough_ - least), counts);
-    const auto [low, high] = std::minmax_element(counts.begin(), counts.end());
-    bounds.least = *low;
-    bounds.most = bounds.counted ? *high : bounds.most;
+    const Bounds found = tracer_.count_until(beams_, obstacles_, static_cast<std::int32_t>(enough_ - least),
+                                             static_cast<std::int32_t>(enough_ - most), counts);
+    bounds = {std::max(bounds.least, found.least), std::min(bounds.most, found.most), found.exact};
     least += bounds.least;
     most += bounds.most;
     if (least >= enough_) {

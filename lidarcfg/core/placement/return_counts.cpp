@@ -14,37 +14,59 @@ std::int32_t least_of(View<const std::int32_t> counts) { return *std::min_elemen
 
 std::int32_t most_of(View<const std::int32_t> counts) { return *std::max_element(counts.begin(), counts.end()); }
 
+/// Between how many returns each phase has, of which some are counted and others may come from open beams.
+ReturnTracer::Bounds bounds_of(View<const std::int32_t> counts, View<const std::int32_t> open) {
+  std::int32_t most = 0;
+  for (std::size_t n = 0; n < counts.size(); ++n) {
+    most = std::max(most, counts[n] + open[n]);
+  }
+  return {least_of(counts), most, most_of(open) == 0};
+}
+
 }  // namespace
 
-bool ReturnTracer::count(const AimedBeams& beams, const Obstacles& obstacles, std::int32_t enough,
-                         View<std::int32_t> counts) {
-  const View<const AimedBeams::Heads> all_heads = beams.heads();
+void ReturnTracer::count(const AimedBeams& beams, const Obstacles& obstacles, View<std::int32_t> counts) {
   waiting_ = 0;
-  for (Index n = 0; n < std::ssize(all_heads); ++n) {
-    const AimedBeams::Heads& heads = all_heads[n];
-    for (Index head = heads.first; head < heads.end; head += world::packet_size) {
-      const int count = static_cast<int>(std::min<Index>(world::packet_size, heads.end - head));
-      trace(beams, heads, head, count, obstacles);
-      const bool ends = head + count == heads.end;
-      if (waiting_ >= world::packet_size || (ends && enough < all)) {
+  for (const AimedBeams::Heads& heads : beams.heads()) {
+    for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
+      trace(beams, {heads.firing, head, std::min(heads.end, head + world::packet_size)}, obstacles);
+      if (waiting_ > capacity - world::packet_size) {
         settle(obstacles, counts);
-        if (enough < all && least_of(counts) >= enough) {
-          return n + 1 == std::ssize(all_heads) && ends;
-        }
       }
     }
   }
   settle(obstacles, counts);
-  return true;
+}
+
+ReturnTracer::Bounds ReturnTracer::count_until(const AimedBeams& beams, const Obstacles& obstacles, std::int32_t enough,
+                                               std::int32_t wanted, View<std::int32_t> counts) {
+  open_.assign(counts.size(), 0);
+  for (const AimedBeams::Heads& heads : beams.heads()) {
+    add_by_phase(heads, 1, open_);
+  }
+  waiting_ = 0;
+  for (const AimedBeams::Heads& heads : beams.heads()) {
+    for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
+      const AimedBeams::Heads some{heads.firing, head, std::min(heads.end, head + world::packet_size)};
+      trace(beams, some, obstacles);
+      settle(obstacles, counts);
+      add_by_phase(some, -1, open_);
+      const Bounds bounds = bounds_of(counts, open_);
+      if (bounds.least >= enough || bounds.most < wanted) {
+        return bounds;
+      }
+    }
+  }
+  return bounds_of(counts, open_);
 }
 
 /// Have those of a firing's rays wait that hit the object within range and field of view.
-void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads, Index head, int count,
-                         const Obstacles& obstacles) {
+void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads, const Obstacles& obstacles) {
+  const int count = heads.end - heads.first;
   const Scanner& scanner = beams.scanner();
   const Rows<const double> origins(origins_, 3, stride);
   const Rows<const double> directions(directions_, 3, stride);
-  beams.rays(heads, head, count, origins_, directions_, stride);
+  beams.rays(heads, origins_, directions_, stride);
   for (int done = 0; done < count;) {
     const auto [some, face] = world::alike(directions, done, count);
     packet_.load(origins, directions, done, some, face);
@@ -52,9 +74,9 @@ void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads
     packet_.first_hits(beams.target().bvh);
     for (int n = 0; n < some; ++n) {
       const double range = packet_.range(n);
-      const Index its_head = head + done + n;
+      const Index head = heads.first + done + n;
       if (packet_.slot(n) < 0 || !(scanner.least_m() <= range && range <= scanner.most_m()) ||
-          scanner.is_outside(heads.firing, its_head)) {
+          scanner.is_outside(heads.firing, head)) {
         continue;
       }
       const int ray = done + n;
@@ -66,7 +88,7 @@ void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads
         starts_[k * capacity + waiting_] = start[k];
         ways_[k * capacity + waiting_] = way[k] * range;
       }
-      phase_[waiting_++] = static_cast<int>(its_head % scanner.phases());
+      phase_[waiting_++] = static_cast<int>(head % scanner.phases());
     }
     done += some;
   }
@@ -106,7 +128,7 @@ void count_returns(View<const Place> places, View<const std::int64_t> which, Vie
   for (const std::int64_t place : which) {
     for (Index s = 0; s < std::ssize(scanners); ++s) {
       beams.aim(*scanners[s], poses[s], target, places[place]);
-      tracer->count(beams, obstacles, ReturnTracer::all, counts[place][s].first(scanners[s]->phases()));
+      tracer->count(beams, obstacles, counts[place][s].first(scanners[s]->phases()));
     }
   }
 }

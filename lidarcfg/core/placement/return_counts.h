@@ -1,7 +1,7 @@
 /// Returns from an object: what of a sensor's beams hits it, within range and field of view, before anything else.
 #pragma once
 
-#include <limits>
+#include <vector>
 
 #include "placement/scanner.h"
 #include "placement/visibility.h"
@@ -12,16 +12,24 @@ namespace lidarcfg::placement {
 /// Traces aimed beams. Not for several threads at once.
 class ReturnTracer {
  public:
-  static constexpr std::int32_t all = std::numeric_limits<std::int32_t>::max();
+  /// Count all returns, to counts (phases,), of zeros.
+  void count(const AimedBeams& beams, const Obstacles& obstacles, View<std::int32_t> counts);
 
-  /// Add returns to counts (phases,), and end once each of them is at least `enough`. Returns whether all are counted.
-  bool count(const AimedBeams& beams, const Obstacles& obstacles, std::int32_t enough, View<std::int32_t> counts);
+  /// Between how many returns each phase has.
+  struct Bounds {
+    std::int32_t least;
+    std::int32_t most;
+    bool exact;  // all are counted
+  };
+
+  /// The same, until it is known that each phase has at least `enough`, or that none has `wanted`.
+  Bounds count_until(const AimedBeams& beams, const Obstacles& obstacles, std::int32_t enough, std::int32_t wanted,
+                     View<std::int32_t> counts);
 
  private:
   static constexpr int capacity = 2 * world::packet_size;
 
-  void trace(const AimedBeams& beams, const AimedBeams::Heads& heads, Index head, int count,
-             const Obstacles& obstacles);
+  void trace(const AimedBeams& beams, const AimedBeams::Heads& heads, const Obstacles& obstacles);
   void settle(const Obstacles& obstacles, View<std::int32_t> counts);
 
   world::Packet packet_;
@@ -33,6 +41,8 @@ class ReturnTracer {
   double ways_[3 * capacity];    // to where they are
   int phase_[capacity];
   int waiting_ = 0;
+
+  std::vector<std::int32_t> open_;  // (phases,) beams that are not traced yet
 };
 
 /// Write the returns at places to counts (places, sensors, phases), of zeros.

@@ -14,6 +14,7 @@ constexpr double ahead_m = 1e-9;   // an object's corners are all at least so fa
 constexpr double wider = 1e-9;     // of azimuths and slopes, for rounding
 constexpr double fov_rad = 1e-11;  // by which a field of view is wider, for rounding
 constexpr double steep_rad = 1.5;
+constexpr std::int32_t middle_heads = 64;  // of the surest firing, that come first
 constexpr double inf = std::numeric_limits<double>::infinity();
 
 double floor_modulo(double value, double divisor) {
@@ -119,6 +120,29 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
       add(seen, f);
     }
   }
+  put_middle_first(seen);
+}
+
+/// Have the beams come first that are the surest to hit: those of the firing nearest to the middle of the window.
+void AimedBeams::put_middle_first(const Window& seen) {
+  if (heads_.empty() || seen.near_m == 0) {
+    return;
+  }
+  const double middle = (seen.low_m + seen.high_m) / (seen.near_m + seen.far_m);
+  const auto off = [&](const Heads& some) {
+    const Scanner::Firing& one = scanner_->firings()[some.firing];
+    return std::abs(one.rise - middle);
+  };
+  const auto nearest = std::min_element(heads_.begin(), heads_.end(),
+                                        [&](const Heads& one, const Heads& other) { return off(one) < off(other); });
+  std::swap(heads_.front(), *nearest);
+  const Heads first = heads_.front();
+  const std::int32_t before = (first.end - first.first - middle_heads) / 2;
+  if (before > 0) {
+    heads_.front() = {first.firing, first.first + before, first.first + before + middle_heads};
+    heads_.push_back({first.firing, first.first, first.first + before});
+    heads_.push_back({first.firing, first.first + before + middle_heads, first.end});
+  }
 }
 
 AimedBeams::Window AimedBeams::window() const {
@@ -217,23 +241,29 @@ void AimedBeams::add_heads(Index firing, double begin_rad, double end_rad) {
 }
 
 std::int32_t AimedBeams::most_of_a_phase() {
-  const int phases = scanner_->phases();
-  by_phase_.assign(phases, 0);
-  std::int32_t all = 0;
-  for (const Heads& some : heads_) {
-    all += (some.end - some.first) / phases;
-    for (std::int32_t head = some.first + (some.end - some.first) / phases * phases; head < some.end; ++head) {
-      ++by_phase_[head % phases];
-    }
+  by_phase_.assign(scanner_->phases(), 0);
+  for (const Heads& heads : heads_) {
+    add_by_phase(heads, 1, by_phase_);
   }
-  return all + *std::max_element(by_phase_.begin(), by_phase_.end());
+  return *std::max_element(by_phase_.begin(), by_phase_.end());
 }
 
-void AimedBeams::rays(const Heads& which, Index first, int count, double* origins, double* directions,
-                      int stride) const {
-  const Scanner::Firing& one = scanner_->firings()[which.firing];
-  const double* const cos_head = scanner_->cos_head() + first;
-  const double* const sin_head = scanner_->sin_head() + first;
+void add_by_phase(const AimedBeams::Heads& heads, std::int32_t times, View<std::int32_t> counts) {
+  const auto phases = static_cast<std::int32_t>(counts.size());
+  const std::int32_t of_each = (heads.end - heads.first) / phases;
+  for (std::int32_t& count : counts) {
+    count += times * of_each;
+  }
+  for (std::int32_t head = heads.first + of_each * phases; head < heads.end; ++head) {
+    counts[head % phases] += times;
+  }
+}
+
+void AimedBeams::rays(const Heads& heads, double* origins, double* directions, int stride) const {
+  const Scanner::Firing& one = scanner_->firings()[heads.firing];
+  const double* const cos_head = scanner_->cos_head() + heads.first;
+  const double* const sin_head = scanner_->sin_head() + heads.first;
+  const int count = heads.end - heads.first;
   for (int k = 0; k < 3; ++k) {
     const auto [u, v, w] = M_[k];
     const double up = w * one.up_m + origin_[k];

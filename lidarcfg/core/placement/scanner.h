@@ -122,8 +122,8 @@ class AimedBeams {
   /// At most so many of them are of one phase.
   std::int32_t most_of_a_phase();
 
-  /// Write the rays of a firing from a head on, (3, `stride`) each, in the object's frame.
-  void rays(const Heads& which, Index first, int count, double* origins, double* directions, int stride) const;
+  /// Write the rays of some heads, (3, `stride`) each, in the object's frame.
+  void rays(const Heads& heads, double* origins, double* directions, int stride) const;
 
   /// A point of the object's frame in the vehicle's, relative to `origin`.
   Vec3 point_in_vehicle(const Vec3& point, const Vec3& origin) const;
@@ -134,6 +134,7 @@ class AimedBeams {
 
   Window window() const;
   void add(const Window& window, Index firing);
+  void put_middle_first(const Window& seen);
   void add_heads(Index firing, double begin_rad, double end_rad);
 
   const Scanner* scanner_ = nullptr;
@@ -144,5 +145,8 @@ class AimedBeams {
   std::vector<Heads> heads_;
   std::vector<std::int32_t> by_phase_;
 };
+
+/// Add `times` how many of some heads are of each phase to counts (phases,).
+void add_by_phase(const AimedBeams::Heads& heads, std::int32_t times, View<std::int32_t> counts);
 
 }  // namespace lidarcfg::placement

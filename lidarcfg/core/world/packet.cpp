@@ -38,10 +38,52 @@ float outward(double at, bool down) {
   return static_cast<float>(down ? at - wide : at + wide);
 }
 
-/// 0, 1, 2, … by lane.
-Vector<int> lane_numbers() {
-  constexpr int numbers[] = {0, 1, 2, 3, 4, 5, 6, 7};
-  return load<Vector<int>>(numbers);
+/// Combine what each of several vectors has in its lanes: a value for each vector.
+template <class V, class Combine>
+V by_vector(const V* rows, Combine combine) {
+  if constexpr (lanes<double> == 4) {
+    const auto pairs = [&](V one, V other) {
+      return combine(__builtin_shufflevector(one, other, 0, 4, 2, 6), __builtin_shufflevector(one, other, 1, 5, 3, 7));
+    };
+    const V left = pairs(rows[0], rows[1]);
+    const V right = pairs(rows[2], rows[3]);
+    return combine(__builtin_shufflevector(left, right, 0, 1, 4, 5), __builtin_shufflevector(left, right, 2, 3, 6, 7));
+  } else {
+    return combine(__builtin_shufflevector(rows[0], rows[1], 0, 2), __builtin_shufflevector(rows[0], rows[1], 1, 3));
+  }
+}
+
+/// The same of groups of rays, from a row on; what is no number is taken as `neutral`.
+template <class Combine>
+Doubles by_group(const double* row, double neutral, Combine combine) {
+  Doubles rows[lanes<double>];
+  for (int g = 0; g < lanes<double>; ++g) {
+    const Doubles values = load<Doubles>(row + g * lanes<double>);
+    rows[g] = values == values ? values : Doubles{} + neutral;
+  }
+  return by_vector(rows, combine);
+}
+
+/// Which of several directions in a row face another way.
+auto other_facing(int face, const double* from_x, const double* from_y, const double* from_z) {
+  const Doubles dx = load<Doubles>(from_x);
+  const Doubles dy = load<Doubles>(from_y);
+  const Doubles dz = load<Doubles>(from_z);
+  const Doubles x = dx < 0 ? -dx : dx;
+  const Doubles y = dy < 0 ? -dy : dy;
+  const Doubles z = dz < 0 ? -dz : dz;
+  const Doubles zero{};
+  const Doubles largest = ((z >= x) & (z >= y)) ? zero + 2 : (y >= x ? zero + 1 : zero);
+  const Doubles octant = (dx < 0 ? zero + 4 : zero) + (dy < 0 ? zero + 8 : zero) + (dz < 0 ? zero + 16 : zero);
+  return largest + octant != face;
+}
+
+Doubles lowest_by_group(const double* row) {
+  return by_group(row, infinity, [](Doubles a, Doubles b) { return min(a, b); });
+}
+
+Doubles highest_by_group(const double* row) {
+  return by_group(row, -infinity, [](Doubles a, Doubles b) { return max(a, b); });
 }
 
 }  // namespace
@@ -67,42 +109,44 @@ void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> dir
   sheared_ = false;
 }
 
-/// Find the intervals that hold the rays. What is no number is outside: such a ray hits nothing.
+/// Find the intervals that hold the rays. A ray that has what is no number is in none: it hits nothing.
 template <int Capacity>
 void PacketOf<Capacity>::bound(int face) {
   for (int row = 0; row < 3; ++row) {
     const int axis = axis_[row];
     const bool negative = face >> (2 + axis) & 1;
     const float way = negative ? -1 : 1;
-    sign_[axis] = negative;
-    near_.inverse[axis] = farthest;
-    far_.inverse[axis] = 0;
+    double low[most_groups];
+    double high[most_groups];
+    double flat[most_groups];  // the least and the greatest component of directions
+    double steep[most_groups];
+    for (int g = 0; g < groups_; g += lanes<double>) {
+      const double* const from = origin_[row] + g * group_size;
+      const double* const along = direction_[row] + g * group_size;
+      store(low + g, lowest_by_group(from));
+      store(high + g, highest_by_group(from));
+      store(flat + g, negative ? -highest_by_group(along) : lowest_by_group(along));
+      store(steep + g, negative ? -lowest_by_group(along) : highest_by_group(along));
+    }
+    float near_inverse = farthest;
+    float far_inverse = 0;
     double all_low = infinity;
     double all_high = -infinity;
     for (int g = 0; g < groups_; ++g) {
-      double low = infinity;
-      double high = -infinity;
-      double flat = infinity;
-      double steep = 0;
-      for (int n = g * group_size; n < (g + 1) * group_size; ++n) {
-        low = std::min(low, origin_[row][n]);
-        high = std::max(high, origin_[row][n]);
-        flat = std::min(flat, std::abs(direction_[row][n]));
-        steep = std::max(steep, std::abs(direction_[row][n]));
-      }
-      const float least = 1 / std::max(static_cast<float>(steep), flattest) * (1 - wider);
-      const float most = 1 / std::max(static_cast<float>(flat), flattest) * (1 + wider);
-      near_origin_[axis][g] = outward(negative ? low : high, negative);
-      far_origin_[axis][g] = outward(negative ? high : low, !negative);
+      const float least = 1 / std::max(static_cast<float>(steep[g]), flattest) * (1 - wider);
+      const float most = 1 / std::max(static_cast<float>(flat[g]), flattest) * (1 + wider);
+      near_origin_[axis][g] = outward(negative ? low[g] : high[g], negative);
+      far_origin_[axis][g] = outward(negative ? high[g] : low[g], !negative);
       near_inverse_[axis][g] = way * least;
       far_inverse_[axis][g] = way * most;
-      near_.inverse[axis] = std::min(near_.inverse[axis], least);
-      far_.inverse[axis] = std::max(far_.inverse[axis], most);
-      all_low = std::min(all_low, low);
-      all_high = std::max(all_high, high);
+      near_inverse = std::min(near_inverse, least);
+      far_inverse = std::max(far_inverse, most);
+      all_low = std::min(all_low, low[g]);
+      all_high = std::max(all_high, high[g]);
     }
-    near_.inverse[axis] *= way;
-    far_.inverse[axis] *= way;
+    sign_[axis] = negative;
+    near_.inverse[axis] = way * near_inverse;
+    far_.inverse[axis] = way * far_inverse;
     near_.origin[axis] = outward(negative ? all_low : all_high, negative);
     far_.origin[axis] = outward(negative ? all_high : all_low, !negative);
   }
@@ -167,13 +211,11 @@ void PacketOf<Capacity>::hit_ground(double ground_m, double limit_m) {
 /// Find how far boxes matter, and what turns each ray into an axis.
 template <int Capacity>
 void PacketOf<Capacity>::begin() {
-  std::fill(range_ + count_, range_ + groups_ * group_size, range_[count_ - 1]);
-  std::fill(slot_ + count_, slot_ + groups_ * group_size, slot_[count_ - 1]);
+  std::fill(range_ + count_, range_ + groups_ * group_size, -1.0);  // the rest of a packet is nowhere
+  std::fill(slot_ + count_, slot_ + groups_ * group_size, no_slot);
   for (int g = 0; g < groups_; g += chunk) {
-    shorten(g, (1u << chunk) - 1);
+    shorten(g);
   }
-  const int used = (count_ + group_size - 1) / group_size;
-  std::fill(group_most_ + used, group_most_ + groups_, -1.0f);
   if (!sheared_) {
     for (int n = 0; n < groups_ * group_size; n += group_size) {
       const Doubles ahead = simd::load<Doubles>(direction_[2] + n);
@@ -185,18 +227,16 @@ void PacketOf<Capacity>::begin() {
   }
 }
 
-/// Have boxes tested up to what some groups of a chunk have hit. Whole vectors are written, as whole ones are read
-/// soon.
+/// Have boxes tested up to what the groups of a chunk have hit.
 template <int Capacity>
-void PacketOf<Capacity>::shorten(int first_group, unsigned which) {
-  Floats here = simd::load<Floats>(group_most_ + first_group);
-  for (; which; which &= which - 1) {
-    const int g = std::countr_zero(which);
-    const double far = highest(simd::load<Doubles>(range_ + (first_group + g) * group_size));
-    const float most = static_cast<float>(std::min<double>(far, farthest)) * (1 + wider);
-    here = lane_numbers() == g ? Floats{} + most : here;
+void PacketOf<Capacity>::shorten(int first_group) {
+  double far[chunk];
+  for (int g = 0; g < chunk; g += lanes<double>) {
+    store(far + g, min(highest_by_group(range_ + (first_group + g) * group_size), Doubles{} + farthest));
   }
-  store(group_most_ + first_group, here);
+  for (int g = 0; g < chunk; ++g) {
+    group_most_[first_group + g] = static_cast<float>(far[g]) * (1 + wider);
+  }
   Floats most = simd::load<Floats>(group_most_);
   for (int g = chunk; g < groups_; g += chunk) {
     most = max(most, simd::load<Floats>(group_most_ + g));
@@ -254,6 +294,8 @@ unsigned PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, doubl
   const Vec3 a{shape[i], shape[j], shape[k]};
   const Vec3 b{shape[3 + i], shape[3 + j], shape[3 + k]};
   const Vec3 c{shape[6 + i], shape[6 + j], shape[6 + k]};
+  Vec3 across{};
+  bool across_known = false;
   unsigned found = 0;
   for (; which; which &= which - 1) {
     const int group = std::countr_zero(which);
@@ -281,7 +323,11 @@ unsigned PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, doubl
     if (!any(hit)) {
       continue;
     }
-    const auto [nx, ny, nz] = normal(a, b, c);
+    if (!across_known) {
+      across = normal(a, b, c);
+      across_known = true;
+    }
+    const auto [nx, ny, nz] = across;
     const Doubles dx = simd::load<Doubles>(direction_[0] + n);
     const Doubles dy = simd::load<Doubles>(direction_[1] + n);
     const Doubles dz = simd::load<Doubles>(direction_[2] + n);
@@ -379,7 +425,7 @@ void PacketOf<Capacity>::first_hits(const Bvh& bvh, std::int32_t first_slot) {
       for (int g = 0; g < groups_; g += chunk) {
         if (const unsigned which = groups_at(bvh.leaves[s].box, g)) {
           if (const unsigned found = hit(bvh, s, kind, s + static_cast<double>(first_slot), 0.0, g, which)) {
-            shorten(g, found);
+            shorten(g);
           }
         }
       }
@@ -404,7 +450,7 @@ void PacketOf<Capacity>::any_hits(const Bvh& bvh) {
         if (const unsigned which = groups_at(bvh.leaves[s].box, g)) {
           if (const unsigned found = hit(bvh, s, kind, s, ends, g, which)) {
             end_hit();
-            shorten(g, found);
+            shorten(g);
           }
         }
       }
@@ -450,12 +496,15 @@ template class PacketOf<packet_size>;
 template class PacketOf<9 * packet_size>;
 
 Alike alike(Rows<const double> directions, Index first, Index end, int most) {
-  const View<const double> x = directions[0];
-  const View<const double> y = directions[1];
-  const View<const double> z = directions[2];
+  const double* const x = directions[0].data();
+  const double* const y = directions[1].data();
+  const double* const z = directions[2].data();
   const int face = facing(x[first], y[first], z[first]);
   const Index last = std::min(first + most, end);
-  Index n = first + 1;
+  Index n = first;
+  while (n + lanes<double> <= last && !any(other_facing(face, x + n, y + n, z + n))) {
+    n += lanes<double>;
+  }
   while (n < last && facing(x[n], y[n], z[n]) == face) {
     ++n;
   }

@@ -102,7 +102,7 @@ class PacketOf {
   void bound(int face);
   void span_fan();
   void begin();
-  void shorten(int first_group, unsigned which);
+  void shorten(int first_group);
   template <class Visit>
   void walk(const Bvh& bvh, Visit visit);
   unsigned enter(const Node& node, float slack_m, float* near) const;
