@@ -9,8 +9,8 @@ from accuracy_optimum import recut
 from page import ROOT, table
 from scipy.stats import qmc
 
+from lidarcfg.core import analytic as core
 from lidarcfg.geometry import Array
-from lidarcfg.placement import detection_kernels as kernels
 from lidarcfg.placement.detection import DetectionObject, detection
 from lidarcfg.placement.region import cuboids_needed
 from lidarcfg.placement.study import Study, load_study
@@ -35,7 +35,7 @@ def on_grid(spaces: Subspaces, name: str, u: Array) -> float:
     size = cuboids * edge
     box = np.column_stack([corner[:, :2] + size[:2] / 2, corner[:, 2] + SHRINK_M / 2, np.zeros(len(u))])
     x, y, z = (size - SHRINK_M).tolist()
-    detected, places = kernels.detected_boxes(spaces.label, low, edge, box, (x, y, z), 1)
+    detected, places = core.detected_boxes(spaces.label, low, edge, box, (x, y, z), 1)
     return detected / places
 
 
@@ -48,7 +48,7 @@ def anywhere(spaces: Subspaces, name: str, u: Array) -> float:
     reach = np.column_stack([length * c + width * s, length * s + width * c]) / 2
     middle = low[:2] + reach + u[:, :2] * (high[:2] - low[:2] - 2 * reach)
     box = np.column_stack([middle, low[2] + u[:, 2] * (high[2] - low[2] - height), heading])
-    detected, places = kernels.detected_boxes(spaces.label, low, spaces.region.cuboid_m, box, SIZES[name], 1)
+    detected, places = core.detected_boxes(spaces.label, low, spaces.region.cuboid_m, box, SIZES[name], 1)
     return detected / places
 
 

@@ -51,21 +51,12 @@ def search() -> None:
 
 
 def lines() -> None:
-    """Compile what lines through subspaces add up, and what of a vehicle's bodies a report needs."""
+    """Compile what of a vehicle's bodies a report needs."""
     import numpy as np
 
-    from lidarcfg.placement.analytic_kernels import Flips, Sheaf, Sums, sweep
     from lidarcfg.placement.blind_spots import trace_outline
-    from lidarcfg.placement.boundary_kernels import Crossings, Lattice, solid_flips, triangle_crossings
 
-    none, counts, table = np.empty(0), np.empty(0, np.int64), np.empty((0, 0))
-    lattice, crossings = Lattice(0, none, none, (0, 0, 0)), Crossings(counts, none, none)
-    label, within = np.empty((0, 0, 0), np.int32), np.empty((0, 0, 0), np.bool_)
-    flips, sums = Flips(table > 0.0, counts, none, none), Sums(none, none, none, counts)
-    _compile(sweep, Sheaf(0, label, within, none, none, table), np.empty((0, 0), np.int64), table, flips, sums)
-    _compile(triangle_crossings, lattice, np.empty((0, 3, 3)), table)
-    _compile(solid_flips, lattice, crossings, counts, 0)
-    _compile(trace_outline, table, np.empty((0, 3), np.int64), none)
+    _compile(trace_outline, np.empty((0, 0)), np.empty((0, 3), np.int64), np.empty(0))
 
 
 def evaluation() -> None:

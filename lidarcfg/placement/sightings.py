@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.core import analytic as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.placement import detection_kernels, returns_kernels
+from lidarcfg.placement import returns_kernels
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import (
     Counts,
@@ -145,7 +146,7 @@ def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
         inside = _inside(region, places, target.size_m)
         places, part = places[inside], part[inside]
     label, cuboid_m = np.where(region.included, np.int32(0), np.int32(-1)), region.cuboid_m
-    free = [detection_kernels.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
+    free = [core.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
     which = np.array(free, bool)
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
         raise ConfigError(f"{item.name}: has no free place in the region")
