@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lidarcfg.rig import Mount
 
 FAMILIES = {  # module and class, loaded when they are needed
-    "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
+    "velodyne": "lidarcfg.packets.velodyne:Velodyne",
     "hesai": "lidarcfg.packets.hesai.codec:Hesai",
     "robosense": "lidarcfg.packets.robosense.codec:Robosense",
     "ouster": "lidarcfg.packets.ouster.codec:Ouster",
