@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",
-    "hesai": "lidarcfg.packets.hesai.codec:Hesai",
-    "robosense": "lidarcfg.packets.robosense.codec:Robosense",
+    "hesai": "lidarcfg.packets.hesai:Hesai",
+    "robosense": "lidarcfg.packets.robosense:Robosense",
     "ouster": "lidarcfg.packets.ouster.codec:Ouster",
 }
 

@@ -1,4 +1,4 @@
-"""Encodes firings and their measurements as packets."""
+"""Encodes firings and their measurements as packets; a QT128C2X's have functional safety and checksums besides."""
 
 from typing import TYPE_CHECKING
 
@@ -7,14 +7,14 @@ import numpy as np
 from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets, Times
-from lidarcfg.packets.hesai import safety
-from lidarcfg.packets.hesai.facts import Unit
 from lidarcfg.packets.hesai.layout import (
     DISTANCE_MAX,
     FACTORY,
     FIRST_LAST,
     FLAGS,
+    HEADER,
     RESERVED,
+    SAFETY,
     START,
     WRITTEN,
     Packets,
@@ -22,13 +22,16 @@ from lidarcfg.packets.hesai.layout import (
     date_of,
     octets_of,
 )
-from lidarcfg.packets.hesai.schedule import within
+from lidarcfg.packets.hesai.model import Unit, within
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
 
+
 COLUMNS = ("time_ns", "laser", "encoder_rad")
+VERSION = 1
+COUNTER_NS, COUNTERS = 5_111_060, 6  # the rolling counter's step, 46 periods, and its values 0 to 5: as recorded
 
 
 def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
@@ -66,7 +69,7 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     if unit.facts.packet.protocol == "3.2":
         if dual and len(unit.fires) > 1:
             packets["mode_flag"] = 1 - loop[:, 0]
-        safety.fill(packets, stamp_ns)
+        write_safety(packets, stamp_ns)
     return packets
 
 
@@ -113,3 +116,23 @@ def _loops(unit: Unit, laser: Octets) -> Times:
         return np.zeros(laser.shape[:2], np.int64)
     only = int(np.argmax(unit.fires[1] & ~unit.fires[0]))
     return np.asarray((laser == only).any(axis=2), np.int64)
+
+
+def write_safety(packets: Packets, stamp_ns: Times) -> None:
+    """Write the functional safety of packets (P,) without a fault, then the checksums. `stamp_ns` is (P,)."""
+    safety = packets["safety"]
+    safety["version"] = VERSION
+    safety["state"] = stamp_ns // COUNTER_NS % COUNTERS
+    write_checksums(packets)
+
+
+def write_checksums(packets: Packets) -> None:
+    """Write the checksums of packets (P,): body, functional safety without its version, and tail."""
+    fields = packets.dtype.fields
+    assert fields
+    octets = octets_of(packets)
+    at = {key: value[1] for key, value in fields.items()}
+    packets["body_crc"] = core.crc32_mpeg2(octets, HEADER.itemsize, at["body_crc"])
+    end = at["safety"] + SAFETY.itemsize - 4
+    packets["safety"]["crc"] = core.crc32_mpeg2(octets, at["safety"] + 1, end)
+    packets["tail_crc"] = core.crc32_mpeg2(octets, at["status"], at["tail_crc"])

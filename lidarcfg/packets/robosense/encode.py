@@ -5,7 +5,6 @@ import numpy as np
 from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets
-from lidarcfg.packets.robosense.facts import Unit
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     DISTANCE_MAX,
@@ -20,7 +19,7 @@ from lidarcfg.packets.robosense.layout import (
     octets_of,
     write_time,
 )
-from lidarcfg.packets.robosense.slots import numbers, places
+from lidarcfg.packets.robosense.model import Unit, numbers, places
 from lidarcfg.packets.unit import matrix
 
 

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Source
-from lidarcfg.packets.hesai.facts import Unit
+from lidarcfg.packets.hesai.model import Unit
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Beams
 

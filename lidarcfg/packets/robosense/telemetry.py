@@ -9,7 +9,6 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Payloads, Source
-from lidarcfg.packets.robosense.facts import Unit
 from lidarcfg.packets.robosense.layout import (
     ANGLE,
     DIFOP,
@@ -23,10 +22,12 @@ from lidarcfg.packets.robosense.layout import (
     octets_of,
     write_time,
 )
+from lidarcfg.packets.robosense.model import Unit
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
+
 
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
