@@ -81,12 +81,12 @@ class Hesai(Codec):
         """See `Codec`; one return alone is the strongest."""
         kinds = np.array(super().return_types(mount, range_m, reflectivity))
         if mount.dual:
-            kinds[encode.alone(self.unit, range_m, reflectivity)] = types("strongest")
+            kinds[encode.holds_one(self.unit, range_m, reflectivity)] = types("strongest")
         return kinds
 
-    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
+    def sidecar_files(self, mount: "Mount") -> Mapping[str, bytes]:
         """The angle correction file."""
-        return telemetry.written(self.unit, mount)
+        return telemetry.correction_file(self.unit, mount)
 
     def return_modes(self, source: Source, packets: Octets) -> Times:
         """See `Codec`."""
@@ -97,19 +97,19 @@ class Hesai(Codec):
         return decode.measurements(self.unit, packets, host_ns)
 
     @classmethod
-    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
-        """By its first bytes only; `recognise` finds the model."""
-        return decode.claims(size, payload)
+    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+        """By its first bytes only; `identify` finds the model."""
+        return decode.matches(size, payload)
 
     @classmethod
-    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
         """See `Codec`."""
         return decode.identify(source.where, packets, _units(known)).sensor
 
     def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
         """See `Codec`."""
         decode.check_size(source.where, self.unit, packets)
-        beams = telemetry.found(source, self.unit.count)
+        beams = telemetry.find_corrections(source, self.unit.count)
         if beams is None:
             what = f"no *{telemetry.SUFFIX} beside it; the nominal angles of {self.unit.name} are taken"
             source.on_warning(f"{source.where}: {what}")

@@ -14,19 +14,19 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import (
     Batch,
     Decoder,
+    DecodeStatistics,
     Firings,
     Flags,
     Measurements,
     Octets,
     Returns,
-    Tally,
     Times,
 )
 from lidarcfg.packets.hesai.layout import (
     HEADER,
     MODES,
+    RETURN_MODE_CODES,
     START,
-    WRITTEN,
     Packets,
     device_time_ns,
     encoder_rad,
@@ -51,7 +51,7 @@ PAIR_KINDS = {  # the nearer return, the farther
 }
 
 
-class Said(NamedTuple):
+class PacketFields(NamedTuple):
     """What P packets say beside their blocks."""
 
     unit_mm: Octets  # (P,) of distances
@@ -79,7 +79,7 @@ class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
     def __init__(self, where: str, unit: Unit) -> None:
-        self._where, self._unit, self._losses = where, unit, Losses(unit)
+        self._where, self._unit, self._counter = where, unit, PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
@@ -104,11 +104,11 @@ class HesaiDecoder(Decoder):
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
-        self._losses.add(self._unit.packets_of(packets), wanted)
+        self._counter.add(self._unit.packets_of(packets), wanted)
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
-        return Tally((self._unit.name,), self._losses.return_modes, self._losses.lost, self._losses.rpm)
+        return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
@@ -132,7 +132,7 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     loop: Octets = np.zeros(len(packets), np.uint8)
     if len(unit.facts.firing.loops) > 1:
         loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
-    said = Said(
+    said = PacketFields(
         unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
         stamp_ns=device_time_ns(packets),
         dual=is_dual(packets),
@@ -203,7 +203,7 @@ def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
     """
     packets = unit.packets_of(octets)
     code = int(packets["tail"]["return_mode"][0])
-    modes = {WRITTEN[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
+    modes = {RETURN_MODE_CODES[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
     mode = modes.get(code)
     if mode is None:
         allowed = ", ".join(f"0x{one:02X} {name}" for one, name in modes.items())
@@ -233,7 +233,7 @@ def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
     return Measurements(mode, batch, range_m, reflectivity)
 
 
-class Losses:
+class PacketLossCounter:
     """Counts over the packets of one source."""
 
     def __init__(self, unit: Unit) -> None:
@@ -265,7 +265,7 @@ class Losses:
         return self._speeds / self._packets if self._packets else math.nan
 
 
-def claims(size: int, payload: bytes) -> bool:
+def matches(size: int, payload: bytes) -> bool:
     """Whether a payload begins as one of Hesai's."""
     if size < HEADER.itemsize or not payload.startswith(START):
         return False

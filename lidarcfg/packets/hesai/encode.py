@@ -14,9 +14,9 @@ from lidarcfg.packets.hesai.layout import (
     FLAGS,
     HEADER,
     RESERVED,
+    RETURN_MODE_CODES,
     SAFETY,
     START,
-    WRITTEN,
     Packets,
     azimuth_of,
     date_of,
@@ -63,7 +63,7 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     stamp_ns = (stamp_ns + 500) // 1000 * 1000
     _head(unit, packets, dual)
     tail = packets["tail"]
-    tail["return_mode"], tail["rpm"], tail["factory"] = WRITTEN[mount.return_mode], round(mount.rpm), FACTORY
+    tail["return_mode"], tail["rpm"], tail["factory"] = RETURN_MODE_CODES[mount.return_mode], round(mount.rpm), FACTORY
     tail["date"], tail["microseconds"] = date_of(stamp_ns), stamp_ns % SECOND_NS // 1000
     tail["sequence"] = batch.number
     if unit.facts.packet.protocol == "3.2":
@@ -93,7 +93,7 @@ def sent(unit: Unit, packets: Packets, return_mode: str, laser: Octets) -> Flags
     return found
 
 
-def alone(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
+def holds_one(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
     """(N,): of pairs of ranges (N, 2), which hold one return, or it twice."""
     least_m, most_m = unit.range.reported_m
     inside = (range_m >= least_m) & (range_m <= most_m)

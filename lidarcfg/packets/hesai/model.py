@@ -13,8 +13,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Firings, Flags, Octets, Times
 from lidarcfg.packets.hesai.layout import Packets, Protocol, packet
 from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.spin import revolutions
-from lidarcfg.packets.unit import AnyUnit
+from lidarcfg.packets.rotating import revolutions
+from lidarcfg.packets.unit import SensorInstance
 from lidarcfg.sensor import Byte, Sensor
 from lidarcfg.units import MINUTE_NS
 
@@ -94,7 +94,7 @@ class Settings(Model):
     """The key `hesai` of a mount in a rig's file; it has no keys yet."""
 
 
-class Unit(AnyUnit[Facts]):
+class Unit(SensorInstance[Facts]):
     """A sensor with the facts of its packets."""
 
     @property

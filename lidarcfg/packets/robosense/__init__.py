@@ -17,7 +17,7 @@ from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, octets_of, packets_of
 from lidarcfg.packets.robosense.model import Facts, Unit, unit
-from lidarcfg.packets.spin import Spin, Spinning
+from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
 from lidarcfg.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Facts", "Robosense", "Unit", "unit"]
 
 
-class Robosense(Spinning):
+class Robosense(RotatingSensorCodec):
     """The packets of one RoboSense sensor."""
 
     point_fields = STAMPED
@@ -37,9 +37,9 @@ class Robosense(Spinning):
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
-    def spin(self, dual: bool) -> Spin:
-        """See `Spinning`."""
-        return self.unit.spin(dual)
+    def firing_schedule(self, dual: bool) -> FiringSchedule:
+        """See `RotatingSensorCodec`."""
+        return self.unit.firing_schedule(dual)
 
     def check(self, mount: "Mount") -> None:
         """See `Codec`."""
@@ -74,7 +74,7 @@ class Robosense(Spinning):
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
             return found
-        read = decode.reading(self.unit, source, decode.undamaged(packets_of(packets)), telemetry.find(source))
+        read = decode.reading(self.unit, source, decode.undamaged(packets_of(packets)), telemetry.find_difop(source))
         return np.full(len(packets), MODES[read.return_mode], np.int64)
 
     def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
@@ -82,19 +82,19 @@ class Robosense(Spinning):
         return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
 
     @classmethod
-    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
         """By size and first bytes, which differ from those of DIFOP packets."""
         return size == SIZE and payload.startswith(MSOP_ID)
 
     @classmethod
-    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
         """See `Codec`."""
         first = decode.undamaged(packets_of(packets))
-        return decode.identify(source.where, first, telemetry.find(source), [unit(one) for one in known()]).sensor
+        return decode.identify(source.where, first, telemetry.find_difop(source), [unit(one) for one in known()]).sensor
 
     def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
         """See `Codec`."""
-        first, difop = decode.undamaged(packets_of(packets)), telemetry.find(source)
+        first, difop = decode.undamaged(packets_of(packets)), telemetry.find_difop(source)
         decode.check_msop(source.where, first)
         if trusted:
             decode.check_model(source.where, self.unit, first, difop)

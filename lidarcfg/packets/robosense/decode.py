@@ -14,13 +14,13 @@ from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import (
     Batch,
     Decoder,
+    DecodeStatistics,
     Firings,
     Flags,
     Measurements,
     Octets,
     Returns,
     Source,
-    Tally,
     Times,
 )
 from lidarcfg.packets.robosense.layout import (
@@ -36,8 +36,8 @@ from lidarcfg.packets.robosense.layout import (
     packets_of,
     read_time_ns,
 )
-from lidarcfg.packets.robosense.model import Unit, places, slots
-from lidarcfg.packets.robosense.telemetry import Difop, every
+from lidarcfg.packets.robosense.model import Unit, byte_offsets, slots
+from lidarcfg.packets.robosense.telemetry import Difop, all_difops
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
@@ -66,7 +66,7 @@ class Reading:
         """The core's decoder."""
         unit = self.unit
         sensor = unit.sensor
-        spin = unit.spin(self.dual)
+        schedule = unit.firing_schedule(self.dual)
         lasers = blocks.Lasers(
             elevation=self.elevation_rad,
             azimuth_offset=self.azimuth_offset_rad,
@@ -78,8 +78,8 @@ class Reading:
             near_offset=np.empty((0, 2)),
             focal=np.empty((0, 4)),
         )
-        group_ns = spin.per_azimuth * spin.sequence_ns
-        return core.RobosenseDecoder(slots(unit, self.dual), lasers, spin.period_ns, group_ns, unit.resolution_m)
+        group_ns = schedule.per_azimuth * schedule.sequence_ns
+        return core.RobosenseDecoder(slots(unit, self.dual), lasers, schedule.period_ns, group_ns, unit.resolution_m)
 
 
 def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> Reading:
@@ -102,8 +102,8 @@ class RobosenseDecoder(Decoder):
 
     def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
         self._where, self._reading = source.where, reading
-        self.period_ns = reading.unit.spin(reading.dual).period_ns
-        self._losses = Losses(self.period_ns, full_fov)
+        self.period_ns = reading.unit.firing_schedule(reading.dual).period_ns
+        self._counter = PacketLossCounter(self.period_ns, full_fov)
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """See `Decoder`."""
@@ -123,11 +123,13 @@ class RobosenseDecoder(Decoder):
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
-        self._losses.add(packets_of(packets), wanted)
+        self._counter.add(packets_of(packets), wanted)
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
-        return Tally((self._reading.unit.name,), (self._reading.return_mode,), self._losses.lost, self._losses.rpm)
+        return DecodeStatistics(
+            (self._reading.unit.name,), (self._reading.return_mode,), self._counter.lost, self._counter.rpm
+        )
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
@@ -145,14 +147,14 @@ def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
 def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
     dual = return_mode == "dual"
-    packets, spin = packets_of(octets), unit.spin(dual)
+    packets, schedule = packets_of(octets), unit.firing_schedule(dual)
     azimuth = packets["blocks"]["azimuth"]
-    azimuth = azimuth[:, :: azimuth.shape[1] // (spin.sequences // spin.per_azimuth)].astype(np.float64)
-    shape = len(packets), spin.sequences, unit.count
-    head = np.broadcast_to(np.repeat(azimuth * RADIANS, spin.per_azimuth, axis=1)[:, :, None], shape)
-    time_ns = read_time_ns(packets)[:, None, None] + spin.offsets_ns
+    azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
+    shape = len(packets), schedule.sequences, unit.count
+    head = np.broadcast_to(np.repeat(azimuth * RADIANS, schedule.per_azimuth, axis=1)[:, :, None], shape)
+    time_ns = read_time_ns(packets)[:, None, None] + schedule.offsets_ns
     laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
-    at, data = places(unit, dual), octets_of(packets)
+    at, data = byte_offsets(unit, dual), octets_of(packets)
     high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     distance = high.astype(np.int64) << 8 | low
     range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
@@ -166,7 +168,7 @@ def return_modes(unit: Unit, source: Source, octets: Octets) -> Times | None:
     A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
     says which they are, as a mode changes before a DIFOP says so.
     """
-    packets, difops = packets_of(octets), every(source)
+    packets, difops = packets_of(octets), all_difops(source)
     difops = difops[np.isin(difops["return_mode"], list(NAMES))]
     if not len(difops):
         return None
@@ -193,10 +195,10 @@ def _dual(unit: Unit, packets: Packets) -> Flags:
     turned, gap_ns = np.diff(azimuth[:, 0]) % REVOLUTION, np.diff(read_time_ns(packets))
     known = gap_ns > 0
     per_ns = np.median(turned[known] / gap_ns[known]) if known.any() else REVOLUTION * 10 / SECOND_NS
-    return np.asarray(block < 1.5 * per_ns * unit.spin(dual=True).sequence_ns)
+    return np.asarray(block < 1.5 * per_ns * unit.firing_schedule(dual=True).sequence_ns)
 
 
-class Losses:
+class PacketLossCounter:
     """Counts over the packets of one source: by their counter; by their stamps where that is always the same.
 
     Without a counter, what is missing may be beyond a narrow field of view, so then nothing counts as lost
@@ -306,7 +308,7 @@ def is_dual(unit: Unit, packets: Packets) -> bool:
     if unit.count == 32:
         return paired
     gap_ns = _gap_ns(packets)
-    return bool(gap_ns) and gap_ns < 1.5 * unit.spin(dual=True).period_ns
+    return bool(gap_ns) and gap_ns < 1.5 * unit.firing_schedule(dual=True).period_ns
 
 
 def _fits(unit: Unit, packets: Packets) -> bool:
@@ -314,11 +316,11 @@ def _fits(unit: Unit, packets: Packets) -> bool:
     azimuth, gap_ns = packets["blocks"]["azimuth"].astype(np.int64), _gap_ns(packets)
     paired = bool((azimuth[:, ::2] == azimuth[:, 1::2]).mean() > 0.5)
     if unit.count == 32:
-        period_ns = unit.spin(paired).period_ns
+        period_ns = unit.firing_schedule(paired).period_ns
         return not gap_ns or abs(gap_ns - period_ns) < 0.2 * period_ns
     if paired:
         return False
-    periods_ns = [unit.spin(dual).period_ns for dual in (False, True)]
+    periods_ns = [unit.firing_schedule(dual).period_ns for dual in (False, True)]
     return not gap_ns or any(abs(gap_ns - period_ns) < 0.2 * period_ns for period_ns in periods_ns)
 
 

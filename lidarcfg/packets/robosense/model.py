@@ -11,8 +11,8 @@ from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import Times
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.robosense.layout import BLOCK, BLOCKS, MSOP, RETURN, SLOTS
-from lidarcfg.packets.spin import Spin
-from lidarcfg.packets.unit import AnyUnit, Firing, check_firing
+from lidarcfg.packets.rotating import FiringSchedule
+from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
 from lidarcfg.sensor import Byte, Sensor
 
 
@@ -47,15 +47,15 @@ class Facts(Model):
     headers: Headers
 
 
-class Unit(AnyUnit[Facts]):
+class Unit(SensorInstance[Facts]):
     """A sensor of 16 or 32 lasers with the facts of its packets."""
 
-    def spin(self, dual: bool) -> Spin:
+    def firing_schedule(self, dual: bool) -> FiringSchedule:
         """Its firing pattern. A block holds all returns of 32 lasers once, of 16 lasers twice or dual."""
         firing, per_block = self.facts.firing, SLOTS // self.count
         sequences = BLOCKS * per_block // (1 + dual)
         per_azimuth = 1 if dual else per_block
-        return Spin(np.array(firing.offset_ns, np.int64), firing.sequence_ns, sequences, per_azimuth)
+        return FiringSchedule(np.array(firing.offset_ns, np.int64), firing.sequence_ns, sequences, per_azimuth)
 
 
 @lru_cache(64)
@@ -70,12 +70,12 @@ def unit(sensor: Sensor) -> Unit:
 
 
 @lru_cache
-def numbers(unit: Unit, dual: bool) -> Times:
+def slot_numbers(unit: Unit, dual: bool) -> Times:
     """(N,) the slot, numbered block by block, of each of a packet's (S, L) returns, or (S, L, 2) dual returns.
 
     With dual returns, both of 16 lasers stand in one block, one half each; of 32 lasers in two successive blocks.
     """
-    sequences, each = unit.spin(dual).sequences, unit.count
+    sequences, each = unit.firing_schedule(dual).sequences, unit.count
     slots = np.arange(sequences * each * (1 + dual))
     if dual:
         sequence, laser, which = np.unravel_index(slots, (sequences, each, 2))
@@ -84,27 +84,27 @@ def numbers(unit: Unit, dual: bool) -> Times:
 
 
 @lru_cache
-def places(unit: Unit, dual: bool) -> Times:
+def byte_offsets(unit: Unit, dual: bool) -> Times:
     """(N,) the byte at which each of a packet's returns begins."""
     fields = MSOP.fields
     assert fields
     first = fields["blocks"][1]
-    block, slot = np.divmod(numbers(unit, dual), SLOTS)
+    block, slot = np.divmod(slot_numbers(unit, dual), SLOTS)
     return np.asarray(first + block * BLOCK.itemsize + 4 + slot * RETURN.itemsize)
 
 
 @lru_cache
 def slots(unit: Unit, dual: bool) -> blocks.Slots:
     """The core's table of a packet's slots."""
-    spin = unit.spin(dual)
-    groups = spin.sequences // spin.per_azimuth
+    schedule = unit.firing_schedule(dual)
+    groups = schedule.sequences // schedule.per_azimuth
     each = 1 + dual
-    at = numbers(unit, dual).reshape(groups, -1)[0]
+    at = slot_numbers(unit, dual).reshape(groups, -1)[0]
     order = np.argsort(at)
     sequence, laser = np.divmod(order // each, unit.count)
-    offset_ns = sequence * spin.sequence_ns + spin.offset_ns[laser]
-    group_ns = spin.per_azimuth * spin.sequence_ns
-    fraction = (offset_ns - spin.offset_ns.min()) / group_ns
+    offset_ns = sequence * schedule.sequence_ns + schedule.offset_ns[laser]
+    group_ns = schedule.per_azimuth * schedule.sequence_ns
+    fraction = (offset_ns - schedule.offset_ns.min()) / group_ns
     return blocks.Slots(
         laser=laser,
         fraction=np.tile(fraction, (groups, 1)),

@@ -13,11 +13,11 @@ import numpy as np
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Measurements, Octets, Payloads, Source, Times
-from lidarcfg.packets.spin import Spin, Spinning
+from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
 from lidarcfg.packets.velodyne import decode, encode, telemetry
 from lidarcfg.packets.velodyne.layout import PACKET, octets_of, packets_of
 from lidarcfg.packets.velodyne.model import Facts, Settings, Status, Unit, unit
-from lidarcfg.packets.velodyne.telemetry import Carried
+from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
 from lidarcfg.sensor import Sensor, catalogue
 
 if TYPE_CHECKING:
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Facts", "Settings", "Unit", "Velodyne", "unit"]
 
-CARRIED_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
+CALIBRATION_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packets: one of three should be whole
 
 
-class Velodyne(Spinning):
+class Velodyne(RotatingSensorCodec):
     """The packets of one Velodyne sensor."""
 
     facts_model, settings_model = Facts, Settings
@@ -38,9 +38,9 @@ class Velodyne(Spinning):
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
-    def spin(self, dual: bool) -> Spin:
-        """See `Spinning`."""
-        return self.unit.spin(dual)
+    def firing_schedule(self, dual: bool) -> FiringSchedule:
+        """See `RotatingSensorCodec`."""
+        return self.unit.firing_schedule(dual)
 
     def check(self, mount: "Mount") -> None:
         """See `Codec`."""
@@ -80,12 +80,12 @@ class Velodyne(Spinning):
         return octets_of(encode.packed(self.unit, found))
 
     @classmethod
-    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
-        """By its size only; `recognise` finds the model."""
+    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+        """By its size only; `identify` finds the model."""
         return size == PACKET.itemsize
 
     @classmethod
-    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
         """See `Codec`."""
         return decode.identify(source.where, packets_of(packets), _units(known)).sensor
 
@@ -96,7 +96,7 @@ class Velodyne(Spinning):
         decode.check_period(source.where, self.unit, first)
         status, found = self.unit.packet.status, None
         if status and self.unit.name in catalogue():
-            found = _carried(source, status)
+            found = _embedded_calibration(source, status)
             if found is None:
                 what = f"no whole calibration in its packets; {self.unit.name}'s example unit is taken"
                 source.on_warning(f"{source.where}: {what}")
@@ -107,16 +107,16 @@ def _units(known: Known) -> Sequence[Unit]:
     return [unit(sensor) for sensor in known()]
 
 
-def _carried(source: Source, status: Status) -> Carried | None:
+def _embedded_calibration(source: Source, status: Status) -> EmbeddedCalibration | None:
     """The calibration in the source's own packets, and the mode of single returns."""
     found, count = [], 0
     for octets in source.payloads(source.port, PACKET.itemsize):
-        found.append(packets_of(octets[: CARRIED_PACKETS - count]))
+        found.append(packets_of(octets[: CALIBRATION_PACKETS - count]))
         count += len(found[-1])
-        if count == CARRIED_PACKETS:
+        if count == CALIBRATION_PACKETS:
             break
     packets = np.concatenate(found)
     try:
-        return telemetry.carried(status, packets["return_mode"], packets["product_id"])
+        return telemetry.parse_calibration(status, packets["return_mode"], packets["product_id"])
     except PacketError as error:
         raise PacketError(f"{source.where}: {error}") from None

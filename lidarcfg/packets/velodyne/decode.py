@@ -16,13 +16,13 @@ from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import (
     Batch,
     Decoder,
+    DecodeStatistics,
     Firings,
     Flags,
     Known,
     Measurements,
     Octets,
     Returns,
-    Tally,
     Times,
 )
 from lidarcfg.packets.velodyne.layout import (
@@ -43,7 +43,7 @@ from lidarcfg.packets.velodyne.model import (
     slots,
 )
 from lidarcfg.packets.velodyne.model import unit as unit_of
-from lidarcfg.packets.velodyne.telemetry import Carried
+from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets
 STEP_MAX = 300  # hundredths of a degree between a packet's blocks, where the field of view has no gap
@@ -54,12 +54,12 @@ RETURN_MODES = "strongest", "last", "dual"
 class VelodyneDecoder(Decoder):
     """Decodes the packets of one Velodyne sensor, with the calibration in their status bytes if there is one."""
 
-    def __init__(self, where: str, unit: Unit, found: Carried | None, known: Known, trusted: bool) -> None:
+    def __init__(self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: Known, trusted: bool) -> None:
         self._where, self._known, self._trusted = where, known, trusted
         self._unit = found.unit(unit) if found else unit
         self.period_ns = self._unit.period_ns()
         self._last_only = found is not None and found.return_mode == "last"
-        self._losses = Losses(self._unit, self._last_only)
+        self._counter = PacketLossCounter(self._unit, self._last_only)
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """See `Decoder`."""
@@ -75,12 +75,12 @@ class VelodyneDecoder(Decoder):
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
-        self._losses.add(packets_of(packets), wanted)
+        self._counter.add(packets_of(packets), wanted)
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
         models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
-        return Tally(models, self._losses.return_modes, self._losses.lost, self._losses.rpm)
+        return DecodeStatistics(models, self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
@@ -182,19 +182,21 @@ def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
     """
     mode = RETURN_MODES[int(return_modes(unit, packets[:1])[0])]
     dual = mode == "dual"
-    spin = unit.spin(dual)
+    schedule = unit.firing_schedule(dual)
     azimuth = np.ascontiguousarray(
-        packets["blocks"]["azimuth"][:, : unit.span(dual) * (spin.sequences // spin.per_azimuth) : unit.span(dual)],
+        packets["blocks"]["azimuth"][
+            :, : unit.span(dual) * (schedule.sequences // schedule.per_azimuth) : unit.span(dual)
+        ],
         np.uint16,
     )
-    group_ns = spin.per_azimuth * spin.sequence_ns
+    group_ns = schedule.per_azimuth * schedule.sequence_ns
     gap_ns = np.append(gaps_ns(packets["stamp_us"]), 0)
-    step, late_ns = core.velodyne_turning(azimuth, gap_ns, spin.period_ns, group_ns)
-    group = np.arange(spin.sequences) // spin.per_azimuth
-    fraction = (spin.offsets_ns - unit.head_offset_ns) / group_ns - group[:, None]
+    step, late_ns = core.velodyne_turning(azimuth, gap_ns, schedule.period_ns, group_ns)
+    group = np.arange(schedule.sequences) // schedule.per_azimuth
+    fraction = (schedule.offsets_ns - unit.head_offset_ns) / group_ns - group[:, None]
     head = (azimuth[:, group, None] + step[:, group, None] * fraction) * RADIANS
     stamp_ns = device_time_ns(packets["stamp_us"], host_ns)
-    time_ns = stamp_ns[:, None, None] + spin.offsets_ns + late_ns[:, group, None]
+    time_ns = stamp_ns[:, None, None] + schedule.offsets_ns + late_ns[:, group, None]
     laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), time_ns.shape).ravel()
     distance, intensity = returned(unit, mode, packets)
     range_m = distance * unit.resolution_m + unit.distance_offset_m[laser][:, None]
@@ -225,7 +227,7 @@ def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np
     return distance, intensity
 
 
-class Losses:
+class PacketLossCounter:
     """Counts over the packets of one source. The gap of an azimuth that is not sent is no loss."""
 
     def __init__(self, unit: Unit, last_only: bool) -> None:

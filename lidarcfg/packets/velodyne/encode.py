@@ -50,7 +50,7 @@ def encode(
     check_encodable(unit, return_mode)
     dual = return_mode == "dual"
     number, span = slots(unit.packet, dual), unit.span(dual)
-    stamped_ns, _ = unit.spin(dual).stamps_ns(fired)
+    stamped_ns, _ = unit.firing_schedule(dual).stamps_ns(fired)
     packets = np.zeros(len(stamped_ns), PACKET)
     blocks = packets["blocks"][:, : len(number)]
     blocks["flag"] = np.tile(block_flags(unit.packet, dual), len(number) // span)
@@ -103,7 +103,7 @@ def packed(unit: Unit, found: Measurements) -> Packets:
     number, span = slots(unit.packet, dual), unit.span(dual)
     blocks = packets["blocks"][:, : len(number)]
     blocks["returns"]["intensity"] = found.reflectivity.reshape(len(packets), -1)[:, number]
-    azimuth = np.repeat(np.rint(unit.spin(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)
+    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)
     blocks["azimuth"][azimuth == REVOLUTION] = REVOLUTION
     return packets
 
@@ -124,7 +124,7 @@ def check_encodable(unit: Unit, return_mode: str) -> None:
 
 def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]:
     """(P, blocks' times) in hundredths of a degree: where the head points at the first firing of each."""
-    head_rad = unit.spin(dual).head_rad(fired)
+    head_rad = unit.firing_schedule(dual).head_rad(fired)
     return np.asarray(np.rint(head_rad / RADIANS).astype(np.int64) % REVOLUTION)
 
 

@@ -12,8 +12,8 @@ from lidarcfg.config import Model, Positive, fault
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
 from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.spin import Spin
-from lidarcfg.packets.unit import AnyUnit, Firing, check_firing
+from lidarcfg.packets.rotating import FiringSchedule
+from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
 from lidarcfg.packets.velodyne.layout import BLOCKS, RETURNS, SLOTS, Packets, PpsState
 from lidarcfg.sensor import Byte, Millimetres, Sensor, check_lengths
 
@@ -175,7 +175,7 @@ class Settings(Model):
         return value
 
 
-class Unit(AnyUnit[Facts]):
+class Unit(SensorInstance[Facts]):
     """A sensor with the facts of its packets."""
 
     @property
@@ -195,17 +195,17 @@ class Unit(AnyUnit[Facts]):
 
     def offsets_ns(self, dual: bool = False) -> NDArray[np.int64]:
         """(S, L): when each laser fires in a packet's S sequences, after its stamp. With dual returns S is smaller."""
-        return self.spin(dual).offsets_ns
+        return self.firing_schedule(dual).offsets_ns
 
     def period_ns(self, dual: bool = False) -> int:
         """From one packet's stamp to the next one's."""
-        return self.spin(dual).period_ns
+        return self.firing_schedule(dual).period_ns
 
-    def spin(self, dual: bool) -> Spin:
+    def firing_schedule(self, dual: bool) -> FiringSchedule:
         """The firing pattern of a packet."""
         per_block = self.packet.sequences_per_block
         offset_ns = np.array(self.firing.offset_ns, np.int64)
-        return Spin(offset_ns, self.firing.sequence_ns, BLOCKS // self.span(dual) * per_block, per_block)
+        return FiringSchedule(offset_ns, self.firing.sequence_ns, BLOCKS // self.span(dual) * per_block, per_block)
 
     def span(self, dual: bool) -> int:
         """The number of blocks that hold one firing of all lasers."""

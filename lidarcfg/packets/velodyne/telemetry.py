@@ -90,7 +90,7 @@ SLOWEST_M_S = 0.1  # below this speed the course is the vehicle's heading
 
 
 @dataclass(frozen=True)
-class Carried:
+class EmbeddedCalibration:
     """The contents of the status bytes of a unit."""
 
     beams: Beams
@@ -182,7 +182,9 @@ def status_bytes(
     return types, values
 
 
-def carried(status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8]) -> Carried | None:
+def parse_calibration(
+    status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8]
+) -> EmbeddedCalibration | None:
     """What the status bytes of successive packets (P,) carry; None if there is none, whole and with the right checksum.
 
     Raises PacketError if it makes no sense.
@@ -201,7 +203,7 @@ def carried(status: Status, types: NDArray[np.uint8], values: NDArray[np.uint8])
         if int.from_bytes(found[-2:], "little") == checksum and (table["id"] == np.arange(LASERS)).all():
             modes = {code: name for name, code in MODES.items()}
             try:
-                return Carried(*_read(table), modes.get(found[MODE_AT], "strongest"))
+                return EmbeddedCalibration(*_read(table), modes.get(found[MODE_AT], "strongest"))
             except ValidationError as error:
                 what = error.errors()[0]["msg"]
                 raise PacketError(f"status bytes carry a calibration that no sensor has: {what}") from None

@@ -44,7 +44,7 @@ class Recorded:
     def unit(self):
         """The model with the unit's own angles."""
         nominal = codec(load_sensor(self.model)).unit
-        beams = telemetry.read(self.angles, self.table)
+        beams = telemetry.parse_corrections(self.angles, self.table)
         return Unit(nominal.sensor.model_copy(update={"beams": beams}), nominal.facts)
 
     @property

@@ -83,7 +83,7 @@ def test_recorded_packets_are_written_again():
     stamp_ns = np.array([naive.seconds_us(one, 20) for one in packets]) * 1000
     head_rad = np.radians([np.repeat(naive.azimuths(one), 32) / 100 for one in packets])
     laser = np.tile(np.arange(32, dtype=np.uint8), 12 * len(packets))
-    fired = Firings((stamp_ns[:, None] + of.spin(False).offsets_ns.ravel()).ravel(), laser, head_rad.ravel())
+    fired = Firings((stamp_ns[:, None] + of.firing_schedule(False).offsets_ns.ravel()).ravel(), laser, head_rad.ravel())
     batch = Batch(fired, np.array([int.from_bytes(one[12:16]) for one in packets]), stamp_ns)
     units, intensity = cell[..., 0].reshape(-1, 1), cell[..., 1].astype(np.uint8).reshape(-1, 1)
     range_m = np.where(units > 0, units * 0.0025, np.inf)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarcfg.geometry import directions
-from lidarcfg.packets import spin
+from lidarcfg.packets import rotating
 from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.velodyne import decode as decoding
 from lidarcfg.packets.velodyne import encode as encoding
@@ -44,7 +44,7 @@ def shaped(sensor, fired, dual=False):
 
 
 def firings(sensor, rpm, start_ns, packets, dual=False, phase_deg=None):
-    return shaped(sensor, spin.firings(unit(sensor).spin(dual), rpm, start_ns, packets, phase_deg), dual)
+    return shaped(sensor, rotating.firings(unit(sensor).firing_schedule(dual), rpm, start_ns, packets, phase_deg), dual)
 
 
 def rays(sensor, fired):
