@@ -14,7 +14,7 @@ from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array, directions, inverse, pose, transform
-from lidarcfg.packets.velodyne.facts import unit
+from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.simulate.export import export, in_time_order

@@ -83,7 +83,7 @@ class Capture:
             first += len(batch.firings.time_ns)
         self.pixels = sum(range_m.size for _, range_m, _ in self._measured)  # and returns, of each
         self.packets = np.concatenate([self._maker.encode(self._mount, *one).data for one in self._measured])
-        metadata = self._maker.companions(self._mount)[".json"]
+        metadata = self._maker.sidecar_files(self._mount)[".json"]
         self._decoder = OusterDecoder("memory", read("memory", metadata), "os1-128")  # type: ignore[arg-type]  # a name for its source will do
         self._metadata, self._info = metadata, core.SensorInfo(metadata.decode())
         self._theirs = [_packet(core.PacketFormat.from_info(self._info), one) for one in self.packets]
