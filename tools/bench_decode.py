@@ -28,10 +28,10 @@ import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
 from lidarcfg.capture.pcap import FILE_HEADER
+from lidarcfg.packets.rotating import firings
 from lidarcfg.packets.velodyne.encode import encode
-from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.packets.velodyne.layout import PACKET
-from lidarcfg.packets.velodyne.schedule import firings, stamps_ns
+from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.sensor import load_sensor
 
 RUNS, PACKETS = 7, 40_000
@@ -50,7 +50,7 @@ def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> 
     """A capture of sensors that send together; every thousand packets their ranges are the same again."""
     sensor, dual = unit(load_sensor(model)), mode == "dual"
     rng = np.random.default_rng(1)
-    fired = firings(sensor, 600.0, START_NS, range(1000), dual)
+    fired = firings(sensor.firing_schedule(dual), 600.0, START_NS, range(1000))
     shape = len(fired.time_ns), 1 + dual
     per_packet = len(fired.time_ns) // 1000
     range_m = np.where(rng.random(shape) < 0.1, np.inf, rng.uniform(2, 100, shape))
@@ -70,10 +70,10 @@ def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> 
         file.write(FILE_HEADER)
         for first in range(0, packets, 1000):
             count = min(packets - first, 1000)
-            fired = firings(sensor, 600.0, START_NS, range(first, first + count), dual)
+            fired = firings(sensor.firing_schedule(dual), 600.0, START_NS, range(first, first + count))
             some = slice(count * per_packet)
             frames["packet"][:count] = encode(sensor, mode, fired, range_m[some], reflectivity[some])[:, None]
-            us = stamps_ns(sensor, fired, dual)[1][:, None] // 1000 + np.arange(sensors)
+            us = sensor.firing_schedule(dual).stamps_ns(fired)[1][:, None] // 1000 + np.arange(sensors)
             frames["record"]["seconds"][:count], frames["record"]["microseconds"][:count] = np.divmod(us, 10**6)
             file.write(frames[:count].tobytes())
 

@@ -51,10 +51,10 @@ with (
     from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
     from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
+    from lidarcfg.packets.rotating import firings
     from lidarcfg.packets.velodyne.encode import encode
-    from lidarcfg.packets.velodyne.facts import unit
     from lidarcfg.packets.velodyne.layout import PACKET, packets_of
-    from lidarcfg.packets.velodyne.schedule import firings
+    from lidarcfg.packets.velodyne.model import unit
     from tools import fuzz_makers
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import LidarcfgError
@@ -125,7 +125,7 @@ def seed_packets(number: int) -> NDArray[Any]:
         if len(packets):
             return packets[:400]
     sensor, mode = unit(load_sensor(MODELS[number % len(MODELS)])), MODES[number % len(MODES)]
-    fired = firings(sensor, 600.0, START_NS, range(400), mode == "dual")
+    fired = firings(sensor.firing_schedule(mode == "dual"), 600.0, START_NS, range(400))
     rng = np.random.default_rng(number)
     shape = len(fired.time_ns), 1 + (mode == "dual")
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 100, shape), np.inf)

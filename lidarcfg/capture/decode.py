@@ -30,7 +30,7 @@ from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets
-COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
+SIDECAR_MAX = 64_000_000  # bytes of a file beside a capture
 CLAIMED_BY = 3  # packets of a source, at most, that are examined to find its family
 
 Job = Callable[[], PointCloud]
@@ -167,7 +167,7 @@ class Capture:
         assert found
         if sensor is None:
             known = partial(self._catalogue, next(one for one in FAMILIES if family(one) is found))
-            sensor = found.recognise(source, packets[:ENOUGH], known)
+            sensor = found.identify(source, packets[:ENOUGH], known)
         return Recorded(_name(key) if index is None else self._names[index], source, sensor, packets, host_ns)
 
     def _jobs(self, chunk_packets: int) -> Iterator[Job]:
@@ -214,7 +214,7 @@ class Capture:
         given = self._given(key)[0]
         families = [type(codec(given))] if given else map(family, FAMILIES)  # each loaded when it is its turn
         source = self._source(key)
-        return next((one for one in families if one.claims(source, len(payload), payload)), None)
+        return next((one for one in families if one.matches(source, len(payload), payload)), None)
 
     def _add(self, some: Datagrams, keys: NDArray[np.uint64]) -> None:
         """Hand the packets to their streams."""
@@ -242,7 +242,7 @@ class Capture:
             where=f"{self._path}: {_name(key)}",
             host=host,
             port=port,
-            companions=partial(_companions, self._path),
+            sidecar_files=partial(_sidecar_files, self._path),
             payloads=partial(_payloads, self._path, host),
             on_warning=self._on_warning,
         )
@@ -301,7 +301,7 @@ def _decoder(
     source: Source, found: type[Codec], sensor: Sensor | None, known: Known, trusted: bool, packets: Octets
 ) -> Decoder:
     """The decoder for a source that begins with these packets. Raises PacketError, ConfigError."""
-    return codec(sensor or found.recognise(source, packets, known)).decoder(source, packets, known, trusted)
+    return codec(sensor or found.identify(source, packets, known)).decoder(source, packets, known, trusted)
 
 
 def _fail(error: LidarcfgError) -> PointCloud:
@@ -327,12 +327,12 @@ def _name(key: int) -> str:
     return f"{host}:{port}"
 
 
-def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
+def _sidecar_files(path: Path, suffix: str) -> Mapping[str, bytes]:
     """The files beside a capture NAME.pcap that match NAME, NAME-* or NAME.*, followed by `suffix`."""
     stem, end = escape(path.stem), escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
     try:
-        return {str(one): read_regular(one, COMPANION_MAX) for one in sorted(found)}
+        return {str(one): read_regular(one, SIDECAR_MAX) for one in sorted(found)}
     except OSError as error:
         raise PacketError.from_os(error.filename, error) from None
 

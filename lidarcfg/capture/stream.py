@@ -169,14 +169,14 @@ class Stream:
     def stats(self) -> SourceStats:
         """What has been decoded."""
         assert self._decoder is not None
-        tally = self._decoder.tally()
+        statistics = self._decoder.statistics()
         return SourceStats(
             name=self.name,
-            models=tally.models,
-            return_modes=tally.return_modes,
+            models=statistics.models,
+            return_modes=statistics.return_modes,
             packets=self.packets,
-            lost=tally.lost,
+            lost=statistics.lost,
             duplicates=self._count["duplicates"],
             reordered=self._count["reordered"],
-            rpm=tally.rpm,
+            rpm=statistics.rpm,
         )

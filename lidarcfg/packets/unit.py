@@ -25,7 +25,7 @@ class Firing(Model):
 
 
 @dataclass(frozen=True)
-class AnyUnit(Generic[F]):
+class SensorInstance(Generic[F]):
     """A sensor with the facts of its packets."""
 
     sensor: Sensor

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.analytic import integrate, level
-from lidarcfg.placement.boundaries import Boundaries, axes_from
-from lidarcfg.placement.boundary_kernels import Lattice, line_place
+from lidarcfg.placement.boundaries import Boundaries, Lattice, axes_from
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import BLIND, segment
@@ -230,6 +229,12 @@ def crossed(region, lidars, visibility, axis):
     lattice = Lattice(axis, region.min_m[order], region.cuboid_m[order], (x, y, z))
     with ThreadPoolExecutor(2) as pool:
         return lattice, Boundaries(region, lidars, visibility).flips(lattice, pool)
+
+
+def line_place(lattice, line):
+    """Where a line runs: the first coordinates are even, the second ones by the golden ratio."""
+    across = (line + 0.5) / lattice.lines, (line * (5**0.5 - 1) / 2 + 0.5) % 1
+    return tuple(lattice.low[i] + across[i - 1] * lattice.shape[i] * lattice.edge[i] for i in (1, 2))
 
 
 def changes(flips, row, line):

@@ -96,7 +96,7 @@ class Ouster(Codec):
             payloads = legacy_payloads if how.settings.imu_profile == "LEGACY" else framed_payloads
             yield from payloads(self.unit, how, mount, trajectory, start_ns, duration_ns)
 
-    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
+    def sidecar_files(self, mount: "Mount") -> Mapping[str, bytes]:
         """The metadata."""
         return {SUFFIX: written(self.unit, mode(self.unit.sensor, mount), mount)}
 
@@ -113,13 +113,13 @@ class Ouster(Codec):
         return packed(found)
 
     @classmethod
-    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
         """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
         names = [name for name, usual in USUAL if usual == size and _fits(name, payload)]
         return bool(names) or any(_fits(one.layout.name, payload) for one in _metadata(source, size))
 
     @classmethod
-    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
         """See `Codec`: the metadata says it."""
         found = _of(source, packets)
         named = known(found.model)
@@ -156,7 +156,7 @@ def _fits(profile: str, payload: bytes) -> bool:
 
 def _metadata(source: Source, size: int) -> list[Metadata]:
     """The metadata beside the capture whose packets are of this size."""
-    found = [read(name, content) for name, content in source.companions(SUFFIX).items()]
+    found = [read(name, content) for name, content in source.sidecar_files(SUFFIX).items()]
     return [one for one in found if one and one.layout.size == size]
 
 
@@ -166,7 +166,7 @@ def _of(source: Source, packets: Octets) -> Metadata:
     beside = _metadata(source, size)
     if not beside:
         what = f"an Ouster's packets of {size} bytes need the sensor's metadata in a .json beside the capture"
-        there = ", ".join(source.companions(SUFFIX))
+        there = ", ".join(source.sidecar_files(SUFFIX))
         raise PacketError(f"{source.where}: {what}, called as it" + (f"; {there} is not that" if there else ""))
     fit = [one for one in beside if _fits(one.layout.name, payload)]
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
-from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times, chosen
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Flags, Octets, Returns, Times, chosen
 from lidarcfg.packets.ouster.layout import LEGACY_VALID, Layout, columns, heads
 from lidarcfg.packets.ouster.metadata import Metadata
 from lidarcfg.packets.ouster.pixels import fields
@@ -98,12 +98,12 @@ class OusterDecoder(Decoder):
                     self._time_ns += later_ns
             self._before = at
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
         revolutions = self._columns / self._layout.columns_per_frame
         rpm = revolutions * MINUTE_NS / self._time_ns if self._time_ns else float("nan")
         modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
-        return Tally((self._model,), modes, self._lost, rpm)
+        return DecodeStatistics((self._model,), modes, self._lost, rpm)
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""

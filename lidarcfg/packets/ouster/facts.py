@@ -12,7 +12,7 @@ from lidarcfg.config import Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
-from lidarcfg.packets.unit import AnyUnit
+from lidarcfg.packets.unit import SensorInstance
 from lidarcfg.sensor import Millimetres, Sensor
 from lidarcfg.units import SECOND_NS
 
@@ -84,7 +84,7 @@ class Settings(Model):
     imu_profile: Literal["LEGACY", "ACCEL32_GYRO32_NMEA"] = "LEGACY"
 
 
-class Unit(AnyUnit[Facts]):
+class Unit(SensorInstance[Facts]):
     """A sensor with the facts of its packets."""
 
     @property

@@ -8,22 +8,21 @@ from numpy.typing import NDArray
 from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings, Flags, Octets
+from lidarcfg.packets.codec import Firings, Flags, Measurements, Octets
 from lidarcfg.packets.unit import matrix
-from lidarcfg.packets.velodyne.facts import PpsState, Unit
+from lidarcfg.packets.velodyne.decode import returned
 from lidarcfg.packets.velodyne.layout import (
     DISTANCE_MAX,
     PACKET,
     RADIANS,
     REVOLUTION,
     Packets,
-    block_flags,
+    PpsState,
     octets_of,
-    slots,
     stamp_us,
 )
-from lidarcfg.packets.velodyne.schedule import stamps_ns
-from lidarcfg.packets.velodyne.status import calibration, status_bytes
+from lidarcfg.packets.velodyne.model import Calibration, Unit, block_flags, slots
+from lidarcfg.packets.velodyne.telemetry import calibration, status_bytes
 
 
 class NearLasers(NamedTuple):
@@ -51,7 +50,7 @@ def encode(
     check_encodable(unit, return_mode)
     dual = return_mode == "dual"
     number, span = slots(unit.packet, dual), unit.span(dual)
-    stamped_ns, _ = stamps_ns(unit, fired, dual)
+    stamped_ns, _ = unit.firing_schedule(dual).stamps_ns(fired)
     packets = np.zeros(len(stamped_ns), PACKET)
     blocks = packets["blocks"][:, : len(number)]
     blocks["flag"] = np.tile(block_flags(unit.packet, dual), len(number) // span)
@@ -85,21 +84,6 @@ def encode(
     return packets
 
 
-def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Octets]:
-    """Distances in units, 0 for no return, and intensities that the packets (P,) hold of their N firings in all.
-
-    Both (N, 1), or (N, 2) with dual returns, in the order of what is encoded.
-    """
-    dual = return_mode == "dual"
-    number = slots(unit.packet, dual)
-    order, held = np.argsort(number, axis=None), packets["blocks"]["returns"][:, : len(number)]
-    distance, intensity = (
-        held[key].reshape(len(packets), -1).take(order, axis=1).reshape(-1, 1 + dual)
-        for key in ("distance", "intensity")
-    )
-    return distance, intensity
-
-
 def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     distance, intensity = returned(unit, return_mode, packets)
@@ -107,6 +91,21 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     if found.shape[1] == 2:
         found[:, 1] &= (distance[:, 0] != distance[:, 1]) | (intensity[:, 0] != intensity[:, 1])
     return found
+
+
+def packed(unit: Unit, found: Measurements) -> Packets:
+    """Packets (P,) of measurements, as `measurements` has them of recordings."""
+    facts = unit.facts.model_copy(
+        update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}
+    )
+    plain, dual = Unit(unit.sensor, facts), found.return_mode == "dual"
+    packets = encode(plain, found.return_mode, found.batch.firings, found.range_m, found.reflectivity)
+    number, span = slots(unit.packet, dual), unit.span(dual)
+    blocks = packets["blocks"][:, : len(number)]
+    blocks["returns"]["intensity"] = found.reflectivity.reshape(len(packets), -1)[:, number]
+    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)
+    blocks["azimuth"][azimuth == REVOLUTION] = REVOLUTION
+    return packets
 
 
 def check_encodable(unit: Unit, return_mode: str) -> None:
@@ -125,7 +124,7 @@ def check_encodable(unit: Unit, return_mode: str) -> None:
 
 def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]:
     """(P, blocks' times) in hundredths of a degree: where the head points at the first firing of each."""
-    head_rad = unit.spin(dual).head_rad(fired)
+    head_rad = unit.firing_schedule(dual).head_rad(fired)
     return np.asarray(np.rint(head_rad / RADIANS).astype(np.int64) % REVOLUTION)
 
 

@@ -28,7 +28,7 @@ def packets(one: Mount, number: int) -> tuple[Payloads, bytes]:
     count, width = len(batch.firings.time_ns), 1 + (one.return_mode == "dual")
     rng = np.random.default_rng(1)
     range_m, gray = rng.uniform(1, 70, (count, width)), rng.integers(0, 256, (count, width)).astype(np.uint8)
-    return family.encode(one, batch, range_m, gray), family.companions(one)[".json"]
+    return family.encode(one, batch, range_m, gray), family.sidecar_files(one)[".json"]
 
 
 def mutated(value, rng: random.Random):

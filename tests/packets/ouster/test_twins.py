@@ -27,7 +27,7 @@ def encoded(profile, firmware, fov=None):
     if width == 2:
         same = rng.random(count) < 0.3
         range_m[same, 1], gray[same, 1] = range_m[same, 0], gray[same, 0]
-    return one, batch, range_m, gray, family.encode(one, batch, range_m, gray).data, family.companions(one)[".json"]
+    return one, batch, range_m, gray, family.encode(one, batch, range_m, gray).data, family.sidecar_files(one)[".json"]
 
 
 @pytest.mark.parametrize("fov", [None, (300.0, 80.0)])

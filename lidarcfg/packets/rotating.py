@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Spin:
+class FiringSchedule:
     """The firing pattern of a packet: a sequence in which all lasers fire, repeated."""
 
     offset_ns: Times  # (L,) when each laser fires, after its sequence's stamp
@@ -49,56 +49,60 @@ class Spin:
         return np.asarray(encoder_rad[:, :: self.per_azimuth, int(np.argmin(self.offset_ns))])
 
 
-def pattern(spin: Spin, mount: "Mount") -> Pattern:
+def pattern(schedule: FiringSchedule, mount: "Mount") -> Pattern:
     """Where lasers fire in a revolution: see `Codec`. Sequences that share an azimuth are all in view or none is."""
-    sequences = 1 if mount.azimuth_fov_deg is None else spin.per_azimuth
+    sequences = 1 if mount.azimuth_fov_deg is None else schedule.per_azimuth
     turned_rad = 2 * math.pi * mount.rpm / MINUTE_NS  # in a nanosecond
-    since_ns = (np.arange(sequences)[:, None] * spin.sequence_ns + (spin.offset_ns - spin.offset_ns.min())).ravel()
+    since_ns = (
+        np.arange(sequences)[:, None] * schedule.sequence_ns + (schedule.offset_ns - schedule.offset_ns.min())
+    ).ravel()
     return Pattern(
-        step_rad=sequences * spin.sequence_ns * turned_rad,
-        laser=np.tile(np.arange(len(spin.offset_ns)), sequences),
+        step_rad=sequences * schedule.sequence_ns * turned_rad,
+        laser=np.tile(np.arange(len(schedule.offset_ns)), sequences),
         lag_rad=since_ns * turned_rad,
         decides_rad=np.zeros(len(since_ns)),
     )
 
 
-class Spinning(Codec, Protocol):
-    """A codec of a sensor with a rotating head, whose timing follows from `spin`."""
+class RotatingSensorCodec(Codec, Protocol):
+    """A codec of a sensor with a rotating head, whose timing follows from `schedule`."""
 
-    def spin(self, dual: bool) -> Spin:
+    def firing_schedule(self, dual: bool) -> FiringSchedule:
         """The firing pattern of a packet."""
 
     def pace(self, mount: "Mount") -> Pace:
         """See `Codec`."""
-        spin = self.spin(mount.dual)
-        return Pace(spin.period_ns, spin.offsets_ns.size)
+        schedule = self.firing_schedule(mount.dual)
+        return Pace(schedule.period_ns, schedule.offsets_ns.size)
 
     def schedule(self, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
         """See `Codec`."""
-        return batches(self.spin(mount.dual), mount, start_ns, packets, chunk)
+        return batches(self.firing_schedule(mount.dual), mount, start_ns, packets, chunk)
 
     def firing_ns(self) -> Times:
         """See `Codec`."""
-        offset_ns = self.spin(dual=False).offset_ns
+        offset_ns = self.firing_schedule(dual=False).offset_ns
         return np.asarray(offset_ns - offset_ns.min())
 
     def pattern(self, mount: "Mount") -> Pattern:
         """See `Codec`."""
-        return pattern(self.spin(mount.dual), mount)
+        return pattern(self.firing_schedule(mount.dual), mount)
 
 
-def firings(spin: Spin, rpm: float, start_ns: int, packets: range, phase_deg: float | None = None) -> Firings:
+def firings(
+    schedule: FiringSchedule, rpm: float, start_ns: int, packets: range, phase_deg: float | None = None
+) -> Firings:
     """The firings of the packets with these numbers; packet 0 starts at `start_ns` with azimuth 0.
 
     With a phase lock the head points to `phase_deg` at each whole second instead.
     """
-    begun = revolutions(rpm, spin.period_ns, start_ns, packets, phase_deg)
-    stamp_ns = start_ns + np.array(packets, np.int64) * spin.period_ns
-    offset_ns = spin.offsets_ns.ravel()
+    begun = revolutions(rpm, schedule.period_ns, start_ns, packets, phase_deg)
+    stamp_ns = start_ns + np.array(packets, np.int64) * schedule.period_ns
+    offset_ns = schedule.offsets_ns.ravel()
     time_ns = np.empty((len(stamp_ns), len(offset_ns)), np.int64)
     encoder_rad = np.empty(time_ns.shape)
     core.fire(begun, stamp_ns, offset_ns, rpm / MINUTE_NS, time_ns, encoder_rad)
-    laser = np.tile(np.arange(len(spin.offset_ns), dtype=np.uint8), time_ns.size // len(spin.offset_ns))
+    laser = np.tile(np.arange(len(schedule.offset_ns), dtype=np.uint8), time_ns.size // len(schedule.offset_ns))
     return Firings(time_ns.ravel(), laser, encoder_rad.ravel())
 
 
@@ -114,27 +118,27 @@ def revolutions(rpm: float, period_ns: int, start_ns: int, packets: range, phase
     return np.array([(into_ns + n * period_ns) * part % whole / whole for n in packets], np.float64) + ahead
 
 
-def batches(spin: Spin, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
+def batches(schedule: FiringSchedule, mount: "Mount", start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
     """The firings in the time of this many packets, `chunk` packets at a time.
 
     With a field of view, only the sequences whose azimuth is within it are fired. Packets are filled with them across
     the gap, as in a recording of a VLP-32C; firings that do not fill a packet are not sent.
     """
-    lasers = len(spin.offset_ns)
-    together = spin.per_azimuth * lasers  # firings that share an azimuth
-    rest = firings(spin, mount.rpm, start_ns, range(0))
+    lasers = len(schedule.offset_ns)
+    together = schedule.per_azimuth * lasers  # firings that share an azimuth
+    rest = firings(schedule, mount.rpm, start_ns, range(0))
     sent = 0
     for first in range(0, packets, chunk):
         numbers = range(first, min(first + chunk, packets))
-        fired = firings(spin, mount.rpm, start_ns, numbers, mount.phase_deg)
+        fired = firings(schedule, mount.rpm, start_ns, numbers, mount.phase_deg)
         if mount.azimuth_fov_deg is not None:
             low, high = mount.azimuth_fov_deg
             width = (high - low) % 360 or 360  # from 0 to 360 is all around
-            inside = (np.degrees(spin.head_rad(fired)) - low) % 360 <= width
+            inside = (np.degrees(schedule.head_rad(fired)) - low) % 360 <= width
             fired = _joined(rest, _some(fired, np.repeat(inside.ravel(), together)))
-            full = len(fired.time_ns) // (spin.sequences * lasers) * spin.sequences * lasers
+            full = len(fired.time_ns) // (schedule.sequences * lasers) * schedule.sequences * lasers
             fired, rest = _some(fired, slice(full)), _some(fired, slice(full, None))
-        ends_ns = spin.stamps_ns(fired)[1]
+        ends_ns = schedule.stamps_ns(fired)[1]
         yield Batch(fired, np.arange(sent, sent + len(ends_ns)), (ends_ns + 500) // 1000 * 1000)
         sent += len(ends_ns)
 

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Source
-from lidarcfg.packets.hesai.facts import Unit
+from lidarcfg.packets.hesai.model import Unit
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Beams
 
@@ -16,7 +16,7 @@ NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, b
 ROW = re.compile(r"\s*(\d+)\s*,\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*,?\s*")
 
 
-def written(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
+def correction_file(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
     """The mount's angles in the format of Hesai's own files, by the suffix of the file's name."""
     sensor = unit.sensor
     rows = zip(sensor.beams.elevation_deg, sensor.beams.azimuth_offset_deg or (0.0,) * unit.count, strict=True)
@@ -27,15 +27,15 @@ def written(unit: Unit, mount: Mount) -> Mapping[str, bytes]:
     return {f"-{mount.host}-{mount.data_port}{SUFFIX}": "\n".join([*lines, ""]).encode()}
 
 
-def found(source: Source, count: int) -> Beams | None:
+def find_corrections(source: Source, count: int) -> Beams | None:
     """The angles in the file beside the capture: the one named after the source, or else one named after no source.
 
     Raises PacketError for a file without the angles of this many channels, or if several files fit.
     """
-    files = source.companions(SUFFIX)
+    files = source.sidecar_files(SUFFIX)
     own = [name for name in files if name.endswith(f"-{source.host}-{source.port}{SUFFIX}")]
     free = [name for name in files if not NAMED.search(name)]
-    tables = {name: read(name, files[name]) for name in own or free}
+    tables = {name: parse_corrections(name, files[name]) for name in own or free}
     right = [name for name, beams in tables.items() if len(beams.elevation_deg) == count]
     if tables and not right:
         name, beams = next(iter(tables.items()))
@@ -46,7 +46,7 @@ def found(source: Source, count: int) -> Beams | None:
     return tables[right[0]] if right else None
 
 
-def read(name: str, content: bytes) -> Beams:
+def parse_corrections(name: str, content: bytes) -> Beams:
     """The angles of channels 1, 2 and on. Raises PacketError, which says where."""
     angles: dict[int, tuple[float, float]] = {}
     for number, line in enumerate(content.decode("utf-8-sig", "replace").splitlines(), 1):

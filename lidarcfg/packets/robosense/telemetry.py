@@ -9,7 +9,6 @@ import numpy as np
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Payloads, Source
-from lidarcfg.packets.robosense.facts import Unit
 from lidarcfg.packets.robosense.layout import (
     ANGLE,
     DIFOP,
@@ -23,10 +22,12 @@ from lidarcfg.packets.robosense.layout import (
     octets_of,
     write_time,
 )
+from lidarcfg.packets.robosense.model import Unit
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
+
 
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
@@ -96,7 +97,7 @@ def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
     return out
 
 
-def find(source: Source) -> Difop | None:
+def find_difop(source: Source) -> Difop | None:
     """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
     others: list[Packets] = []
     seen = 0
@@ -115,7 +116,7 @@ def find(source: Source) -> Difop | None:
     return _read(together[:1]) if alone else None
 
 
-def every(source: Source) -> Packets:
+def all_difops(source: Source) -> Packets:
     """All DIFOP packets of a source in a capture, in their order: see `find`."""
     found = [octets[(octets[:, :8] == list(DIFOP_ID)).all(axis=1)] for octets in source.payloads(None, SIZE)]
     said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]

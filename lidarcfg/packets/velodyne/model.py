@@ -1,4 +1,4 @@
-"""What a sensor's file says under `velodyne`, and what a rig's file says there of a mount."""
+"""What a sensor's file says under `velodyne`, and a rig's of a mount: layout of packets, timing, corrections."""
 
 from functools import lru_cache
 from typing import Annotated, Any, Literal
@@ -10,20 +10,18 @@ from pydantic_core import PydanticCustomError
 
 from lidarcfg.config import Model, Positive, fault
 from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Times
 from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.spin import Spin
-from lidarcfg.packets.unit import AnyUnit, Firing, check_firing
+from lidarcfg.packets.rotating import FiringSchedule
+from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
+from lidarcfg.packets.velodyne.layout import BLOCKS, RETURNS, SLOTS, Packets, PpsState
 from lidarcfg.sensor import Byte, Millimetres, Sensor, check_lengths
 
-BLOCKS = 12  # in a data packet
-SLOTS = 32  # returns in a block
 # How many blocks one firing of all lasers may take: a packet holds a whole number of them, and no fewer than two
 # (one with dual returns). So at most 192 beams have packets, and a byte holds laser and ring.
 GROUP_BLOCKS = tuple(n for n in range(1, BLOCKS) if BLOCKS % n == 0)
-
 Word = Annotated[int, Field(ge=0, le=65535)]
 Return = Literal["strongest", "last"]
-PpsState = Literal["absent", "synchronising", "locked", "error"]
 
 
 class Calibration(Model):
@@ -177,7 +175,7 @@ class Settings(Model):
         return value
 
 
-class Unit(AnyUnit[Facts]):
+class Unit(SensorInstance[Facts]):
     """A sensor with the facts of its packets."""
 
     @property
@@ -197,17 +195,17 @@ class Unit(AnyUnit[Facts]):
 
     def offsets_ns(self, dual: bool = False) -> NDArray[np.int64]:
         """(S, L): when each laser fires in a packet's S sequences, after its stamp. With dual returns S is smaller."""
-        return self.spin(dual).offsets_ns
+        return self.firing_schedule(dual).offsets_ns
 
     def period_ns(self, dual: bool = False) -> int:
         """From one packet's stamp to the next one's."""
-        return self.spin(dual).period_ns
+        return self.firing_schedule(dual).period_ns
 
-    def spin(self, dual: bool) -> Spin:
+    def firing_schedule(self, dual: bool) -> FiringSchedule:
         """The firing pattern of a packet."""
         per_block = self.packet.sequences_per_block
         offset_ns = np.array(self.firing.offset_ns, np.int64)
-        return Spin(offset_ns, self.firing.sequence_ns, BLOCKS // self.span(dual) * per_block, per_block)
+        return FiringSchedule(offset_ns, self.firing.sequence_ns, BLOCKS // self.span(dual) * per_block, per_block)
 
     def span(self, dual: bool) -> int:
         """The number of blocks that hold one firing of all lasers."""
@@ -251,3 +249,34 @@ def unit(sensor: Sensor) -> Unit:
     except PydanticCustomError as error:
         raise section.error(("calibration", *(error.context or {})["at"]), error.message()) from None
     return Unit(sensor, facts)
+
+
+def block_flags(facts: Packet, dual: bool) -> tuple[int, ...]:
+    """The flags of the blocks that hold one block's time of all lasers."""
+    if dual and facts.dual and facts.dual.by == "block":
+        return tuple(flag for flag in facts.block_flags for _ in range(2))
+    return facts.block_flags * (1 + dual)
+
+
+def slots(facts: Packet, dual: bool) -> Times:
+    """(blocks, 32): which number of a packet's (S, L) firings, or (S, L, 2) returns, stands in each slot.
+
+    Blocks at the end that are not used are missing.
+    """
+    groups = len(facts.block_flags)
+    times = BLOCKS // (groups * (1 + dual))
+    numbers = np.arange(times * groups * SLOTS * (1 + dual)).reshape(times, groups, SLOTS, 1 + dual)
+    if dual and facts.dual:
+        numbers = numbers[..., [RETURNS.index(name) for name in facts.dual.order]]
+        numbers = np.moveaxis(numbers, -1, 2 if facts.dual.by == "block" else 1)
+    return numbers.reshape(-1, SLOTS)
+
+
+def is_dual(facts: Packet, packets: Packets) -> NDArray[np.bool_]:
+    """(P,) whether each packet holds dual returns: it says so or, where it cannot, repeats its azimuths."""
+    if facts.return_modes:
+        return np.asarray(packets["return_mode"] == facts.return_modes.codes.get("dual", -1))
+    azimuth, groups = packets["blocks"]["azimuth"], len(facts.block_flags)
+    if facts.dual is None or 2 * groups >= BLOCKS:
+        return np.zeros(len(packets), np.bool_)
+    return np.asarray((azimuth[:, 0] == azimuth[:, groups]) & (azimuth[:, 0] != azimuth[:, 2 * groups]))
