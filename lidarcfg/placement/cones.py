@@ -9,7 +9,6 @@ others (docs/evidence/accuracy.md). It decides alike everywhere, because everyth
 what `signed_squares` returns.
 """
 
-# mypy: disallow-untyped-decorators=False
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +18,6 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
-from lidarcfg.jit import inner
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
 
@@ -81,7 +79,6 @@ def cone_rows(lidars: Sequence[Lidar]) -> Array:
     return out
 
 
-@inner(forceinline=True)
 def signed_squares(dx: float, dy: float, dz: float, ax: float, ay: float, az: float) -> tuple[float, float]:
     """h |h| and |d|² of a point at d from the apex, h = a·d: on or above beam k if h |h| >= u_k |d|²."""
     height = (dx * ax + dy * ay) + dz * az

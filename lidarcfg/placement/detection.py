@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, fault, with_defaults
 from lidarcfg import core
+from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, fault, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
@@ -313,4 +313,6 @@ def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: b
 def _detected_boxes(subspaces: Subspaces, item: DetectionObject, box: Array) -> tuple[int, int]:
     """How many of the boxes (n, 4) are detected, and how many are free of exclusions."""
     region = subspaces.region
-    return core.analytic.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched)
+    return core.analytic.detected_boxes(
+        subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched
+    )

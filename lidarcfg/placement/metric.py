@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lidarcfg import core
 from lidarcfg.geometry import Array
-from lidarcfg.placement.bits import Words
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces
 
