@@ -43,7 +43,7 @@ class HesaiDecoder:
     def count(self, packets: Octets, wanted: Flags) -> int:
         """How many returns the packets that are wanted (P,) hold at most."""
 
-    def decode(self, packets: Octets, wanted: Flags, said: PacketFields, out: Returns) -> int:
+    def decode(self, packets: Octets, wanted: Flags, fields: PacketFields, out: Returns) -> int:
         """Fill in an entry for each return of the packets that are wanted (P,); returns how many."""
 
 def velodyne_turning(azimuth: NDArray[np.uint16], gap_ns: Times, period_ns: int, group_ns: int) -> tuple[Array, Times]:

@@ -141,7 +141,7 @@ def hesai_lasers(**changed):
     return SimpleNamespace(**given | changed)
 
 
-def said(count=1, **changed):
+def fields(count=1, **changed):
     given = {"unit_mm": np.full(count, 4, np.uint8), "stamp_ns": np.zeros(count, np.int64)}
     given |= {"dual": np.ones(count, np.bool_), "loop": np.zeros(count, np.uint8)}
     given |= {"near": np.zeros(count, np.uint8), "far": np.ones(count, np.uint8)}
@@ -162,7 +162,7 @@ def test_hesais_pair():
         data,
     )
     out = returns(4)
-    count = packets.HesaiDecoder(hesai_lasers()).decode(data, np.ones(1, np.bool_), said(), out)
+    count = packets.HesaiDecoder(hesai_lasers()).decode(data, np.ones(1, np.bool_), fields(), out)
     assert count == 3
     assert out.xyz_m[:count, 1].tolist() == [10, 5, 20]
     assert out.return_type[:count].tolist() == [2, 0, 1]
@@ -210,7 +210,9 @@ REFUSED = {
     ),
     "laser: beyond": lambda: packets.uncorrect_velodyne_intensities(np.array([1]), np.zeros((1, 4)), ONE),
     "gap_ns": lambda: packets.velodyne_turning(np.zeros((2, 3), np.uint16), np.zeros(1, np.int64), 1000, 100),
-    "said.loop": lambda: HESAI.decode(np.zeros((1, 40), np.uint8), YES, said(loop=np.ones(1, np.uint8)), returns(4)),
+    "fields.loop": lambda: HESAI.decode(
+        np.zeros((1, 40), np.uint8), YES, fields(loop=np.ones(1, np.uint8)), returns(4)
+    ),
     "packets: too short": lambda: HESAI.count(np.zeros((1, 31), np.uint8), YES),
     "lasers.group_ns": lambda: packets.HesaiDecoder(hesai_lasers(group_ns=np.zeros(3, np.int64))),
     "end": lambda: packets.crc32_mpeg2(ONE, 3, 1207),

@@ -56,8 +56,8 @@ struct Fields<packets::hesai::Lasers> {
 };
 
 template <>
-struct Fields<packets::hesai::Packets> {
-  using T = packets::hesai::Packets;
+struct Fields<packets::hesai::PacketFields> {
+  using T = packets::hesai::PacketFields;
   static constexpr auto members =
       fields(field("unit_mm", &T::unit_mm), field("stamp_ns", &T::stamp_ns), field("dual", &T::dual),
              field("loop", &T::loop), field("near", &T::near), field("far", &T::far));
@@ -281,23 +281,23 @@ void bind_hesai(nb::module_& module) {
       "How many returns the packets that are wanted hold at most.", "packets", "wanted");
   def(
       type, "decode",
-      [](const Decoder& self, Bytes packets, View<const bool> wanted, const packets::hesai::Packets& said,
+      [](const Decoder& self, Bytes packets, View<const bool> wanted, const packets::hesai::PacketFields& fields,
          const packets::Returns& out) {
         const std::size_t count = packets.rows();
         require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
         require(wanted.size() == count, "wanted: one for each packet");
-        require(said.unit_mm.size() == count, "said.unit_mm: one for each packet");
-        require(said.stamp_ns.size() == count, "said.stamp_ns: one for each packet");
-        require(said.dual.size() == count, "said.dual: one for each packet");
-        require(said.loop.size() == count && all_below(said.loop, self.loops()),
-                "said.loop: one of the loops for each packet");
-        require(said.near.size() == count, "said.near: one for each packet");
-        require(said.far.size() == count, "said.far: one for each packet");
+        require(fields.unit_mm.size() == count, "fields.unit_mm: one for each packet");
+        require(fields.stamp_ns.size() == count, "fields.stamp_ns: one for each packet");
+        require(fields.dual.size() == count, "fields.dual: one for each packet");
+        require(fields.loop.size() == count && all_below(fields.loop, self.loops()),
+                "fields.loop: one of the loops for each packet");
+        require(fields.near.size() == count, "fields.near: one for each packet");
+        require(fields.far.size() == count, "fields.far: one for each packet");
         check_returns(out);
-        return self.decode(packets, wanted, said, out);
+        return self.decode(packets, wanted, fields, out);
       },
-      "Fill in an entry for each return of the packets that are wanted; returns how many.", "packets", "wanted", "said",
-      "out");
+      "Fill in an entry for each return of the packets that are wanted; returns how many.", "packets", "wanted",
+      "fields", "out");
   def(
       module, "write_hesai_returns",
       [](Tables<const double> range_m, Tables<const std::uint8_t> reflectivity, Bytes laser,

@@ -94,7 +94,7 @@ Index Decoder::count(Rows<const std::uint8_t> packets, View<const bool> wanted) 
   return found;
 }
 
-Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted, const Packets& said,
+Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted, const PacketFields& fields,
                       const Returns& out) const {
   const Index lasers = layout_.lasers;
   std::array<Block, 2> pairs;
@@ -104,22 +104,22 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
     if (!wanted[p]) {
       continue;
     }
-    const double unit_m = said.unit_mm[p] / 1000.0;
+    const double unit_m = fields.unit_mm[p] / 1000.0;
     for (Index b = 0; b < layout_.blocks; ++b) {
       Block& block = pairs[b % 2];
-      std::int64_t start_ns = said.stamp_ns[p];
+      std::int64_t start_ns = fields.stamp_ns[p];
       Index loop = 0;
-      if (said.dual[p]) {
+      if (fields.dual[p]) {
         if (b % 2 == 0) {
           pairs[0].read(layout_.returns(packets[p], b), lasers);
           pairs[1].read(layout_.returns(packets[p], b + 1), lasers);
         }
-        pair(block, pairs[1 - b % 2], lasers, b % 2 == 1, said.near[p], said.far[p]);
+        pair(block, pairs[1 - b % 2], lasers, b % 2 == 1, fields.near[p], fields.far[p]);
         start_ns += pair_ns_[b / 2];
-        loop = said.loop[p];
+        loop = fields.loop[p];
       } else {
         block.read(layout_.returns(packets[p], b), lasers);
-        block.set(lasers, said.near[p]);
+        block.set(lasers, fields.near[p]);
         start_ns += group_ns_[b];
         loop = b % loops_;
       }

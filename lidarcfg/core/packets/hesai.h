@@ -45,7 +45,7 @@ struct Lasers {
 };
 
 /// What P packets say beside their blocks.
-struct Packets {
+struct PacketFields {
   View<const std::uint8_t> unit_mm;   // (P,) of distances
   View<const std::int64_t> stamp_ns;  // (P,)
   View<const bool> dual;              // (P,)
@@ -72,7 +72,7 @@ class Decoder {
   /// std::invalid_argument if there are not enough rows.
   ///
   /// All lasers of a block point where its azimuth says.
-  Index decode(Rows<const std::uint8_t> packets, View<const bool> wanted, const Packets& said,
+  Index decode(Rows<const std::uint8_t> packets, View<const bool> wanted, const PacketFields& fields,
                const Returns& out) const;
 
  private:

@@ -132,7 +132,7 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     loop: Octets = np.zeros(len(packets), np.uint8)
     if len(unit.facts.firing.loops) > 1:
         loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
-    said = PacketFields(
+    fields = PacketFields(
         unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
         stamp_ns=device_time_ns(packets),
         dual=is_dual(packets),
@@ -143,7 +143,7 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     octets = octets_of(packets)
     decoder = _decoder(unit)
     out = Returns.room(decoder.count(octets, wanted), polar)
-    return out.first(decoder.decode(octets, wanted, said, out))
+    return out.first(decoder.decode(octets, wanted, fields, out))
 
 
 def check(unit: Unit, packets: Packets) -> None:
