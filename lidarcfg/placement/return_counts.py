@@ -202,7 +202,7 @@ class MissCounter:
         ends = np.append(_ends(target) if target.item.samples else [], len(target.places)).astype(np.int64)
         self.obstacles = obstacles
         self._drawn = target.item.samples is not None
-        self._counts = np.diff(ends, prepend=0).tolist()  # of places in each replicate
+        self._counts: list[int] = np.diff(ends, prepend=0).tolist()  # of places in each replicate
         self._counter = core.returns.ReturnCounter(
             scanners, target.target.shape, target.places, ends, obstacles, target.enough
         )

@@ -18,6 +18,7 @@ from lidarcfg import (
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import concatenate, load_cloud
+from lidarcfg.core import view
 from lidarcfg.formats.firings import save_capture, save_firings
 from lidarcfg.geometry import pose
 from lidarcfg.placement.analytic import integrate
@@ -31,10 +32,11 @@ from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.rig import Rig
 from lidarcfg.simulate.export import export as packets
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.view.kernels import fill
 from lidarcfg.world.motion import Trajectory, load_path, prepared
 from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.vehicle import load_vehicle
+
+fill = view.blend_triangles
 
 __all__ = [
     "NOTHING",

@@ -64,7 +64,7 @@ def evaluation_of(found) -> dict[str, object]:
         answers |= named(name, detection_of(one))
     for name, one in found.counted.items():
         answers |= named(name, {"detected": one.detected, "can be": one.places, "held": one.held})
-    for name, one in found.sightings.items():
+    for name, one in found.return_counts.items():
         keys = "worst", "mean", "probability"
         answers |= named(name, {f"returns {key}": getattr(one, key) for key in keys})
     answers["seen by m3"] = found.blind.seen_by_m3
@@ -181,10 +181,10 @@ def _returns(folder: Path) -> Answers:
     ]
     rig = package.rig_of(folder, sensors)
     one = study("car-returns")
-    scans, at = one.scans(rig.mounts), package.placed(package.rig_lidars(rig))
-    for sought in one.sought:
+    scanners, at = one.scanners(rig.mounts), package.placed(package.rig_lidars(rig))
+    for sought in one.detection_targets:
         for kind, obstacles in (("", one.obstacles), (" in the open", package.NOTHING)):
-            found = package.returns(sought.places, sought.target, scans, at, obstacles)
+            found = package.returns(sought.places, sought.target, scanners, at, obstacles)
             keys = {"counts": found.counts, "worst": found.worst, "mean": found.mean}
             answers |= named(f"{sought.item.name}{kind}", keys)
             for enough in (1, 7, 40):
