@@ -53,15 +53,34 @@ V by_vector(const V* rows, Combine combine) {
   }
 }
 
-/// The same of groups of rays, from a row on; what is infinite or no number is taken as `neutral`.
-template <class Combine>
-Doubles by_group(const double* row, double neutral, Combine combine) {
+/// The same of groups of rays, from a row on, whose values `take` takes.
+template <class Take, class Combine>
+Doubles by_group(const double* row, Take take, Combine combine) {
   Doubles rows[lanes<double>];
   for (int g = 0; g < lanes<double>; ++g) {
-    const Doubles values = load<Doubles>(row + g * lanes<double>);
-    rows[g] = values - values == 0 ? values : Doubles{} + neutral;
+    rows[g] = take(load<Doubles>(row + g * lanes<double>));
   }
   return by_vector(rows, combine);
+}
+
+/// A value, but another if it is infinite or no number.
+Doubles finite_or(Doubles values, double other) { return values - values == 0 ? values : Doubles{} + other; }
+
+Doubles lowest_by_group(const double* row) {
+  return by_group(
+      row, [](Doubles values) { return finite_or(values, infinity); }, [](Doubles a, Doubles b) { return min(a, b); });
+}
+
+Doubles highest_by_group(const double* row) {
+  return by_group(
+      row, [](Doubles values) { return finite_or(values, -infinity); }, [](Doubles a, Doubles b) { return max(a, b); });
+}
+
+/// The farthest of ranges, but not farther than `farthest`.
+Doubles range_by_group(const double* row) {
+  return by_group(
+      row, [](Doubles values) { return min(values, Doubles{} + farthest); },
+      [](Doubles a, Doubles b) { return max(a, b); });
 }
 
 /// Which of several directions in a row face another way.
@@ -76,14 +95,6 @@ auto other_facing(int face, const double* from_x, const double* from_y, const do
   const Doubles largest = ((z >= x) & (z >= y)) ? zero + 2 : (y >= x ? zero + 1 : zero);
   const Doubles octant = (dx < 0 ? zero + 4 : zero) + (dy < 0 ? zero + 8 : zero) + (dz < 0 ? zero + 16 : zero);
   return largest + octant != face;
-}
-
-Doubles lowest_by_group(const double* row) {
-  return by_group(row, infinity, [](Doubles a, Doubles b) { return min(a, b); });
-}
-
-Doubles highest_by_group(const double* row) {
-  return by_group(row, -infinity, [](Doubles a, Doubles b) { return max(a, b); });
 }
 
 }  // namespace
@@ -236,7 +247,7 @@ template <int Capacity>
 void PacketOf<Capacity>::shorten(int first_group) {
   double far[chunk];
   for (int g = 0; g < chunk; g += lanes<double>) {
-    store(far + g, min(highest_by_group(range_ + (first_group + g) * group_size), Doubles{} + farthest));
+    store(far + g, range_by_group(range_ + (first_group + g) * group_size));
   }
   for (int g = 0; g < chunk; ++g) {
     group_most_[first_group + g] = static_cast<float>(far[g]) * (1 + wider);
