@@ -103,6 +103,7 @@ template <int Capacity>
 void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> directions, Index first, int count,
                               int face) {
   count_ = count;
+  face_ = face;
   const int per_chunk = chunk * group_size;
   groups_ = (count + per_chunk - 1) / per_chunk * chunk;
   for (int axis = 0; axis < 3; ++axis) {
@@ -115,17 +116,17 @@ void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> dir
     std::fill(origin_[row] + count, origin_[row] + groups_ * group_size, from[count - 1]);
     std::fill(direction_[row] + count, direction_[row] + groups_ * group_size, way[count - 1]);
   }
-  bound(face);
+  bound();
   span_fan();
   sheared_ = false;
 }
 
 /// Find the intervals that hold the rays, but for what is infinite or no number: a ray that has that hits no shape.
 template <int Capacity>
-void PacketOf<Capacity>::bound(int face) {
+void PacketOf<Capacity>::bound() {
   for (int row = 0; row < 3; ++row) {
     const int axis = axis_[row];
-    const bool negative = face >> (2 + axis) & 1;
+    const bool negative = face_ >> (2 + axis) & 1;
     const float way = negative ? -1 : 1;
     double low[most_groups];
     double high[most_groups];
@@ -393,12 +394,13 @@ bool PacketOf<Capacity>::hit(const Shape& shape, Kind kind, double slot, double 
                                 : hit_round(shape, kind, slot, after, first_group, which);
 }
 
-/// Visit the leaves that the packet may be in, nearest first: `visit(leaf)`.
+/// Visit the leaves that the packet may be in, nearest first: `visit(leaf)`. Returns false if it gives up after a
+/// number of nodes and leaves.
 template <int Capacity>
 template <class Visit>
-void PacketOf<Capacity>::walk(const Bvh& bvh, Visit visit) {
+bool PacketOf<Capacity>::walk(const Bvh& bvh, Index most, Visit visit) {
   if (bvh.nodes.empty()) {
-    return;
+    return true;
   }
   begin();
   const float slack_m = 2e-6f * (bvh.reach_m + std::abs(fan_.low) + std::abs(fan_.high));  // for float32
@@ -409,6 +411,9 @@ void PacketOf<Capacity>::walk(const Bvh& bvh, Visit visit) {
     const auto [near, code] = *--top;
     if (near > most_) {
       continue;
+    }
+    if (most-- == 0) {
+      return false;
     }
     if (code < 0) {
       visit(LeafCode(code));
@@ -427,6 +432,7 @@ void PacketOf<Capacity>::walk(const Bvh& bvh, Visit visit) {
       prefetch(bvh, node.child[c]);
     }
   }
+  return true;
 }
 
 /// Have rays that hit anything end before everything.
@@ -440,7 +446,8 @@ void PacketOf<Capacity>::end_hit() {
 template <int Capacity>
 template <bool Any>
 void PacketOf<Capacity>::hits(const Bvh& bvh, std::int32_t first_slot) {
-  walk(bvh, [&](LeafCode leaf) {
+  const Index most = count_ > 1 ? 64 + 6 * count_ : std::numeric_limits<Index>::max();
+  const bool done = walk(bvh, most, [&](LeafCode leaf) {
     for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
       const Kind kind = leaf.mixed() ? bvh.kind[s] : Kind::triangle;
       const double slot = static_cast<double>(first_slot) + s;
@@ -455,6 +462,37 @@ void PacketOf<Capacity>::hits(const Bvh& bvh, std::int32_t first_slot) {
       }
     }
   });
+  if (!done) {
+    in_pieces<Any>(bvh, first_slot);
+  }
+}
+
+/// The same for packets of fewer rays: these are not near each other, so that they are faster alone.
+template <int Capacity>
+template <bool Any>
+void PacketOf<Capacity>::in_pieces(const Bvh& bvh, std::int32_t first_slot) {
+  double origins[3][Capacity];
+  double directions[3][Capacity];
+  for (int row = 0; row < 3; ++row) {
+    std::copy(origin_[row], origin_[row] + count_, origins[axis_[row]]);
+    std::copy(direction_[row], direction_[row] + count_, directions[axis_[row]]);
+  }
+  const int size = count_ > packet_size ? packet_size : count_ > 4 ? 4 : 1;
+  PacketOf<packet_size> piece;
+  for (int first = 0; first < count_; first += size) {
+    piece.load({origins[0], 3, Capacity}, {directions[0], 3, Capacity}, first, std::min(size, count_ - first), face_);
+    for (int n = 0; n < piece.count(); ++n) {
+      piece.keep(n, range_[first + n], slot(first + n));
+    }
+    if constexpr (Any) {
+      piece.any_hits(bvh);
+    } else {
+      piece.first_hits(bvh, first_slot);
+    }
+    for (int n = 0; n < piece.count(); ++n) {
+      keep(first + n, piece.range(n), piece.slot(n));
+    }
+  }
 }
 
 template <int Capacity>
@@ -479,7 +517,7 @@ int PacketOf<Capacity>::any_hits(const Bvh& bvh, std::int32_t slot) {
 
 template <int Capacity>
 void PacketOf<Capacity>::list_near(const Bvh& bvh, std::vector<std::int32_t>& numbers) {
-  walk(bvh, [&](LeafCode leaf) {
+  walk(bvh, std::numeric_limits<Index>::max(), [&](LeafCode leaf) {
     for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
       unsigned near = 0;
       for (int g = 0; g < groups_; g += chunk) {

@@ -99,12 +99,12 @@ class PacketOf {
     float rise;
   };
 
-  void bound(int face);
+  void bound();
   void span_fan();
   void begin();
   void shorten(int first_group);
   template <class Visit>
-  void walk(const Bvh& bvh, Visit visit);
+  bool walk(const Bvh& bvh, Index most, Visit visit);
   unsigned enter(const Node& node, float slack_m, float* near) const;
   unsigned groups_at(const Box& box, int first_group) const;
   bool hit_triangle(const Shape& shape, double slot, double after, int first_group, unsigned which);
@@ -112,6 +112,8 @@ class PacketOf {
   bool hit(const Shape& shape, Kind kind, double slot, double after, int first_group, unsigned which);
   template <bool Any>
   void hits(const Bvh& bvh, std::int32_t first_slot);
+  template <bool Any>
+  void in_pieces(const Bvh& bvh, std::int32_t first_slot);
   void end_hit();
   Vec3 vector(const Lanes (&rows)[3], int ray) const;
 
@@ -133,6 +135,7 @@ class PacketOf {
   int axis_[3];  // of the rows
   int sign_[3];  // of directions along x, y and z: whether they are negative
   int count_ = 0;
+  int face_ = 0;
   int groups_ = 0;  // a multiple of `chunk`
   bool sheared_;
 };
