@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import rows
-from lidarcfg.placement.cones import cone_rows, lidar, rig_lidars
+from lidarcfg.placement.cones import lidar, rig_lidars
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.metric import vsr_m
