@@ -43,6 +43,7 @@ ReturnCounter::Known& ReturnCounter::known_at(std::int64_t sensor, const SensorP
   auto found = std::find_if(kept.begin(), kept.end(), [&](const Known& one) { return one.pose == pose; });
   if (found == kept.end()) {
     if (std::ssize(kept) < most_poses_) {
+      kept.reserve(most_poses_);
       found = kept.emplace(kept.end());
     } else {
       found = std::min_element(kept.begin(), kept.end(),
@@ -172,6 +173,7 @@ double ReturnCounter::find_missed(Index place, View<const Sensor> sensors) {
     const View<std::int32_t> counts = counts_of(place, sensor);
     std::fill(counts.begin(), counts.end(), 0);
     aim(place, sensor);
+    beams_.tighten();
     ++traced_;
     least -= bounds.least;
     most -= bounds.most;
