@@ -38,7 +38,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Octets
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.ouster.decode import OusterDecoder
-from lidarcfg.packets.ouster.metadata import read
+from lidarcfg.packets.ouster.telemetry import read_metadata
 from lidarcfg.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.simulator import Simulator
@@ -84,7 +84,7 @@ class Capture:
         self.pixels = sum(range_m.size for _, range_m, _ in self._measured)  # and returns, of each
         self.packets = np.concatenate([self._maker.encode(self._mount, *one).data for one in self._measured])
         metadata = self._maker.sidecar_files(self._mount)[".json"]
-        self._decoder = OusterDecoder("memory", read("memory", metadata), "os1-128")  # type: ignore[arg-type]  # a name for its source will do
+        self._decoder = OusterDecoder("memory", read_metadata("memory", metadata), "os1-128")  # type: ignore[arg-type]  # a name for its source will do
         self._metadata, self._info = metadata, core.SensorInfo(metadata.decode())
         self._theirs = [_packet(core.PacketFormat.from_info(self._info), one) for one in self.packets]
         self._lut, self._dual = core.XYZLut(self._info), PROFILES[profile] == "dual"
