@@ -16,7 +16,7 @@ FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",
     "hesai": "lidarcfg.packets.hesai:Hesai",
     "robosense": "lidarcfg.packets.robosense:Robosense",
-    "ouster": "lidarcfg.packets.ouster.codec:Ouster",
+    "ouster": "lidarcfg.packets.ouster:Ouster",
 }
 
 

@@ -48,7 +48,7 @@ struct Fields<Limits> {
 
 namespace {
 
-constexpr Index size_max = Index{1} << 20;  // of anything in a packet, so that no product overflows
+constexpr Index size_max = Index{1} << 24;  // of anything in a packet, so that no product overflows
 
 bool is_within(Index value, Index least, Index most) { return least <= value && value <= most; }
 

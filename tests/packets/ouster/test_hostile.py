@@ -14,7 +14,7 @@ from lidarcfg.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
-from lidarcfg.packets.ouster.metadata import Metadata, read
+from lidarcfg.packets.ouster.telemetry import Metadata, read_metadata
 from lidarcfg.rig import Mount
 from tests.packets.ouster.test_encode import START_NS, mount
 
@@ -52,7 +52,7 @@ def test_mutated_metadata():
         if rng.random() < 0.1:
             text = text[: rng.randrange(len(text))]
         try:
-            found = read("a.json", text.encode())
+            found = read_metadata("a.json", text.encode())
         except LidarcfgError as error:
             messages.append(str(error))
             outcomes["refused"] += 1

@@ -1,8 +1,12 @@
-"""The sensor's metadata, a JSON file beside the capture, without which an Ouster's packets cannot be decoded."""
+"""What an Ouster says of itself: metadata, a JSON file without which its packets cannot be decoded; and its motion.
+
+Inertial measurements have gravity in them.
+"""
 
 import json
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +14,30 @@ import numpy as np
 
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.ouster.facts import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit
-from lidarcfg.packets.ouster.layout import PROFILES, Layout
+from lidarcfg.packets.codec import Octets, Payloads, Source
+from lidarcfg.packets.inertial import GRAVITY_M_S2, measured
+from lidarcfg.packets.ouster.layout import (
+    ALERTS,
+    PROFILES,
+    TICKS,
+    Layout,
+    PacketHeaders,
+    crc64,
+    packet_headers,
+    write_packet_headers,
+)
+from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit, phase, unit
+from lidarcfg.sensor import Beams, Sensor
+from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
+    from lidarcfg.world.motion import Trajectory
 
-COLUMNS_MAX, PACKET_COLUMNS_MAX = 8192, 64
+SUFFIX = ".json"  # of metadata
+USUAL_SIZES = {(name, Layout(name, pixels, 1024).size) for name in PROFILES for pixels in (16, 32, 64, 128)}
+COLUMNS_MAX = 8192
+PACKET_COLUMNS_MAX = 64
 IMAGES = {"2.3": "ousteros-image-prod-aries-v2.3.0", "3.2": "ousteros-image-prod-bootes-v3.2.0"}
 FIXED_CONFIG = {  # as in recordings of sensors that nobody has configured
     "multipurpose_io_mode": "OFF",
@@ -33,6 +54,22 @@ FIXED_CONFIG = {  # as in recordings of sensors that nobody has configured
     "sync_pulse_out_pulse_width": 10,
 }
 BUILT = "2026-01-01T00:00:00Z"
+IMU_PERIOD_NS = SECOND_NS // 100  # as in all recordings
+CHUNK = 1024  # packets
+IMU_PACKET = np.dtype([("time_ns", "<u8", (3,)), ("acceleration_g", "<f4", (3,)), ("rate_deg_s", "<f4", (3,))])
+IMU_MEASUREMENT = np.dtype(
+    [
+        *[("time_ns", "<u8"), ("column", "<u2"), ("status", "<u2")],
+        *[("acceleration_m_s2", "<f4", (3,)), ("rate_rad_s", "<f4", (3,))],
+    ]
+)
+FRAMED_IMU_PACKET = np.dtype(  # as ouster-sdk's parsing.cpp has it
+    [
+        *[("head", "u1", (32,)), ("nmea_ns", "<u8"), ("sentence", "S92")],
+        *[("measured", IMU_MEASUREMENT, (IMU_MEASUREMENTS,)), ("reserved", "u1", (24,)), ("crc", "<u8")],
+    ]
+)
+FRAMED_KIND = 2  # of an IMU packet, in its header
 
 
 @dataclass(frozen=True)
@@ -59,7 +96,7 @@ class Metadata:
         return f"os{found[1]}-{found[2]}" if found else self.line.lower() or "ouster"
 
 
-def read(name: str, content: bytes) -> Metadata | None:
+def read_metadata(name: str, content: bytes) -> Metadata | None:
     """The metadata in a file called `name`; None if it is another kind of JSON. Raises PacketError if it is damaged."""
     try:
         said = json.loads(content)
@@ -148,7 +185,77 @@ def _whole(said: dict[str, Any], key: str, least: int, most: int) -> int:
     return value
 
 
-def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
+def is_lidar_packet(profile: str, payload: bytes) -> bool:
+    """Whether the first bytes are a lidar packet's."""
+    header = PROFILES[profile].header
+    if header == "legacy":
+        measurement, ticks = int.from_bytes(payload[8:10], "little"), int.from_bytes(payload[12:16], "little")
+        return ticks < TICKS and measurement <= ticks
+    return payload[:2] == b"\x01\0" if header == "standard" else payload[:1] == b"\x01"
+
+
+def matches(source: Source, size: int, payload: bytes) -> bool:
+    """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
+    names = [name for name, usual in USUAL_SIZES if usual == size and is_lidar_packet(name, payload)]
+    return bool(names) or any(is_lidar_packet(one.layout.name, payload) for one in _metadata_beside(source, size))
+
+
+def _metadata_beside(source: Source, size: int) -> list[Metadata]:
+    """The metadata beside the capture whose packets are of this size."""
+    found = [read_metadata(name, content) for name, content in source.sidecar_files(SUFFIX).items()]
+    return [one for one in found if one and one.layout.size == size]
+
+
+def find_metadata(source: Source, packets: Octets) -> Metadata:
+    """The metadata of the source's packets. Raises PacketError if there is none, or if several fit."""
+    size = packets.shape[1]
+    payload = packets[0].tobytes()
+    beside = _metadata_beside(source, size)
+    if not beside:
+        what = f"an Ouster's packets of {size} bytes need the sensor's metadata in a .json beside the capture"
+        there = ", ".join(source.sidecar_files(SUFFIX))
+        raise PacketError(f"{source.where}: {what}, called as it" + (f"; {there} is not that" if there else ""))
+    fit = [one for one in beside if is_lidar_packet(one.layout.name, payload)]
+    same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
+    if not same:
+        serials = ", ".join(f"{one.name} is of {one.line} {one.serial}" for one in beside)
+        said = f"{_serial(fit[0], packets)}" if fit else "another profile"
+        raise PacketError(f"{source.where}: its packets are of {said}; {serials}")
+    first = same[0]
+    if any(not _alike(first, one) for one in same[1:]):
+        names = ", ".join(one.name for one in same)
+        raise PacketError(f"{source.where}: several metadata fit its packets: {names}")
+    return first
+
+
+def _serial(one: Metadata, packets: Octets) -> int:
+    return packet_headers(one.layout, packets[:1]).serial
+
+
+def _alike(one: Metadata, other: Metadata) -> bool:
+    """Whether both metadata give the same points."""
+    return (
+        (one.layout, one.start_m, one.window) == (other.layout, other.start_m, other.window)
+        and np.array_equal(one.elevation_rad, other.elevation_rad)
+        and np.array_equal(one.azimuth_rad, other.azimuth_rad)
+        and np.array_equal(one.T_sensor_lidar, other.T_sensor_lidar)
+    )
+
+
+def unknown_sensor(found: Metadata, like: Sensor) -> Sensor:
+    """A sensor outside the catalogue, for decoding only: beams from the metadata, all else from another model."""
+    beams = Beams(
+        source=found.name,
+        elevation_deg=tuple(np.degrees(found.elevation_rad).tolist()),
+        azimuth_offset_deg=tuple(np.degrees(found.azimuth_rad).tolist()),
+    )
+    section = unit(like).facts.model_dump()
+    return Sensor.model_validate(
+        {"name": found.model, "maker": "Ouster", "beams": beams, "codec": "ouster", "ouster": section}
+    )
+
+
+def metadata_file(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
     """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
     layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
     ahead_mm, up_mm = unit.start_mm
@@ -157,12 +264,12 @@ def written(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
         "beam_intrinsics": {
             "beam_altitude_angles": list(beams.elevation_deg),
             "beam_azimuth_angles": list(azimuth_deg),
-            "beam_to_lidar_transform": _moved(ahead_mm, 0, 0),
+            "beam_to_lidar_transform": _translation(ahead_mm, 0, 0),
             "lidar_origin_to_beam_origin_mm": ahead_mm,
         },
         "calibration_status": {"reflectivity": {"timestamp": BUILT[:-1], "valid": True}},
         "config_params": _config(unit, mode, mount),
-        "imu_intrinsics": {"imu_to_sensor_transform": _moved(*unit.facts.imu.position_mm)},
+        "imu_intrinsics": {"imu_to_sensor_transform": _translation(*unit.facts.imu.position_mm)},
         "lidar_data_format": {
             "column_window": list(mode.window),
             "columns_per_frame": layout.columns_per_frame,
@@ -220,5 +327,55 @@ def _config(unit: Unit, mode: Mode, mount: "Mount") -> dict[str, Any]:
     return config
 
 
-def _moved(x: float, y: float, z: float) -> list[float]:
+def _translation(x: float, y: float, z: float) -> list[float]:
     return [1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, z, 0, 0, 0, 1]
+
+
+def legacy_imu_payloads(
+    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+) -> Iterator[Payloads]:
+    """A packet of 48 bytes every 10 ms: three equal times, of the system and both sensors, then the values."""
+    total = -(-duration_ns // IMU_PERIOD_NS)
+    for first in range(0, total, CHUNK):
+        time_ns = start_ns + np.arange(first, min(first + CHUNK, total)) * IMU_PERIOD_NS
+        packets = np.zeros(len(time_ns), IMU_PACKET)
+        packets["time_ns"] = time_ns[:, None]
+        packets["acceleration_g"], packets["rate_deg_s"] = measured(mount, trajectory, _position_m(unit), time_ns)
+        sent_ns = (time_ns + 500) // 1000 * 1000
+        headers, octets = unit.facts.headers, packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
+        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
+
+
+def framed_imu_payloads(
+    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+) -> Iterator[Payloads]:
+    """Packets of profile ACCEL32_GYRO32_NMEA, which count revolutions as the lidar's do; without a sentence."""
+    zero_ns, _ = phase(mode, start_ns, mount.phase_deg)
+    period_ns = mode.revolution_ns // mode.imu_packets
+    begin, end = -(-(start_ns - zero_ns) // period_ns), (start_ns + duration_ns - zero_ns) // period_ns
+    for first in range(begin, end, CHUNK):
+        number = np.arange(first, min(first + CHUNK, end))
+        revolution, place = np.divmod(number, mode.imu_packets)
+        sample = place[:, None] * IMU_MEASUREMENTS + np.arange(IMU_MEASUREMENTS)
+        since_ns = sample * mode.revolution_ns // (mode.imu_packets * IMU_MEASUREMENTS)
+        packets = np.zeros(len(number), FRAMED_IMU_PACKET)
+        values = packets["measured"]
+        values["time_ns"] = zero_ns + revolution[:, None] * mode.revolution_ns + since_ns
+        values["column"] = sample * mode.layout.columns_per_frame // (mode.imu_packets * IMU_MEASUREMENTS)
+        values["status"] = 1
+        at_ns = values["time_ns"].ravel().astype(np.int64)
+        acceleration_g, rate_deg_s = measured(mount, trajectory, _position_m(unit), at_ns)
+        values["acceleration_m_s2"] = (acceleration_g * GRAVITY_M_S2).reshape(*sample.shape, 3)
+        values["rate_rad_s"] = np.radians(rate_deg_s).reshape(*sample.shape, 3)
+        octets = packets.view(np.uint8).reshape(len(packets), FRAMED_IMU_PACKET.itemsize)
+        write_packet_headers(mode.layout, octets, PacketHeaders(revolution, mode.init, mode.serial, ALERTS))
+        octets[:, 0] = FRAMED_KIND
+        packets["crc"] = crc64(octets)
+        sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
+        headers, fragments = unit.facts.headers, mode.settings.fragments
+        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
+
+
+def _position_m(unit: Unit) -> Array:
+    """(3,): where the inertial sensor is in the sensor's frame."""
+    return np.array(unit.facts.imu.position_mm) / 1000
