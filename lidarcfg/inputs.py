@@ -1,14 +1,16 @@
-"""Files that are read: regular ones, of a size that memory holds. What is not is refused before it is read."""
+"""Limits: of the files that are read, and of the memory and disk that must be free. Checked before the work."""
 
 import errno
 import math
 import os
+import shutil
 import stat
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from lidarcfg.errors import LidarcfgError
+from lidarcfg.files import resolve
 
 WRITER_S, AGAIN_S = 3.0, 0.02  # a pipe that nobody opens to write is waited for
 PIPE_BYTES = 1 << 16
@@ -101,6 +103,29 @@ def check_memory(what: str, needed: float, advice: str = "", reserved: float = 0
         sizes = f"{needed / 1e9:,.1f} GB of memory; {max(left, 0) / 1e9:,.1f} GB are free"
     if sizes:
         raise LidarcfgError(f"{what} needs {sizes}{'; ' * bool(advice)}{advice}")
+
+
+def format_bytes(count: float) -> str:
+    """Bytes, to a tenth of the unit."""
+    return f"{count / 1e9:,.1f} GB" if count >= 1e9 else f"{count / 1e6:,.1f} MB"
+
+
+def free_bytes(path: str | Path) -> float:
+    """The room on the disk where a file would be written; infinite where that is not known."""
+    folder = resolve(Path(path)).absolute().parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return math.inf
+
+
+def check_room(path: str | Path, needed: float, advice: str) -> None:
+    """Raises LidarcfgError if a file of this many bytes does not fit on its disk."""
+    if needed > (free := free_bytes(path)):
+        sizes = f"needs {format_bytes(needed)} on the disk; {format_bytes(free)} are free"
+        raise LidarcfgError(f"{path}: {sizes}; {advice}")
 
 
 def is_out_of_memory(error: BaseException) -> bool:

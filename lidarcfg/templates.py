@@ -7,7 +7,7 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 
 from lidarcfg.errors import ConfigError, SceneError
-from lidarcfg.files import replacing, shipped, together
+from lidarcfg.files import replacing, shipped
 from lidarcfg.yaml_document import inline
 
 KINDS = ("study", "rig", "scene", "sensor")
@@ -39,12 +39,11 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     for file in (path, copied):
         if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
             raise ConfigError(f"{file}: exists already; name another file, or remove it")
-    with together():
-        if copied and body and not copied.exists():
-            with replacing(copied, "wb") as mesh:
-                mesh.write(body.read_bytes())
-        with replacing(path) as out:
-            out.write(text)
+    if copied and body and not copied.exists():
+        with replacing(copied, "wb") as mesh:
+            mesh.write(body.read_bytes())
+    with replacing(path) as out:
+        out.write(text)
     return [path, copied] if copied else [path]
 
 

@@ -204,7 +204,7 @@ def _export_packets(
     from contextlib import ExitStack
 
     from lidarcfg.capture.pcap import write_pcap
-    from lidarcfg.files import check_room, size_in_words, together
+    from lidarcfg.inputs import check_room, format_bytes
     from lidarcfg.simulate import export as capture
     from lidarcfg.simulate.ground_truth import TruthFile
     from lidarcfg.simulate.tasks import object_names
@@ -214,8 +214,7 @@ def _export_packets(
     mounts = drive.rig.mounts
     names, size = [mount.name for mount in mounts], capture.data_bytes(drive)
     check_room(output, size, LESS)
-    with _run(drive.duration_ns, lambda done: f"about {size_in_words(size)}", rays, quiet) as run, ExitStack() as stack:
-        stack.enter_context(together())
+    with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
         streams = capture.export(
@@ -230,12 +229,13 @@ def _export_packets(
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
+            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
             pairs = zip(paths, mounts, strict=True)
             companions = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
-            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
         else:
+            paths = [output]
+            counts = [write_pcap(output, capture.in_time_order(streams))]
             companions = capture.save_companions(output, mounts)
-            paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
         records = beside.save() if beside else 0
         for path in paths:
             record(path)
@@ -251,9 +251,9 @@ def _export_points(
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.cloud import row_bytes
     from lidarcfg.errors import LidarcfgError
-    from lidarcfg.files import free_bytes, size_in_words, together
     from lidarcfg.formats import formats
     from lidarcfg.formats.recording import Recording
+    from lidarcfg.inputs import format_bytes, free_bytes
     from lidarcfg.sensor import FIRING
     from lidarcfg.simulate.scans import most_returns, simulated_scans
 
@@ -273,14 +273,14 @@ def _export_points(
             return f"about {points:,.0f} points" if known else f"at most {most:,} points"
         octets = row_bytes(output) * (points if known else most)
         if known and COPIES * octets > free:
-            sizes = f"needs {size_in_words(COPIES * octets)} on the disk while it is written"
-            raise LidarcfgError(f"{output}: {sizes}; {size_in_words(free)} are free; {LESS}")
-        return f"{'about' if known else 'at most'} {size_in_words(octets)}"
+            sizes = f"needs {format_bytes(COPIES * octets)} on the disk while it is written"
+            raise LidarcfgError(f"{output}: {sizes}; {format_bytes(free)} are free; {LESS}")
+        return f"{'about' if known else 'at most'} {format_bytes(octets)}"
 
     for text in [] if quiet else warnings:
         warn(text)
     warnings.clear()
-    with _run(drive.duration_ns, size, rays, quiet) as run, together():
+    with _run(drive.duration_ns, size, rays, quiet) as run:
         recording = Recording(drive, simulated_scans(drive, run))
         found = formats.save_recording(output, form, recording, deskew, warnings.append)
         record(output)

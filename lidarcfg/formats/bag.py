@@ -7,7 +7,6 @@ fields. The message's stamp is the time of the scan's first point.
 import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,8 +15,7 @@ import numpy as np
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError, missing
-from lidarcfg.files import Whole, check_replaceable, place, target
-from lidarcfg.formats.folder import beside, replacing_folder
+from lidarcfg.files import check_replaceable, commit, replacing_folder, resolve, temporary_folder
 from lidarcfg.formats.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.formats.messages import Messages, ros_store
 from lidarcfg.formats.recording import Recording, stamp_ns
@@ -57,7 +55,7 @@ def write_bag(path: Path, storage: str, made: Made) -> int:
     """Write messages as a bag, whole or not at all, and return their number."""
     if storage == "ros1":
         return _file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
-    whole = Path(os.path.realpath(target(path)))
+    whole = Path(os.path.realpath(resolve(path)))
     if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(whole))):
         raise ConversionError(f"{whole}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
     with replacing_folder(path, *BAG_FILES) as folder:
@@ -79,9 +77,9 @@ def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
     check_replaceable(path)
-    with ExitStack() as rest:
-        count, written = write(rest.enter_context(beside(path)))
-        place(Whole(written, Path(os.path.realpath(target(path))), rest.pop_all(), written.stat().st_ino))
+    with temporary_folder(path) as folder:
+        count, written = write(folder)
+        commit(written, resolve(path))
     return count
 
 

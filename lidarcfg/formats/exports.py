@@ -7,7 +7,7 @@ import numpy as np
 
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.files import loaded, together
+from lidarcfg.files import loaded, remove_outdated
 from lidarcfg.formats import formats
 from lidarcfg.formats.noted import Noted
 from lidarcfg.formats.recording import Recording
@@ -58,12 +58,12 @@ def export(
         moved = Trajectory(np.eye(4) if at is None else at, load_path(trajectory), START_NS)
     drive = Drive(rig, scene, moved, rig_vehicle(rig), START_NS, round(duration_s * SECOND_NS))
     noted = Noted.of(drive, output, *given)
-    with together(noted.gone(output)):
-        if output.suffix != ".pcap" or to:
-            form = formats.format_of("drive", output, to)
-            formats.save_recording(output, form, Recording(drive, simulated_scans(drive)), False, on_warning)
-        else:
-            streams = packets.export(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
-            packets.save_companions(output, rig.mounts)
-            write_pcap(output, packets.in_time_order(streams))
-        noted.save(output, drive, on_warning)
+    if output.suffix != ".pcap" or to:
+        form = formats.format_of("drive", output, to)
+        formats.save_recording(output, form, Recording(drive, simulated_scans(drive)), False, on_warning)
+    else:
+        streams = packets.export(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
+        write_pcap(output, packets.in_time_order(streams))
+        packets.save_companions(output, rig.mounts)
+    remove_outdated(noted.outdated(output))
+    noted.save(output, drive, on_warning)

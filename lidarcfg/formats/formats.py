@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from lidarcfg.cloud import PointCloud, load_cloud, save_clouds
 from lidarcfg.errors import ConversionError
-from lidarcfg.files import replacing
+from lidarcfg.files import replacing, replacing_folder
 from lidarcfg.rig import load_rig
 
 if TYPE_CHECKING:
@@ -164,7 +164,6 @@ def save_recording(output: Path, form: Format, recording: "Recording", deskew: b
 
 
 def _save_folder(output: Path, name: str, recording: "Recording") -> int:
-    from lidarcfg.formats.folder import replacing_folder
     from lidarcfg.formats.kitti_folders import save_objects, save_odometry
     from lidarcfg.formats.nuscenes_tables import save_tables
 
@@ -176,7 +175,6 @@ def _save_folder(output: Path, name: str, recording: "Recording") -> int:
 
 def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
     from lidarcfg.formats.carla import carla
-    from lidarcfg.formats.folder import replacing_folder
     from lidarcfg.formats.launch import launch
     from lidarcfg.formats.nuscenes import nuscenes
     from lidarcfg.formats.urdf import urdf

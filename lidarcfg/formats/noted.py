@@ -42,7 +42,7 @@ class Noted:
         }
         return cls(files, place_text(at))
 
-    def gone(self, output: Path) -> list[Path]:
+    def outdated(self, output: Path) -> list[Path]:
         """What an earlier export may have left beside the output, and this one neither writes nor was given."""
         kept = {os.path.realpath(given) for given in self.files.values() if isinstance(given, Path)}
         if not self._lacks:

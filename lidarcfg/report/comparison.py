@@ -9,7 +9,7 @@ from typing import Any
 
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import replacing, together
+from lidarcfg.files import replacing
 from lidarcfg.names import DRAWN, HEAD, short
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
@@ -217,10 +217,9 @@ def save_comparison(study: Study, rigs: Sequence[Contender], folder: Path, comma
     """Write compare.json and compare.html into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = to_json(comparison_dict(study, rigs)) + "\n", comparison(study, rigs, commands)
-    with together():
-        for name, text in zip(COMPARED, texts, strict=True):
-            with replacing(folder / name) as file:
-                file.write(text)
+    for name, text in zip(COMPARED, texts, strict=True):
+        with replacing(folder / name) as file:
+            file.write(text)
 
 
 def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> str:

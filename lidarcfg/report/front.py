@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg import __version__
 from lidarcfg.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
-from lidarcfg.files import replacing, together
+from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.placement.details import details
 from lidarcfg.placement.front import Candidate, Front, Point
 from lidarcfg.placement.optimize import Log
@@ -85,14 +85,14 @@ def save_front(
     """
     save_front_log(study, found.logs, folder)
     values, names = front_dict(study, found), {point.combination.name for point in found.points}
-    with together(gone=(path for path in _points(folder) if path.parent.name not in names)):
-        for number, point in enumerate(found.points):
-            on_point(number, point)
-            _save_point(point, folder / "points" / point.combination.name, commands)
-        write_text(to_json(values) + "\n", folder / "front.json")
-        write_history(found.history, folder)
-        save_figure(draw_front(study, found), folder / "front.png")
-        write_text(front_page(study, found, values, commands), folder / "front.html")
+    remove_outdated(path for path in _points(folder) if path.parent.name not in names)
+    for number, point in enumerate(found.points):
+        on_point(number, point)
+        _save_point(point, folder / "points" / point.combination.name, commands)
+    write_text(to_json(values) + "\n", folder / "front.json")
+    write_history(found.history, folder)
+    save_figure(draw_front(study, found), folder / "front.png")
+    write_text(front_page(study, found, values, commands), folder / "front.html")
     for other in (folder / "points").glob("*"):
         with suppress(OSError):  # one that holds files stays
             other.rmdir()
@@ -117,10 +117,8 @@ def save_front_log(study: Study, logs: Sequence[Sequence[Log]], folder: Path) ->
     The other results of an earlier search are removed: a folder holds those of one search.
     """
     every = [(owner, log) for owner, of_one in enumerate(logs) for log in of_one]
-    with (
-        together(gone=chain((folder / name for name in {*FRONT, *RESULTS} if name != "search.npz"), _points(folder))),
-        replacing(folder / "search.npz", "wb") as file,
-    ):
+    remove_outdated(chain((folder / name for name in {*FRONT, *RESULTS} if name != "search.npz"), _points(folder)))
+    with replacing(folder / "search.npz", "wb") as file:
         np.savez_compressed(
             file,
             cost=np.concatenate([log.cost for _, log in every]),

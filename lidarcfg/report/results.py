@@ -15,7 +15,7 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
-from lidarcfg.files import check_replaceable, replacing, together
+from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
@@ -136,10 +136,11 @@ def save_evaluation(
     values = evaluation_dict(study, rig, found)
     if baseline:
         values["baseline"] = baseline_dict(study, baseline)
-    with together():
-        write_text(to_json(values) + "\n", folder / "result.json")
-        save_figure(draw_rig(study, rig, found), folder / "rig.png")
-        write_text(report(study, rig, details, values, None, commands, baseline), folder / "report.html")
+    figure = draw_rig(study, rig, found)
+    page = report(study, rig, details, values, None, commands, baseline)
+    write_text(to_json(values) + "\n", folder / "result.json")
+    save_figure(figure, folder / "rig.png")
+    write_text(page, folder / "report.html")
 
 
 def save_placement(
@@ -158,13 +159,15 @@ def save_placement(
     values = placement_dict(study, found, details.evaluation)
     if baseline:
         values["baseline"] = baseline_dict(study, baseline)
-    with together():
-        _write_progress(study, found.rig, found.log, folder)
-        write_text(to_json(values) + "\n", folder / "result.json")
-        write_history(found.history, folder)
-        save_figure(draw_convergence(study, found), folder / "convergence.png")
-        save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
-        write_text(report(study, found.rig, details, values, found, commands, baseline), folder / "report.html")
+    convergence = draw_convergence(study, found)
+    figure = draw_rig(study, found.rig, details.evaluation)
+    page = report(study, found.rig, details, values, found, commands, baseline)
+    _write_progress(study, found.rig, found.log, folder)
+    write_text(to_json(values) + "\n", folder / "result.json")
+    write_history(found.history, folder)
+    save_figure(convergence, folder / "convergence.png")
+    save_figure(figure, folder / "rig.png")
+    write_text(page, folder / "report.html")
 
 
 def write_history(history: Sequence[Any], folder: Path) -> None:
@@ -201,8 +204,8 @@ def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
 
     The other results of an earlier search are removed: a folder holds those of one search.
     """
-    with together(gone=(folder / name for name in {*RESULTS, *FRONT} if name not in PROGRESS)):
-        _write_progress(study, rig, log, folder)
+    remove_outdated(folder / name for name in {*RESULTS, *FRONT} if name not in PROGRESS)
+    _write_progress(study, rig, log, folder)
 
 
 def _write_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:

@@ -282,25 +282,6 @@ def test_what_an_interrupt_breaks_is_not_said_to_be_an_error(then):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
-def test_a_second_interrupt_does_not_come_between_two_files(tmp_path):
-    """Both files are of one run; no other is left."""
-    (tmp_path / "one").write_text("old")
-    then = f"""
-        os.chdir({str(tmp_path)!r})
-        from lidarcfg import files
-        take, swap = files.Whole.take_place, lambda one: (take(one), os.kill(os.getpid(), signal.SIGINT))
-        files.Whole.take_place = swap
-        with files.together():
-            for name in ("one", "other"):
-                with files.replacing(name) as file:
-                    file.write("new")
-        time.sleep(60)
-"""
-    done = subprocess.run([sys.executable, "-c", BROKEN.format(then)], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (130, "interrupted\n")
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "new", "other": "new"}
-
-
 @pytest.fixture
 def log(monkeypatch, capsys):
     """What a log says of updates: seconds of work, and the fraction done."""
