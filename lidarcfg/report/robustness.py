@@ -12,7 +12,6 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
-from lidarcfg.report.layout import spaces
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -90,7 +89,7 @@ def draw_lost(titled: Sequence[tuple[str, Robustness]]) -> Markup | None:
         return None
 
     def draw(figure: "Figure") -> None:
-        lost_view(figure.subplots(gridspec_kw=spaces(figure)), titled)
+        lost_view(figure.subplots(), titled)
 
     return drawing("lost", 2.8, "max VSR of the whole rig, and with each LiDAR lost", draw)
 

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.surfaces import Surface
-from lidarcfg.report.canvas import EM_IN, WIDTH_IN, colour, drawing, height_in
-from lidarcfg.report.layout import ABOVE, EDGE, LEFT, spaces
+from lidarcfg.report.canvas import LABELS_IN, WIDTH_IN, colour, drawing, height_in
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -35,14 +34,14 @@ def heights_in(study: Study) -> list[float]:
     """The heights of the sides' axes."""
     low, high = _frame(study)
     pairs = [seats[0][1].across for seats in _sides(study).values()]
-    scale = (WIDTH_IN - (LEFT + EDGE) * EM_IN) / max(high[across] - low[across] for across, _ in pairs)
+    scale = (WIDTH_IN - LABELS_IN) / max(high[across] - low[across] for across, _ in pairs)
     return [scale * float(high[up] - low[up]) for _, up in pairs]
 
 
 def fill_figure(figure: "Figure", study: Study, rig: Rig) -> None:
     """Draw them below each other."""
     sides, (low, high) = _sides(study), _frame(study)
-    grid = figure.add_gridspec(len(sides), 1, **spaces(figure, heights=heights_in(study), above=ABOVE))
+    grid = figure.add_gridspec(len(sides), 1, height_ratios=heights_in(study))
     for row, (side, seats) in enumerate(sides.items()):
         axes = figure.add_subplot(grid[row, 0])
         _draw_side(axes, seats, rig, study, low, high)
