@@ -207,13 +207,15 @@ def _key(item: Any) -> Key:
 
 
 def _message(item: Any, model: type[Model]) -> str:
-    kind, context = item["type"], item.get("ctx", {})
+    kind = item["type"]
+    context = item.get("ctx", {})
     if kind == "fault":
         return str(context["what"])
     if kind == "extra_forbidden":
         return unknown_key(str(item["loc"][-1]), _model_at(model, item["loc"][:-1]))
     if kind in ("too_short", "too_long"):
-        least, most = context.get("min_length"), context.get("max_length")
+        least = context.get("min_length")
+        most = context.get("max_length")
         allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
         return f"has {context['actual_length']} values; allowed: {allowed}"
     limits = {key: _shown(value) for key, value in context.items() if key != "expected"}

@@ -12,7 +12,8 @@ from pathlib import Path
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.files import resolve
 
-WRITER_S, AGAIN_S = 3.0, 0.02  # a pipe that nobody opens to write is waited for
+WRITER_S = 3.0  # how long a pipe that nobody opens to write is waited for
+AGAIN_S = 0.02
 PIPE_BYTES = 1 << 16
 CGROUP = Path("/sys/fs/cgroup")
 NO_MEMORY = ("can't start new thread", "failed to map segment", "annot allocate memory")  # what libraries say
@@ -61,7 +62,8 @@ def _without_waiting(path: str, flags: int) -> int:
 
 def _first(pipe: int, path: str | Path) -> bytes:
     """What a pipe has, once there is a writer: before, a read gives nothing; then it gives something, or would wait."""
-    until, first = time.monotonic() + WRITER_S, b""
+    until = time.monotonic() + WRITER_S
+    first = b""
     with suppress(BlockingIOError):
         while not (first := os.read(pipe, PIPE_BYTES)):
             if time.monotonic() > until:
@@ -140,7 +142,8 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 def out_of_memory(error: BaseException, doing: str) -> LidarcfgError:
     """What is said then: what was being done, and, where that is known, how much was asked for."""
-    shape, dtype = getattr(error, "shape", None), getattr(error, "dtype", None)  # of numpy's
+    shape = getattr(error, "shape", None)  # of numpy's error
+    dtype = getattr(error, "dtype", None)
     asked = f"{math.prod(shape) * dtype.itemsize / 1e6:,.1f} MB more were asked for, " if shape and dtype else ""
     left = f"{max(memory_bytes(), 0) / 1e6:,.0f} MB are free"
     return LidarcfgError(f"out of memory at: {doing}; {asked}{left}; {LESS}")

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
-HEAD, DRAWN, LISTED = 20, 28, 40  # characters: over a column of numbers, in a drawing, in a row
+HEAD = 20  # characters over a column of numbers
+DRAWN = 28  # in a drawing
+LISTED = 40  # in a row
 MANY = 8  # sensors; of more, the first are listed
 
 

@@ -39,9 +39,12 @@ MOUNT_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # it becomes part of file names
 MountName = Annotated[str, Field(pattern=MOUNT_NAME, max_length=NAME_MAX)]
 ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
 SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
-FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
+FIRST_HOST = ipaddress.IPv4Address("192.168.1.201")
+LAST_HOST = ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
-DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # defaults if neither rig nor sensor gives others
+DATA_PORT = 2368  # the defaults where neither rig nor sensor gives others
+TELEMETRY_PORT = 8308
+RPM = 600.0
 RETURN_MODE: ReturnMode = "strongest"
 
 
@@ -253,7 +256,8 @@ def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str 
 
 def _check_endpoints(path: Path, index: int, mount: Mount, other: Mount) -> None:
     """Raises ConfigError if two mounts, of which this is entry `index` of the file, share an address and a port."""
-    host, data_port = mount.host, mount.data_port
+    host = mount.host
+    data_port = mount.data_port
     if host != other.host:
         return
     if data_port == other.data_port:

@@ -67,8 +67,11 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
     """A study's region and the bounds of its sensors, around a vehicle's bounds."""
     x = 10 * math.ceil((25 + max(abs(low[0]), abs(high[0]))) / 10)
     y = 5 * math.ceil((8 + max(abs(low[1]), abs(high[1]))) / 5)
-    side, length = (high[1] - low[1]) / 2, high[0] - low[0]
-    middle_m, floor_m, top_m = (low[0] + high[0]) / 2, min(math.floor(low[2]), 0), max(math.ceil(high[2]), 4)
+    side = (high[1] - low[1]) / 2
+    length = high[0] - low[0]
+    middle_m = (low[0] + high[0]) / 2
+    floor_m = min(math.floor(low[2]), 0)
+    top_m = max(math.ceil(high[2]), 4)
     boxes = {
         "low": (-x, -y, floor_m),
         "high": (x, y, top_m),

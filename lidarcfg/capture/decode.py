@@ -122,9 +122,12 @@ class Capture:
         selection: Selection = ALL,
         details: Details | None = None,
     ) -> None:
-        self._path, self._on_warning, self._selection = Path(path), on_warning, selection
+        self._path = Path(path)
+        self._on_warning = on_warning
+        self._selection = selection
         self._details = details or Details()
-        self._rig, self._override = rig, load_sensor(model) if model else None
+        self._rig = rig
+        self._override = load_sensor(model) if model else None
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
         self._catalogue = cache(_catalogued)
         self._window_ns = window_ns(path, selection)
@@ -163,7 +166,9 @@ class Capture:
     def _recorded(self, key: int, some: list[Datagrams]) -> Recorded:
         packets = np.concatenate([one.payloads(int(one.size[0])) for one in some])
         host_ns = np.concatenate([one.time_ns for one in some])
-        (sensor, index), found, source = self._given(key), self._families[key], self._source(key)
+        sensor, index = self._given(key)
+        found = self._families[key]
+        source = self._source(key)
         assert found
         if sensor is None:
             known = partial(self._catalogue, next(one for one in FAMILIES if family(one) is found))
@@ -180,8 +185,10 @@ class Capture:
                     enough = int(np.searchsorted(np.cumsum(left.size), CHUNK_BYTES - octets)) + 1
                     count = min(chunk_packets - waiting, enough)
                     self._add(left[:count], keys[:count])
-                    waiting, octets = waiting + len(keys[:count]), octets + int(left.size[:count].sum())
-                    left, keys = left[count:], keys[count:]
+                    waiting += len(keys[:count])
+                    octets += int(left.size[:count].sum())
+                    left = left[count:]
+                    keys = keys[count:]
                     if waiting == chunk_packets or octets >= CHUNK_BYTES:
                         yield self._job(last=False)
                         waiting = octets = 0
@@ -199,7 +206,8 @@ class Capture:
         keys = np.asarray(host << 32 | port << 16 | size, np.uint64)
         kinds, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
         if not self._families.keys() >= set(kinds.tolist()):
-            order, ends = np.argsort(inverse, kind="stable"), np.cumsum(counts)
+            order = np.argsort(inverse, kind="stable")
+            ends = np.cumsum(counts)
             for key, count, end in zip(kinds.tolist(), counts.tolist(), ends.tolist(), strict=True):
                 if key not in self._families:
                     rows = order[end - count : end][:CLAIMED_BY].tolist()  # the first may be damaged
@@ -249,7 +257,8 @@ class Capture:
 
     def _stream(self, key: int) -> Stream | None:
         """The stream of a new source: with a rig, of the mount at its address; None if the source is not selected."""
-        name, mounts = _name(key), self._rig.mounts if self._rig else ()
+        name = _name(key)
+        mounts = self._rig.mounts if self._rig else ()
         sensor, index = self._given(key)
         if self._rig and index is None and not self._selection.sensors:
             has = ", ".join(f"{mount.host}:{mount.data_port}" for mount in mounts)
@@ -329,7 +338,8 @@ def _name(key: int) -> str:
 
 def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
     """The files beside a capture NAME.pcap that match NAME, NAME-* or NAME.*, followed by `suffix`."""
-    stem, end = escape(path.stem), escape(suffix)
+    stem = escape(path.stem)
+    end = escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
     try:
         return {str(one): read_regular(one, COMPANION_MAX) for one in sorted(found)}

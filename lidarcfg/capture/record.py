@@ -181,7 +181,8 @@ def save_record(
 
     Rig, scene and vehicle are what was read of the files: what they name is noted, too.
     """
-    path, scene_file = record_path(capture), files["scene"]
+    path = record_path(capture)
+    scene_file = files["scene"]
     named = {"rig": _sensor_files(rig)}
     named["scene"] = files_of(scene.file, example(scene_file).parent) if isinstance(scene_file, Path) else []
     owner = "vehicle" if files.get("vehicle") else "rig"
@@ -204,7 +205,8 @@ def save_record(
 
 def _written(given: Beside, capture: Path) -> Part:
     """Write it, and name it as the record does."""
-    path, octets = capture.with_name(capture.name + given.suffix), given.text.encode()
+    path = capture.with_name(capture.name + given.suffix)
+    octets = given.text.encode()
     with replacing(path, "wb") as out:
         out.write(octets)
     return Part(file=path.name, sha256=hashlib.sha256(octets).hexdigest())

@@ -72,7 +72,8 @@ class Head:
 
     def __init__(self) -> None:
         self.starts_ns: list[int] = []
-        self._azimuth_rad, self._time_ns = 0.0, -LATE_NS
+        self._azimuth_rad = 0.0
+        self._time_ns = -LATE_NS
 
     def add(self, time_ns: Times, azimuth_rad: Array) -> None:
         """Add the head's directions at the start of the next packets (n,)."""
@@ -82,4 +83,5 @@ class Head:
             begins = not self.starts_ns or at_rad < self._azimuth_rad - BACK_RAD
             if begins or not 0 <= at_ns - self.starts_ns[-1] < LONGEST_NS:
                 self.starts_ns.append(at_ns)
-            self._azimuth_rad, self._time_ns = at_rad, at_ns
+            self._azimuth_rad = at_rad
+            self._time_ns = at_ns

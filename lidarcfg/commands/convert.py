@@ -119,7 +119,8 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
     assert rig
     if not scene:
         raise ConfigError(f"{beside}: names no scene; export with the scene's file")
-    mounted, start_ns = load_rig(rig), nanoseconds(record.start)
+    mounted = load_rig(rig)
+    start_ns = nanoseconds(record.start)
     moved = load_trajectory(trajectory, record.at, start_ns)
     duration_ns = round(record.duration_s * SECOND_NS)
     return Drive(mounted, load_scene(scene), moved, carried(mounted, vehicle), start_ns, duration_ns)

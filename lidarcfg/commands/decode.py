@@ -93,7 +93,8 @@ def decode(
     if deskew:
         record = load_record(pcap)
         trajectory = trajectory or record.path("trajectory", record_path(pcap))
-        at, start = at or record.at, start or record.start
+        at = at or record.at
+        start = start or record.start
     rig = rig_file(pcap, rig)
     if deskew and not rig:
         raise click.UsageError("--deskew needs the rig, which says where the sensors are on the vehicle")

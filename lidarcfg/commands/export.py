@@ -124,7 +124,8 @@ def export(
         from lidarcfg.world.scene import load_scene
         from lidarcfg.world.vehicle import NONE, carried, check_outside
 
-        mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
+        mounted = _in_mode(load_rig(rig), return_mode)
+        world = load_scene(scene)
         bodies = carried(mounted, vehicle)
         if bodies:
             check_outside(bodies, mounted.mounts, rig)
@@ -212,7 +213,8 @@ def _export_packets(
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
     mounts = drive.rig.mounts
-    names, size = [mount.name for mount in mounts], capture.data_bytes(drive)
+    names = [mount.name for mount in mounts]
+    size = capture.data_bytes(drive)
     check_room(output, size, LESS)
     with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
         objects = object_names(drive.scene, drive.vehicle)
@@ -265,10 +267,12 @@ def _export_points(
         for mount in drive.rig.mounts
         if not (mount.sensor.codec or mount.sensor.firing)
     ]
-    most, free = most_returns(drive), free_bytes(output)
+    most = most_returns(drive)
+    free = free_bytes(output)
 
     def size(done: float) -> str:
-        known, points = done >= KNOWN, most * rays.fraction
+        known = done >= KNOWN
+        points = most * rays.fraction
         if form.name not in formats.CLOUDS:
             return f"about {points:,.0f} points" if known else f"at most {most:,} points"
         octets = row_bytes(output) * (points if known else most)

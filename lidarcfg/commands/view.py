@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 # as lidarcfg.view.colours and placement.evaluation have them, which take a second to load
 COLOURS = ("sensor", "intensity", "ring", "height", "time", "object")
-SIDE_MIN, SIDE_MAX, PIXELS_MAX = 16, 8192, 36_000_000
+SIDE_MIN = 16
+SIDE_MAX = 8192
+PIXELS_MAX = 36_000_000
 WORST_MAX = 10
 
 

@@ -27,7 +27,8 @@ from lidarcfg.units import SECOND_NS
 
 TIME_END_NS = 2**31 * SECOND_NS  # builtin_interfaces/Time counts its seconds in an int32
 BAG_VERSION: Final = 8  # of metadata.yaml: with QoS as text, as in rosbag2 before Jazzy
-TF, TF_STATIC = "/tf", "/tf_static"
+TF = "/tf"
+TF_STATIC = "/tf_static"
 TF_STEP_NS = 10_000_000  # from one pose of the vehicle to the next
 FOREVER = 9223372036, 854775807  # seconds and ns: rmw's infinite time
 BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap")
@@ -97,7 +98,8 @@ def _write(path: Path, storage: str, made: Made) -> int:
     count = 0
     writer: Any
     if version == 1:
-        writer, serialize = Writer1(path), store.serialize_ros1
+        writer = Writer1(path)
+        serialize = store.serialize_ros1
     else:
         writer = Writer2(path, version=BAG_VERSION, storage_plugin=StoragePlugin[storage.upper()])
         serialize = store.serialize_cdr
@@ -151,12 +153,14 @@ def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Ma
     rig = recording.drive.rig
 
     def made(messages: Messages) -> Timed:
-        names, start_ns = ros_names(rig, on_warning), recording.drive.start_ns
+        names = ros_names(rig, on_warning)
+        start_ns = recording.drive.start_ns
         _check_time(start_ns + recording.drive.duration_ns, where)
         yield TF_STATIC, _mounted(messages, rig, names, start_ns), start_ns
         pose_ns = start_ns
         for scan in recording.scans:
-            name, last_ns = names[scan.sensor_names[0]], int(scan.time_ns.max())
+            name = names[scan.sensor_names[0]]
+            last_ns = int(scan.time_ns.max())
             while pose_ns <= last_ns:
                 vehicle = {BASE_LINK: recording.T_world_vehicle(pose_ns)}
                 yield TF, messages.transforms(vehicle, MAP, pose_ns), pose_ns

@@ -47,11 +47,10 @@ def export(
         raise LidarcfgError(f"duration_s is {duration_s:g}; allowed: above 0, at most 86400")
     if trajectory is not None and isinstance(at, Trajectory):
         raise LidarcfgError("at is a trajectory, and a file of another is given; allowed: one of them")
-    output, given = (
-        Path(output),
-        [Path(one) if isinstance(one, str | Path) else None for one in (rig, scene, trajectory)],
-    )
-    rig, scene = loaded(rig, load_rig), loaded(scene, load_scene)
+    output = Path(output)
+    given = [Path(one) if isinstance(one, str | Path) else None for one in (rig, scene, trajectory)]
+    rig = loaded(rig, load_rig)
+    scene = loaded(scene, load_scene)
     if isinstance(at, Trajectory):
         moved = at
     else:

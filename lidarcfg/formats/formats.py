@@ -98,7 +98,8 @@ def format_of(kind: Kind, output: Path, name: str | None) -> Format:
     folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
     hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
     if kind == "drive":
-        allowed, hint = f".pcap, {allowed}", ""
+        allowed = f".pcap, {allowed}"
+        hint = ""
     what = f"{_failed(kind)} {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
     raise ConversionError(what)
 

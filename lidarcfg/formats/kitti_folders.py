@@ -22,9 +22,12 @@ from lidarcfg.world.scene import Scene
 
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # T_camera_lidar: x right, y down
 K = np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]])  # of KITTI's image_2, 2011-09-26
-WIDTH, HEIGHT = 1242, 375
+WIDTH = 1242
+HEIGHT = 375
 NEAR_M = 0.1  # corners nearer to the camera have no place in its image
-OCCLUSION_UNKNOWN, NO_ALPHA, NO_BOX = 3, -10.0, (-1.0, -1.0, -1.0, -1.0)
+OCCLUSION_UNKNOWN = 3
+NO_ALPHA = -10.0
+NO_BOX = (-1.0, -1.0, -1.0, -1.0)
 INSTANCE_MAX = 2**16 - 1
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
@@ -43,7 +46,8 @@ def save_odometry(folder: Path, recording: Recording) -> int:
     (folder / "poses").mkdir()
     for scan in recording.scans:
         (name,) = scan.sensor_names
-        sequence, frame = folder / "sequences" / f"{numbers[name]:02}", f"{len(stamps[name]):06}"
+        sequence = folder / "sequences" / f"{numbers[name]:02}"
+        frame = f"{len(stamps[name]):06}"
         points = _rows(recording.deskewed(scan), scan)
         (sequence / "velodyne" / f"{frame}.bin").write_bytes(points.tobytes())  # tofile is silent on a full disk
         (sequence / "labels" / f"{frame}.label").write_bytes(labels[hits(scan)].tobytes())
@@ -68,7 +72,8 @@ def save_objects(folder: Path, recording: Recording) -> int:
         (training / part).mkdir(parents=True)
     frames: list[str] = []
     for scan in recording.scans:
-        frame, T_vehicle_sensor = f"{len(frames):06}", recording.mount(scan).T_vehicle_sensor
+        frame = f"{len(frames):06}"
+        T_vehicle_sensor = recording.mount(scan).T_vehicle_sensor
         level = np.eye(4)
         level[:3, :3] = T_vehicle_sensor[:3, :3]  # points with the vehicle's axes: KITTI's boxes stand upright
         points = _rows(transform(level, recording.deskewed(scan)), scan)
@@ -129,7 +134,8 @@ def _in_image(corners: Array) -> tuple[float, tuple[float, ...]]:
     if corners[:, 2].min() < NEAR_M:
         return 0.0, NO_BOX
     seen = corners @ K.T
-    u, v = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
+    u = seen[:, 0] / seen[:, 2]
+    v = seen[:, 1] / seen[:, 2]
     left, right = (float(np.clip(end, 0, WIDTH - 1)) for end in (u.min(), u.max()))
     top, bottom = (float(np.clip(end, 0, HEIGHT - 1)) for end in (v.min(), v.max()))
     if left == right or top == bottom:

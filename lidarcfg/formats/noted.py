@@ -32,7 +32,8 @@ class Noted:
     @classmethod
     def of(cls, drive: Drive, output: Path, rig: Path | None, scene: Path | None, trajectory: Path | None) -> "Noted":
         """Those of a drive, of which these files were given."""
-        at, moved = drive.trajectory.T_world_start, None
+        at = drive.trajectory.T_world_start
+        moved = None
         if not trajectory:
             at, moved = _motion(drive.trajectory, drive.start_ns)
         files: dict[str, Path | Beside | None] = {

@@ -75,7 +75,8 @@ def save_tables(folder: Path, recording: Recording) -> int:
 
 def _save(folder: Path, scan: PointCloud, recording: Recording) -> _Scan:
     """Write a scan as x, y, z, intensity and ring, five float32 a point."""
-    (name,), at_ns = scan.sensor_names, stamp_ns(scan)
+    (name,) = scan.sensor_names
+    at_ns = stamp_ns(scan)
     filename = f"samples/{name}/{name}__{at_ns // 1000}.pcd.bin"
     (folder / filename).parent.mkdir(parents=True, exist_ok=True)
     rows = np.column_stack([recording.deskewed(scan), scan.intensity, scan.ring])
@@ -89,7 +90,9 @@ class _Tables:
     """The rows of a drive's tables, but for those that a rig alone has."""
 
     def __init__(self, recording: Recording, scans: list[_Scan]) -> None:
-        self._recording, self._scans, drive = recording, scans, recording.drive
+        self._recording = recording
+        self._scans = scans
+        drive = recording.drive
         self._key = json.dumps([drive.rig.name, drive.scene.file.name, drive.start_ns])
         self._samples = self._sampled()
         self._of_scan = {scan: sample for sample in self._samples for scan in map(id, sample.scans)}
@@ -122,7 +125,8 @@ class _Tables:
 
     def rows(self) -> dict[str, list[Row]]:
         """By table."""
-        drive, samples = self._recording.drive, self._samples
+        drive = self._recording.drive
+        samples = self._samples
         log, scene, map_token = (self._token(table) for table in ("log", "scene", "map"))
         day = datetime.fromtimestamp(samples[0].stamp_ns // SECOND_NS, UTC)
         places = f"{drive.scene.file.geo_origin.latitude_deg:g}, {drive.scene.file.geo_origin.longitude_deg:g}"
@@ -189,7 +193,8 @@ class _Tables:
         stamps_ns = np.array([sample.stamp_ns for sample in self._samples])
         rows: dict[str, list[Row]] = {name: [] for name in of_sensor}
         for scan in self._scans:
-            token, sample = self._token("sample_data", scan.sensor, scan.stamp_ns), self._of_scan.get(id(scan))
+            token = self._token("sample_data", scan.sensor, scan.stamp_ns)
+            sample = self._of_scan.get(id(scan))
             nearest = self._samples[int(abs(stamps_ns - scan.stamp_ns).argmin())]
             rows[scan.sensor].append(
                 {
@@ -212,7 +217,8 @@ class _Tables:
     def _annotated(self) -> tuple[list[Row], list[Row]]:
         """The annotations of all samples, and the instances."""
         boxes = [self._boxes(sample) for sample in self._samples]
-        annotations, instances = [], []
+        annotations = []
+        instances = []
         for k, one in enumerate(self._recording.objects):
             rows = _linked([self._annotation(k, sample, boxes[i]) for i, sample in enumerate(self._samples)])
             annotations += rows
@@ -232,7 +238,8 @@ class _Tables:
         return boxes_at(self._recording.objects, hits, self._recording.drive.start_ns, sample.stamp_ns)
 
     def _annotation(self, k: int, sample: _Sample, boxes: Boxes) -> Row:
-        one, (length_m, width_m, height_m) = boxes.objects[k], boxes.objects[k].size_m.tolist()
+        one = boxes.objects[k]
+        length_m, width_m, height_m = boxes.objects[k].size_m.tolist()
         return {
             "token": self._token("annotation", sample.token, one.name),
             "sample_token": sample.token,

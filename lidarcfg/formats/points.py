@@ -23,7 +23,8 @@ def save_points(path: Path, recording: Recording, deskew: bool) -> int:
 
     def clouds() -> Iterator[PointCloud]:
         for scan in recording.scans:
-            mount, found = recording.mount(scan), recording.boxes(scan).with_returns()
+            mount = recording.mount(scan)
+            found = recording.boxes(scan).with_returns()
             xyz = transform(mount.T_vehicle_sensor, scan.xyz)
             T = found.T_world_box
             if deskew:

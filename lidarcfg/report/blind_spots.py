@@ -99,7 +99,8 @@ def window(contours: Sequence[Contour], rigs: Sequence[Rig]) -> tuple[Array, Arr
     rings = [np.stack(_ring(c.directions, np.nan_to_num(c.distance_m)), axis=1) for c in contours]
     sensors = np.array([mount.position_m[:2] for rig in rigs for mount in rig.mounts])
     points = np.concatenate([*rings, sensors])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     return low - MARGIN_M, high + MARGIN_M
 
 
@@ -114,7 +115,8 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
     flat = float(np.clip(wide * size[1] / size[0], 1.4, 3.5))
 
     def draw(figure: "Figure") -> None:
-        above, below = figure.subfigures(2, 1, height_ratios=(tall + LABELS_IN, flat + LABELS_IN))
+        heights = (tall + LABELS_IN, flat + LABELS_IN)
+        (above,), (below,) = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)
         axes = above.subplots()
         contours_view(axes, region, rig, blind.contours)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="beyond the line, some LiDAR sees everything")

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 WIDTH_IN = 7.4
 VIEWS = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # the axes they show, across and up
 MARKERS = "osD^vPX*"
-NUMBER_PT, REACH = 7, 8  # of numbers in a drawing: their size, and how many half sizes away they may be written
+NUMBER_PT = 7  # the size of numbers in a drawing
+REACH = 8  # how many half sizes from its place a number may be written
 EXCLUDED = (0.55, 0.57, 0.6)
 PIXELS_MAX = 700  # a side of a map; larger ones are drawn as means of several cells
 STYLE: dict[Any, Any] = {
@@ -133,7 +134,8 @@ def name_axes(axes: "Axes", view: str, more: str = "") -> None:
 def extent(region: Region, view: str) -> tuple[float, float, float, float]:
     """Left, right, bottom, top."""
     across, up = VIEWS[view]
-    low, high = region.min_m, region.max_m
+    low = region.min_m
+    high = region.max_m
     return float(low[across]), float(high[across]), float(low[up]), float(high[up])
 
 
@@ -171,7 +173,8 @@ def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **
     from matplotlib.path import Path
 
     shown = list(VIEWS[view])
-    low, edge = region.min_m[shown], region.cuboid_m[shown]
+    low = region.min_m[shown]
+    edge = region.cuboid_m[shown]
     lines = np.empty((0, 2, 2))
     for swapped in (False, True):  # edges across the first axis, then across the second
         cells = mask.T if swapped else mask
@@ -219,7 +222,8 @@ def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float) -> None:
     """Mark the sensors."""
     across, up = VIEWS[view]
     for i, mount in enumerate(rig.mounts):
-        at, marker = mount.position_m, MARKERS[i // len(COLOURS) % len(MARKERS)]
+        at = mount.position_m
+        marker = MARKERS[i // len(COLOURS) % len(MARKERS)]
         axes.plot(at[across], at[up], marker, color=colour(i), mec="w", mew=0.6, ms=size)
 
 

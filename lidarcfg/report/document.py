@@ -105,7 +105,8 @@ def report(
 
 def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]:
     """The tables of a rig by their names in the template."""
-    found, robust = details.evaluation, details.evaluation.robustness
+    found = details.evaluation
+    robust = details.evaluation.robustness
     return {
         "mounts": mounts_table(rig),
         "worst": _worst(found),
@@ -124,7 +125,8 @@ def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]
 def _drawings(
     study: Study, rig: Rig, details: Details, placement: Placement | None, baseline: Baseline | None
 ) -> dict[str, Any]:
-    found, region = details.evaluation, study.region
+    found = details.evaluation
+    region = study.region
     both = [("this rig", details), ("baseline", baseline.details)] if baseline else [("", details)]
     robust = [(name, one.evaluation.robustness) for name, one in both if one.evaluation.robustness]
     shown = drawings.least_detected([one.evaluation for _, one in both])
@@ -152,8 +154,10 @@ def _of_baseline(baseline: Baseline) -> list[Figure]:
 
 
 def _summary(details: Details) -> list[Figure]:
-    found, midpoint = details.evaluation, details.midpoint_max_vsr_m
-    worst, at = found.worst[0], f"at {vector(found.worst[0].centroid_m, '.1f')} m"
+    found = details.evaluation
+    midpoint = details.midpoint_max_vsr_m
+    worst = found.worst[0]
+    at = f"at {vector(worst.centroid_m, '.1f')} m"
     largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
     figures = [Figure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
     if midpoint is not None:
@@ -239,7 +243,8 @@ def _hiding(details: Details) -> Table:
 
 def _shape(details: Details) -> Table:
     """Sizes of the subspaces, and beams across poles."""
-    found, known = details.evaluation, details.coverage
+    found = details.evaluation
+    known = details.coverage
     parts = zip(("half", "90 %", "99 %", "all"), np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0)).tolist(), strict=True)
     rows = [
         ["subspaces", f"{len(found.subspaces):,}"],
@@ -325,7 +330,8 @@ def _analytic(found: Evaluation, bar: Analytic, baseline: Baseline | None) -> di
 def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> Facts:
     if placement is None:
         return []
-    skipped, trials = values["skipped"], placement.evaluated
+    skipped = values["skipped"]
+    trials = placement.evaluated
     all_trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
     what = "rigs" if study.rigs[0] > 1 else "trials"
     facts: Facts = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []

@@ -73,7 +73,8 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
     size = high - low
 
     def draw(figure: "Figure") -> None:
-        widths, heights = fractions(size[0], size[1]), fractions(size[1], size[2])
+        widths = fractions(size[0], size[1])
+        heights = fractions(size[1], size[2])
         grid = figure.add_gridspec(2, 2, width_ratios=widths, height_ratios=heights)
         views = dict(zip(VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True))
         drawn = {view: figure.add_subplot(place) for view, place in views.items()}
@@ -103,7 +104,8 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
 
 def _frame(points: Array, span: float, floor_m: float) -> tuple[Array, Array]:
     """A box around points (n, 3): down to the floor if that is near, and nowhere a sliver."""
-    low, high = points.min(axis=0) - 0.15 * span, points.max(axis=0) + 0.15 * span
+    low = points.min(axis=0) - 0.15 * span
+    high = points.max(axis=0) + 0.15 * span
     floor = floor_m - 0.02 * span
     if 0 < low[2] - floor < 2 * span:
         low[2] = floor
@@ -117,7 +119,8 @@ def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | N
     if bounds:
         (left, right), (bottom, top) = ((bounds[0][axis], bounds[1][axis]) for axis in (across, up))
         axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "--", color=colour(i), lw=0.8)
-    start, end = at[[across, up]], tip[[across, up]]
+    start = at[[across, up]]
+    end = tip[[across, up]]
     arrow = {"arrowstyle": "-|>", "color": colour(i), "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=arrow)
 
@@ -125,7 +128,8 @@ def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | N
 def _beside(axes: "Axes", view: str, at: Array, tip: Array) -> Array:
     """(2,) where the number of a sensor at `at` belongs: behind its axis, or below it if that points at the viewer."""
     across, up = VIEWS[view]
-    start, end = at[[across, up]], tip[[across, up]]
+    start = at[[across, up]]
+    end = tip[[across, up]]
     length = float(np.hypot(*(end - start)))
     away = (start - end) / length if length > 0.08 * float(np.linalg.norm(tip - at)) else np.array([0.0, -1.0])
     beside = axes.transData.transform(start) + BESIDE_PT * axes.figure.dpi / 72 * away
@@ -219,13 +223,16 @@ def draw_sizes(named: Sequence[tuple[str, Details]]) -> Markup:
 
         counts, volumes = figure.subplots(2, 1, sharex=True)
         for i, (name, rig) in enumerate(named):
-            vsr_m, volume = rig.evaluation.vsr_m, rig.volume_m3
+            vsr_m = rig.evaluation.vsr_m
+            volume = rig.volume_m3
             style: dict[str, Any] = {"color": colour(i), "label": label(name)}
-            filled, line = {"histtype": "stepfilled", "alpha": 0.75}, {"histtype": "step", "lw": 1.5, "ls": dashes(i)}
+            filled = {"histtype": "stepfilled", "alpha": 0.75}
+            line = {"histtype": "step", "lw": 1.5, "ls": dashes(i)}
             style |= filled if len(named) == 1 else line
             counts.hist(vsr_m, edges, **style)
             volumes.hist(vsr_m, edges, weights=100 * volume / volume.sum(), **style)
-            worst, code = [one.vsr_m for one in rig.evaluation.worst], WORST if len(named) == 1 else colour(i)
+            worst = [one.vsr_m for one in rig.evaluation.worst]
+            code = WORST if len(named) == 1 else colour(i)
             for axes in (counts, volumes):
                 axes.vlines(worst, 0, 0.06, color=code, lw=1, transform=axes.get_xaxis_transform())
         counts.set(xscale="log", yscale="log", ylabel="subspaces")
@@ -249,7 +256,8 @@ def draw_rings(titled: Sequence[tuple[str, Mapping[str, Rings]]]) -> Markup:
         grid = panels(figure, len(titled), min(len(titled), 2))
         for n, ((title, lines), axes) in enumerate(zip(titled, grid, strict=True)):
             for i, (name, rings) in enumerate(lines.items()):
-                distance, rate = (rings.edges_m[:-1] + rings.edges_m[1:]) / 2, 100 * rings.rate
+                distance = (rings.edges_m[:-1] + rings.edges_m[1:]) / 2
+                rate = 100 * rings.rate
                 style: dict[str, Any] = {"color": colour(i), "ls": dashes(i), "marker": MARKERS[i % len(MARKERS)]}
                 axes.plot(distance, rate, ms=4, label=label(name), **style)
                 axes.set(ylim=(-3, 103), xlim=(0, rings.edges_m[-1]))
@@ -275,7 +283,8 @@ def least_detected(found: Sequence[Evaluation]) -> list[str]:
 
 def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Markup:
     """Where each object is detected, from above."""
-    size, columns = region.max_m - region.min_m, min(len(places), 2)
+    size = region.max_m - region.min_m
+    columns = min(len(places), 2)
 
     def draw(figure: "Figure") -> None:
         figure.set_layout_engine("compressed")
@@ -332,14 +341,16 @@ def draw_coverage(region: Region, rig: Rig, coverage: Coverage) -> Markup:
     """Beams across each line of cuboids, from top, side and front; and from above how many sensors have one there."""
     upright = coverage.beams[2]
     sensors = np.where(upright[0] < 0, -1, (upright > 0).sum(axis=0))
-    size, levels = region.max_m - region.min_m, len(rig.mounts) + 1
+    size = region.max_m - region.min_m
+    levels = len(rig.mounts) + 1
 
     def draw(figure: "Figure") -> None:
         import matplotlib as mpl
 
         grid = figure.add_gridspec(3, 2, width_ratios=fractions(size[0], size[1]), height_ratios=(1.9, 1, 1.9))
         for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
-            axes, beams = figure.add_subplot(place), all_beams(coverage, view)
+            axes = figure.add_subplot(place)
+            beams = all_beams(coverage, view)
             image = coverage_view(axes, view, region, beams, float(beams.max()))
             sensor_dots(axes, rig, view, 4)
             name_axes(axes, view, f": beams along {'xyz'[hidden(view)]}")

@@ -84,7 +84,8 @@ def save_front(
     `on_point` is called before each point's folder is written.
     """
     save_front_log(study, found.logs, folder)
-    values, names = front_dict(study, found), {point.combination.name for point in found.points}
+    values = front_dict(study, found)
+    names = {point.combination.name for point in found.points}
     remove_outdated(path for path in _points(folder) if path.parent.name not in names)
     for number, point in enumerate(found.points):
         on_point(number, point)
@@ -100,7 +101,8 @@ def save_front(
 
 def _save_point(point: Point, folder: Path, commands: Commands) -> None:
     """Write the study of a combination, and the results of its search as `optimize` writes them."""
-    study, found = point.combination.study, point.placement
+    study = point.combination.study
+    found = point.placement
     shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
     write_text(yaml_text(study.file), folder / STUDY)
     save_placement(study, found, shown, folder, commands)
@@ -161,7 +163,8 @@ def _is_log(arrays: Mapping[str, NDArray[Any]]) -> bool:
 
 def front_page(study: Study, found: Front, values: dict[str, Any], commands: Commands) -> str:
     """The front as one HTML file beside the folder points/. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
-    cheapest, best = found.points[0], found.points[-1]
+    cheapest = found.points[0]
+    best = found.points[-1]
     tried = [one for one in found.candidates if one.evaluations]
     return render(
         "front.html",
@@ -206,7 +209,8 @@ def _spent(found: Front) -> str:
 def _points_table(study: Study, found: Front) -> Table:
     rows = []
     for point in found.points:
-        name, evaluation = point.combination.name, point.placement.evaluation
+        name = point.combination.name
+        evaluation = point.placement.evaluation
         link = Markup('<a href="points/{}/report.html">{}</a>').format(quote(name), name)
         rows.append(
             [

@@ -122,7 +122,8 @@ def _extent(study: Study, found: Front) -> tuple[Array, Array]:
     """The corners of all pictures: the extent of the vehicle and the sensors."""
     at = [mount.position_m[:2] for point in found.points for mount in point.placement.rig.mounts]
     points = np.array([*at, *_outline(study)])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     size = max(float((high - low).max()), 0.5)
     more = np.maximum(0.5 * size - (high - low), 0.0) / 2 + MARGIN * size
     return low - more, high + more

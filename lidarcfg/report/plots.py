@@ -83,8 +83,10 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
     for across, up, place in views:
         axes = figure.add_subplot(place)
         hidden = ({0, 1, 2} - {across, up}).pop()
-        left, right = float(region.min_m[across]), float(region.max_m[across])
-        bottom, top = float(region.min_m[up]), float(region.max_m[up])
+        left = float(region.min_m[across])
+        right = float(region.max_m[across])
+        bottom = float(region.min_m[up])
+        top = float(region.max_m[up])
         for mask, colour in (
             (region.excluded_lines[hidden], (0.6, 0.6, 0.6)),
             (found.extents[0].lines[hidden] > 0, (0.84, 0.37, 0.0)),
@@ -113,7 +115,8 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
 
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
     for i, cones in enumerate(rig_lidars(rig)):
-        colour, at = COLOURS[i % len(COLOURS)], cones.position_m
+        colour = COLOURS[i % len(COLOURS)]
+        at = cones.position_m
         axes.plot(at[across], at[up], "o", color=colour, ms=5, zorder=3)
         tip = at + cones.axis * length
         arrow = {"arrowstyle": "->", "color": colour, "lw": 1.5}

@@ -90,7 +90,8 @@ def _contour(contour: Contour) -> dict[str, Any]:
 
 def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> dict[str, Any]:
     """The values of result.json that `optimize` writes."""
-    rigs, cut = found.evaluated * study.rigs[0], study.objective_cuts
+    rigs = found.evaluated * study.rigs[0]
+    cut = study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
         "objective": found.objective,
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
@@ -224,7 +225,8 @@ def load_log(study: Study, folder: Path) -> Log:
     shapes = {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()}
     if shapes != LOG or np.isnan(arrays["cost"]).any() or not 0 <= arrays["seconds"] < np.inf:
         raise ConfigError(f"{path}: is not the log of a search")
-    log, asked = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"])), str(arrays["asked"])
+    log = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"]))
+    asked = str(arrays["asked"])
     if asked != fingerprint(study):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
     return log

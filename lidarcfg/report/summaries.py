@@ -43,7 +43,8 @@ def summary(path: str | Path) -> Summary:
 
 def _study(path: Path) -> tuple[str, Iterable[str]]:
     study = load_study(path)
-    free, solver = int(study.free.sum()), study.solver
+    free = int(study.free.sum())
+    solver = study.solver
     limits = {key: getattr(solver, key) for key in sorted(BUDGETS)}
     budget = ", ".join(f"{limit:,} {key}".replace(".0 ", " ") for key, limit in limits.items() if limit is not None)
     search = f"{solver.method} searches {free} free coordinates for {budget}" if free else "nothing is free to move"

@@ -40,7 +40,8 @@ def heights_in(study: Study) -> list[float]:
 
 def fill_figure(figure: "Figure", study: Study, rig: Rig) -> None:
     """Draw them below each other."""
-    sides, (low, high) = _sides(study), _frame(study)
+    sides = _sides(study)
+    low, high = _frame(study)
     grid = figure.add_gridspec(len(sides), 1, height_ratios=heights_in(study))
     for row, (side, seats) in enumerate(sides.items()):
         axes = figure.add_subplot(grid[row, 0])
@@ -77,7 +78,8 @@ def _draw_side(axes: "Axes", seats: list[tuple[int, Surface]], rig: Rig, study: 
     for surface in dict.fromkeys(surface for _, surface in seats):
         cells = surface.patch.cells_m[..., shown]
         axes.add_collection(PolyCollection(list(cells), facecolor=FITS, edgecolor="none", alpha=0.6, rasterized=True))
-        (left, bottom), (right, top) = surface.low_m[shown], surface.high_m[shown]
+        left, bottom = surface.low_m[shown]
+        right, top = surface.high_m[shown]
         axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "--", color="0.25", lw=0.7)
     for i, surface in seats:
         if study.slots[i].name not in names:
@@ -107,7 +109,8 @@ def _shades(surface: Surface, low: Array, high: Array) -> NDArray[np.float64]:
     pixel = max(high[a] - low[a], high[b] - low[b]) / PIXELS
     lines = [np.arange(low[axis] + pixel / 2, high[axis], pixel) for axis in (a, b)]
     points = np.zeros((len(lines[1]), len(lines[0]), 3))
-    points[..., a], points[..., b] = lines[0][None], lines[1][:, None]
+    points[..., a] = lines[0][None]
+    points[..., b] = lines[1][:, None]
     facing = surface.seen(points.reshape(-1, 3)).normal[:, surface.axis]
     bright: Array = np.where(facing == 0.0, np.nan, 0.45 + 0.5 * abs(facing)).reshape(points.shape[:2])
     return bright

@@ -140,7 +140,8 @@ def blind_lines(blind: BlindSpots) -> list[str]:
     parts = [f"{n}: {volume:,.2f} m³ ({volume / total:.1%})" for n, volume in volumes.items()]
     lines = [f"volume by the number of LiDARs that see it: {', '.join(parts)}"]
     for contour in blind.contours:
-        height, least = contour.directions.height_m, "at least " if contour.largest_reaches_edge else ""
+        height = contour.directions.height_m
+        least = "at least " if contour.largest_reaches_edge else ""
         far = f"{least}{contour.largest_m:.2f} m from the body at {contour.largest_at_deg:.0f}°"
         lines.append(f"blind spot {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
     return lines

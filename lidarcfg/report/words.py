@@ -145,7 +145,8 @@ def objective_in_words(study: Study) -> str:
 
 def _robust_in_words(study: Study) -> list[str]:
     """What a rig has to withstand."""
-    robust, terms = study.robust, []
+    robust = study.robust
+    terms = []
     if robust is None:
         return []
     if robust.lost:
@@ -247,7 +248,8 @@ def mounts_table(rig: Rig) -> Table:
     for i, (mount, lidar) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
         tilt = math.degrees(math.acos(min(max(float(lidar.axis[2]), -1.0), 1.0)))
         angles = np.degrees(mount.rpy_rad)
-        low, high = min(mount.sensor.beams.elevation_deg), max(mount.sensor.beams.elevation_deg)
+        low = min(mount.sensor.beams.elevation_deg)
+        high = max(mount.sensor.beams.elevation_deg)
         rows.append(
             [
                 f"{i + 1} {short(mount.name)}",

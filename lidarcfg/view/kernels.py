@@ -13,12 +13,14 @@ def fill(image, depth_m, triangles, colours, alpha, focal_px, near_m):
     nearer than `near_m` is clipped. Returns how many pixels were blended.
     """
     height, width = depth_m.shape
-    corner, cut = np.empty((4, 3)), np.empty((4, 3))
+    corner = np.empty((4, 3))
+    cut = np.empty((4, 3))
     blended = 0
     for t in range(len(triangles)):
         n = 0
         for i in range(3):  # clip at the near plane: three or four corners remain
-            a, b = triangles[t, i], triangles[t, (i + 1) % 3]
+            a = triangles[t, i]
+            b = triangles[t, (i + 1) % 3]
             if a[2] >= near_m:
                 cut[n] = a
                 n += 1
@@ -30,7 +32,9 @@ def fill(image, depth_m, triangles, colours, alpha, focal_px, near_m):
             corner[i, 1] = height / 2 - focal_px * cut[i, 1] / cut[i, 2]
             corner[i, 2] = 1 / cut[i, 2]
         for k in range(1, n - 1):
-            p, q, r = corner[0], corner[k], corner[k + 1]
+            p = corner[0]
+            q = corner[k]
+            r = corner[k + 1]
             area = (q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])
             if area == 0:
                 continue
@@ -40,7 +44,8 @@ def fill(image, depth_m, triangles, colours, alpha, focal_px, near_m):
             bottom = min(int(np.floor(min(max(p[1], q[1], r[1]), height + 1.0) - 0.5)), height - 1)
             for row in range(top, bottom + 1):
                 for column in range(left, right + 1):
-                    x, y = column + 0.5, row + 0.5
+                    x = column + 0.5
+                    y = row + 0.5
                     u = ((x - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (y - p[1])) / area
                     v = ((q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1])) / area
                     if u < 0 or v < 0 or u + v > 1:

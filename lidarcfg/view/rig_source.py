@@ -58,7 +58,8 @@ class RigSource:
         """The text with other poses. Raises ConfigError."""
         before = _poses(self.text, self.path)
         root = yaml.compose(self.text, yaml.SafeLoader)
-        uses, edits = Counter(_uses(root)), list[Edit]()
+        uses = Counter(_uses(root))
+        edits = list[Edit]()
         for i, (old, new) in enumerate(zip(before, poses.tolist(), strict=True)):
             mapping = _value(root, "sensors").value[i]
             edits += self._edits(_value(mapping, "position_m"), old[:3], new[:3], uses)
@@ -94,7 +95,8 @@ class RigSource:
     def _inserted(self, mapping: Any, angles_deg: list[float]) -> Edit:
         """The edit that inserts angles before the position of a sensor without angles."""
         key = next(key for key, _ in mapping.value if key.value == "position_m")
-        at, quote = key.start_mark.index, '"' if key.style else ""
+        at = key.start_mark.index
+        quote = '"' if key.style else ""
         end = ", " if mapping.flow_style else ("\r\n" if "\r\n" in self.text else "\n") + " " * key.start_mark.column
         return at, at, f"{quote}rpy_deg{quote}: [{', '.join(map(repr, angles_deg))}]{end}"
 
