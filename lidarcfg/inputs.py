@@ -40,7 +40,7 @@ def read_regular(path: str | Path, most: int) -> bytes:
 
 
 def too_large(most: int) -> str:
-    """What is said of a file that is larger than the bytes that are read of one."""
+    """The error message for an oversized file."""
     return f"larger than the {most // 10**6} million bytes that are read of such a file"
 
 
@@ -97,7 +97,7 @@ def memory_bytes() -> float:
 
 
 def check_memory(what: str, needed: float, advice: str = "", reserved: float = 0.0) -> None:
-    """Raises LidarcfgError if what needs so many bytes of memory cannot have them, or cannot reserve so many."""
+    """Raises LidarcfgError unless `needed` bytes of memory are free and `reserved` can be reserved for `what`."""
     sizes = ""
     if reserved > (left := address_bytes()):
         sizes = f"to reserve {reserved / 1e9:,.1f} GB of memory; ulimit -v leaves {max(left, 0) / 1e9:,.1f} GB"
@@ -141,7 +141,7 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def out_of_memory(error: BaseException, doing: str) -> LidarcfgError:
-    """What is said then: what was being done, and, where that is known, how much was asked for."""
+    """The error for a lack of memory: what was being done and, where known, how much was asked for."""
     shape = getattr(error, "shape", None)  # of numpy's error
     dtype = getattr(error, "dtype", None)
     asked = f"{math.prod(shape) * dtype.itemsize / 1e6:,.1f} MB more were asked for, " if shape and dtype else ""

@@ -32,7 +32,7 @@ MODULES = {
     "Packets and captures": ("packets.codec", "packets.families", "capture.pcap", "capture.decode", "capture.replay"),
     "Clouds, reports, pictures": ("cloud", "report", "view.stage", "view.still", "view.page"),
     "Other tools' formats": (
-        "formats.exports",
+        "formats.export",
         "formats.urdf",
         "formats.launch",
         "formats.carla",

@@ -116,14 +116,14 @@ def frames(host: str, payloads: Payloads) -> Frames:
 
 
 def _records(
-    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], octets: Octets
+    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Octets
 ) -> list[bytes]:
-    """The octets (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
-    count, size = octets.shape
+    """Bytes (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
+    count, size = content.shape
     parts = [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP, udp.shape[1:])]
-    out = np.zeros(count, [*parts, ("octets", "u1", (size,))])
+    out = np.zeros(count, [*parts, ("content", "u1", (size,))])
     out["udp"] = udp
-    out["octets"] = octets
+    out["content"] = content
     record, ethernet, ip = (out[key] for key in ("record", "ethernet", "ip"))
     record["seconds"], record["microseconds"] = np.divmod(payloads.time_ns // 1000, 10**6)
     record["captured"] = record["length"] = out.itemsize - RECORD.itemsize
@@ -149,10 +149,10 @@ def _octets(mac: str) -> list[int]:
 
 def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
     """(n,): the sum of the 16-bit words of each part (n, …); an odd octet at the end is a word's upper half."""
-    octets = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
-    if octets.shape[1] % 2:
-        octets = np.pad(octets, ((0, 0), (0, 1)))
-    total = octets.view("<u2").sum(axis=1, dtype=np.uint64)  # octets in the wrong order, which commutes with folding
+    content = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
+    if content.shape[1] % 2:
+        content = np.pad(content, ((0, 0), (0, 1)))
+    total = content.view("<u2").sum(axis=1, dtype=np.uint64)  # bytes in the wrong order, which commutes with folding
     folded = (total % 0xFFFF + 0xFFFF * (total > 0) * (total % 0xFFFF == 0)).astype(np.uint32)
     return np.asarray((folded & 255) << 8 | folded >> 8)
 
@@ -267,8 +267,8 @@ def _with_fragments(
     alone[in_runs] = False
     late: dict[int, bytes] = {}  # by the last fragment that came
     for row in np.flatnonzero(alone).tolist():
-        octets = piece.data[start[row] : start[row] + size[row]].tobytes()
-        datagram = reassembly.add(fragment(int(piece.time_ns[frame[row]]), head[row], octets))
+        content = piece.data[start[row] : start[row] + size[row]].tobytes()
+        datagram = reassembly.add(fragment(int(piece.time_ns[frame[row]]), head[row], content))
         if datagram is not None and len(datagram) >= UDP.itemsize:
             late[row] = datagram
     if not len(first) and not late:

@@ -214,16 +214,16 @@ def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
 
 def whole_capture(data: bytes, name: str) -> Iterator[Piece]:
     """All frames of a capture that is in memory, in the order of the file. Raises PacketError."""
-    octets = np.frombuffer(data, np.uint8)
+    content = np.frombuffer(data, np.uint8)
     if data[:4] not in PCAP_MAGIC or len(data) < HEADER:
-        yield from _pcapng_pieces(BytesIO(data), name, lambda warning: None, octets)
+        yield from _pcapng_pieces(BytesIO(data), name, lambda warning: None, content)
         return
     order, unit_ns = PCAP_MAGIC[data[:4]]
     link = _checked_link(struct.unpack_from(order + "I", data, 20)[0] & 0xFFFF, name)
     record = RECORD if order == "<" else RECORD.newbyteorder()
-    start = _records(octets[HEADER:], record)[0] + HEADER
-    heads = gathered(octets, start, record)
-    yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), octets)
+    start = _records(content[HEADER:], record)[0] + HEADER
+    heads = gathered(content, start, record)
+    yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), content)
 
 
 def _pcapng_pieces(
@@ -245,9 +245,9 @@ def _pcapng_pieces(
 
 
 def _piece(link: int, frames: list[Frame], whole: Octets | None) -> Piece:
-    time_ns, start, size = np.array([(one.time_ns, one.at, len(one.octets)) for one in frames], np.int64).T
+    time_ns, start, size = np.array([(one.time_ns, one.at, len(one.content)) for one in frames], np.int64).T
     if whole is None:
-        whole = np.frombuffer(b"".join(one.octets for one in frames), np.uint8)
+        whole = np.frombuffer(b"".join(one.content for one in frames), np.uint8)
         start = np.cumsum(size) - size
     return Piece(link, time_ns, start, size, whole)
 

@@ -29,8 +29,8 @@ class Frame(NamedTuple):
 
     link: int
     time_ns: int  # host time
-    at: int  # where in the file its octets are
-    octets: bytes
+    at: int  # where in the file its content is
+    content: bytes
 
 
 class _Block(NamedTuple):
@@ -74,10 +74,10 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
                 (which,) = block.unpack("I" if block.kind == PACKET else "H")
                 high, low, size = block.unpack("III", 4)
                 link = interfaces[which]
-                octets = block.body[PACKET_HEAD : PACKET_HEAD + size]
-                if len(octets) < size:
+                content = block.body[PACKET_HEAD : PACKET_HEAD + size]
+                if len(content) < size:
                     raise ValueError
-                yield Frame(link.link, link.time_ns(high, low), block.at + PACKET_HEAD, octets)
+                yield Frame(link.link, link.time_ns(high, low), block.at + PACKET_HEAD, content)
                 count += 1
             elif block.kind == SIMPLE_PACKET:
                 raise PacketError(f"{name}: has simple packet blocks, which have no times; allowed: enhanced ones")
@@ -97,10 +97,10 @@ def _blocks(file: IO[bytes], name: str) -> Iterator[_Block]:
         kind, size = struct.unpack_from((order or "<") + "II", head)
         if size > BLOCK_MAX:
             raise PacketError(f"{name}: a block of {size} bytes; allowed: at most {BLOCK_MAX}")
-        octets = head + file.read(max(size - len(head), 0))
-        if not order or len(octets) != size or octets[-LENGTH:] != octets[4:HEAD]:
+        content = head + file.read(max(size - len(head), 0))
+        if not order or len(content) != size or content[-LENGTH:] != content[4:HEAD]:
             raise ValueError
-        yield _Block(order, kind, at + HEAD, octets[HEAD:-LENGTH])
+        yield _Block(order, kind, at + HEAD, content[HEAD:-LENGTH])
         at += size
 
 

@@ -100,8 +100,8 @@ def export(
     """Simulate what a rig's sensors send or see in a scene.
 
     A pcap holds their packets; the other formats hold points with the ground truth. The vehicle stands, or moves
-    along a trajectory. The same input gives the same bytes. A YAML file beside the output records rig, scene and
-    trajectory, so that `decode --deskew` and `view` find them.
+    along a trajectory. The same input gives the same bytes. A YAML file beside the output, the manifest, names
+    rig, scene and trajectory, so that `decode --deskew` and `view` find them.
 
     \b
     OUTPUT      FORMAT
@@ -118,7 +118,7 @@ def export(
         raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
-        from lidarcfg.capture.record import save_record
+        from lidarcfg.capture.manifest import save_manifest
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
@@ -139,7 +139,7 @@ def export(
     values |= {"vehicle": NONE} if vehicle and not bodies else {}
 
     def record(path: Path) -> None:
-        save_record(path, files, mounted, world, bodies, values)
+        save_manifest(path, files, mounted, world, bodies, values)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:
@@ -254,7 +254,7 @@ def _export_points(
     from lidarcfg.cloud import row_bytes
     from lidarcfg.errors import LidarcfgError
     from lidarcfg.formats import formats
-    from lidarcfg.formats.recording import Recording
+    from lidarcfg.formats.drive_dataset import DriveDataset
     from lidarcfg.inputs import format_bytes, free_bytes
     from lidarcfg.sensor import FIRING
     from lidarcfg.simulate.scans import most_returns, simulated_scans
@@ -275,18 +275,18 @@ def _export_points(
         points = most * rays.fraction
         if form.name not in formats.CLOUDS:
             return f"about {points:,.0f} points" if known else f"at most {most:,} points"
-        octets = row_bytes(output) * (points if known else most)
-        if known and COPIES * octets > free:
-            sizes = f"needs {format_bytes(COPIES * octets)} on the disk while it is written"
+        needed = row_bytes(output) * (points if known else most)
+        if known and COPIES * needed > free:
+            sizes = f"needs {format_bytes(COPIES * needed)} on the disk while it is written"
             raise LidarcfgError(f"{output}: {sizes}; {format_bytes(free)} are free; {LESS}")
-        return f"{'about' if known else 'at most'} {format_bytes(octets)}"
+        return f"{'about' if known else 'at most'} {format_bytes(needed)}"
 
     for text in [] if quiet else warnings:
         warn(text)
     warnings.clear()
     with _run(drive.duration_ns, size, rays, quiet) as run:
-        recording = Recording(drive, simulated_scans(drive, run))
-        found = formats.save_recording(output, form, recording, deskew, warnings.append)
+        dataset = DriveDataset(drive, simulated_scans(drive, run))
+        found = formats.save_dataset(output, form, dataset, deskew, warnings.append)
         record(output)
     for text in [] if quiet else warnings:
         warn(text)

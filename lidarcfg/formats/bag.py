@@ -16,9 +16,9 @@ from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError, missing
 from lidarcfg.files import check_replaceable, commit, replacing_folder, resolve, temporary_folder
+from lidarcfg.formats.drive_dataset import DriveDataset, stamp_ns
 from lidarcfg.formats.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.formats.messages import Messages, ros_store
-from lidarcfg.formats.recording import Recording, stamp_ns
 from lidarcfg.geometry import inverse
 from lidarcfg.packets.families import family
 from lidarcfg.packets.point_fields import OBJECT, PLAIN, PointField
@@ -145,31 +145,31 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
     return made
 
 
-def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Made:
+def of_dataset(dataset: DriveDataset, where: Path, on_warning: OnWarning) -> Made:
     """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects.
 
     If the points' objects are not known, there are boxes of all objects that have one.
     """
-    rig = recording.drive.rig
+    rig = dataset.drive.rig
 
     def made(messages: Messages) -> Timed:
         names = ros_names(rig, on_warning)
-        start_ns = recording.drive.start_ns
-        _check_time(start_ns + recording.drive.duration_ns, where)
+        start_ns = dataset.drive.start_ns
+        _check_time(start_ns + dataset.drive.duration_ns, where)
         yield TF_STATIC, _mounted(messages, rig, names, start_ns), start_ns
         pose_ns = start_ns
-        for scan in recording.scans:
+        for scan in dataset.scans:
             name = names[scan.sensor_names[0]]
             last_ns = int(scan.time_ns.max())
             while pose_ns <= last_ns:
-                vehicle = {BASE_LINK: recording.T_world_vehicle(pose_ns)}
+                vehicle = {BASE_LINK: dataset.T_world_vehicle(pose_ns)}
                 yield TF, messages.transforms(vehicle, MAP, pose_ns), pose_ns
                 pose_ns += TF_STEP_NS
-            yield _points(messages, scan, _fields(recording, scan), name)
-            boxes = recording.boxes(scan)
+            yield _points(messages, scan, _fields(dataset, scan), name)
+            boxes = dataset.boxes(scan)
             boxes = boxes if scan.object is None else boxes.with_returns()
             poses = [
-                inverse(recording.T_world_sensor(scan, time_ns)) @ T
+                inverse(dataset.T_world_sensor(scan, time_ns)) @ T
                 for time_ns, T in zip(boxes.time_ns.tolist(), boxes.T_world_box, strict=True)
             ]
             found = messages.detections(boxes, np.array(poses).reshape(-1, 4, 4), name, stamp_ns(scan))
@@ -178,11 +178,11 @@ def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Ma
     return made
 
 
-def _fields(recording: Recording, scan: PointCloud) -> tuple[PointField, ...]:
+def _fields(dataset: DriveDataset, scan: PointCloud) -> tuple[PointField, ...]:
     """The fields of a scan's points; of packets, as the sensor's driver has them, and the object."""
-    if not recording.packets:
+    if not dataset.packets:
         return PLAIN
-    fields = family(recording.mount(scan).sensor.codec or "").point_fields
+    fields = family(dataset.mount(scan).sensor.codec or "").point_fields
     return fields if scan.object is None else (*fields, OBJECT)
 
 

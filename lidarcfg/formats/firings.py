@@ -19,7 +19,7 @@ from lidarcfg.cloud import read_arrays
 from lidarcfg.config import COORDINATE_MAX_M, loads
 from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
 from lidarcfg.files import replacing
-from lidarcfg.formats.records import CUTS, pieces, read_records
+from lidarcfg.formats.repack import CUTS, pieces, read_records
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets
 from lidarcfg.packets.families import codec
 from lidarcfg.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount

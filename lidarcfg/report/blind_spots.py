@@ -57,7 +57,7 @@ def contours_table(blind: BlindSpots) -> Table:
         for contour in blind.contours
     ]
     head = ("above the ground", "largest (m)", *(f"{side} (m)" for side in SIDES), "area (m²)")
-    return Table("How far from the body something stays unseen", head, rows)
+    return Table("Blind spot: how far from the body something stays unseen", head, rows)
 
 
 def _distance(contour: Contour, azimuth: int) -> str:
@@ -128,7 +128,7 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
 
 
 def _draw_heights(figure: "SubFigure", subspaces: Subspaces, rig: Rig) -> None:
-    """A map of the metres of each upright line of cuboids that no LiDAR sees."""
+    """A map of the unseen height: the metres of each upright line of cuboids that no LiDAR sees."""
     axes = figure.subplots()
     region = subspaces.region
     blind = (subspaces.seen_by == 0) & region.included
@@ -138,7 +138,7 @@ def _draw_heights(figure: "SubFigure", subspaces: Subspaces, rig: Rig) -> None:
     image = axes.imshow(thinned(metres).T, extent=around, origin="lower", aspect="auto", **look)
     sensor_dots(axes, rig, "top", 4)
     axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), xlabel="x (m)", ylabel="y (m)")
-    axes.set_title("metres of each upright line that no LiDAR sees")
+    axes.set_title("unseen height (m)")
     figure.colorbar(image, label="m")
 
 

@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.names import DRAWN, short
+from lidarcfg.names import DRAWN, truncate
 from lidarcfg.placement.region import Region
 from lidarcfg.report.html import printable
 from lidarcfg.report.plots import COLOURS, new_figure
@@ -100,7 +100,7 @@ def lay_out(figure: "Figure") -> None:
 
 def label(name: str, most: int = DRAWN) -> str:
     """A name, shortened to fit beside a line."""
-    return short(printable(name).replace("\n", " "), most)
+    return truncate(printable(name).replace("\n", " "), most)
 
 
 def colour(i: int) -> str:

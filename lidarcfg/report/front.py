@@ -25,7 +25,7 @@ from lidarcfg.report.front_plot import draw_front, front_svg
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
-from lidarcfg.report.words import counted, date, objective_in_words, price, solver_in_words, versions
+from lidarcfg.report.words import counted, date, describe_objective, describe_solver, price, versions
 from lidarcfg.yaml_document import yaml_text
 
 STUDY = "study.yaml"
@@ -38,7 +38,7 @@ def front_dict(study: Study, found: Front) -> dict[str, Any]:
     """What `optimize` writes as front.json where there are sensors to choose."""
     points = {point.combination.name: point for point in found.points}
     return {
-        "objective": objective_in_words(study),
+        "objective": describe_objective(study),
         "points": [_point(point) for point in found.points],
         "combinations": [
             {
@@ -176,13 +176,13 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
             Figure("The best rig", price(best.combination.price), _what(best)),
             Figure("Evaluations", f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
         ],
-        objective=objective_in_words(study),
+        objective=describe_objective(study),
         plot=front_svg(study, found),
         points=_points_table(study, found),
         candidates=_candidates_table(found),
         untried=len(found.candidates) - len(tried),
         search=[
-            ("solver", solver_in_words(study)),
+            ("solver", describe_solver(study)),
             ("evaluations", f"{found.evaluations:,}"),
             ("… of combinations that are not on the front", f"{found.dominated_evaluations:,}"),
         ],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
-from lidarcfg.names import DRAWN, first_of, short
+from lidarcfg.names import DRAWN, summarize, truncate
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
@@ -64,7 +64,7 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     label = "max VSR (m)" if study.is_max_vsr else "objective"
     axes.set(xlabel="evaluations", ylabel=label, ylim=(0, top))
     axes.set_title(
-        f"{short(study.name)}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
+        f"{truncate(study.name)}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
         parse_math=False,
     )
     axes.grid(alpha=0.3)
@@ -105,10 +105,10 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
         axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
         axes.set_title({2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"))
     dots = figure.axes[0].lines[: len(rig.mounts)]
-    named = first_of([short(mount.name, DRAWN) for mount in rig.mounts])
+    named = summarize([truncate(mount.name, DRAWN) for mount in rig.mounts])
     rest = [Line2D([], [], ls="")] * (len(named) < len(dots))
     figure.axes[0].legend([*dots[: len(named) - len(rest)], *rest], named, loc="upper right")
-    title = f"{short(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
+    title = f"{truncate(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
     figure.suptitle(title, parse_math=False)
     return figure
 

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarcfg.capture.record import Record
+from lidarcfg.capture.manifest import CaptureManifest
 from lidarcfg.config import load, load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.kinds import MARKS, kind_of
+from lidarcfg.kinds import DISCRIMINATING_KEYS, kind_of
 from lidarcfg.packets.families import codec
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
@@ -36,7 +36,9 @@ def summary(path: str | Path) -> Summary:
     path = example(path)
     kind = "trajectory" if path.suffix == ".tum" else kind_of(load_keys(path))
     if kind is None:
-        raise ConfigError(f"{path}: is not one of lidarcfg's files; allowed: {', '.join(sorted({*MARKS, 'rig'}))}")
+        raise ConfigError(
+            f"{path}: is not one of lidarcfg's files; allowed: {', '.join(sorted({*DISCRIMINATING_KEYS, 'rig'}))}"
+        )
     text, warnings = SUMMARIES[kind](path)
     return Summary(kind, text, tuple(warnings))
 
@@ -123,10 +125,10 @@ def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _record(path: Path) -> tuple[str, Iterable[str]]:
-    record = load(path, Record)
+    manifest = load(path, CaptureManifest)
     for key in ("rig", "scene", "trajectory", "vehicle"):
-        record.path(key, path)
-    return f"{record.duration_s:g} s from {record.start} on, by version {record.version}", ()
+        manifest.path(key, path)
+    return f"{manifest.duration_s:g} s from {manifest.start} on, by version {manifest.version}", ()
 
 
 def _models(models: Iterable[str | None]) -> str:
@@ -156,5 +158,5 @@ SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "sensor": _sensor,
     "vehicle": _vehicle,
     "trajectory": _trajectory,
-    Record.kind: _record,
+    CaptureManifest.kind: _record,
 }

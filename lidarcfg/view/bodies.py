@@ -76,7 +76,7 @@ def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigS
 
 
 def scored(study: Study, spaces: Subspaces, worst: int) -> RigScore:
-    """The same of the rig's subspaces."""
+    """The score of a rig that is segmented already."""
     vsr = vsr_m(spaces)
     volume = volume_m3(spaces)
     numbers = np.argsort(-vsr, kind="stable")[:worst].tolist()

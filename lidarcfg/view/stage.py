@@ -237,11 +237,10 @@ def _moved(T: Array, R: Array, t: Array, points: Array) -> Array:
 
 
 def _first_choices(study: Study) -> str:
-    """That a study with choices is shown with one of them."""
+    """The warning that a study with choices is shown with the first of them."""
     models = ", ".join(f"{slot.name} {slot.model}" for slot in study.slots if slot.choices)
-    return (
-        f"{study.name}: lets one choose models; shown are the first: {models}. optimize writes a study of each choice"
-    )
+    shown = f"the study lets models be chosen; the first of each are shown: {models}"
+    return f"{study.name}: {shown}. optimize writes a study of each choice"
 
 
 def _only(paths: list[Path], what: str) -> Path | None:

@@ -10,7 +10,7 @@ from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.inputs import check_memory
-from lidarcfg.names import short
+from lidarcfg.names import truncate
 from lidarcfg.rig import Mount
 from lidarcfg.view.bodies import bases_m, faces, has_its_sensors, score, seats_m
 from lidarcfg.view.camera import Camera
@@ -258,7 +258,7 @@ def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
         x, y, depth = camera.project(top[None], width, height)
         if depth[0] >= NEAR_M and 0 <= x[0] <= width and 0 <= y[0] <= height:
             axes.annotate(
-                short(zone.name), (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False
+                truncate(zone.name), (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False
             )
     return seen
 
@@ -292,7 +292,7 @@ def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
         seen += 1
         axes.plot(x, y, "o", color=stage.colours[mount.name], ms=3 + 8 * size, mec="w", mew=0.8 + size)
         axes.annotate(
-            short(mount.name),
+            truncate(mount.name),
             (x[0], y[0]),
             (0, (26 + 22 * (i % 2)) * size),
             textcoords="offset points",
@@ -370,7 +370,9 @@ def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None
         counts = np.bincount(index, minlength=len(names))
         most = np.argsort(-counts, kind="stable")[:12] if by == "object" else np.arange(len(names))
         entries = [
-            (f"{short(names[i])}: {counts[i]:,} points", shown[i]) for i in most.tolist() if counts[i] or by == "sensor"
+            (f"{truncate(names[i])}: {counts[i]:,} points", shown[i])
+            for i in most.tolist()
+            if counts[i] or by == "sensor"
         ]
     elif len(stage.cloud.xyz):
         low, high = span(stage, by)

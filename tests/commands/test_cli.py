@@ -123,7 +123,7 @@ def test_export_repeats_byte_for_byte_and_splits(out, tmp_path):
 
 
 def test_a_picture_of_a_capture_and_of_a_cloud(out):
-    shutil.copy(out / "two.pcap", out / "alone.pcap")  # without the record, by which the scene would be shown too
+    shutil.copy(out / "two.pcap", out / "alone.pcap")  # without the manifest, by which the scene would be shown too
     for source, name in ((out / "alone.pcap", "a.png"), (out / "two.ply", "b.png")):
         run("view", source, "--rig", out / "two/rig.yaml", "--png", out / name)
     assert (out / "a.png").read_bytes() == (out / "b.png").read_bytes()

@@ -31,7 +31,7 @@ CUTS = {  # columns, with types, of the K pieces that are cut out of a file, in 
 Endpoint = tuple[str, int]  # host:port, and the size of payloads
 
 
-class Part(NamedTuple):
+class Segment(NamedTuple):
     """A piece of a payload."""
 
     at: int  # where it is in the file
@@ -44,7 +44,7 @@ class Datagram(NamedTuple):
 
     time_ns: int
     payload: bytes
-    parts: list[Part]
+    parts: list[Segment]
     headers: int  # bytes of the headers before the first part, if their checksum is right; else 0
 
 
@@ -159,22 +159,22 @@ class _Found(NamedTuple):
     at: int  # in the file
     first: int  # its first byte in the datagram
     length: int  # of the IP header
-    octets: bytes
+    content: bytes
 
     def is_of(self, datagram: bytes) -> bool:
         """Whether it is a piece of this datagram, and not of another one with the same id."""
-        return datagram[self.first : self.first + len(self.octets)] == self.octets
+        return datagram[self.first : self.first + len(self.content)] == self.content
 
 
 def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Datagram:
     """Of a UDP header and its payload, and of where in the file pieces of that are."""
     payload = body[UDP.itemsize :]
-    parts = list[Part]()
+    parts = list[Segment]()
     headers = 0
     for one in found:
         skipped = max(UDP.itemsize - one.first, 0)  # of the UDP header: the first fragment has all of it
-        if len(one.octets) > skipped:
-            parts.append(Part(one.at + skipped, one.first + skipped - UDP.itemsize, len(one.octets) - skipped))
+        if len(one.content) > skipped:
+            parts.append(Segment(one.at + skipped, one.first + skipped - UDP.itemsize, len(one.content) - skipped))
         if one.first == 0:
             head = data[one.at - one.length : one.at + UDP.itemsize]
             right = head[-2:] != b"\0\0" and _with_checksum(head, len(head), payload) == head
