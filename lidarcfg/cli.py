@@ -48,10 +48,11 @@ def main() -> None:
 
 
 def _run(interrupts: Interrupts) -> int:
-    """The command, and what is said of its errors; returns its exit code."""
+    """Run the command and print its error, if any; returns the exit code."""
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end quietly if the reader of our output is gone
-    sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):  # print ? for characters that the terminal's encoding lacks
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -63,7 +64,7 @@ def _run(interrupts: Interrupts) -> int:
     except Exception as error:
         if interrupts.raised:  # which broke something
             raise KeyboardInterrupt from None
-        return _fail(_said_of(error, interrupts.doing))
+        return _fail(_format_error(error, interrupts.doing))
 
 
 def _fail(message: str) -> int:
@@ -71,8 +72,8 @@ def _fail(message: str) -> int:
     return 2
 
 
-def _said_of(error: Exception, doing: str) -> str:
-    """What is said of an error. Raises it if it is a bug."""
+def _format_error(error: Exception, doing: str) -> str:
+    """Formats an error for the terminal; re-raises bugs."""
     if isinstance(error, click.ClickException):
         return f"{' '.join(error.format_message().split())} (see {_command_path(error)} --help)"
     if isinstance(error, LidarcfgError):

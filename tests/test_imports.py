@@ -17,7 +17,6 @@ GROUND = {
     "units",
     "files",
     "futures",
-    "aside",
     "geometry",
     "config",
     "core",

@@ -22,8 +22,8 @@ sys.path.insert(0, str(ROOT))
 
 from lidarcfg.cli import cli
 from lidarcfg.commands.options import START, load_trajectory, nanoseconds
+from lidarcfg.view.manifests import DriveInputs, complete_inputs
 from lidarcfg.view.page import page_of
-from lidarcfg.view.recorded import Recorded, recorded
 from lidarcfg.view.server import Server
 from lidarcfg.view.stage import load_stage
 from tests.chromium import browser
@@ -40,7 +40,7 @@ FROM = (
 @contextmanager
 def served(*files: str) -> Iterator[str]:
     """The address of the page of a capture, as it was noted, and other files."""
-    paths, known = recorded([Path(name) for name in files], Recorded(), print)
+    paths, known = complete_inputs([Path(name) for name in files], DriveInputs(), print)
     drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
     stage = load_stage(paths, known.rig, None, drive, print, vehicle=known.vehicle)
     with Server(stage, page_of(stage, by="height", served=True)) as server:

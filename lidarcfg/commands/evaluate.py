@@ -57,7 +57,8 @@ def evaluate(
         from lidarcfg.rig import load_rig
         from lidarcfg.studies import load_study
 
-        loaded, mounted = load_study(study), load_rig(rig)
+        loaded = load_study(study)
+        mounted = load_rig(rig)
     warn_of(loaded.vehicle)
     check_rig(loaded, rig, mounted)
     if output:

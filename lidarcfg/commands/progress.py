@@ -45,7 +45,9 @@ def progress(
 def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
     from rich.markup import escape
 
-    screen, task, pace = interrupts.screen, None, Pace(mean_over_s)
+    screen = interrupts.screen
+    task = None
+    pace = Pace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal task
@@ -78,7 +80,8 @@ class Pace:
             updates.append((worked_s, fraction))
         while len(updates) > 1 and updates[1][0] <= worked_s - self._mean_over_s:
             updates.popleft()
-        took_s, done = worked_s - updates[0][0], fraction - updates[0][1]
+        took_s = worked_s - updates[0][0]
+        done = fraction - updates[0][1]
         return took_s * (1 - fraction) / done if took_s >= KNOWN_S and done > 0 and fraction < 1 else None
 
 
@@ -89,16 +92,20 @@ def _left(pace: Pace, fraction: float) -> str:
 
 
 def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
-    last, told, pace = "", time.monotonic(), Pace(mean_over_s)
+    last = ""
+    told = time.monotonic()
+    pace = Pace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal last, told
         interrupts.check(text)
-        last, now = f"{fraction:4.0%}  {one_line(text)}", time.monotonic()
+        last = f"{fraction:4.0%}  {one_line(text)}"
+        now = time.monotonic()
         left = _left(pace, fraction)
         if now - told > LINE_S:
             click.echo(f"{last}  {left}".rstrip(), err=True)
-            last, told = "", now
+            last = ""
+            told = now
 
     yield on_progress
     if last and keep:

@@ -26,7 +26,8 @@ class Screen:
 
     def close(self, clear: bool = False) -> None:
         """Leave the last state of the bar, and go on below it, or leave nothing."""
-        bar, self._bar = self._bar, None
+        bar = self._bar
+        self._bar = None
         if bar:
             bar.live.transient = clear
             bar.stop()

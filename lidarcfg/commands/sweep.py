@@ -101,7 +101,8 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
     """Do the runs, and keep what comes of them; returns how many have no rig."""
     from lidarcfg.placement.sweep import sweep
 
-    failed, finished = 0, len(plan.runs) - len(runs)
+    failed = 0
+    finished = len(plan.runs) - len(runs)
     with progress(quiet, mean_over_s=math.inf) as on_progress:
 
         def show() -> None:
@@ -111,7 +112,8 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
         def done(run: "Run", outcome: "Outcome") -> None:
             nonlocal failed, finished
             kept.save(run, outcome)
-            failed, finished = failed + (outcome.rig is None), finished + 1
+            failed += outcome.rig is None
+            finished += 1
             show()
 
         show()

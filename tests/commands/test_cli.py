@@ -123,7 +123,7 @@ def test_export_repeats_byte_for_byte_and_splits(out, tmp_path):
 
 
 def test_a_picture_of_a_capture_and_of_a_cloud(out):
-    shutil.copy(out / "two.pcap", out / "alone.pcap")  # without the record, by which the scene would be shown too
+    shutil.copy(out / "two.pcap", out / "alone.pcap")  # without the manifest, by which the scene would be shown too
     for source, name in ((out / "alone.pcap", "a.png"), (out / "two.ply", "b.png")):
         run("view", source, "--rig", out / "two/rig.yaml", "--png", out / name)
     assert (out / "a.png").read_bytes() == (out / "b.png").read_bytes()
@@ -280,25 +280,6 @@ def test_what_an_interrupt_breaks_is_not_said_to_be_an_error(then):
     """Libraries make another error of it; or a second one comes while the first cleans up."""
     done = subprocess.run([sys.executable, "-c", BROKEN.format(then)], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
-
-
-def test_a_second_interrupt_does_not_come_between_two_files(tmp_path):
-    """Both files are of one run; no other is left."""
-    (tmp_path / "one").write_text("old")
-    then = f"""
-        os.chdir({str(tmp_path)!r})
-        from lidarcfg import files
-        take, swap = files.Whole.take_place, lambda one: (take(one), os.kill(os.getpid(), signal.SIGINT))
-        files.Whole.take_place = swap
-        with files.together():
-            for name in ("one", "other"):
-                with files.replacing(name) as file:
-                    file.write("new")
-        time.sleep(60)
-"""
-    done = subprocess.run([sys.executable, "-c", BROKEN.format(then)], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (130, "interrupted\n")
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "new", "other": "new"}
 
 
 @pytest.fixture

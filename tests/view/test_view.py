@@ -401,7 +401,7 @@ def test_a_study_with_choices_is_shown_with_the_first(tmp_path):
     done = CliRunner().invoke(view, [str(STUDY.parent / "truck-prices.yaml"), "--html", str(tmp_path / "t.html")])
     assert done.exit_code == 0
     assert done.stderr.startswith(
-        "lidarcfg: warning: truck-prices: lets one choose models; shown are the first: roof vlp-16, "
+        "lidarcfg: warning: truck-prices: the study lets models be chosen; the first of each are shown: roof vlp-16, "
     )
     assert done.stderr.endswith("optimize writes a study of each choice\n")
     assert (tmp_path / "t.html").exists()

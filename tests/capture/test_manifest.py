@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.capture.record import load_record, record_path
+from lidarcfg.capture.manifest import load_manifest, manifest_path
 from lidarcfg.cloud import load_cloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.sensor import catalogue
@@ -16,7 +16,7 @@ from tests.command_line import lidarcfg
 @pytest.fixture(scope="module")
 def here(tmp_path_factory):
     """A VLS-128, which fires before its first packet's time, on timed poses that begin at 0."""
-    folder = tmp_path_factory.mktemp("record")
+    folder = tmp_path_factory.mktemp("manifest")
     (folder / "drive.yaml").write_text("name: v\nsensors: [{name: a, model: vls-128, position_m: [0, 0, 2]}]\n")
     (folder / "motion.yaml").write_text(
         "poses:\n- {time_s: 0, position_m: [0, 0, 0]}\n- {time_s: 0.03, position_m: [0.3, 0, 0]}\n"
@@ -31,7 +31,7 @@ def here(tmp_path_factory):
 
 
 def test_nothing_is_said_twice(here):
-    """Deskewed by the record as by the options of the export, bit for bit."""
+    """Deskewed by the manifest as by the options of the export, bit for bit."""
     lidarcfg("decode", "drive.pcap", "--deskew", "-o", "noted.npz", "--stats", cwd=here)
     noted, said = (load_cloud(here / f"{name}.npz", pytest.fail) for name in ("noted", "said"))
     assert len(noted.xyz) > 10_000
@@ -44,7 +44,7 @@ def test_nothing_is_said_twice(here):
     }
     assert (here / values["scene"]["file"]).resolve().name == "street.yaml"
     assert (values["return_mode"], values["duration_s"], values["at"]) == ("last", 0.02, "1,2,5")
-    assert "record of a capture: 0.02 s" in lidarcfg("validate", "drive.pcap.yaml", cwd=here).stdout
+    assert "capture manifest: 0.02 s" in lidarcfg("validate", "drive.pcap.yaml", cwd=here).stdout
 
 
 def test_what_has_changed_is_not_taken(here):
@@ -60,7 +60,7 @@ def test_what_has_changed_is_not_taken(here):
     finally:
         (here / "motion.yaml").write_text(motion)
     done = lidarcfg("decode", "other.pcap", "--deskew", "-o", "no.npz", code=2, cwd=here)
-    assert "other.pcap.yaml: there is no record of the capture; give --rig and --trajectory" in done.stderr
+    assert "other.pcap.yaml: the capture has no manifest; give --rig and --trajectory" in done.stderr
     assert not (here / "no.npz").exists()
 
 
@@ -116,20 +116,20 @@ def test_a_change_in_what_inputs_name_is_noticed(tmp_path):
     for name, digest in (noted["rig"] | noted["scene"]).items():
         assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == digest
     assert values["models"] == {"vlp-16": hashlib.sha256(catalogue()["vlp-16"].read_bytes()).hexdigest()}
-    capture, record = tmp_path / "a.pcap", load_record(tmp_path / "a.pcap")
+    capture, manifest = tmp_path / "a.pcap", load_manifest(tmp_path / "a.pcap")
     for key, names in noted.items():
         for i, name in enumerate(names):
             content = (tmp_path / name).read_bytes()
             (tmp_path / name).write_bytes(content + b"\n")
             with pytest.raises(ConfigError, match=rf"{key}.files\[{i}\].file: .*{name} has changed since the export"):
-                record.path(key, record_path(capture))
+                manifest.path(key, manifest_path(capture))
             (tmp_path / name).write_bytes(content)
-        assert record.path(key, record_path(capture)) == tmp_path / f"{key}.yaml"
-    other = record.model_copy(update={"models": {"vlp-16": "0" * 64}})
+        assert manifest.path(key, manifest_path(capture)) == tmp_path / f"{key}.yaml"
+    other = manifest.model_copy(update={"models": {"vlp-16": "0" * 64}})
     with pytest.raises(
         ConfigError, match=r"models.vlp-16: vlp-16 differs between this catalogue and that of the export"
     ):
-        other.path("rig", record_path(capture))
+        other.path("rig", manifest_path(capture))
     lidarcfg(*words, "--vehicle", "none", "-o", "b.pcap", cwd=tmp_path)
     values = yaml.safe_load((tmp_path / "b.pcap.yaml").read_text())
     assert values["vehicle"] == "none"

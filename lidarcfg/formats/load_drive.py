@@ -8,13 +8,15 @@ from lidarcfg.capture.objects import GroundTruth
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import CloudError, PacketError
-from lidarcfg.formats.recording import Recording
+from lidarcfg.formats.drive_dataset import DriveDataset
 from lidarcfg.simulate.tasks import Drive, object_names
 
 OnWarning = Callable[[str], None]
 
 
-def recording(capture: Path, drive: Drive, truth: Path | None, model: str | None, on_warning: OnWarning) -> Recording:
+def load_drive(
+    capture: Path, drive: Drive, truth: Path | None, model: str | None, on_warning: OnWarning
+) -> DriveDataset:
     """The capture of a drive, with the objects of its points by the export's ground truth.
 
     Raises CloudError for ground truth of another scene; reading scans raises CloudError for that of another capture,
@@ -25,7 +27,7 @@ def recording(capture: Path, drive: Drive, truth: Path | None, model: str | None
         raise CloudError(
             f"{known.path}: its objects are not those of {drive.scene.file.name!r}; it is of another export"
         )
-    made = Recording(drive, (), packets=True)
+    made = DriveDataset(drive, (), packets=True)
     if made.objects and not known:
         on_warning(f"{capture}: no --truth says which objects were hit; boxes are of all, at the stamp of each scan")
 

@@ -1,4 +1,4 @@
-"""What a capture was made of, in a file beside it, so that nothing has to be said again to decode it."""
+"""The manifest of a capture: a file beside it that names what it was made of, so that it can be decoded as it is."""
 
 import hashlib
 import math
@@ -24,40 +24,47 @@ from lidarcfg.world.vehicle import NONE, Vehicle
 from lidarcfg.yaml_document import yaml_text
 
 SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
-BESIDE = ".rig.yaml", ".scene.yaml", ".trajectory.yaml", ".trajectory.tum"  # likewise: inputs that were in no file
+SIDECAR_SUFFIXES = (
+    ".rig.yaml",
+    ".scene.yaml",
+    ".trajectory.yaml",
+    ".trajectory.tum",
+)  # likewise: inputs that were in no file
 READ = 1 << 20  # bytes of a file at once
 
 
-class Beside(NamedTuple):
-    """An input that is in no file: it is written into one beside the capture."""
+class SidecarInput(NamedTuple):
+    """An input that is in no file: it is written beside the capture."""
 
     suffix: str  # behind the capture's name
     text: str
 
 
-class Part(Model):
-    """A file."""
+class FileDigest(Model):
+    """A file and its checksum."""
 
-    file: str  # relative to the record
+    file: str  # relative to the manifest
     sha256: str
 
     @classmethod
-    def of(cls, path: Path, record: Path) -> "Part":
-        """The file at `path`, as a record names it. Raises OSError."""
+    def of(cls, path: Path, manifest: Path) -> "FileDigest":
+        """The file at `path`, as a manifest names it. Raises OSError."""
         path = example(path)
-        return cls(file=os.path.relpath(os.path.realpath(path), os.path.realpath(record.parent)), sha256=_sha256(path))
+        return cls(
+            file=os.path.relpath(os.path.realpath(path), os.path.realpath(manifest.parent)), sha256=_sha256(path)
+        )
 
 
-class Input(Part):
+class Input(FileDigest):
     """A file that went into a capture, and what it names."""
 
-    files: tuple[Part, ...] | None = None  # meshes, height fields, maps of points, the sensors' own files
+    files: tuple[FileDigest, ...] | None = None  # meshes, height fields, maps of points, the sensors' own files
 
 
-class Record(Model):
+class CaptureManifest(Model):
     """What a capture was made of."""
 
-    kind: ClassVar[str] = "record of a capture"
+    kind: ClassVar[str] = "capture manifest"
     version: str = lidarcfg.__version__
     rig: Input
     scene: Input | None = None  # none: it was in no file, and cannot be in one of its own
@@ -69,7 +76,7 @@ class Record(Model):
     return_mode: ReturnMode | None = None  # none: the rig's
     duration_s: Positive
 
-    def path(self, key: str, record: Path, hint: str = "name what fits it: --{key}") -> Path | None:
+    def path(self, key: str, manifest: Path, hint: str = "name what fits it: --{key}") -> Path | None:
         """Where one of the inputs is, or `none` of the vehicle.
 
         Raises ConfigError if it, or what it names, has changed since, with a hint of what to do.
@@ -80,23 +87,23 @@ class Record(Model):
             return Path(given) if given else None
         for i, part in enumerate((given, *(given.files or ()))):
             at = (key, "file") if i == 0 else (key, "files", i - 1, "file")
-            path = record.parent / part.file
+            path = manifest.parent / part.file
             try:
                 same = _sha256(path) == part.sha256
             except OSError as error:
-                raise error_at(record, at, f"{path}: {reason(error)}; {hint}") from None
+                raise error_at(manifest, at, f"{path}: {reason(error)}; {hint}") from None
             if not same:
-                raise error_at(record, at, f"{path} has changed since the export; {hint}")
+                raise error_at(manifest, at, f"{path} has changed since the export; {hint}")
         known = catalogue()
         for name, digest in (self.models or {}).items() if key == "rig" else ():
             if name not in known or _sha256(known[name]) != digest:
                 what = f"{name} differs between this catalogue and that of the export; {hint}"
-                raise error_at(record, ("models", name), what)
-        return record.parent / given.file
+                raise error_at(manifest, ("models", name), what)
+        return manifest.parent / given.file
 
-    def motion(self, record: Path) -> Trajectory:
+    def motion(self, manifest: Path) -> Trajectory:
         """The vehicle's motion. Raises ConfigError as `path` does, and for a place or a time that is none."""
-        return Trajectory(place(self.at), load_path(self.path("trajectory", record)), time_ns(self.start))
+        return Trajectory(place(self.at), load_path(self.path("trajectory", manifest)), time_ns(self.start))
 
 
 def place(at: str) -> Array:
@@ -135,15 +142,15 @@ def time_ns(start: str) -> int:
 
 
 def rig_file(capture: Path, given: str | Path | None) -> Path | None:
-    """The file of the rig that recorded a capture: the one given, unless it is called none, or what its export noted.
+    """The file of the rig that recorded a capture: the one given, unless it is called none, or that of its manifest.
 
     Raises ConfigError if that has changed since.
     """
     if given is not None:
         return None if str(given) == NONE else Path(given)
-    beside = record_path(capture)
+    beside = manifest_path(capture)
     return (
-        load_record(capture).path(
+        load_manifest(capture).path(
             "rig", beside, "name what fits it, or none, which leaves points in their sensors' frames: --rig"
         )
         if beside.exists()
@@ -151,8 +158,8 @@ def rig_file(capture: Path, given: str | Path | None) -> Path | None:
     )
 
 
-def record_path(capture: Path) -> Path:
-    """Where the record of a capture is."""
+def manifest_path(capture: Path) -> Path:
+    """The path of a capture's manifest."""
     return capture.with_name(capture.name + SUFFIX)
 
 
@@ -163,25 +170,26 @@ def _sensor_files(rig: Rig) -> list[Path]:
 
 
 def _models(rig: Rig) -> dict[str, str] | None:
-    """The catalogue's sensors in it, as a record has them."""
+    """The catalogue's sensors in a rig, with the checksums of their files."""
     known = catalogue()
     names = sorted({mount.model for mount in rig.mounts if mount.model and mount.model in known})
     return {name: _sha256(known[name]) for name in names} or None
 
 
-def save_record(
+def save_manifest(
     capture: Path,
-    files: Mapping[str, Path | Beside | None],
+    files: Mapping[str, Path | SidecarInput | None],
     rig: Rig,
     scene: Scene,
     vehicle: Vehicle | None,
     values: Mapping[str, Any],
 ) -> None:
-    """Write the record beside a capture: its input files, those that there are, and the other keys of `Record`.
+    """Write the manifest beside a capture: its input files, and the other keys of `CaptureManifest`.
 
-    Rig, scene and vehicle are what was read of the files: what they name is noted, too.
+    Rig, scene and vehicle are what was read of the files; the files that they name are in the manifest, too.
     """
-    path, scene_file = record_path(capture), files["scene"]
+    path = manifest_path(capture)
+    scene_file = files["scene"]
     named = {"rig": _sensor_files(rig)}
     named["scene"] = files_of(scene.file, example(scene_file).parent) if isinstance(scene_file, Path) else []
     owner = "vehicle" if files.get("vehicle") else "rig"
@@ -189,25 +197,28 @@ def save_record(
     inputs: dict[str, Any] = {"models": _models(rig)}
     for key, given in files.items():
         if given:
-            own = _written(given, capture) if isinstance(given, Beside) else Part.of(given, path)
+            own = _written(given, capture) if isinstance(given, SidecarInput) else FileDigest.of(given, path)
             others = dict.fromkeys(
                 one
                 for one in named.get(key, ())
-                if isinstance(given, Beside) or os.path.realpath(one) != os.path.realpath(example(given))
+                if isinstance(given, SidecarInput) or os.path.realpath(one) != os.path.realpath(example(given))
             )
-            parts = tuple(Part.of(one, path) for one in others)
+            parts = tuple(FileDigest.of(one, path) for one in others)
             inputs[key] = Input(**own.model_dump(), files=parts or None)
-    record = Record.model_validate({**inputs, **{key: value for key, value in values.items() if value is not None}})
+    manifest = CaptureManifest.model_validate(
+        {**inputs, **{key: value for key, value in values.items() if value is not None}}
+    )
     with replacing(path) as out:
-        out.write(yaml_text(record.model_dump(mode="json", exclude_none=True), blocks=True))
+        out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
 
 
-def _written(given: Beside, capture: Path) -> Part:
-    """Write it, and name it as the record does."""
-    path, octets = capture.with_name(capture.name + given.suffix), given.text.encode()
+def _written(given: SidecarInput, capture: Path) -> FileDigest:
+    """Write an input beside a capture, and name it as the manifest does."""
+    path = capture.with_name(capture.name + given.suffix)
+    content = given.text.encode()
     with replacing(path, "wb") as out:
-        out.write(octets)
-    return Part(file=path.name, sha256=hashlib.sha256(octets).hexdigest())
+        out.write(content)
+    return FileDigest(file=path.name, sha256=hashlib.sha256(content).hexdigest())
 
 
 def _sha256(path: Path) -> str:
@@ -218,9 +229,9 @@ def _sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
-def load_record(capture: Path) -> Record:
-    """The record beside a capture. Raises ConfigError."""
-    path = record_path(capture)
+def load_manifest(capture: Path) -> CaptureManifest:
+    """The manifest beside a capture. Raises ConfigError."""
+    path = manifest_path(capture)
     if not path.exists():
-        raise ConfigError(f"{path}: there is no record of the capture; give --rig and --trajectory")
-    return load(path, Record)
+        raise ConfigError(f"{path}: the capture has no manifest; give --rig and --trajectory")
+    return load(path, CaptureManifest)

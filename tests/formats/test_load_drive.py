@@ -1,4 +1,4 @@
-"""Captures that were exported, converted by the record and the ground truth beside them; witnesses are plain loops."""
+"""Captures that were exported, converted by the manifest and the ground truth beside them; witnesses are plain loops."""
 
 from collections import defaultdict
 
@@ -159,13 +159,13 @@ def test_what_is_refused(folder):
 
     kitti = ("-o", "no", "--to", "kitti-odometry")
     assert "kitti-odometry needs the objects of points; give the --truth" in message("a.pcap", *kitti)
-    assert "--truth goes by the record beside an exported capture" in message(
+    assert "--truth goes by the manifest beside an exported capture" in message(
         "a.pcap", "--rig", "rig.yaml", "--truth", "a.npz", "-o", "no.mcap"
     )
     assert "--truth are not for firings" in message("a.pcap", "--truth", "a.npz", "-o", "no.npz")
     (folder / "b.pcap").write_bytes((folder / "a.pcap").read_bytes())
     said = message("b.pcap", "--truth", "a.npz", *kitti)
-    assert "b.pcap.yaml: there is no record of the capture; --truth and kitti-odometry" in said
+    assert "b.pcap.yaml: the capture has no manifest; --truth and kitti-odometry" in said
     (folder / "other.yaml").write_text(SCENE.replace("balloon", "ball"))
     lidarcfg(
         *("export", "rig.yaml", "--scene", "other.yaml", "--duration", "0.01", "--truth", "o.npz", "-o", "o.pcap"),

@@ -17,7 +17,8 @@ from lidarcfg.errors import CloudError, PacketError
 from lidarcfg.inputs import check_memory, check_regular, read_regular
 from lidarcfg.packets.codec import Octets, Times
 
-SIZE_MAX, COPIES = 4_000_000_000, 60  # bytes of a capture, and bytes of memory per byte
+SIZE_MAX = 4_000_000_000  # bytes of a capture
+COPIES = 60  # bytes of memory per byte of it
 CUTS = {  # columns, with types, of the K pieces that are cut out of a file, in its order
     "at": "<i8",  # (K,) its offset in the remaining bytes
     "source": "<i2",  # (K,) the source of the packet that it is a piece of
@@ -30,7 +31,7 @@ CUTS = {  # columns, with types, of the K pieces that are cut out of a file, in 
 Endpoint = tuple[str, int]  # host:port, and the size of payloads
 
 
-class Part(NamedTuple):
+class Segment(NamedTuple):
     """A piece of a payload."""
 
     at: int  # where it is in the file
@@ -43,7 +44,7 @@ class Datagram(NamedTuple):
 
     time_ns: int
     payload: bytes
-    parts: list[Part]
+    parts: list[Segment]
     headers: int  # bytes of the headers before the first part, if their checksum is right; else 0
 
 
@@ -81,7 +82,8 @@ class Records:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays for a file: the bytes without those of taken packets, and the places of these."""
         cuts = np.array(sorted(self.cuts), np.int64).reshape(-1, len(CUTS))
-        starts, sizes = cuts[:, 0], cuts[:, 4]
+        starts = cuts[:, 0]
+        sizes = cuts[:, 4]
         froms = np.append(0, starts + sizes)
         left = [self.data[i:j] for i, j in zip(froms.tolist(), [*starts.tolist(), len(self.data)], strict=True)]
         columns = {key: cuts[:, i].astype(kind) for i, (key, kind) in enumerate(CUTS.items())}
@@ -92,8 +94,10 @@ class Records:
 def pieces(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Octets]) -> Iterator[bytes]:
     """The bytes of a capture from its arrays, with the packets (P, size) of its sources. Raises CloudError."""
     at, source, packet, first, size, headers = (arrays[key].astype(np.int64) for key in CUTS)
-    raw, shapes = arrays["raw"].tobytes(), np.array([one.shape for one in packets], np.int64).reshape(-1, 2)
-    before, least = np.diff(at, prepend=0), IP.itemsize + UDP.itemsize
+    raw = arrays["raw"].tobytes()
+    shapes = np.array([one.shape for one in packets], np.int64).reshape(-1, 2)
+    before = np.diff(at, prepend=0)
+    least = IP.itemsize + UDP.itemsize
     fits = len({len(column) for column in (at, source, packet, first, size, headers)}) == 1
     fits = fits and bool((before >= 0).all()) and int(at.max(initial=0)) <= len(raw)
     fits = fits and bool(((source >= 0) & (source < len(packets)) & (packet >= 0) & (first >= 0) & (size > 0)).all())
@@ -118,11 +122,13 @@ def read_records(path: Path) -> Records:
         data = read_regular(path, SIZE_MAX)
     except OSError as error:
         raise PacketError.from_os(path, error) from None
-    reassembly, waiting = Reassembly(), defaultdict[bytes, list[_Found]](list)
+    reassembly = Reassembly()
+    waiting = defaultdict[bytes, list[_Found]](list)
     datagrams = defaultdict[Endpoint, list[Datagram]](list)
     for time_ns, ip, length, end, part, head in _rows(data, str(path)):
         start = ip + length
-        body, host = data[start : ip + end], ".".join(map(str, head["source"]))
+        body = data[start : ip + end]
+        host = ".".join(map(str, head["source"]))
         found_here = [_Found(start, 0, length, body)]
         if part:
             one = fragment(time_ns, head, body)
@@ -130,7 +136,8 @@ def read_records(path: Path) -> Records:
             whole = reassembly.add(one)
             if whole is None:
                 continue
-            found_here, body = [some for some in waiting.pop(one.key) if some.is_of(whole)], whole
+            found_here = [some for some in waiting.pop(one.key) if some.is_of(whole)]
+            body = whole
         if len(body) > UDP.itemsize:
             name = f"{host}:{int.from_bytes(body[2:4])}"
             datagrams[name, len(body) - UDP.itemsize].append(_datagram(data, time_ns, body, found_here))
@@ -152,20 +159,22 @@ class _Found(NamedTuple):
     at: int  # in the file
     first: int  # its first byte in the datagram
     length: int  # of the IP header
-    octets: bytes
+    content: bytes
 
     def is_of(self, datagram: bytes) -> bool:
         """Whether it is a piece of this datagram, and not of another one with the same id."""
-        return datagram[self.first : self.first + len(self.octets)] == self.octets
+        return datagram[self.first : self.first + len(self.content)] == self.content
 
 
 def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Datagram:
     """Of a UDP header and its payload, and of where in the file pieces of that are."""
-    payload, parts, headers = body[UDP.itemsize :], list[Part](), 0
+    payload = body[UDP.itemsize :]
+    parts = list[Segment]()
+    headers = 0
     for one in found:
         skipped = max(UDP.itemsize - one.first, 0)  # of the UDP header: the first fragment has all of it
-        if len(one.octets) > skipped:
-            parts.append(Part(one.at + skipped, one.first + skipped - UDP.itemsize, len(one.octets) - skipped))
+        if len(one.content) > skipped:
+            parts.append(Segment(one.at + skipped, one.first + skipped - UDP.itemsize, len(one.content) - skipped))
         if one.first == 0:
             head = data[one.at - one.length : one.at + UDP.itemsize]
             right = head[-2:] != b"\0\0" and _with_checksum(head, len(head), payload) == head

@@ -24,7 +24,7 @@ boxes: [{name: wall, center_m: [10.5, 0, 2], size_m: [1, 40, 4], reflectivity: 4
 @pytest.mark.parametrize("name", ["a.pcap", "a.ply"])
 @pytest.mark.parametrize("loaded", [True, False])
 def test_it_is_what_the_command_writes(tmp_path, name, loaded):
-    """Byte for byte, with what readers need beside it; the record aside where it names a file of its own."""
+    """Byte for byte, with what readers need beside it; the manifest aside where it names a file of its own."""
     ours, theirs = tmp_path / "ours", tmp_path / "theirs"
     rig = lidarcfg.load_rig(RIG) if loaded else RIG
     lidarcfg.export(rig, lidarcfg.load_scene(STREET) if loaded else STREET, str(ours / name), duration_s=0.02)
@@ -51,7 +51,7 @@ def test_a_capture_is_one_cloud(tmp_path):
             assert np.array_equal(cloud.time_ns, told.time_ns)
 
 
-def test_a_record_of_a_drive_says_all_that_reading_it_needs(tmp_path):
+def test_a_manifest_of_a_drive_says_all_that_reading_it_needs(tmp_path):
     """Deskewed, each point is where its own time's pose of the drive, by hand, puts it."""
     (tmp_path / "drive.yaml").write_text("velocity_m_s: [20, 0, 0]\n")
     T = pose((1.25, -2.0, 0.0), (0.0, 0.0, np.radians(30)))
@@ -88,7 +88,7 @@ def paths():
 
 
 @pytest.mark.parametrize("moved", paths(), ids=["stands", "line", "arc", "keys", "arrays"])
-def test_a_record_of_what_is_in_no_file_says_all_that_reading_it_needs(tmp_path, moved):
+def test_a_manifest_of_what_is_in_no_file_says_all_that_reading_it_needs(tmp_path, moved):
     """Whatever is given: deskewed, each point is where the trajectory itself puts it."""
     (tmp_path / "wall.yaml").write_text(WALL)
     out, rig, scene = tmp_path / "a.pcap", lidarcfg.load_rig(ROOF), lidarcfg.load_scene(tmp_path / "wall.yaml")
@@ -103,19 +103,19 @@ def test_a_record_of_what_is_in_no_file_says_all_that_reading_it_needs(tmp_path,
     assert np.array_equal(load_cloud(tmp_path / "a.npz", no_warning).xyz, deskewed.xyz)
 
 
-def test_what_a_record_lacks_is_said(tmp_path):
+def test_what_a_manifest_lacks_is_said(tmp_path):
     """A scene that names files and is in none, facts of a sensor that are in none, a pose that mirrors."""
     rig, told = lidarcfg.load_rig(ROOF), []
     np.save(tmp_path / "flat.npy", np.zeros((2, 2)))
     field = "{name: f, file: flat.npy, cell_m: 50, position_m: [-25, -25, 0], reflectivity: 9}"
     (tmp_path / "scene.yaml").write_text(f"name: s\nheight_fields: [{field}]\n")
     scene, own = lidarcfg.load_scene(tmp_path / "scene.yaml"), replace(rig.mounts[0], model=None)
-    out, record = tmp_path / "a.pcap", tmp_path / "a.pcap.yaml"
+    out, manifest = tmp_path / "a.pcap", tmp_path / "a.pcap.yaml"
     lidarcfg.export(rig, scene, out, 0.002, on_warning=no_warning)
     assert lidarcfg.decode(out).sensor_names == ("left", "right")
     (tmp_path / "scene.yaml").write_text("name: another\nground: {}\n")
     lidarcfg.export(rig, scene, out, 0.002, on_warning=told.append)
-    assert told == [f"{record}: names no scene, which is in no file; view and convert need it"]
+    assert told == [f"{manifest}: names no scene, which is in no file; view and convert need it"]
     assert lidarcfg.decode(out).sensor_names == ("left", "right")
     done = command_line.lidarcfg("convert", out, "-o", tmp_path / "a.mcap", code=2)
     assert "a.pcap.yaml: names no scene; export with the scene's file" in done.stderr
@@ -124,7 +124,7 @@ def test_what_a_record_lacks_is_said(tmp_path):
         (rig, np.diag([1.0, -1, 1, 1]), "the vehicle's pose is not rigid"),
     ):
         lidarcfg.export(rig, scene, out, 0.002, on_warning=told.append)
-        assert record.exists()
+        assert manifest.exists()
         lidarcfg.export(given, scene, out, 0.002, at=at, on_warning=told.append)
         assert what in told[-1]
         assert not list(tmp_path.glob("a.pcap.*"))

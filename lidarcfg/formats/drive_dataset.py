@@ -15,7 +15,7 @@ from lidarcfg.world.boxes import Boxed, Boxes, boxed, boxes_at
 
 
 @dataclass(frozen=True)
-class Recording:
+class DriveDataset:
     """Scans of single sensors, in the frame of the sensor, in the order of time; points know their objects, or none."""
 
     drive: Drive
