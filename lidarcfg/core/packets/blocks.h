@@ -50,7 +50,8 @@ struct Limits {
   /// A range in whole units; 0, which is no return, unless it is within the limits.
   double units(double range_m, double offset_m) const {
     const double units = std::nearbyint((range_m - offset_m) / unit_m);
-    return least_m <= range_m && range_m <= most_m && 0 <= units && units <= units_max ? units : 0;
+    const bool sent = (least_m <= range_m) & (range_m <= most_m) & (0 <= units) & (units <= units_max);
+    return sent ? units : 0;
   }
 };
 
@@ -63,6 +64,6 @@ struct Limits {
 /// @param packets       (P, size)
 template <class Maker>
 void write_returns(Rows<const double> range_m, Rows<const std::uint8_t> reflectivity, View<const std::int64_t> number,
-                   View<const double> offset_m, const Limits& limits, Rows<std::uint8_t> packets);
+                   View<const double> offset_m, Limits limits, Rows<std::uint8_t> packets);
 
 }  // namespace lidarcfg::packets

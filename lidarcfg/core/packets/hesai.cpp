@@ -161,24 +161,27 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
 
 void write_returns(Tables<const double> range_m, Tables<const std::uint8_t> reflectivity,
                    Rows<const std::uint8_t> laser, View<const std::int64_t> column, Rows<const bool> inside,
-                   const Limits& limits, const Layout& layout, Rows<std::uint8_t> packets) {
+                   Limits limits, const Layout& layout, Rows<std::uint8_t> packets) {
   const Index groups = inside.columns();
   const Index firings = laser.columns() / groups;
+  std::vector<double> units(firings);
   for (Index p = 0; p < packets.rows(); ++p) {
     for (Index b = 0; b < layout.blocks; ++b) {
       const Index group = b / (layout.blocks / groups);
       if (!inside(p, group)) {
         continue;
       }
+      const Index first = group * firings;
+      for (Index n = 0; n < firings; ++n) {
+        units[n] = limits.units(range_m(p, first + n, column[b]), 0);
+      }
       std::uint8_t* returns = layout.returns(packets[p], b);
-      for (Index j = group * firings; j < (group + 1) * firings; ++j) {
-        const auto units = static_cast<std::uint16_t>(limits.units(range_m(p, j, column[b]), 0));
-        if (units > 0) {
-          std::uint8_t* at = returns + laser(p, j) * Layout::return_bytes;
-          at[0] = units & 255;
-          at[1] = units >> 8;
-          at[2] = reflectivity(p, j, column[b]);
-        }
+      for (Index n = 0; n < firings; ++n) {
+        const auto whole = static_cast<std::uint16_t>(units[n]);
+        std::uint8_t* at = returns + laser(p, first + n) * Layout::return_bytes;
+        at[0] = whole & 255;
+        at[1] = whole >> 8;
+        at[2] = whole > 0 ? reflectivity(p, first + n, column[b]) : 0;
       }
     }
   }

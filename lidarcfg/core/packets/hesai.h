@@ -95,6 +95,6 @@ class Decoder {
 /// @param packets       (P, size)
 void write_returns(Tables<const double> range_m, Tables<const std::uint8_t> reflectivity,
                    Rows<const std::uint8_t> laser, View<const std::int64_t> column, Rows<const bool> inside,
-                   const Limits& limits, const Layout& layout, Rows<std::uint8_t> packets);
+                   Limits limits, const Layout& layout, Rows<std::uint8_t> packets);
 
 }  // namespace lidarcfg::packets::hesai

@@ -61,7 +61,7 @@ std::uint8_t Focus::correct(std::uint8_t intensity, int distance) const {
 
 void write_near_returns(Rows<const double> range_m, Rows<const std::uint8_t> reflectivity, Rows<const double> azimuth,
                         View<const std::int64_t> number, View<const std::int64_t> laser, const NearLasers& lasers,
-                        const Limits& limits, Rows<std::uint8_t> packets) {
+                        Limits limits, Rows<std::uint8_t> packets) {
   const Index each = azimuth.columns() == range_m.columns() ? 1 : 2;
   double most = std::floor(far_m / limits.unit_m) - 1;  // units of the last distance that is corrected so
   while ((most + 1) * limits.unit_m < far_m) {

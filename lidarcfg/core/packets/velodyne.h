@@ -55,7 +55,7 @@ struct NearLasers {
 /// @param laser    (S,) of each slot
 void write_near_returns(Rows<const double> range_m, Rows<const std::uint8_t> reflectivity, Rows<const double> azimuth,
                         View<const std::int64_t> number, View<const std::int64_t> laser, const NearLasers& lasers,
-                        const Limits& limits, Rows<std::uint8_t> packets);
+                        Limits limits, Rows<std::uint8_t> packets);
 
 /// Write intensities again: those of which `Focus` makes what they are, or comes nearest.
 ///
