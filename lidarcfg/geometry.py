@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarcfg import maths
+
 Array = NDArray[np.float64]
 UPRIGHT = 1e-9  # horizontal part of the x axis, below which a frame has no yaw of its own
 
@@ -16,12 +18,12 @@ UPRIGHT = 1e-9  # horizontal part of the x axis, below which a frame has no yaw 
 def rotation(rpy_rad: Sequence[float] | Array) -> Array:
     """R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) from roll, pitch, yaw in radians."""
     roll, pitch, yaw = (float(angle) for angle in rpy_rad)
-    cr = np.cos(roll)
-    sr = np.sin(roll)
-    cp = np.cos(pitch)
-    sp = np.sin(pitch)
-    cy = np.cos(yaw)
-    sy = np.sin(yaw)
+    cr = maths.cos(roll)
+    sr = maths.sin(roll)
+    cp = maths.cos(pitch)
+    sp = maths.sin(pitch)
+    cy = maths.cos(yaw)
+    sy = maths.sin(yaw)
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -34,12 +36,12 @@ def rotation(rpy_rad: Sequence[float] | Array) -> Array:
 def level(rpy_rad: ArrayLike) -> Array:
     """(…, 3, 2) the x and y axes of a frame with roll, pitch, yaw (…, 3): the first two columns of R."""
     roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
-    cr = np.cos(roll)
-    sr = np.sin(roll)
-    sp = np.sin(pitch)
-    cp = np.cos(pitch)
-    cy = np.cos(yaw)
-    sy = np.sin(yaw)
+    cr = maths.cos(roll)
+    sr = maths.sin(roll)
+    sp = maths.sin(pitch)
+    cp = maths.cos(pitch)
+    cy = maths.cos(yaw)
+    sy = maths.sin(yaw)
     x = [cy * cp, sy * cp, -sp]
     y = [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr]
     return np.stack([np.stack(x, axis=-1), np.stack(y, axis=-1)], axis=-1)
@@ -59,18 +61,18 @@ def up(rpy_rad: ArrayLike) -> Array:
 def leaning(axis: Array, yaw_rad: Array) -> Array:
     """(…, 3) roll, pitch, yaw of frames rotated by yaw (…), then by the shortest rotation of their z to axis (…, 3)."""
     x, y, z = np.moveaxis(axis, -1, 0)
-    c = np.cos(yaw_rad)
-    s = np.sin(yaw_rad)
+    c = maths.cos(yaw_rad)
+    s = maths.sin(yaw_rad)
     k = 1 / np.maximum(1 + z, 1e-12)
     x_z = -(c * x + s * y)  # how high x and y of the frames point
     y_z = s * x - c * y
     y_x = k * x * y_z - s
     y_y = k * y * y_z + c
-    roll = np.arctan2(y_z, z)
-    cr = np.cos(roll)
-    sr = np.sin(roll)
-    pitch = np.arctan2(-x_z, np.hypot(y_z, z))
-    yaw = np.arctan2(x * sr - y_x * cr, y_y * cr - y * sr)
+    roll = maths.atan2(y_z, z)
+    cr = maths.cos(roll)
+    sr = maths.sin(roll)
+    pitch = maths.atan2(-x_z, np.hypot(y_z, z))
+    yaw = maths.atan2(x * sr - y_x * cr, y_y * cr - y * sr)
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
@@ -85,9 +87,9 @@ def angles(R: Array) -> Array:
     """(…, 3) the roll, pitch and yaw of R (…, 3, 3); roll is 0 where x points straight up or down."""
     flat = np.hypot(R[..., 0, 0], R[..., 1, 0])
     upright = flat < UPRIGHT
-    roll = np.where(upright, 0.0, np.arctan2(R[..., 2, 1], R[..., 2, 2]))
-    yaw = np.where(upright, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arctan2(R[..., 1, 0], R[..., 0, 0]))
-    return np.stack([roll, np.arctan2(-R[..., 2, 0], flat), yaw], axis=-1)
+    roll = np.where(upright, 0.0, maths.atan2(R[..., 2, 1], R[..., 2, 2]))
+    yaw = np.where(upright, maths.atan2(-R[..., 0, 1], R[..., 1, 1]), maths.atan2(R[..., 1, 0], R[..., 0, 0]))
+    return np.stack([roll, maths.atan2(-R[..., 2, 0], flat), yaw], axis=-1)
 
 
 def quaternions(R: Array) -> Array:
@@ -138,5 +140,7 @@ def directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Array:
     """Unit vectors (N, 3) in the sensor frame; the maker's azimuth turns clockwise seen from above."""
     azimuth = np.asarray(azimuth_rad)
     elevation = np.asarray(elevation_rad)
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], axis=-1)
+    flat = maths.cos(elevation)
+    return np.stack(
+        [flat * maths.cos(azimuth), -flat * maths.sin(azimuth), maths.sin(elevation) + 0 * azimuth], axis=-1
+    )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 
+from lidarcfg import maths
 from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Name, Positive, Section, load, unknown_key, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
@@ -250,7 +251,7 @@ class Sensor(Model):
     @property
     def sin_elevation(self) -> Array:
         """(count,) the sines of the elevations, ascending."""
-        return np.sort(np.sin(self.elevation_rad))
+        return np.sort(maths.sin(self.elevation_rad))
 
     @property
     def azimuth_offset_rad(self) -> Array:

@@ -77,6 +77,7 @@ inline double atan2(double y, double x) {
   return std::copysign(angle, y);
 }
 
+inline double atan(double x) { return std::copysign(atan_of_positive(std::abs(x)), x); }
 inline double asin(double x) { return atan2(x, std::sqrt((1.0 - x) * (1.0 + x))); }
 inline double acos(double x) { return atan2(std::sqrt((1.0 - x) * (1.0 + x)), x); }
 

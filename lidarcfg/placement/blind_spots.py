@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg import core
+from lidarcfg import core, maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
@@ -154,7 +154,7 @@ def directions(region: Region, center_m: Array, outline_m: Array, height_m: floa
     """The directions about a point (2,) at a height above the region's floor, beyond an outline (AZIMUTHS,)."""
     angle = 2 * math.pi / AZIMUTHS * np.arange(AZIMUTHS)
     enter, leave = np.zeros(AZIMUTHS), np.full(AZIMUTHS, np.inf)
-    for axis, along in enumerate((np.cos(angle), np.sin(angle))):
+    for axis, along in enumerate((maths.cos(angle), maths.sin(angle))):
         walls = np.array([region.min_m[axis], region.max_m[axis]]) - center_m[axis]
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = walls[:, None] / np.where(abs(along) < 1e-12, 0.0, along)

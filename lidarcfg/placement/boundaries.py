@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.core import analytic as core
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
@@ -104,7 +105,7 @@ def axes_from(axis: int) -> list[int]:
 
 def _edge_spans(edges: Array) -> Array:
     """(2, E) middle and half of the angles that edges span around the origin, as seen along the first axis."""
-    angle = np.arctan2(edges[:, :, 2], edges[:, :, 1])
+    angle = maths.atan2(edges[:, :, 2], edges[:, :, 1])
     half = ((angle[:, 1] - angle[:, 0] + np.pi) % FULL - np.pi) / 2
     over = (edges[:, :, 1:] == 0.0).all(axis=2).any(axis=1) | (abs(half) > np.pi / 2 - WIDER)
     return np.stack([angle[:, 0] + half, np.where(over, np.pi, abs(half))])
@@ -114,7 +115,7 @@ def _round_spans(centre: Array, radius: Array) -> Array:
     """(2, Q) the same for spheres."""
     distance = np.hypot(centre[:, 1], centre[:, 2])
     sine = np.divide(radius, distance, out=np.ones(len(radius)), where=distance > radius)
-    return np.stack([np.arctan2(centre[:, 2], centre[:, 1]), np.where(sine < 1.0, np.arcsin(sine), np.pi)])
+    return np.stack([maths.atan2(centre[:, 2], centre[:, 1]), np.where(sine < 1.0, maths.asin(sine), np.pi)])
 
 
 def _binned(middle: Array, half: Array) -> tuple[Counts, Counts]:

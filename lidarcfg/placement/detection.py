@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg import core
+from lidarcfg import core, maths
 from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, fault, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
@@ -301,8 +301,8 @@ def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: b
         sobol = qmc.Sobol(4, rng=np.random.default_rng(replicate))
         u = sobol.random_base2(max(math.ceil(math.log2(samples / REPLICATES)), 0))
         heading = 2 * math.pi * u[:, 3]
-        reach_x = (length * abs(np.cos(heading)) + width * abs(np.sin(heading))) / 2
-        reach_y = (length * abs(np.sin(heading)) + width * abs(np.cos(heading))) / 2
+        reach_x = (length * abs(maths.cos(heading)) + width * abs(maths.sin(heading))) / 2
+        reach_y = (length * abs(maths.sin(heading)) + width * abs(maths.cos(heading))) / 2
         fits = (2 * reach_x <= high[0] - low[0]) & (2 * reach_y <= high[1] - low[1])
         x = low[0] + reach_x + u[:, 0] * (high[0] - low[0] - 2 * reach_x)
         y = low[1] + reach_y + u[:, 1] * (high[1] - low[1] - 2 * reach_y)

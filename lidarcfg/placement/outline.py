@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.sight import Obstacles
@@ -90,10 +91,10 @@ def _tangents(rounds: Array, position_m: Array) -> Array:
     for x, y, z, radius, height in rounds[rounds[:, 4] >= 0.0] - np.append(position_m, (0.0, 0.0)):
         distance = np.hypot(x, y)
         if distance > radius:
-            away, turn = np.arctan2(y, x), np.arcsin(radius / distance)
+            away, turn = maths.atan2(y, x), maths.asin(radius / distance)
             length = np.sqrt((distance - radius) * (distance + radius))
             for angle in (away - turn, away + turn):
-                u, v = length * np.cos(angle), length * np.sin(angle)
+                u, v = length * maths.cos(angle), length * maths.sin(angle)
                 out.append([[u, v, z], [u, v, z + height]])
     return np.array(out).reshape(-1, 2, 3)
 

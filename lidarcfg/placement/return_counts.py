@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg import core
+from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
@@ -108,7 +108,7 @@ def target(item: DetectionObject, region: Region, folder: Path) -> Target:
             raise ConfigError(f"{item.mesh}: {what}")
     length, width, height = found.size_m.tolist()
     for heading_deg in () if item.samples else item.headings_deg or HEADINGS_DEG:
-        c, s = abs(math.cos(math.radians(heading_deg))), abs(math.sin(math.radians(heading_deg)))
+        c, s = abs(maths.cos(math.radians(heading_deg))), abs(maths.sin(math.radians(heading_deg)))
         for axis, size in enumerate((length * c + width * s, length * s + width * c, height)):
             if size > (most := region.max_m[axis] - region.min_m[axis]) + FIT_M:
                 what = f"at heading {heading_deg:g} its {size:.6g} m is more than the region's {most:g} along"
@@ -252,7 +252,7 @@ def _sum(values: Array) -> float:
 
 def _inside(region: Region, places: Array, size_m: Array) -> np.ndarray:
     """(P,) whether a box at places (P, 4) is inside the region, seen from above."""
-    c, s = abs(np.cos(places[:, 3:])), abs(np.sin(places[:, 3:]))
+    c, s = abs(maths.cos(places[:, 3:])), abs(maths.sin(places[:, 3:]))
     reach = (size_m[:2] * c + size_m[1::-1] * s) / 2
     above = (places[:, :2] - reach >= region.min_m[:2] - FIT_M) & (places[:, :2] + reach <= region.max_m[:2] + FIT_M)
     return np.asarray(above.all(axis=1))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg import core
+from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.firing import Pattern, Patterns
 from lidarcfg.geometry import Array
@@ -137,8 +137,8 @@ def _compiled(one: Scanner, phases: int) -> core.returns.Scanner:
     low, high = one.azimuth_fov_deg or (0.0, 360.0)
     offsets = sensor.forward_offset_m, sensor.lateral_offset_m, sensor.vertical_offset_m
     return core.returns.Scanner(
-        cos_head=np.cos(heads),
-        sin_head=np.sin(heads),
+        cos_head=maths.cos(heads),
+        sin_head=maths.sin(heads),
         start_rad=heads[0],
         step_rad=pattern.step_rad / pattern.phases(phases),
         phases=pattern.phases(phases),

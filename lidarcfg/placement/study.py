@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg import core
+from lidarcfg import core, maths
 from lidarcfg.config import NAME_MAX, error_at, errors_at, load, whole_values
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -139,7 +139,7 @@ class Study:
         limit_deg, least_m = self.constraints.max_tilt_deg, self.constraints.min_distance_m
         total = np.zeros(len(poses))
         if limit_deg < 180.0:
-            tilt = np.arccos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
+            tilt = maths.acos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
             total += np.maximum(tilt - math.radians(limit_deg) - 1e-12, 0.0).sum(axis=1)
         for i, j in combinations(range(len(self.slots)), 2) if least_m > 0.0 else ():
             apart = np.linalg.norm(poses[:, i, :3] - poses[:, j, :3], axis=1)

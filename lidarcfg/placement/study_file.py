@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from lidarcfg import maths
 from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, FileName, Metres, Model, Position, check_names, fault
 from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
@@ -246,7 +247,7 @@ def _check_constraints(file: StudyFile) -> None:
         low, high = (np.array(bound) for bound in group.bounds)
         reach_m = group.on.standoff_m if group.on else 0.0
         roll, pitch = (_cosines(low[axis], high[axis]) for axis in (3, 4))
-        least_deg = math.degrees(math.acos(max(a * b for a, b in product(roll, pitch))))
+        least_deg = math.degrees(maths.acos(max(a * b for a, b in product(roll, pitch))))
         if least_deg > limit_deg + 1e-6:
             what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more within its bounds"
             raise fault(what, "constraints", "max_tilt_deg")
@@ -264,12 +265,12 @@ def _check_constraints(file: StudyFile) -> None:
 
 def _cosines(low: float, high: float) -> tuple[float, float]:
     """The least and the greatest cosine of the angles from low to high."""
-    ends = [math.cos(low), math.cos(high)]
+    ends = [maths.cos(low), maths.cos(high)]
     turns = low / math.pi, high / math.pi
     if math.floor(turns[1]) > math.ceil(turns[0]) or high - low >= 2 * math.pi:
         return -1.0, 1.0
     if math.floor(turns[1]) == math.ceil(turns[0]):
-        ends.append(math.cos(math.floor(turns[1]) * math.pi))
+        ends.append(maths.cos(math.floor(turns[1]) * math.pi))
     return min(ends), max(ends)
 
 

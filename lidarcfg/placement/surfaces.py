@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
+from lidarcfg import maths
 from lidarcfg.config import COORDINATE_MAX_M, Model, Position, error_at, fault
 from lidarcfg.geometry import Array, leaning, level, up
 from lidarcfg.sensor import Metres, Sensor
@@ -31,7 +32,7 @@ RINGS = ((0.5, 8), (1.0, 16))  # of a disc's samples, beside its middle: radius,
 DISC = np.array(
     [(0.0, 0.0)]
     + [
-        (radius * math.cos(2 * math.pi * i / count), radius * math.sin(2 * math.pi * i / count))
+        (radius * maths.cos(2 * math.pi * i / count), radius * maths.sin(2 * math.pi * i / count))
         for radius, count in RINGS
         for i in range(count)
     ]
@@ -205,7 +206,7 @@ class Surface:
         """(n, RIM, 3) the rims of the bases of sensors at poses (n, 6)."""
         plane = level(leaning(self._mount(poses), np.zeros(len(poses))))
         turn = np.linspace(0.0, 2 * math.pi, RIM)
-        disc = plane[:, None, :, 0] * np.cos(turn)[:, None] + plane[:, None, :, 1] * np.sin(turn)[:, None]
+        disc = plane[:, None, :, 0] * maths.cos(turn)[:, None] + plane[:, None, :, 1] * maths.sin(turn)[:, None]
         rims: Array = self.bases_m(poses)[:, None] + self.radius_m * disc
         return rims
 
@@ -310,7 +311,7 @@ def _patch(surface: Surface) -> Patch:
         fits = violation([one for one, _ in pair], np.stack([at for _, at in pair], axis=1)) == 0.0
     hit = ~np.isnan(surface.heights_m(grid)) & (bases >= low - ON_M).all(axis=1) & (bases <= high + ON_M).all(axis=1)
     shape = tuple(len(lines[axis]) for axis in surface.across)
-    tilts = np.arccos(np.clip(up(poses[fits, 3:])[:, 2], -1.0, 1.0))
+    tilts = maths.acos(np.clip(up(poses[fits, 3:])[:, 2], -1.0, 1.0))
     return Patch(bases.reshape(*shape, 3), hit.reshape(shape), fits.reshape(shape), float(tilts.min(initial=np.inf)))
 
 

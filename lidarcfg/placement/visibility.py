@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg import core
+from lidarcfg import core, maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar, cone_rows
 from lidarcfg.placement.grid import seen_words, unpack
@@ -68,7 +68,7 @@ class Visibility:
                 known = one.level if level is None else level[..., i, :, :]
                 if known is None:
                     raise ValueError("a LiDAR with a field of view needs to say where its x axis points")
-                first, last = (np.array([np.cos(angle), np.sin(angle)]) for angle in one.azimuth_fov)
+                first, last = (np.array([maths.cos(angle), maths.sin(angle)]) for angle in one.azimuth_fov)
                 first[abs(first) < EXACT] = last[abs(last) < EXACT] = 0.0
                 row[..., 2:5] = known @ (-first[1], -first[0])
                 row[..., 5:8] = known @ (last[1], last[0])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
@@ -121,7 +122,7 @@ def echoes(
     fade = np.empty((0, 0))
     if alpha:
         droplets = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
-        fade = np.exp(-2 * alpha * np.column_stack([hits.range_m, droplets[:, :1]]))
+        fade = maths.exp(-2 * alpha * np.column_stack([hits.range_m, droplets[:, :1]]))
     found = Echoes(
         range_m=np.empty((count, len(which))),
         noise_m=np.zeros((count, len(which))),
@@ -151,7 +152,7 @@ def _droplets(
     """
     assert sensor.range
     middle = sensor.range.min_m + (np.arange(CELLS) + 0.5) * PULSE_M
-    speckle = -np.log(uniforms(realism, sensor_index, CELL, CELLS * first, CELLS * count)).reshape(count, CELLS)
+    speckle = -maths.log(uniforms(realism, sensor_index, CELL, CELLS * first, CELLS * count)).reshape(count, CELLS)
     albedo = math.pi * PULSE_M * alpha / LIDAR_RATIO_SR * speckle
-    best = np.argmax(albedo * np.exp(-2 * alpha * middle) / middle**2, axis=1)
+    best = np.argmax(albedo * maths.exp(-2 * alpha * middle) / middle**2, axis=1)
     return middle[best], albedo[np.arange(count), best]

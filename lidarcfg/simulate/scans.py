@@ -9,6 +9,7 @@ from itertools import chain
 
 import numpy as np
 
+from lidarcfg import maths
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
@@ -171,12 +172,12 @@ def _places(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -
     """(N, 3) the ends of the beams in the sensor's frame."""
     azimuth_rad, elevation_rad = encoder_rad + sensor.azimuth_offset_rad[laser], sensor.elevation_rad[laser]
     forward_m, left_m = sensor.forward_offset_m[laser], sensor.lateral_offset_m[laser]
-    flat_m, c, s = range_m * np.cos(elevation_rad), np.cos(azimuth_rad), np.sin(azimuth_rad)
+    flat_m, c, s = range_m * maths.cos(elevation_rad), maths.cos(azimuth_rad), maths.sin(azimuth_rad)
     return np.stack(
         [
-            flat_m * c + left_m * s + forward_m * np.cos(encoder_rad),
-            -flat_m * s + left_m * c - forward_m * np.sin(encoder_rad),
-            range_m * np.sin(elevation_rad) + sensor.vertical_offset_m[laser],
+            flat_m * c + left_m * s + forward_m * maths.cos(encoder_rad),
+            -flat_m * s + left_m * c - forward_m * maths.sin(encoder_rad),
+            range_m * maths.sin(elevation_rad) + sensor.vertical_offset_m[laser],
         ],
         axis=1,
     )

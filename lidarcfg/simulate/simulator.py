@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
@@ -152,10 +153,10 @@ def _surfaces(tracer: Tracer, bodies: Tracer | None) -> Surfaces:
 
 def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
     return Lasers(
-        cos_elevation=np.cos(sensor.elevation_rad),
-        sin_elevation=np.sin(sensor.elevation_rad),
-        cos_offset=np.cos(sensor.azimuth_offset_rad),
-        sin_offset=np.sin(sensor.azimuth_offset_rad),
+        cos_elevation=maths.cos(sensor.elevation_rad),
+        sin_elevation=maths.sin(sensor.elevation_rad),
+        cos_offset=maths.cos(sensor.azimuth_offset_rad),
+        sin_offset=maths.sin(sensor.azimuth_offset_rad),
         forward_m=np.ascontiguousarray(sensor.forward_offset_m),
         left_m=np.ascontiguousarray(sensor.lateral_offset_m),
         up_m=np.ascontiguousarray(sensor.vertical_offset_m),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.config import COORDINATE_MAX_M, Vec3
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
@@ -65,7 +66,7 @@ def sphere_mesh(sphere: "Sphere", tolerance_m: float) -> Mesh:
     """Rings from pole to pole, within a tolerance of the sphere."""
     facets = _facets(sphere.radius_m, tolerance_m / 2)  # half along the rings, half across
     angle = np.linspace(0, math.pi, facets // 2 + 1)
-    profile = sphere.radius_m * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    profile = sphere.radius_m * np.stack([maths.sin(angle), -maths.cos(angle)], axis=1)
     profile[[0, -1], 0] = 0.0  # sin(pi) is not 0, and would leave a hole of 1e-16 m
     return lathe(profile, facets, sphere.center_m)
 
@@ -74,7 +75,7 @@ def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
     """The surface of revolution of a profile (N, 2) of radius and height about the vertical through `position_m`."""
     azimuth = np.arange(facets) * (2 * math.pi / facets)
     radius, height = profile[:, :1], profile[:, 1:]
-    rings = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), height + 0 * azimuth], axis=-1)
+    rings = np.stack([radius * maths.cos(azimuth), radius * maths.sin(azimuth), height + 0 * azimuth], axis=-1)
     index = np.arange(len(profile) * facets).reshape(len(profile), facets)
     a, b = index[:-1].ravel(), np.roll(index, -1, axis=1)[:-1].ravel()
     c, d = np.roll(index, -1, axis=1)[1:].ravel(), index[1:].ravel()
@@ -84,7 +85,7 @@ def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
 
 def _facets(radius_m: float, tolerance_m: float) -> int:
     """The number of sides of a polygon within a tolerance of its circle; even, 16 to 512."""
-    half = math.acos(max(1 - tolerance_m / radius_m, 0.0))
+    half = maths.acos(max(1 - tolerance_m / radius_m, 0.0))
     return min(max(2 * math.ceil(math.pi / half / 2), 16), 512)
 
 

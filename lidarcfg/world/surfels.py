@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.cloud import read_arrays
 from lidarcfg.cloud_las import read_xyz
 from lidarcfg.cloud_rows import read_rows
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from lidarcfg.world.scene import Surfels
 
 SIDES = 6
-CORNER = math.sqrt(2 * math.pi / (SIDES * math.sin(2 * math.pi / SIDES)))  # a corner's distance, in radii: equal areas
+CORNER = math.sqrt(2 * math.pi / (SIDES * maths.sin(2 * math.pi / SIDES)))  # a corner's distance, in radii: equal areas
 SUFFIXES = ".ply", ".pcd", ".npz", ".las", ".laz"
 POINTS_MAX = 1_000_000
 POINT_BYTES = 1500  # of memory a point while the tracer's tree is built
@@ -43,7 +44,7 @@ def discs(points: Array, normals: Array, radius: float) -> Mesh:
     first *= CORNER * radius / np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normals, first)
     angle = np.arange(SIDES) * (2 * math.pi / SIDES)
-    around = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
+    around = maths.cos(angle)[:, None] * first[:, None] + maths.sin(angle)[:, None] * second[:, None]
     fan = np.array([[0, k, k + 1] for k in range(1, SIDES - 1)])
     triangles = fan + SIDES * np.arange(len(points))[:, None, None]
     return (points[:, None] + around).reshape(-1, 3), triangles.reshape(-1, 3)

@@ -3,6 +3,7 @@
 #include "bind/arguments.h"
 #include "bind/modules.h"
 #include "bind/sight.h"
+#include "maths.h"
 #include "placement/return_counter.h"
 
 namespace lidarcfg::bind {
@@ -40,7 +41,7 @@ std::vector<Place> places_of(Rows<const double> places) {
   std::vector<Place> out;
   for (Index p = 0; p < places.rows(); ++p) {
     const View<const double> one = places[p];
-    out.push_back({{one[0], one[1], one[2]}, std::cos(one[3]), std::sin(one[3])});
+    out.push_back({{one[0], one[1], one[2]}, lidarcfg::cos(one[3]), lidarcfg::sin(one[3])});
   }
   return out;
 }

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <vector>
 
+#include "maths.h"
 #include "views.h"
 
 namespace lidarcfg::packets {
@@ -71,8 +72,9 @@ struct Rotation {
       sin = angle_rad * (1 - square * (1 - square / 20) / 6);
       cos = 1 - square * (1 - square * (1 - square / 30) / 12) / 2;
     } else {
-      sin = std::sin(angle_rad);
-      cos = std::cos(angle_rad);
+      const CosSin exact = cos_sin(angle_rad);
+      sin = exact.sin;
+      cos = exact.cos;
     }
   }
 };

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "maths.h"
 #include "packets/robosense.h"
 #include "packets/velodyne.h"
 #include "simd.h"
@@ -124,14 +125,15 @@ Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const b
     for (Index g = 0; g < groups_; ++g) {
       read<Maker>(packets[p], g * slots, distance, intensity);
       const double azimuth_rad = azimuth[g] * radians_per_hundredth;
+      const auto [cos_azimuth, sin_azimuth] = cos_sin(azimuth_rad);
       const Group group{
           .distance = distance,
           .intensity = intensity,
           .turned = rotations.of(g, turning.step()[g], &fraction_[g * slots]),
           .offset_ns = View<const std::int64_t>(offset_ns_).subspan(g * slots, slots),
           .azimuth_rad = azimuth_rad,
-          .cos_azimuth = std::cos(azimuth_rad),
-          .sin_azimuth = std::sin(azimuth_rad),
+          .cos_azimuth = cos_azimuth,
+          .sin_azimuth = sin_azimuth,
           .began_ns = stamp_ns[p] + turning.late_ns()[g],
           .kind = kind[p],
       };

@@ -5,6 +5,7 @@
 #include <numbers>
 #include <stdexcept>
 
+#include "maths.h"
 #include "packets/velodyne.h"
 
 namespace lidarcfg::packets {
@@ -63,11 +64,11 @@ BlockPoints::BlockPoints(const Slots& slots, const Lasers& lasers, double unit_m
     beams.laser_ring[i] = static_cast<int>(k) | lasers.ring[k] << 8;
     beams.kind[i] = slots.kind[slot];
     beams.other[i] = paired_ ? static_cast<int>(slots.other[slot]) : 0;
-    beams.cos_w[i] = std::cos(lasers.elevation[k]);
-    beams.sin_w[i] = std::sin(lasers.elevation[k]);
+    beams.cos_w[i] = lidarcfg::cos(lasers.elevation[k]);
+    beams.sin_w[i] = lidarcfg::sin(lasers.elevation[k]);
     beams.azimuth_offset[i] = lasers.azimuth_offset[k];
-    beams.cos_o[i] = std::cos(lasers.azimuth_offset[k]);
-    beams.sin_o[i] = std::sin(lasers.azimuth_offset[k]);
+    beams.cos_o[i] = lidarcfg::cos(lasers.azimuth_offset[k]);
+    beams.sin_o[i] = lidarcfg::sin(lasers.azimuth_offset[k]);
     beams.forward[i] = lasers.forward[k];
     beams.left[i] = lasers.left[k];
     beams.up[i] = lasers.up[k];

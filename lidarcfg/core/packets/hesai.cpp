@@ -6,6 +6,7 @@
 #include <numbers>
 #include <stdexcept>
 
+#include "maths.h"
 #include "packets/azimuth.h"
 
 namespace lidarcfg::packets::hesai {
@@ -124,8 +125,7 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
         loop = b % loops_;
       }
       const double azimuth_rad = word(layout_.azimuth(packets[p], b)) * radians_per_hundredth;
-      const double cos_a = std::cos(azimuth_rad);
-      const double sin_a = std::sin(azimuth_rad);
+      const auto [cos_a, sin_a] = cos_sin(azimuth_rad);
       for (Index k = 0; k < lasers; ++k) {  // with a return or without
         const double range_m = block.distance[k] * unit_m;
         const double flat_m = range_m * cos_w_[k];
@@ -148,7 +148,7 @@ Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
         out.return_type[row] = static_cast<std::uint8_t>(block.kind[k]);
         if (out.polar()) {
           constexpr double turn = 2 * std::numbers::pi;
-          const double angle = azimuth_rad + std::atan2(sin_o_[k], cos_o_[k]) - std::numbers::pi / 2;
+          const double angle = azimuth_rad + lidarcfg::atan2(sin_o_[k], cos_o_[k]) - std::numbers::pi / 2;
           out.range_m[row] = block.distance[k] * unit_m;
           out.azimuth_rad[row] = angle - turn * std::floor(angle / turn);
         }

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "maths.h"
+
 namespace lidarcfg::packets {
 namespace {
 
@@ -78,10 +80,10 @@ void write_near_returns(Rows<const double> range_m, Rows<const std::uint8_t> ref
         continue;
       }
       const double angle = azimuth(p, n / each) + lasers.azimuth_offset[k];
-      const NearBeam beam{std::cos(lasers.elevation[k]),
-                          std::sin(lasers.elevation[k]),
-                          std::cos(angle),
-                          std::sin(angle),
+      const NearBeam beam{lidarcfg::cos(lasers.elevation[k]),
+                          lidarcfg::sin(lasers.elevation[k]),
+                          lidarcfg::cos(angle),
+                          lidarcfg::sin(angle),
                           lasers.left[k],
                           offset_m,
                           lasers.near_offset(k, 0),

@@ -5,6 +5,7 @@
 #include <limits>
 #include <numbers>
 
+#include "maths.h"
 #include "world/shapes.h"
 
 namespace lidarcfg::placement {
@@ -63,7 +64,7 @@ void cross_bounds(const Bounds& bounds, const Lattice::Across& place, double low
   const Vec3& foot = bounds.foot;
   const double du = place.u - foot[1];
   const double dv = place.v - foot[2];
-  const Index bin = direction_bin(std::atan2(dv, du));
+  const Index bin = direction_bin(lidarcfg::atan2(dv, du));
   const Index edges = std::ssize(bounds.edges);
   for (const Index item : bounds.item.subspan(bounds.first[bin], bounds.first[bin + 1] - bounds.first[bin])) {
     if (item < edges) {

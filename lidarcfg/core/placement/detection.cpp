@@ -4,6 +4,7 @@
 #include <bit>
 #include <cmath>
 
+#include "maths.h"
 #include "simd.h"
 
 namespace lidarcfg::placement {
@@ -272,8 +273,7 @@ BoxCounts detected_boxes(Labels labels, const Vec3& low, const Vec3& edge, View<
     const double x = box[0] - low[0];
     const double y = box[1] - low[1];
     const double bottom = box[2] - low[2];
-    const double c = std::cos(box[3]);
-    const double s = std::sin(box[3]);
+    const auto [c, s] = cos_sin(box[3]);
     const double reach_x = (size[0] * std::abs(c) + size[1] * std::abs(s)) / 2;
     const double reach_y = (size[0] * std::abs(s) + size[1] * std::abs(c)) / 2;
     const double along = (edge[0] * std::abs(c) + edge[1] * std::abs(s)) / 2;

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "maths.h"
+
 namespace lidarcfg::placement {
 namespace {
 
@@ -33,9 +35,9 @@ void trace_outline(Rows<const double> points, Rows<const std::int64_t> triangles
     for (Index corner = 0; corner < 3; ++corner) {
       const Point p = point(triangles(t, corner));
       const Point q = point(triangles(t, (corner + 1) % 3));
-      const double first = std::atan2(p.y, p.x);
+      const double first = lidarcfg::atan2(p.y, p.x);
       // From one end to the other, less than half around.
-      const double turn = std::atan2(p.x * q.y - p.y * q.x, p.x * q.x + p.y * q.y);
+      const double turn = lidarcfg::atan2(p.x * q.y - p.y * q.x, p.x * q.x + p.y * q.y);
       const double low = std::min(first, first + turn);
       const double high = std::max(first, first + turn);
       if (!std::isfinite(low) || !std::isfinite(high)) {
@@ -45,7 +47,7 @@ void trace_outline(Rows<const double> points, Rows<const std::int64_t> triangles
       for (auto k = static_cast<Index>(std::ceil(low / step - slack)); k <= last; ++k) {
         const double angle = static_cast<double>(k) * step;
         double& farthest = out[(k % count + count) % count];
-        farthest = std::max(farthest, crossing(p, q, std::cos(angle), std::sin(angle)));
+        farthest = std::max(farthest, crossing(p, q, lidarcfg::cos(angle), lidarcfg::sin(angle)));
       }
     }
   }

@@ -5,6 +5,7 @@
 #include <limits>
 #include <numbers>
 
+#include "maths.h"
 #include "simd.h"
 
 namespace lidarcfg::placement {
@@ -48,13 +49,13 @@ Scanner::Scanner(const ScannerColumns& columns)
     one.gating_rad = columns.gating_rad[f];
     one.offset_rad = columns.offset_rad[f];
     one.steep = std::abs(elevation) > steep_rad;
-    one.rise = std::tan(std::clamp(elevation, -1.5707963, 1.5707963));
-    one.cos_lag = std::cos(one.lag_rad);
-    one.sin_lag = std::sin(one.lag_rad);
-    one.cos_offset = std::cos(one.offset_rad);
-    one.sin_offset = std::sin(one.offset_rad);
-    one.cos_elevation = std::cos(elevation);
-    one.sin_elevation = std::sin(elevation);
+    one.rise = lidarcfg::tan(std::clamp(elevation, -1.5707963, 1.5707963));
+    one.cos_lag = lidarcfg::cos(one.lag_rad);
+    one.sin_lag = lidarcfg::sin(one.lag_rad);
+    one.cos_offset = lidarcfg::cos(one.offset_rad);
+    one.sin_offset = lidarcfg::sin(one.offset_rad);
+    one.cos_elevation = lidarcfg::cos(elevation);
+    one.sin_elevation = lidarcfg::sin(elevation);
     one.forward_m = columns.start_m(f, 0);
     one.left_m = columns.start_m(f, 1);
     one.up_m = columns.start_m(f, 2);
@@ -213,7 +214,7 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
   const double length = std::sqrt(middle[0] * middle[0] + middle[1] * middle[1]);
   to_x_ = length > 0 ? middle[0] / length : 1;
   to_y_ = length > 0 ? middle[1] / length : 0;
-  centre_rad_ = -std::atan2(to_y_, to_x_);
+  centre_rad_ = -lidarcfg::atan2(to_y_, to_x_);
   heads_.clear();
   box_ = window(box);
   if (box_.near_m > scanner.most_m() * (1 + wider) + wider) {
@@ -301,9 +302,9 @@ AimedBeams::Window AimedBeams::window(const Hull& hull) const {
   if (!(near_m > beside_m + ahead_m)) {
     return {0.0, turn, 0.0, inf, low_m, high_m};
   }
-  const double more = std::asin(beside_m / near_m) + wider;
-  return {centre_rad_ - std::atan(simd::highest(left)) - more,
-          centre_rad_ - std::atan(-simd::highest(-right)) + more,
+  const double more = lidarcfg::asin(beside_m / near_m) + wider;
+  return {centre_rad_ - lidarcfg::atan(simd::highest(left)) - more,
+          centre_rad_ - lidarcfg::atan(-simd::highest(-right)) + more,
           near_m - beside_m,
           std::sqrt(simd::highest(far)) + beside_m,
           low_m,

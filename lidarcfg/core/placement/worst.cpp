@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "maths.h"
 #include "placement/seen.h"
 
 namespace lidarcfg::placement {
@@ -93,9 +94,9 @@ double WorstList::norm(double smoothing) const {
   }
   double total = 0.0;
   for (const double value : values_) {
-    total += std::pow(std::max(value, 0.0) / greatest, 1.0 / smoothing);
+    total += exp(log(std::max(value, 0.0) / greatest) / smoothing);
   }
-  return greatest * std::pow(total, smoothing);
+  return greatest * exp(smoothing * log(total));
 }
 
 bool WorstList::reaches(double bound, double smoothing) const {

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <utility>
 
+#include "maths.h"
+
 namespace lidarcfg::world {
 
 Matrix3 product(const Matrix3& m, const Matrix3& n) {
@@ -22,7 +24,8 @@ Path Path::arc(double speed_m_s, double yaw_rate_rad_s, double heading_rad) {
   Path out;
   out.kind_ = Kind::arc;
   out.arc_ = {speed_m_s, yaw_rate_rad_s};
-  out.heading_ = {std::cos(heading_rad), std::sin(heading_rad)};
+  const auto [cosine, sine] = cos_sin(heading_rad);
+  out.heading_ = {cosine, sine};
   return out;
 }
 
@@ -49,8 +52,7 @@ Pose Path::at(double seconds) const {
 Pose Path::along_arc(double seconds) const {
   const auto [speed_m_s, rate_rad_s] = arc_;
   const double half = seconds * rate_rad_s / 2;
-  const double c = std::cos(half);
-  const double s = std::sin(half);
+  const auto [c, s] = cos_sin(half);
   const double chord_m = speed_m_s * seconds * (half != 0 ? s / half : 1.0);
   const auto [cos_0, sin_0] = heading_;
   const double yawed = 1 - 2 * s * s;
@@ -77,8 +79,8 @@ Pose Path::between(double seconds) const {
   const double y = part * one.rotation_vector_rad[1];
   const double z = part * one.rotation_vector_rad[2];
   const double angle = std::sqrt(x * x + y * y + z * z);
-  const double a = angle > 0 ? std::sin(angle) / angle : 1.0;
-  const double chord = angle > 0 ? std::sin(angle / 2) / angle : 0.5;
+  const double a = angle > 0 ? lidarcfg::sin(angle) / angle : 1.0;
+  const double chord = angle > 0 ? lidarcfg::sin(angle / 2) / angle : 0.5;
   const double b = 2 * (chord * chord);
   const Matrix3 turn{1 - b * (y * y + z * z), b * x * y - a * z,       b * x * z + a * y,
                      b * x * y + a * z,       1 - b * (x * x + z * z), b * y * z - a * x,

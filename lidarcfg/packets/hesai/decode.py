@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
@@ -178,10 +179,10 @@ def _other(name: str, key: str, right: int, said: int) -> str:
 def _decoder(unit: Unit) -> core.HesaiDecoder:
     sensor = unit.sensor
     lasers = Lasers(
-        cos_elevation=np.cos(sensor.elevation_rad),
-        sin_elevation=np.sin(sensor.elevation_rad),
-        cos_offset=np.cos(sensor.azimuth_offset_rad),
-        sin_offset=np.sin(sensor.azimuth_offset_rad),
+        cos_elevation=maths.cos(sensor.elevation_rad),
+        sin_elevation=maths.sin(sensor.elevation_rad),
+        cos_offset=maths.cos(sensor.azimuth_offset_rad),
+        sin_offset=maths.sin(sensor.azimuth_offset_rad),
         ring=sensor.ring.astype(np.uint8),
         offset_ns=unit.offset_ns,
         group_ns=unit.group_ns(dual=False),

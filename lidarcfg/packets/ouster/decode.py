@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import maths
 from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
@@ -194,17 +195,17 @@ def _profile(layout: Layout) -> Profile:
 def _beams(metadata: Metadata) -> Beams:
     """All pixels of a column: in the sensor's frame, if the lidar stands upright in it, or else in the lidar's."""
     T = metadata.T_sensor_lidar if _upright(metadata.T_sensor_lidar) else np.eye(4)
-    flat = np.cos(metadata.elevation_rad)
+    flat = maths.cos(metadata.elevation_rad)
     ahead_m, up_m = metadata.start_m
     count = metadata.layout.columns_per_frame
     angle = 2 * math.pi * (1 - np.arange(count) / count)
-    heading = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ T[:2, :2].T
+    heading = np.stack([maths.cos(angle), maths.sin(angle)], axis=1) @ T[:2, :2].T
     return_types = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()
     return Beams(
-        ahead=flat * np.cos(metadata.azimuth_rad),
-        right=flat * np.sin(metadata.azimuth_rad),
-        up=np.sin(metadata.elevation_rad),
+        ahead=flat * maths.cos(metadata.azimuth_rad),
+        right=flat * maths.sin(metadata.azimuth_rad),
+        up=maths.sin(metadata.elevation_rad),
         heading=heading,
         ahead_m=ahead_m,
         origin_m=math.hypot(ahead_m, up_m),

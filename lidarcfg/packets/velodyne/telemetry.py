@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from lidarcfg import maths
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import (
@@ -297,7 +298,7 @@ def _fixes(trajectory: "Trajectory", origin: "GeoOrigin", at_ns: Times, known_ns
     velocity_m_s = trajectory.velocity_m_s(known_ns)
     speed_m_s = np.hypot(*velocity_m_s[:, :2].T)
     along = np.where(speed_m_s[:, None] >= SLOWEST_M_S, velocity_m_s, ahead_m)
-    course_rad = np.arctan2(along[:, 1], along[:, 0])
+    course_rad = maths.atan2(along[:, 1], along[:, 0])
     rows = np.column_stack([geographic(origin, place_m), course_rad, speed_m_s]).tolist()
     return [gprmc(one_ns, (row[0], row[1]), row[2], row[3]) for one_ns, row in zip(at_ns.tolist(), rows, strict=True)]
 
