@@ -3,16 +3,18 @@
 Unknown keys, missing keys, values of a wrong type and values outside their limits are errors.
 """
 
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, SerializationInfo, ValidationError
 from pydantic_core import PydanticCustomError
 
 from lidarcfg.errors import ConfigError, LidarcfgError
+from lidarcfg.files import example
 from lidarcfg.kinds import OTHERS, kind_of
 from lidarcfg.yaml_document import Document, Key, document, read_text
 
@@ -28,6 +30,15 @@ Angle = Annotated[float, Field(ge=-ANGLE_MAX, le=ANGLE_MAX)]
 Angles = tuple[Angle, Angle, Angle]
 
 
+def _path_from(name: str, info: SerializationInfo) -> str:
+    """The absolute path of a file that a file in the context's folder names; without a folder, the name as it is."""
+    folder: Path | None = info.context
+    return name if folder is None else os.path.realpath(example(folder / name))
+
+
+FileName = Annotated[str, Field(min_length=1), PlainSerializer(_path_from)]  # of a file; see whole_values
+
+
 class Model(BaseModel):
     """A part of a file: frozen, only known keys, exact types, finite numbers."""
 
@@ -37,6 +48,17 @@ class Model(BaseModel):
 
 
 M = TypeVar("M", bound=Model)
+
+
+def whole_values(model: Model, folder: Path) -> dict[str, Any]:
+    """The values of a model that was read in a folder, for a file anywhere: with defaults, and with absolute paths."""
+    return model.model_dump(mode="json", exclude_none=True, context=folder)
+
+
+def with_defaults(values: dict[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """A model's values before they are checked, with defaults for keys that are missing or null."""
+    return values | {key: default for key, default in defaults.items() if values.get(key) is None}
+
 
 SENTENCES = {  # by pydantic's error type, with the limits of its context
     "missing": "missing",

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-import yaml
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from lidarcfg.config import (
@@ -32,6 +31,7 @@ from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
 from lidarcfg.realism import Realism, RealismOrName, resolved
 from lidarcfg.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
+from lidarcfg.yaml_document import yaml_text
 
 Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
 SENSORS_MAX = 1000
@@ -342,4 +342,4 @@ def save_rig(rig: Rig, path: str | Path) -> None:
 
 def rig_text(rig: Rig, base: Path | None = None) -> str:
     """The rig as YAML; paths are relative to the folder `base`, or absolute without it."""
-    return str(yaml.safe_dump(rig_to_dict(rig, base), sort_keys=False, default_flow_style=None, width=110))
+    return yaml_text(rig_to_dict(rig, base))

@@ -8,6 +8,7 @@ from jinja2 import Environment, StrictUndefined
 
 from lidarcfg.errors import ConfigError, SceneError
 from lidarcfg.files import replacing, shipped, together
+from lidarcfg.yaml_document import inline
 
 KINDS = ("study", "rig", "scene", "sensor")
 CAR = (-2.4, -0.95, 0.0), (2.4, 0.95, 1.5)  # the bounds of a vehicle of which no mesh is known
@@ -34,7 +35,7 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
         (shipped("data") / "templates" / f"{kind}.yaml.j2").read_text("utf-8")
     )
     name = None if body is None else copied.name if copied else os.path.relpath(body, path.parent)
-    text = template.render(file=path, body=name, scale=scale, unit=unit, **_study(low, high))
+    text = template.render(file=path, body=name and inline(name), scale=scale, unit=unit, **_study(low, high))
     for file in (path, copied):
         if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
             raise ConfigError(f"{file}: exists already; name another file, or remove it")

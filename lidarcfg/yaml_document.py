@@ -1,7 +1,8 @@
-"""A YAML file as plain values, each with its line and column: strict, and of a limited size.
+"""A YAML file as plain values, each with its line and column: strict, and of a limited size; and values as its text.
 
 YAML 1.2 core schema (so `1e-05` is a number and `on` is a text), read with PyYAML's composer, which keeps line
-numbers. Errors: repeated keys, NaN, infinities, and tags outside the core schema.
+numbers. Errors: repeated keys, NaN, infinities, and tags outside the core schema. PyYAML itself reads and writes YAML
+1.1, so what is written here is quoted wherever one of the two would read something else than a text.
 """
 
 import math
@@ -43,8 +44,24 @@ _PLAIN = {
         list("-+0123456789."),
     ),
 }
+BREAKS = re.compile("[\x85\u2028\u2029]")  # of lines, in YAML 1.1 only
+
+
+class _Dumper(yaml.SafeDumper):
+    """Texts that PyYAML reads as YAML 1.1 and we by the core schema; what occurs twice is written twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+    def represent_text(self, text: str) -> yaml.ScalarNode:
+        """Other breaks than a newline are escaped, so they need quotes that allow it."""
+        return self.represent_scalar(_TAG + "str", text, '"' if BREAKS.search(text) else None)
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
 for _kind, (_pattern, _first) in _PLAIN.items():
-    _Resolver.add_implicit_resolver(_TAG + _kind, re.compile(rf"^(?:{_pattern})$"), _first)
+    for _schema in (_Resolver, _Dumper):
+        _schema.add_implicit_resolver(_TAG + _kind, re.compile(rf"^(?:{_pattern})$"), _first)
 
 
 class _Loader(Reader, Scanner, Parser, Composer, _Resolver):
@@ -225,6 +242,22 @@ def _with(values: Any, key: Key, value: Any) -> Any:
 def document(path: str | Path) -> Document:
     """The YAML file at `path`. Raises ConfigError."""
     return Document(read_text(path), str(path))
+
+
+def yaml_text(values: Any, blocks: bool = False) -> str:
+    """The text of a file with these values, which are read back equal.
+
+    Maps and lists that hold no others are in one line; with `blocks` every key and item has a line of its own.
+    """
+    flow = False if blocks else None
+    return yaml.dump(values, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=flow, width=110)
+
+
+def inline(text: str) -> str:
+    """A text as it stands in a map or a list of one line: quoted if it must be."""
+    if yaml_text([text]) == f"[{text}]\n":
+        return text
+    return yaml.dump(text, Dumper=_Dumper, default_style='"', allow_unicode=True, width=math.inf).rstrip("\n")
 
 
 def read_text(path: str | Path) -> str:

@@ -37,7 +37,7 @@ def compiled():
     return {f"{loop.__module__}.{loop.__name__}": len(loop.signatures) for loop in loops if loop.signatures}
 
 look._cache = NullCache()  # so that it asks for its parts
-rehearsals.subspaces()
+rehearsals.lines()
 rehearsals.lines()
 rehearsals.search()
 rehearsals.evaluation()
@@ -88,9 +88,9 @@ def test_a_helper_starts_when_a_loop_is_missing(monkeypatch):
     started = []
     monkeypatch.setattr(helpers, "_start", lambda *what: started.append(what))
     monkeypatch.setattr(LoopCache, "on_missing", None)
-    for processors, expected in ((1, []), (2, [(("subspaces", "evaluation"), ("lines", "search"))])):
+    for processors, expected in ((1, []), (2, [(("evaluation",), ("lines", "search"))])):
         monkeypatch.setattr(helpers, "_processors", lambda processors=processors: processors)
-        helpers.prepare("subspaces", "evaluation", meanwhile=("lines", "search"))
+        helpers.prepare("evaluation", meanwhile=("lines", "search"))
         assert started == []
         if LoopCache.on_missing:
             LoopCache.on_missing()

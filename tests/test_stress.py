@@ -16,10 +16,10 @@ from lidarcfg.cloud import concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
-from lidarcfg.placement import rows
 from lidarcfg.placement.cones import Lidar, gaps_at
 from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import costs, optimize
 from lidarcfg.placement.region import Region
@@ -33,7 +33,7 @@ from tests import oracle
 from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, scene
 from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays
 from tests.placement.solvers.test_solvers import SOLVERS
-from tests.placement.test_rows import check
+from tests.placement.test_grid import check
 
 ROOT = Path(__file__).parents[1]
 FAN = tuple(np.arange(-15.0, 16.0, 2.0))
@@ -56,7 +56,7 @@ def test_labels_of_random_rigs():
         region = Region(low, low + (12, 10, 8) * edge, np.ones((12, 10, 8), bool))
         position = low + rng.uniform(-0.5, 1.5, 3) * (12, 10, 8) * edge
         known, exact = oracle.sensor(position, oracle.angles(rng), oracle.FANS[rng.integers(3)])
-        tally.add(exact, oracle.points_of(region), rows.beam_gaps(region, known).ravel())
+        tally.add(exact, oracle.points_of(region), beam_gaps(region, known).ravel())
     assert tally.wrong_outside == 0
 
 
@@ -66,7 +66,7 @@ def test_labels_within_1e_15_of_a_cone():
     for _ in range(60):
         known, exact, points, along = oracle.along_a_cone(rng)
         line = oracle.Line(points, along)
-        digit = rows.beam_gaps(line, known).ravel()
+        digit = beam_gaps(line, known).ravel()
         assert np.array_equal(digit, gaps_at(points, known))
         labels_of(line, [known])
         tally.add(exact, points, digit)
@@ -95,7 +95,7 @@ def test_ties_belong_above(far):
     region = Region(np.full(3, far), np.full(3, far + 5.0), np.ones((5, 5, 5), bool))
     for sign in (1.0, -1.0):
         known = Lidar(np.full(3, far + 2.5), np.array([0, 0, sign]), np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
-        digit = rows.beam_gaps(region, known)
+        digit = beam_gaps(region, known)
         labels_of(region, [known])
         assert digit[2, 2, 2] == 5  # the apex
         assert digit[0, 1, 2] == digit[4, 4, 2] == 3  # level
@@ -116,7 +116,7 @@ def test_odd_poses(place):
         rpy = np.roll([angle, rng.choice(oracle.ANGLES), 0.3], rng.integers(3))
         known, exact = oracle.sensor(oracle.PLACES[place], rpy, oracle.FANS[1])
         assert np.linalg.norm(known.axis) == pytest.approx(1, abs=4e-16)
-        tally.add(exact, points, rows.beam_gaps(region, known).ravel())
+        tally.add(exact, points, beam_gaps(region, known).ravel())
         other, _ = oracle.sensor((1.3, 2.7, 1.1), rpy[::-1], FAN)
         label = labels_of(region, [known, other])
         vsr = vsr_m(segment(region, [known, other]))
@@ -129,7 +129,7 @@ def test_odd_poses(place):
 def test_so_near_that_squares_vanish_is_the_apex(beside):
     region = Region(np.full(3, -2.5), np.full(3, 2.5), np.ones((5, 5, 5), bool))
     known, _ = oracle.sensor((beside, -beside, beside), (0.1, 0.2, 0.3), FAN)
-    assert rows.beam_gaps(region, known)[2, 2, 2] == 16
+    assert beam_gaps(region, known)[2, 2, 2] == 16
     labels_of(region, [known])
 
 
@@ -139,7 +139,7 @@ def test_a_turn_is_no_turn(angle):
     region = Region.from_boxes((0, 0, 0), (6, 4, 2), (1, 0.5, 0.25))
     still, turned = (oracle.sensor((1.3, 2.7, 1.1), rpy, FAN)[0] for rpy in ((0.2, 0.1, 0), (0.2 + angle, 0.1, angle)))
     assert np.abs(still.axis - turned.axis).max() < 3e-15
-    assert np.array_equal(rows.beam_gaps(region, still), rows.beam_gaps(region, turned))
+    assert np.array_equal(beam_gaps(region, still), beam_gaps(region, turned))
 
 
 # Scale and place
@@ -186,7 +186,7 @@ def test_moved_and_scaled_with_rounding(scale, by):
         known, exact = oracle.sensor(rng.uniform((1, 1, 0.5), (7, 5, 2.5)), oracle.angles(rng), FAN)
         region = boxes()
         far, (other,) = moved(region, [known], scale, by)
-        before, after = rows.beam_gaps(region, known).ravel(), rows.beam_gaps(far, other).ravel()
+        before, after = beam_gaps(region, known).ravel(), beam_gaps(far, other).ravel()
         labels_of(far, [other])
         points = oracle.points_of(region)
         ulp = max(np.spacing(np.abs(far.min_m).max()), np.spacing(np.abs(far.max_m).max())) / scale
@@ -236,7 +236,7 @@ def test_a_thousand_beams():
     for fan in (np.arange(-500, 500) * 1e-9 + 3.0, np.linspace(-90, 90, 1000)):
         known, exact = oracle.sensor((4, 3, 1), (0.1, -0.2, 0), fan)
         tally = oracle.Tally()
-        tally.add(exact, oracle.points_of(region), rows.beam_gaps(region, known).ravel())
+        tally.add(exact, oracle.points_of(region), beam_gaps(region, known).ravel())
         assert tally.wrong_outside == 0
         labels_of(region, [known, some_rig(np.random.default_rng(1), 1)[0]])
 
@@ -256,7 +256,7 @@ def test_cuboids_a_thousand_times_longer_than_wide(edges):
         known, exact = oracle.sensor(rng.uniform(0, 8, 3) * edges, oracle.angles(rng), FAN)
         labels_of(region, [known])
         tally = oracle.Tally()
-        tally.add(exact, oracle.points_of(region), rows.beam_gaps(region, known).ravel())
+        tally.add(exact, oracle.points_of(region), beam_gaps(region, known).ravel())
         assert tally.wrong_outside == 0
 
 
@@ -336,7 +336,7 @@ def test_what_is_no_cost_is_an_error(name, wrong):
 @pytest.mark.parametrize("objective", ["max_vsr: 1, inscribed_radius: 1", "inscribed_radius: 2"])
 def test_nan_from_an_objective_is_no_result(tmp_path, objective):
     class Broken(Criterion):
-        def of(self, subspaces, to_beat=math.inf):
+        def of(self, subspaces, upper_bound=math.inf):
             return math.nan
 
     path = tmp_path / "s.yaml"

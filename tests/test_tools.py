@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.detection import detection
-from lidarcfg.placement.rows import beam_gaps
+from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
 from tests.capture_fixtures import scene

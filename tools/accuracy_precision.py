@@ -14,8 +14,8 @@ from page import ROOT, table
 
 from lidarcfg.geometry import Array, directions
 from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.rows import beam_gaps
 from lidarcfg.placement.study import load_study
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.sensor import load_sensor
@@ -33,7 +33,7 @@ AWAY_M = (0.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 
 @njit(cache=True, nogil=True)
 def digits(x: Array, y: Array, z: Array, position: Array, axis: Array, limit: Array, out: NDArray[np.uint8]) -> None:
-    """The comparison of placement/rows.py, cuboid by cuboid, in the precision of its arguments."""
+    """The comparison of core/placement/linker.cpp, cuboid by cuboid, in the precision of its arguments."""
     for i in range(len(x)):
         for j in range(len(y)):
             for k in range(len(z)):

@@ -19,11 +19,11 @@ sys.path.insert(0, str(ROOT))
 from lidarcfg.geometry import directions
 from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement.returns import PHASES, Target, placed, returns, scanner, scans
-from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.returns import PHASES, Target, compiled, placed, returns, scanner
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.rig import Mount
 from lidarcfg.world.meshes import read_mesh
-from lidarcfg.world.numba_trees import tree
+from lidarcfg.world.tracer import bvh
 from tests.returns_cases import at_place, lidars, mount, revolution, scene_with, simulated, tracer_of
 
 OBJECTS = "pedestrian", "child", "cyclist", "car", "tyre"
@@ -51,8 +51,8 @@ def towards(one: Mount, fired: Firings, centre_m: np.ndarray, radius_m: float) -
 def main(count: int) -> None:
     """Print a table's rows: places, returns, and how many counts differ."""
     rng, body = np.random.default_rng(11), read_mesh(ROOT / "data/vehicles/sedan.ply")
-    around = Obstacles(tree(scene_with([body]), np.array([True]), np.zeros(3)), np.empty((6, 0)), np.zeros(3), np.inf)
-    sensors, at = scans([scanner(one, pattern) for one in MOUNTS]), placed(lidars(MOUNTS))
+    around = Obstacles.of(bvh(scene_with([body]), np.array([True]), np.zeros(3)), np.zeros(3))
+    sensors, at = compiled([scanner(one, pattern) for one in MOUNTS]), placed(lidars(MOUNTS))
     revolutions = [[revolution(one, phase, PHASES) for phase in range(PHASES)] for one in MOUNTS]
     print("| object | places | returns simulated | counts | that differ | seconds |\n|---|---|---|---|---|---|")
     for name in OBJECTS:

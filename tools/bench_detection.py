@@ -18,17 +18,18 @@ from page import ROOT
 
 sys.path.insert(0, str(ROOT))
 
+from lidarcfg import core
 from lidarcfg.geometry import directions
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement import returns_kernels as kernels
-from lidarcfg.placement.returns import Target, placed, returns, scanner, scans
-from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.returns import Poses, Target, compiled, placed, returns, scanner
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.world.meshes import Mesh, read_mesh
-from lidarcfg.world.numba_trees import tree
+from lidarcfg.world.tracer import bvh
 from tests.returns_cases import lidars, mount, scene_with
 
 OBJECTS = "pedestrian", "child", "cyclist", "car", "tyre"
 MOUNTS = tuple(mount("vlp-16", (0.3 * x, 0.5 * y, 1.8), (5 * y, 4 * x, 60 * y)) for x in (-1, 1) for y in (-1, 1))
+Scanners = tuple[core.returns.Scanner, ...]
 RUNS, PEER_PLACES, ENOUGH = 5, 20, 5
 
 
@@ -53,7 +54,7 @@ def raycasting(mesh: Mesh) -> o3d.t.geometry.RaycastingScene:
 def rays(places: np.ndarray, target: Target) -> list[np.ndarray]:
     """(N, 6) for each place the rays of all phases and sensors at its bounding box, in the object's frame."""
     out = []
-    low, high = target.shape.low_m, target.shape.high_m
+    low, high = target.box_m
     for x, y, z, heading in places:
         c, s = np.cos(heading), np.sin(heading)
         R, parts = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]), []
@@ -73,11 +74,17 @@ def rays(places: np.ndarray, target: Target) -> list[np.ndarray]:
     return out
 
 
+def missed(places: np.ndarray, target: Target, scanners: Scanners, at: Poses, obstacles: Obstacles) -> float:
+    """In how many places the object is missed, for a search that knows nothing yet."""
+    counter = core.returns.ReturnCounter(scanners, target.shape, places, np.array([len(places)]), obstacles, ENOUGH)
+    return counter.missed(np.arange(len(scanners)), *at, 0, np.inf)
+
+
 def main() -> None:
     """Print the table."""
     body = read_mesh(ROOT / "data/vehicles/sedan.ply")
-    around = Obstacles(tree(scene_with([body]), np.array([True]), np.zeros(3)), np.empty((6, 0)), np.zeros(3), np.inf)
-    sensors, at = scans([scanner(one, pattern) for one in MOUNTS]), placed(lidars(MOUNTS))
+    around = Obstacles.of(bvh(scene_with([body]), np.array([True]), np.zeros(3)), np.zeros(3))
+    sensors, at = compiled([scanner(one, pattern) for one in MOUNTS]), placed(lidars(MOUNTS))
     x, y = np.meshgrid(np.arange(50) - 24.5, np.arange(40) - 19.5, indexing="ij")
     free = (abs(x) > 5) | (abs(y) > 3)
     places = np.stack([x[free], y[free], 0 * x[free], 0 * x[free]], axis=1)
@@ -89,9 +96,7 @@ def main() -> None:
         target = Target(read_mesh(ROOT / f"data/objects/{name}.ply"))
         mine = seconds(lambda target=target: returns(places, target, sensors, at, around, 2))
         found = returns(places, target, sensors, at, around, 2).mean.mean()
-        search = seconds(
-            lambda target=target: kernels.undetected(places, sensors, at, target.shape, around, ENOUGH, np.inf)
-        )
+        search = seconds(lambda target=target: missed(places, target, sensors, at, around))
         alone = seconds(lambda target=target: returns(few, target, sensors, at, around, 2))
         some, scene = [o3d.core.Tensor(one) for one in rays(few, target)], raycasting(target.mesh)
 

@@ -24,8 +24,10 @@ import cc3d
 import numpy as np
 from page import ROOT, machine
 
-from lidarcfg.placement import flood, rows, worst_subspaces
+from lidarcfg.core import placement as core
+from lidarcfg.placement import worst_subspaces
 from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
@@ -104,21 +106,16 @@ def rigs(study: Study) -> list[tuple[str, list[Lidar]]]:
     return [(name, list(study.lidars(p))) for name, p in named]
 
 
-def scratch_for(grid: rows.Grid, study: Study) -> tuple[rows.Work, flood.Floods]:
-    """Room for the study's LiDARs."""
-    return worst_subspaces.scratch_for(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
-
-
 def evaluations(study: Study) -> None:
     """One evaluation, in full, on one thread."""
     print("\n| one evaluation, 48,000 cuboids, 4 × 16 beams, one thread | median (ms) | spread | |\n|---|---|---|---|")
     seconds: dict[tuple[str, str], list[float]] = {}
-    grid = rows.Grid.of(study.region)
-    scratch = scratch_for(grid, study)
+    grid = grid_of(study.region)
+    workspace = core.WorstSubspaces(grid)
     for name, lidars in rigs(study):
         assert abs(worst_subspaces.max_vsr(grid, lidars) - pipeline(study.region, lidars)) < 1e-12
         for label, function in (
-            ("lidarcfg", partial(worst_subspaces.max_vsr, grid, lidars, scratch)),
+            ("lidarcfg", partial(worst_subspaces.max_vsr, grid, lidars, workspace)),
             ("numpy + cc3d + bincount", partial(pipeline, study.region, lidars)),
         ):
             seconds.setdefault((label, name), []).extend(timed(function, 25))
@@ -131,19 +128,21 @@ def evaluations(study: Study) -> None:
 FINE_GRID = """
 import json, resource, statistics, sys, time
 import numpy as np
-from lidarcfg.placement import rows, worst_subspaces
+from lidarcfg.core import placement as core
+from lidarcfg.placement import worst_subspaces
 from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.region import Region
 part, poses, sines = json.loads(sys.argv[1])
 region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
-grid, sines = rows.Grid.of(region), np.array(sines)
-scratch = worst_subspaces.scratch_for(grid, len(poses[0]), sines.size)
+grid, sines = grid_of(region), np.array(sines)
+workspace = core.WorstSubspaces(grid)
 seconds = []
 for number, rig in enumerate([poses[0], *poses]):
     lidars = [lidar(row[:3], row[3:], sines) for row in rig]
     for _ in range(3):
         started = time.perf_counter()
-        worst_subspaces.max_vsr(grid, lidars, scratch)
+        worst_subspaces.max_vsr(grid, lidars, workspace)
         seconds += [time.perf_counter() - started] * (number > 0)
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps([region.included.size, statistics.median(seconds), max(seconds), memory]))
@@ -169,20 +168,23 @@ SEDAN_WITH_BODY = """
 import json, statistics, sys, time
 from dataclasses import replace
 import numpy as np
-from lidarcfg.placement import rows, worst_subspaces
+from lidarcfg.core import placement as core
+from lidarcfg.placement import worst_subspaces
+from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.sight import UNLIMITED_SIGHT
 from lidarcfg.placement.study import load_study, with_solver
 study, cycles = load_study(sys.argv[1]), int(sys.argv[2])
-grid, rng = rows.Grid.of(study.region), np.random.default_rng(1)
-scratch = worst_subspaces.scratch_for(grid, len(study.slots), study.slots[0].sensor.sin_elevation.size)
+grid, rng = grid_of(study.region), np.random.default_rng(1)
+workspace = core.WorstSubspaces(grid)
 seconds = [], []
 for poses in study.poses(rng.random((10, int(study.free.sum())))):
     lidars = study.lidars(poses)
-    for of, sight in zip(seconds, (study.visibility.sight(lidars), rows.EVERYTHING), strict=True):
-        worst_subspaces.max_vsr(grid, lidars, scratch, sight)
+    for of, sight in zip(seconds, (study.visibility.sight(lidars), UNLIMITED_SIGHT), strict=True):
+        worst_subspaces.max_vsr(grid, lidars, workspace, sight)
         for _ in range(5):
             started = time.perf_counter()
-            worst_subspaces.max_vsr(grid, lidars, scratch, sight)
+            worst_subspaces.max_vsr(grid, lidars, workspace, sight)
             of.append(time.perf_counter() - started)
 runs = []
 for one in (study, replace(study, visibility=None, vehicle=None)) if cycles else ():

@@ -23,11 +23,11 @@ def main() -> None:
     """A map for each object of docs/examples/returns.yaml."""
     study = lidarcfg.load_study(ROOT / "docs/examples/returns.yaml")
     found = evaluate(study, lidarcfg.load_rig(ROOT / "data/rigs/roof.yaml"))
-    figure, grid = plt.subplots(1, len(study.sought), figsize=(11, 3.4), sharey=True, layout="constrained")
+    figure, grid = plt.subplots(1, len(study.detection_targets), figsize=(11, 3.4), sharey=True, layout="constrained")
     outline = study.vehicle.scene.mesh()[0] if study.vehicle else np.zeros((1, 3))
-    for axes, (name, seen) in zip(grid, found.sightings.items(), strict=True):
-        low, step = seen.sought.low_m, seen.sought.step_m
-        high = low + step * np.array(seen.sought.grid)
+    for axes, (name, seen) in zip(grid, found.return_counts.items(), strict=True):
+        low, step = seen.target.low_m, seen.target.step_m
+        high = low + step * np.array(seen.target.grid)
         headings = seen.from_above(np.ones(len(seen.worst)))
         with np.errstate(divide="ignore", invalid="ignore"):
             least = seen.from_above(seen.worst) / headings
@@ -40,7 +40,7 @@ def main() -> None:
         axes.fill(*outline[_hull(outline)][:, 1::-1].T, color="black", alpha=0.6)
         axes.invert_xaxis()
         rate = found.detection[name]
-        axes.set_title(f"{name}\nrate {rate.rate:.3f} by {seen.sought.enough} returns", fontsize=9)
+        axes.set_title(f"{name}\nrate {rate.rate:.3f} by {seen.target.enough} returns", fontsize=9)
         axes.set_xlabel("y (m)")
     grid[0].set_ylabel("x (m)")
     figure.colorbar(shown, ax=grid, label="returns in the worst phase", shrink=0.9)

@@ -27,9 +27,9 @@ from stress_sight import visibility
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from lidarcfg.placement import rows
 from lidarcfg.placement.cones import gaps_at
 from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
 from tests import documents
@@ -57,7 +57,7 @@ def labels_random(size: float) -> Iterator[Row]:
         region = Region(low, low + shape * edge, np.ones(shape, bool))
         position = low + rng.uniform(-0.5, 1.5, 3) * shape * edge
         known, exact = sensor(position, angles(rng), FANS[rng.integers(len(FANS))])
-        tally.add(exact, points_of(region), rows.beam_gaps(region, known).ravel())
+        tally.add(exact, points_of(region), beam_gaps(region, known).ravel())
     yield said("cuboid–beam pairs of random rigs", tally)
 
 
@@ -69,7 +69,7 @@ def labels_posed(size: float) -> Iterator[Row]:
     for number in range(max(int(3000 * size), 6)):
         place = [*PLACES.values()][number % len(PLACES)]
         known, exact = sensor(place, rng.choice(ANGLES, 3), FANS[rng.integers(len(FANS))])
-        tally.add(exact, points, rows.beam_gaps(region, known).ravel())
+        tally.add(exact, points, beam_gaps(region, known).ravel())
     yield said("pairs of sensors in odd places, turned by odd angles", tally)
 
 
@@ -79,7 +79,7 @@ def labels_near(size: float) -> Iterator[Row]:
     while near < 1_000_000 * size:
         known, exact, points, along = along_a_cone(rng)
         line = Line(points, along)
-        digit = rows.beam_gaps(line, known).ravel()
+        digit = beam_gaps(line, known).ravel()
         label = np.cumsum(np.diff(digit, prepend=digit[0]) != 0)
         differ += not np.array_equal(digit, gaps_at(points, known))
         differ += not np.array_equal(label, segment(line, [known]).label.ravel())
@@ -104,7 +104,7 @@ def labels_moved(size: float) -> Iterator[Row]:
         there = Region(by, by + shape * edge, here.included)
         position, rpy, fan = rng.uniform(0, 1, 3) * shape * edge, angles(rng), FANS[rng.integers(len(FANS))]
         (known, exact), (moved, _) = (sensor(at, rpy, fan) for at in (position, position + by))
-        digit, other = rows.beam_gaps(here, known).ravel(), rows.beam_gaps(there, moved).ravel()
+        digit, other = beam_gaps(here, known).ravel(), beam_gaps(there, moved).ravel()
         points = points_of(here)
         ulp = np.spacing(max(np.abs(there.min_m).max(), np.abs(there.max_m).max()))
         for n in np.flatnonzero(digit != other).tolist():

@@ -22,18 +22,17 @@ from PIL import Image
 from scipy.stats import qmc, rankdata
 
 import lidarcfg
+from lidarcfg import core
 from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.analytic import level
 from lidarcfg.placement.blind_spots import AZIMUTHS, fraction_below
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, detection_by_distance
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.returns import NOTHING, Scanner, Target, scans
-from lidarcfg.placement.returns_kernels import Poses
+from lidarcfg.placement.returns import NOTHING, Poses, Scanner, Target, compiled
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.report import COLOURS, new_figure, save_figure
@@ -150,17 +149,16 @@ def paper_undetected(study: Study, paper: Subspaces, name: str, size_m: Array) -
 
 def undetected(study: Study, rig: Rig, targets: dict[str, Target], where: dict[str, list[Array]], least: int) -> Array:
     """(objects, rings) the fraction of places, and of phases, with fewer returns than `least`."""
-    sensors = scans(scanners(rig))
+    firing = compiled(scanners(rig))
     R = np.array([rotation(mount.rpy_rad) for mount in rig.mounts])
     poses = Poses(R, np.array([mount.position_m for mount in rig.mounts], np.float64))
-    obstacles = NOTHING
-    if study.visibility:
-        obstacles = NOTHING._replace(**{key: getattr(study.visibility.obstacles, key) for key in NOTHING._fields})
+    obstacles = study.visibility.obstacles if study.visibility else NOTHING
     out = np.empty((len(targets), len(RINGS)))
     for n, (name, target) in enumerate(targets.items()):
         for ring, places in enumerate(where[name]):
-            missed = kernels.undetected(places, sensors, poses, target.shape, obstacles, least, math.inf)
-            out[n, ring] = missed / len(places)
+            ends = np.array([len(places)])
+            counter = core.returns.ReturnCounter(firing, target.shape, places, ends, obstacles, least)
+            out[n, ring] = counter.missed(np.arange(len(firing)), *poses, 0, math.inf) / len(places)
     return out
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-import yaml
 
 import lidarcfg
 from lidarcfg.config import Model, Positive, error_at, load
@@ -22,6 +21,7 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import Scene, files_of
 from lidarcfg.world.vehicle import NONE, Vehicle
+from lidarcfg.yaml_document import yaml_text
 
 SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
 BESIDE = ".rig.yaml", ".scene.yaml", ".trajectory.yaml", ".trajectory.tum"  # likewise: inputs that were in no file
@@ -199,7 +199,7 @@ def save_record(
             inputs[key] = Input(**own.model_dump(), files=parts or None)
     record = Record.model_validate({**inputs, **{key: value for key, value in values.items() if value is not None}})
     with replacing(path) as out:
-        yaml.safe_dump(record.model_dump(mode="json", exclude_none=True), out, sort_keys=False, allow_unicode=True)
+        out.write(yaml_text(record.model_dump(mode="json", exclude_none=True), blocks=True))
 
 
 def _written(given: Beside, capture: Path) -> Part:

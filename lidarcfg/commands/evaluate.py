@@ -58,7 +58,7 @@ def evaluate(
         from lidarcfg.rig import load_rig
         from lidarcfg.studies import load_study
 
-        prepare("search", "subspaces")
+        prepare("search")
         loaded, mounted = load_study(study), load_rig(rig)
     warn_of(loaded.vehicle)
     check_rig(loaded, rig, mounted)

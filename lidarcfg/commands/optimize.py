@@ -95,7 +95,7 @@ def optimize(
         from lidarcfg.studies import load_study
 
         load_cma()
-        prepare("subspaces", "evaluation", meanwhile=("lines", "search"))
+        prepare("evaluation", meanwhile=("lines", "search"))
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))

@@ -26,22 +26,6 @@ def _study() -> "Study":
     return study_of(StudyFile.model_validate(STUDY), HERE)
 
 
-def subspaces() -> None:
-    """Compile what LiDARs see, and floods, which are parts of most loops of placement."""
-    import numpy as np
-
-    from lidarcfg.placement.components import components
-    from lidarcfg.placement.flood import joined
-    from lidarcfg.placement.rows import EVERYTHING, Grid
-    from lidarcfg.placement.visibility_kernels import clear_up, new_looks
-
-    region = _study().region
-    grid = Grid.of(region)
-    cones, looks, none = joined(grid.links).cones, new_looks(0, 0), np.uint64(0)
-    _compile(clear_up, 0, 0, grid.x, 0, 0.0, 0.0, 0.0, none, cones, EVERYTHING, looks)
-    components(grid, region.shape, grid.links)
-
-
 def search() -> None:
     """Compile the evaluation of trials."""
     from lidarcfg.placement.sensitivity import changes_m
@@ -51,12 +35,7 @@ def search() -> None:
 
 
 def lines() -> None:
-    """Compile what of a vehicle's bodies a report needs."""
-    import numpy as np
-
-    from lidarcfg.placement.blind_spots import trace_outline
-
-    _compile(trace_outline, np.empty((0, 0)), np.empty((0, 3), np.int64), np.empty(0))
+    """Nothing is left to compile of lines through subspaces: the core has them."""
 
 
 def evaluation() -> None:

@@ -1,0 +1,72 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.geometry import Array
+from lidarcfg.placement.batch import Batch, BatchResult, Sources
+from lidarcfg.placement.sight import Sight
+
+Words = NDArray[np.uint64]
+Counts = NDArray[np.int64]
+Labels = NDArray[np.int32]
+Flags = NDArray[np.bool_]
+
+class Grid:
+    """A region as rows of bits, 64 cuboids along x, with a margin; it does not change."""
+
+    def __init__(
+        self, x: Array, y: Array, z: Array, included: Words, edge: Sequence[float], weight: Array, weighted: Words
+    ) -> None:
+        """Centres (nx,), (ny,), (nz,); included (rows,); edge (3,); weight (levels,); weighted (levels, rows)."""
+    @property
+    def rows(self) -> int:
+        """How many rows of bits it has, those of the margin too."""
+    @property
+    def chunks(self) -> int:
+        """How many rows there are along x."""
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """The cuboids along each axis."""
+
+class WorstSubspaces:
+    """Evaluates rigs in full. Not for several threads at once."""
+
+    def __init__(self, grid: Grid) -> None:
+        """For rigs in a grid."""
+    def max_vsr(self, cones: Array, sight: Sight) -> float:
+        """The largest volume to surface in metres, of cones (lidars, 6 + beams); −1 where no cuboid counts."""
+
+class TrialEvaluator:
+    """Evaluates trials. Not for several threads at once."""
+
+    def __init__(self, grid: Grid, cases: Flags, certificates: int) -> None:
+        """For rigs in a grid, with the LiDARs of each of the cases (cases, lidars)."""
+    def evaluate_batch(
+        self, counter: Counts, most: int, batch: Batch, in_full: bool, result: BatchResult
+    ) -> tuple[int, int, int]:
+        """Evaluate the next trials, at most so many, that a counter (1,) has, and write what becomes of them.
+
+        Returns how many cases were evaluated in full, how many rows were compared with cones for other trials, and how
+        many segments were cast.
+        """
+    def recompute_links(self, counter: Counts, most: int, sources: Sources) -> None:
+        """Compute the links of changed LiDARs of the next food sources of a counter (1,), at most so many."""
+
+def beam_gaps(points: Array, cones: Array) -> Counts:
+    """(N, lidars) the beam gap index of points (N, 3) for each LiDAR of cones (lidars, 6 + beams)."""
+
+def seen(grid: Grid, cones: Array, sight: Sight) -> Words:
+    """(lidars, rows) which cuboids each LiDAR sees."""
+
+def links(grid: Grid, cones: Array, seen: Words, out: Words) -> None:
+    """Write to out (rows, 3) the links by LiDARs that see seen (lidars, rows), or everything: (0, rows)."""
+
+def label_components(grid: Grid, links: Words, label: Labels) -> tuple[Counts, Counts, Counts]:
+    """Write the number of each cuboid's subspace under links (rows, 3) to label (nx, ny, nz), −1 where excluded.
+
+    Returns cuboids (n,) in each, internal faces (n, 3) of each across x, y and z, and the first cuboid (n,) of each.
+    """
+
+def promote_certificates(certificates: Counts, source: Counts, refuted_by: Counts) -> None:
+    """Move what refuted trials (n,), in their order, to the front of their sources' certificates (sources, c)."""

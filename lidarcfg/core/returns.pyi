@@ -1,0 +1,76 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lidarcfg.core.world import Bvh
+from lidarcfg.geometry import Array
+from lidarcfg.placement.sight import Obstacles
+
+class Scanner:
+    """A sensor's firing pattern, whatever its pose: H heads of all phases, F firings a cycle; it does not change."""
+
+    def __init__(
+        self,
+        cos_head: Array,
+        sin_head: Array,
+        start_rad: float,
+        step_rad: float,
+        phases: int,
+        lag_rad: Array,
+        gating_rad: Array,
+        offset_rad: Array,
+        elevation_rad: Array,
+        start_m: Array,
+        range_m: Sequence[float] | Array,
+        fov_rad: Sequence[float] | Array,
+    ) -> None:
+        """Heads (H,) at the start of cycles; angles and start_m (F, 3) of firings; ranges; a field of view and its width."""
+    @property
+    def phases(self) -> int:
+        """Head n is of phase n % phases."""
+
+class TargetShape:
+    """An object in its own frame; it does not change."""
+
+    def __init__(self, bvh: Bvh, low_m: ArrayLike, high_m: ArrayLike) -> None:
+        """Its hierarchy and the corners (3,) of its bounding box."""
+
+class ReturnCounter:
+    """In how many places an object is missed, trial after trial. Not for several threads at once."""
+
+    def __init__(
+        self,
+        scanners: Sequence[Scanner],
+        target: TargetShape,
+        places: Array,
+        group_ends: NDArray[np.int64],
+        obstacles: Obstacles,
+        enough: int,
+    ) -> None:
+        """For an object at places (P, 4), in groups that end at group_ends (G,), that `enough` returns detect."""
+    def missed(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, most: float) -> float:
+        """In how many places of a group it is missed by sensors (S,), ascending, at R (S, 3, 3), t (S, 3).
+
+        By the mean over phases; or, as soon as it is known to be at least `most`, any number that is.
+        """
+    def missed_among(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, count: int) -> float:
+        """The same among so many of these places, the likeliest to be missed: no more than `missed`."""
+    @property
+    def traced(self) -> int:
+        """How many pairs of sensor and place were traced so far."""
+
+def count_returns(
+    places: Array,
+    which: NDArray[np.int64],
+    scanners: Sequence[Scanner],
+    R: Array,
+    t: Array,
+    target: TargetShape,
+    obstacles: Obstacles,
+    counts: NDArray[np.int32],
+) -> None:
+    """Add to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4)."""
+
+def detection_probabilities(counts: NDArray[np.int32], phases: NDArray[np.int64], enough: int) -> Array:
+    """(P,) the probability of at least so many returns of counts (P, S, phases), each sensor in any of its phases."""

@@ -82,6 +82,67 @@ inline unsigned bits(Vector<int> mask) {
 #endif
 }
 
+/// A bit for each lane of a comparison of doubles.
+inline unsigned bits(Vector<std::int64_t> mask) {
+#if defined(__AVX__)
+  return __builtin_ia32_movmskpd256(reinterpret_cast<Doubles>(mask));
+#elif defined(__SSE2__)
+  return __builtin_ia32_movmskpd(reinterpret_cast<Doubles>(mask));
+#else
+  unsigned out = 0;
+  for (int n = 0; n < lanes<double>; ++n) {
+    out |= static_cast<unsigned>(mask[n] & 1) << n;
+  }
+  return out;
+#endif
+}
+
+/// Comparisons of `mask_block` doubles at once, in eight registers, become bits by few instructions, but in the order
+/// that packing leaves them in: where the double of which place is compared.
+constexpr int mask_block = 8 * lanes<double>;
+
+/// The place of the double whose comparison becomes bit `number`, 0 to `mask_block` − 1.
+constexpr int mask_place(int number) {
+#if defined(__AVX2__)  // packing stays within either half of a register
+  return number % 16 / 2 * 4 + number / 16 * 2 + number % 2;
+#else
+  return number;
+#endif
+}
+
+/// The higher halves of the lanes of two comparisons.
+inline Vector<int> high_halves(Vector<std::int64_t> a, Vector<std::int64_t> b) {
+  const auto low = reinterpret_cast<Floats>(a);  // there is one instruction for this, of floats
+  const auto high = reinterpret_cast<Floats>(b);
+#if defined(__AVX2__)
+  return reinterpret_cast<Vector<int>>(__builtin_shufflevector(low, high, 1, 3, 9, 11, 5, 7, 13, 15));
+#else
+  return reinterpret_cast<Vector<int>>(__builtin_shufflevector(low, high, 1, 3, 5, 7));
+#endif
+}
+
+/// A bit for each comparison of a block, of which there are the higher halves, register by register.
+inline std::uint64_t block_bits(Vector<int> a, Vector<int> b, Vector<int> c, Vector<int> d) {
+#if defined(__AVX2__)
+  const auto low = __builtin_ia32_packssdw256(a, b);
+  const auto high = __builtin_ia32_packssdw256(c, d);
+  return static_cast<unsigned>(__builtin_ia32_pmovmskb256(__builtin_ia32_packsswb256(low, high)));
+#elif defined(__SSE2__) && !defined(__AVX__)
+  const auto low = __builtin_ia32_packssdw128(a, b);
+  const auto high = __builtin_ia32_packssdw128(c, d);
+  return static_cast<unsigned>(__builtin_ia32_pmovmskb128(__builtin_ia32_packsswb128(low, high)));
+#else
+  std::uint64_t out = 0;
+  int number = 0;
+  for (const Vector<int>& half : {a, b, c, d}) {
+    for (int lane = 0; lane < lanes<int>; ++lane) {
+      out |= static_cast<std::uint64_t>(half[lane] & 1) << number++;
+    }
+  }
+  return out;
+#endif
+}
+
 /// Whether any lane of a comparison of doubles is true.
 template <class Mask>
 bool any(Mask mask) {

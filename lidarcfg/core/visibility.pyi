@@ -1,0 +1,31 @@
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.core.world import Bvh
+from lidarcfg.geometry import Array
+from lidarcfg.placement.coverage import Span
+from lidarcfg.placement.sight import Sight
+
+def boxes_of(bvh: Bvh) -> Array:
+    """(6, 16) low and high corners of boxes that together hold a hierarchy's shapes; (6, 0) if there are none."""
+
+def see_points(points: Array, cone: Array, sight: Sight, out: NDArray[np.bool_]) -> None:
+    """Write to out (N,) which of points (3, N) a LiDAR sees, whose position `cone` begins with; see Sight."""
+
+def mark_subspaces(label: NDArray[np.int32], cells: NDArray[np.int64], found: NDArray[np.bool_]) -> None:
+    """Mark in found (n + 1,) the subspaces of label (nx, ny, nz) with a cuboid in cells (3, 2); last: excluded ones."""
+
+def count_lines(
+    label: NDArray[np.int32],
+    row_of: NDArray[np.int64],
+    x: NDArray[np.int32],
+    y: NDArray[np.int32],
+    z: NDArray[np.int32],
+) -> None:
+    """Add the cuboids of subspaces on lines to x (n, ny, nz), y (n, nx, nz), z (n, nx, ny); row_of (subspaces + 1,)."""
+
+def widen_spans(label: NDArray[np.int32], gap: NDArray[np.int64], blind: int, x: Span, y: Span, z: Span) -> None:
+    """Widen the spans of lines along x, y and z by the gaps (n, lidars) of what lies on them, but blind ones."""
+
+def trace_outline(points: Array, triangles: NDArray[np.int64], out: Array) -> None:
+    """Raise out (directions,) to where rays from the origin cross edges of triangles (T, 3) of points (V, 2)."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import yaml
 
 from lidarcfg.capture.record import BESIDE, Beside, place_text, record_path, save_record
 from lidarcfg.config import load
@@ -20,6 +19,7 @@ from lidarcfg.simulate.tasks import Drive
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, SceneFile, files_of
+from lidarcfg.yaml_document import yaml_text
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def _rig(rig: Rig, folder: Path) -> Beside | None:
     """A file of a rig, for a folder, if it says all of it."""
     with TemporaryDirectory() as scratch:
         path = Path(scratch) / "rig.yaml"
-        path.write_text(rig_text(rig))
+        path.write_text(rig_text(rig), "utf-8")
         try:
             whole = load_rig(path) == rig
         except ConfigError:
@@ -92,7 +92,7 @@ def _scene(scene: Scene) -> Path | Beside | None:
     if files_of(scene.file, Path()):
         return None
     values = scene.file.model_dump(mode="json", exclude_none=True)
-    return Beside(".scene.yaml", yaml.safe_dump(values, sort_keys=False, allow_unicode=True))
+    return Beside(".scene.yaml", yaml_text(values, blocks=True))
 
 
 def _motion(moved: Trajectory, start_ns: int) -> tuple[Array, Beside | None]:
@@ -102,7 +102,7 @@ def _motion(moved: Trajectory, start_ns: int) -> tuple[Array, Beside | None]:
         return moved.T_world_start, None
     if not len(path.times_s):  # the same wherever it is described from
         values = path.motion.model_dump(mode="json", exclude_none=True)
-        return moved.pose(start_ns), Beside(".trajectory.yaml", yaml.safe_dump(values))
+        return moved.pose(start_ns), Beside(".trajectory.yaml", yaml_text(values, blocks=True))
     from scipy.spatial.transform import Rotation
 
     times_s = path.times_s + (moved.zero_ns - start_ns) / SECOND_NS

@@ -4,7 +4,6 @@ Blind is what lies outside the range or the horizontal field of view of every Li
 them. What lies between two beams, or above and below all of them, is not blind.
 """
 
-# mypy: disallow-untyped-decorators=False
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,8 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.geometry import Array
-from lidarcfg.jit import njit
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
@@ -257,24 +256,5 @@ def _refined(around: Directions, azimuth: Indices, number: Indices, seen: SeenPo
 def outline_m(center_m: Array, vertices_m: Array, triangles: Indices) -> Array:
     """(AZIMUTHS,) from a point (2,) to the outline from above of vertices (V, 3) and triangles (T, 3); 0 beside it."""
     out = np.zeros(AZIMUTHS)
-    trace_outline(vertices_m[:, :2] - center_m, triangles, out)
+    core.visibility.trace_outline(vertices_m[:, :2] - center_m, triangles, out)
     return out
-
-
-@njit(cache=True, nogil=True)
-def trace_outline(flat: Array, triangles: Indices, out: Array) -> None:
-    """Raise `out` (directions,) to where rays from the origin cross the edges of triangles (T, 3) of points (V, 2)."""
-    step = 2 * math.pi / out.size
-    for e in range(3 * len(triangles)):
-        (px, py), (qx, qy) = flat[triangles[e // 3, e % 3]], flat[triangles[e // 3, (e + 1) % 3]]
-        first = math.atan2(py, px)
-        turn = math.atan2(px * qy - py * qx, px * qx + py * qy)  # from one end to the other, less than half around
-        low, high = min(first, first + turn), max(first, first + turn)
-        for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1):
-            cosine, sine = math.cos(k * step), math.sin(k * step)
-            across = cosine * (qy - py) - sine * (qx - px)
-            if across != 0.0:
-                distance = (px * qy - py * qx) / across
-            else:  # the segment lies along the ray
-                distance = max(cosine * px + sine * py, cosine * qx + sine * qy)
-            out[k % out.size] = max(out[k % out.size], distance)

@@ -17,7 +17,7 @@ from lidarcfg.placement.choices import unused_prices
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.region import AXES, BoxFile, Region
-from lidarcfg.placement.sightings import Sought, sightings
+from lidarcfg.placement.return_counts import DetectionTarget, return_counts
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
 from lidarcfg.placement.terms import Trial
@@ -172,15 +172,16 @@ def _slow(study: Study) -> Iterator[Suspect]:
 
 def _many_returns(study: Study) -> Iterator[Suspect]:
     """Objects at so many places that counting the returns of a rig takes long: a part of the places says so."""
-    unlike = {one.item.appearance: one for one in study.sought}.values()
+    unlike = {one.item.appearance: one for one in study.detection_targets}.values()
     if not unlike:
         return
     rig, total = study.rig(study.midpoint), sum(len(one.places) for one in unlike)
-    fired, lidars = study.scans(rig.mounts), rig_lidars(rig)
+    scanners = study.scanners(rig.mounts)
+    lidars = rig_lidars(rig)
 
-    def seconds(objects: list[Sought]) -> float:
+    def seconds(objects: list[DetectionTarget]) -> float:
         began = time.process_time()
-        sightings(objects, fired, lidars, study.obstacles)
+        return_counts(objects, scanners, lidars, study.obstacles)
         return time.process_time() - began
 
     seconds([_thinned(one, len(one.places)) for one in unlike][:1])  # compiles
@@ -191,12 +192,12 @@ def _many_returns(study: Study) -> Iterator[Suspect]:
             break
     all_s = took_s * total / sum(len(one.places) for one in some)
     if all_s > LONG_S:
-        objects = f"{len(study.sought)} object{'s' * (len(study.sought) > 1)} at {total:,} places"
+        objects = f"{len(study.detection_targets)} object{'s' * (len(study.detection_targets) > 1)} at {total:,} places"
         what = f"{objects}: their returns to {len(lidars)} LiDAR{'s' * (len(lidars) > 1)} take"
         cheaper = "a larger step_m, and fewer headings_deg or samples, cost less"
         yield ("detection",), f"{what} about {all_s:,.0f} s of processor time for each rig evaluated; {cheaper}"
 
 
-def _thinned(one: Sought, every: int) -> Sought:
+def _thinned(one: DetectionTarget, every: int) -> DetectionTarget:
     """The object at every so many of its places."""
     return replace(one, places=np.ascontiguousarray(one.places[::every]), part=one.part[::every])

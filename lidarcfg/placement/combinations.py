@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
 from typing import Any
 
+from lidarcfg.config import NAME_MAX
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.choices import Choice
 from lidarcfg.placement.slots import Slot, slot_name
 from lidarcfg.placement.study import Study
 
-NAME_MAX = 80  # characters; it becomes a folder's
+FOLDER_MAX = 80  # characters of a combination's name, which becomes a folder's
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ def _combination(
                 slot = slot_name(values.get("name"), count, number, len(slots))
                 of = study.slots[place + number]
                 seat = choice.surface.image if choice.surface and number % group.together else choice.surface
-                fov_deg = choice.sensor.field_of_view_deg(group.values.get("azimuth_fov_deg"))
+                given = group.values.get("azimuth_fov_deg")
+                fov_deg = choice.sensor.field_of_view_deg(tuple(given) if given else None)
                 slots.append(Slot(slot, choice.sensor, model, of.range_m, fov_deg, seat))
                 numbers.append(place + number)
                 members.append(i)
@@ -103,6 +105,9 @@ def _combination(
     for slot, times in Counter(one.name for one in slots).items():
         if times > 1:
             raise ConfigError(f"{study.name}: two sensors of a combination are called {slot!r}; rename a group")
+        if len(slot) > NAME_MAX:
+            what = f"a sensor of a combination has a name of {len(slot)} characters; allowed: at most {NAME_MAX}"
+            raise ConfigError(f"{study.name}: {what}")
     used = {values["model"] for values in files}
     prices = {model: each for model, each in study.file["prices"].items() if model in used}
     file = study.file | {"sensors": files, "prices": prices}
@@ -117,7 +122,7 @@ def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -
         each = [f"{count * group.together}x{_plain(model)}" for model, count in counts.items()]
         if each:
             parts.append("-".join([str(group.values.get("name", f"sensors{i}")), *each]))
-    return "_".join(parts)[:NAME_MAX]
+    return "_".join(parts)[:FOLDER_MAX]
 
 
 def _plain(name: str) -> str:

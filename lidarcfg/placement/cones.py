@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
-from lidarcfg.jit import inner, njit
+from lidarcfg.jit import inner
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
 
@@ -74,7 +75,8 @@ def cone_rows(lidars: Sequence[Lidar]) -> Array:
     """(lidars, 6 + beams): position, axis and u_k of every beam; inf where a LiDAR has fewer beams than others."""
     out = np.full((len(lidars), FIRST + max((one.sin_elevation.size for one in lidars), default=0)), np.inf)
     for row, one in zip(out, lidars, strict=True):
-        row[:3], row[3:FIRST] = one.position_m, one.axis
+        row[:3] = one.position_m
+        row[3:FIRST] = one.axis
         row[FIRST : FIRST + one.sin_elevation.size] = one.sin_elevation * np.abs(one.sin_elevation)
     return out
 
@@ -86,31 +88,6 @@ def signed_squares(dx: float, dy: float, dz: float, ax: float, ay: float, az: fl
     return height * abs(height), (dx * dx + dy * dy) + dz * dz
 
 
-@inner()
-def beam_gap(x: float, y: float, z: float, cone: Array) -> int:
-    """The beam gap index of a point: how many cones of a LiDAR, a row of `cone_rows`, lie at or below it."""
-    q, distance2 = signed_squares(x - cone[0], y - cone[1], z - cone[2], cone[3], cone[4], cone[5])
-    low, high = FIRST, cone.size
-    while low < high:
-        beam = (low + high) // 2
-        if q >= cone[beam] * distance2:
-            low = beam + 1
-        else:
-            high = beam
-    return low - FIRST
-
-
-@njit(cache=True, nogil=True)
-def beam_gap_table(points: Array, cones: Array) -> NDArray[np.int64]:
-    """(N, lidars) the beam gap index of points (N, 3) for each row of `cone_rows`."""
-    out = np.empty((len(points), len(cones)), np.int64)
-    for n in range(len(points)):
-        for lidar in range(len(cones)):
-            out[n, lidar] = beam_gap(points[n, 0], points[n, 1], points[n, 2], cones[lidar])
-    return out
-
-
 def gaps_at(points_m: Array, lidar: Lidar) -> NDArray[np.int64]:
     """(N,) the beam gap index of points (N, 3) for a LiDAR."""
-    table: NDArray[np.int64] = beam_gap_table(np.ascontiguousarray(points_m, np.float64), cone_rows([lidar]))
-    return table[:, 0]
+    return core.beam_gaps(np.ascontiguousarray(points_m, np.float64), cone_rows([lidar]))[:, 0]

@@ -6,15 +6,24 @@ its sensor does not see, do not count.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.placement.column_kernels import Span, widen
+from lidarcfg import core
 from lidarcfg.placement.subspace import BLIND, Subspaces
 
+Lines = NDArray[np.int32]
 Counts = NDArray[np.int64]
 MOST = np.int32(2**31 - 1)
+
+
+class Span(NamedTuple):
+    """The least and the greatest beam gap of each LiDAR on lines of cuboids: (lidars, a, b) each."""
+
+    low: Lines
+    high: Lines
 
 
 def beams_across(subspaces: Subspaces) -> tuple[Counts, Counts, Counts]:
@@ -24,14 +33,14 @@ def beams_across(subspaces: Subspaces) -> tuple[Counts, Counts, Counts]:
     """
     included, lidars = subspaces.region.included, subspaces.gap.shape[1]
     empty = [~included.any(axis=axis) for axis in range(3)]
-    spans = [
+    x_span, y_span, z_span = [
         Span(np.full((lidars, *one.shape), MOST, np.int32), np.full((lidars, *one.shape), -1, np.int32))
         for one in empty
     ]
-    widen(subspaces.label, subspaces.gap, BLIND, *spans)
+    core.visibility.widen_spans(subspaces.label, subspaces.gap, BLIND, x_span, y_span, z_span)
     x, y, z = (
         np.where(none, -1, np.maximum(span.high.astype(np.int64) - span.low, 0))
-        for none, span in zip(empty, spans, strict=True)
+        for none, span in zip(empty, (x_span, y_span, z_span), strict=True)
     )
     return x, y, z
 

@@ -1,8 +1,8 @@
 """The cost of a trial: a weighted mean of terms, each of which can stop early once it is too large.
 
 A trial has a cost to beat. Every term is at least 0, and sums, products and quotients of floating-point numbers are
-monotonic. So as soon as the weighted mean of the terms known so far, with 0 for the others, reaches the cost to beat,
-the trial is refuted exactly: its full cost would be no less.
+monotonic. So as soon as the weighted mean of the terms known so far, with 0 or lower bounds for the others, reaches
+the cost to beat, the trial is refuted exactly: its full cost would be no less.
 """
 
 import math
@@ -18,9 +18,10 @@ from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.terms import (
     BlindSpot,
+    BoundedTerm,
     InscribedRadius,
     MaxVsr,
-    Missed,
+    MissRate,
     Recent,
     Term,
     Trial,
@@ -30,6 +31,7 @@ from lidarcfg.placement.terms import (
 from lidarcfg.placement.zones import Weights
 
 Flags = NDArray[np.bool_]
+SHARES = 0.2, 0.35, 0.5, 0.65, 0.8  # of the work, by which a term is bounded before any is computed
 EVERY_CASE = np.empty((0, 0), bool)
 
 
@@ -45,7 +47,7 @@ class Criterion:
         region: Region,
         objects: Sequence[DetectionObject],
         around: Directions | None = None,  # needed for a blind spot
-        by_returns: Mapping[str, Missed] = MappingProxyType({}),  # needed for objects that are detected by them
+        by_returns: Mapping[str, MissRate] = MappingProxyType({}),  # needed for objects that are detected by them
         weight: Weights | None = None,  # of max VSR, by cuboid
         kept: Flags = EVERY_CASE,  # (cases, lidars); no cases: the whole rig alone
     ) -> None:
@@ -73,6 +75,8 @@ class Criterion:
             self.terms.append(BlindSpot(around))
             self._weights.append(objective.blind_spot_m.weight)
 
+        self._bounded = [(number, one) for number, one in enumerate(self.terms) if isinstance(one, BoundedTerm)]
+
     @property
     def is_max_vsr(self) -> bool:
         """Whether max VSR is its only term."""
@@ -84,15 +88,15 @@ class Criterion:
             return values[0]
         return sum(w * v for w, v in zip(self._weights, values, strict=True)) / sum(self._weights)
 
-    def limit(self, values: Sequence[float], term: int, to_beat: float) -> float:
-        """A value of one term at which the mean, with the other terms as in `values`, reaches `to_beat`."""
-        if to_beat == math.inf:
+    def limit(self, values: Sequence[float], term: int, upper_bound: float) -> float:
+        """A value of one term at which the mean, with the other terms as in `values`, reaches `upper_bound`."""
+        if upper_bound == math.inf:
             return math.inf
         others = self.mean([0.0 if i == term else value for i, value in enumerate(values)])
         scale = sum(self._weights) / self._weights[term]
-        limit = max((to_beat - others) * scale, 0.0)
-        step = np.finfo(float).eps * to_beat * scale
-        while self.mean([limit if i == term else value for i, value in enumerate(values)]) < to_beat:  # rounding
+        limit = max((upper_bound - others) * scale, 0.0)
+        step = np.finfo(float).eps * upper_bound * scale
+        while self.mean([limit if i == term else value for i, value in enumerate(values)]) < upper_bound:  # rounding
             limit, step = limit + step, 2.0 * step
         return limit
 
@@ -100,12 +104,12 @@ class Criterion:
         """The trials of each case of failure; without any, the trial itself."""
         return [trial.left(kept) for kept in self._cases] or [trial]
 
-    def of(self, trial: Trial, to_beat: float = math.inf) -> float:
-        """The cost of a trial, or inf if it is not below `to_beat`; cases that refuted recent trials come first."""
+    def of(self, trial: Trial, upper_bound: float = math.inf) -> float:
+        """The cost of a trial, or inf if it is not below `upper_bound`; cases that refuted recent trials come first."""
         cases = self.cases(trial)
         cost = -math.inf
         for case in dict.fromkeys((*self._refuting.items, *range(len(cases)))):
-            cost = max(cost, self._of_case(cases[case], to_beat))
+            cost = max(cost, self._of_case(cases[case], upper_bound))
             cases[case].forget(self.weight)
             if cost == math.inf:
                 self._refuting.add(case)
@@ -118,11 +122,16 @@ class Criterion:
         for term in self.terms:
             term.learn()
 
-    def _of_case(self, trial: Trial, to_beat: float) -> float:
-        """The cost in one case, or inf if it is not below `to_beat`; cheap terms come first."""
+    def _of_case(self, trial: Trial, upper_bound: float) -> float:
+        """The cost in one case, or inf if it is not below `upper_bound`; cheap terms come first."""
         values = [0.0] * len(self.terms)
+        for share in SHARES if upper_bound < math.inf else ():
+            for number, one in self._bounded:
+                values[number] = one.lower_bound(trial, share)
+                if self.mean(values) >= upper_bound:
+                    return math.inf
         for term in sorted(range(len(self.terms)), key=lambda term: self.terms[term].work):
-            limit = self.limit(values, term, to_beat)
+            limit = self.limit(values, term, upper_bound)
             values[term] = self.terms[term].value(trial, limit)
             if values[term] >= limit:
                 return math.inf

@@ -90,7 +90,7 @@ def details(
         coverage=coverage(subspaces),
         vehicle_m=vehicle,
         rings={
-            item.name: found.sightings[item.name].rings(vehicle, edges)
+            item.name: found.return_counts[item.name].rings(vehicle, edges)
             if item.returns
             else detection_by_distance(subspaces, item, vehicle, edges, found.counted.get(item.name))
             for item in study.detection
@@ -107,10 +107,10 @@ def details(
 def places(found: Evaluation, item: DetectionObject) -> Places:
     """Where an object without `samples` is detected."""
     if item.returns:
-        seen = found.sightings[item.name]
-        low, step_m = seen.sought.low_m, seen.sought.step_m
+        seen = found.return_counts[item.name]
+        low, step_m = seen.target.low_m, seen.target.step_m
         found_at, can_be = seen.from_above(seen.probability), seen.from_above(np.ones(len(seen.probability)))
-        return Places(found_at, can_be, low, low + step_m * np.array(seen.sought.grid))
+        return Places(found_at, can_be, low, low + step_m * np.array(seen.target.grid))
     region = found.subspaces.region
     detected, count, _ = found.counted[item.name]
     low = region.min_m[:2] + (np.array(region.shape[:2]) - detected.shape) / 2 * region.cuboid_m[:2]

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Model, Name, Positive, fault
+from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, fault, with_defaults
 from lidarcfg.core import analytic as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
@@ -21,6 +21,7 @@ Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Heading = Annotated[float, Field(ge=0, le=360)]
 
+THRESHOLD = 1  # unless the study says otherwise
 REPLICATES = 16  # independent scramblings, whose spread gives the confidence interval
 NOBODY = np.empty(0, np.bool_)  # asks which subspaces hold an object
 ALL = 2**63 - 1  # no end to the places where an object may go undetected
@@ -38,17 +39,25 @@ class DetectionObject(Model):
 
     name: Name
     size_m: tuple[Positive, Positive, Positive] | None = None
-    mesh: Annotated[str, Field(min_length=1)] | None = None  # relative to the study's file
-    threshold: Annotated[int, Field(ge=0, le=1000)] = 1
+    mesh: FileName | None = None  # relative to the study's file
+    threshold: Annotated[int, Field(ge=0, le=1000)] | None = None  # none: 1 without returns
     returns: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    on_ground: bool = False
+    on_ground: bool = False  # true with returns
     step_m: Annotated[float, Field(ge=0.01, le=COORDINATE_MAX_M)] | None = None  # none: 1
     headings_deg: Annotated[tuple[Heading, ...], Field(min_length=1, max_length=360)] | None = None  # none: 0
     samples: Annotated[int, Field(ge=REPLICATES, le=2**26)] | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults(cls, values: Any) -> Any:
+        if not isinstance(values, dict):
+            return values
+        if values.get("returns") is None:
+            return with_defaults(values, {"threshold": THRESHOLD})
+        return {"on_ground": True} | values
+
     @model_validator(mode="after")
     def _check(self) -> "DetectionObject":
-        given = self.model_fields_set
         if self.returns is None:
             for key in ("mesh", "step_m", "headings_deg"):
                 if getattr(self, key) is not None:
@@ -57,9 +66,9 @@ class DetectionObject(Model):
                 raise fault("missing", "size_m")
             return self
         one_of(self, "size_m", "mesh")
-        if "threshold" in given:
+        if self.threshold is not None:
             raise fault("conflicts with returns; give only one of them", "threshold")
-        if "on_ground" in given and not self.on_ground:
+        if not self.on_ground:
             raise fault("false is not allowed beside returns; the object is on the region's floor", "on_ground")
         for key in ("step_m", "headings_deg"):
             if self.samples and getattr(self, key) is not None:
@@ -76,6 +85,12 @@ class DetectionObject(Model):
         """The size of a box."""
         assert self.size_m
         return self.size_m
+
+    @property
+    def most_touched(self) -> int:
+        """The number of subspaces that an object may touch and still be undetected, unless returns count."""
+        assert self.threshold is not None
+        return self.threshold
 
 
 @dataclass(frozen=True)
@@ -158,7 +173,7 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> Counted:
     check_fits(item, subspaces.region)
     size = cuboids_needed(item.box_m, subspaces.region.cuboid_m)
     layers = 1 if item.on_ground else subspaces.region.shape[2]
-    return boxes_counted(subspaces, size, layers, item.threshold)
+    return boxes_counted(subspaces, size, layers, item.most_touched)
 
 
 def boxes_counted(subspaces: Subspaces, size: tuple[int, int, int], layers: int, threshold: int = 1) -> Counted:
@@ -198,7 +213,7 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
         layers = 1 if item.on_ground else subspaces.region.shape[2]
         label = subspaces.label
         most = max(enough, 1)
-        detected, seen = core.detected_positions(label, size, item.threshold, layers, most, NOBODY)
+        detected, seen = core.detected_positions(label, size, item.most_touched, layers, most, NOBODY)
         misses = int(seen.sum() - detected.sum())
         return 1.0 - (places - misses) / places
     rates = np.ones(len(free))
@@ -298,4 +313,4 @@ def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: b
 def _detected_boxes(subspaces: Subspaces, item: DetectionObject, box: Array) -> tuple[int, int]:
     """How many of the boxes (n, 4) are detected, and how many are free of exclusions."""
     region = subspaces.region
-    return core.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.threshold)
+    return core.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched)

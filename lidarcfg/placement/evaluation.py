@@ -12,8 +12,8 @@ from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_
 from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
+from lidarcfg.placement.return_counts import ReturnCounts, return_counts
 from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
-from lidarcfg.placement.sightings import Sightings, sightings
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
 from lidarcfg.rig import Rig
@@ -50,7 +50,7 @@ class Evaluation:
     sphere_m: float  # radius of the largest sphere inside any subspace
     detection: dict[str, Detection]  # by object
     counted: dict[str, Counted]  # by object whose places on the grid are counted
-    sightings: dict[str, Sightings]  # by object that is detected by returns
+    return_counts: dict[str, ReturnCounts]  # by object that is detected by returns
     blind: BlindSpots
     zones: tuple[ZoneVsr, ...]  # of studies that have some
     analytic: Analytic | None  # if a tolerance was asked for
@@ -85,7 +85,7 @@ def evaluate(
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
     where = extents(subspaces, numbers)
     worst = _worst(rig, subspaces, vsr, spheres, dict(zip(numbers, where, strict=True)))
-    seen = _sightings(study, rig, on_progress)
+    seen = _return_counts(study, rig, on_progress)
     counted = {
         item.name: counted_places(subspaces, item) for item in study.detection if not (item.samples or item.returns)
     }
@@ -100,7 +100,7 @@ def evaluate(
         sphere_m=spheres.largest()[0],
         detection=rates,
         counted=counted,
-        sightings=seen,
+        return_counts=seen,
         blind=blind,
         zones=zones,
         analytic=converged,
@@ -132,11 +132,11 @@ def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: 
 
 def detection_rates(study: Study, rig: Rig, subspaces: Subspaces) -> dict[str, Detection]:
     """How often each of the study's objects is detected, by its name. Raises ConfigError."""
-    return _rates(study, subspaces, _sightings(study, rig), {})
+    return _rates(study, subspaces, _return_counts(study, rig), {})
 
 
 def _rates(
-    study: Study, subspaces: Subspaces, seen: dict[str, Sightings], counted: dict[str, Counted]
+    study: Study, subspaces: Subspaces, seen: dict[str, ReturnCounts], counted: dict[str, Counted]
 ) -> dict[str, Detection]:
     return {
         item.name: seen[item.name].detection
@@ -157,15 +157,15 @@ def blind_spots(study: Study, subspaces: Subspaces, lidars: Sequence[Lidar]) -> 
     return BlindSpots(volume, tuple(contours))
 
 
-def _sightings(
+def _return_counts(
     study: Study, rig: Rig, on_progress: Callable[[float], None] = lambda fraction: None
-) -> dict[str, Sightings]:
+) -> dict[str, ReturnCounts]:
     """The returns from the objects that are detected by returns. Raises ConfigError."""
-    if not study.sought:
+    if not study.detection_targets:
         return {}
-    fired, lidars = study.scans(rig.mounts), rig_lidars(rig)
-    found = sightings(study.sought, fired, lidars, study.obstacles, on_progress)
-    return {one.sought.item.name: one for one in found}
+    scanners = study.scanners(rig.mounts)
+    found = return_counts(study.detection_targets, scanners, rig_lidars(rig), study.obstacles, on_progress)
+    return {one.target.item.name: one for one in found}
 
 
 def _beams_around(sensor: Sensor, gap: int) -> list[float | None]:

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.core import analytic as core
+from lidarcfg import core
 from lidarcfg.geometry import Array
-from lidarcfg.placement.column_kernels import Lines, count_lines
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces
 
 Counts = NDArray[np.int64]
+Lines = NDArray[np.int32]
 Node = tuple[int, int, int]  # a point of the lattice of half cuboids, whose origin is the region's lower corner
 
 
@@ -64,7 +64,7 @@ class Spheres:
     def __init__(self, subspaces: Subspaces) -> None:
         self._region = subspaces.region
         self._label = subspaces.label
-        self._ends = core.find_ends(subspaces.label)
+        self._ends = core.analytic.find_ends(subspaces.label)
 
     def largest(self) -> tuple[float, Node]:
         """Radius in metres and centre of the largest sphere in any subspace; of equal ones, the lattice's first."""
@@ -77,12 +77,12 @@ class Spheres:
         return math.sqrt(square)
 
     def _search(self, number: int, low: Node | Counts, high: Node | Counts) -> tuple[float, Node]:
-        return core.largest_sphere(self._label, self._ends, self._region.cuboid_m / 2, number, low, high)
+        return core.analytic.largest_sphere(self._label, self._ends, self._region.cuboid_m / 2, number, low, high)
 
 
 def clearance_m(subspaces: Subspaces, centre: Node) -> float:
     """The radius of the largest sphere around a node of the half cuboids' lattice that no face cuts; 0 on a face."""
-    return math.sqrt(core.clearance(subspaces.label, subspaces.region.cuboid_m / 2, centre))
+    return math.sqrt(core.analytic.clearance(subspaces.label, subspaces.region.cuboid_m / 2, centre))
 
 
 @dataclass(frozen=True)
@@ -129,5 +129,5 @@ def extents(subspaces: Subspaces, numbers: Sequence[int]) -> list[Extent]:
     place[list(numbers)] = np.arange(len(numbers))
     nx, ny, nz = subspaces.region.shape
     lines = [np.zeros((len(numbers), *shape), np.int32) for shape in ((ny, nz), (nx, nz), (nx, ny))]
-    count_lines(subspaces.label, place, *lines)
+    core.visibility.count_lines(subspaces.label, place, *lines)
     return [Extent(subspaces.region, (x, y, z)) for x, y, z in zip(*lines, strict=True)]

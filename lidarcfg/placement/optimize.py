@@ -278,11 +278,11 @@ def costs(
     step = count if deadline == math.inf else evaluator.slice
     for first in range(0, count, step):
         part = slice(first, min(first + step, count))
-        poses, source, to_beat = study.poses(trials.x[part]), trials.source[part], trials.to_beat[part]
+        poses, source, upper_bound = study.poses(trials.x[part]), trials.source[part], trials.upper_bound[part]
         violation = study.violation(poses)
         cost = INFEASIBLE * (1.0 + violation)
         allowed = np.flatnonzero(violation == 0.0)
-        asked = poses[allowed], source[allowed], source_poses, to_beat[allowed]
+        asked = poses[allowed], source[allowed], source_poses, upper_bound[allowed]
         cost[allowed] = evaluator.costs(*asked, trials.smoothing)
         slices.append(cost)
         if clock() > deadline:

@@ -16,8 +16,8 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.world.bvh import CYLINDER, SPHERE, TRIANGLE
 from lidarcfg.world.solids import places
 

@@ -172,8 +172,8 @@ class Studies:
                 raise error_at(self.path, ("sensors",), what)
             if not study.free.any():
                 raise error_at(self.path, ("sensors",), "nothing is free to move; every bound is equal")
-            if study.sought:
-                study.scans(study.rig(study.lower).mounts)  # an error comes before the search
+            if study.detection_targets:
+                study.scanners(study.rig(study.lower).mounts)  # an error comes before the search
             content = hashlib.sha256()
             for field in fields(study):
                 if field.name not in ("solver", "patterns"):  # sensors' versions and files say where they fire

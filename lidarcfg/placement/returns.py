@@ -11,22 +11,22 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.errors import ConfigError
 from lidarcfg.firing import Pattern, Patterns
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.placement import returns_kernels as kernels
 from lidarcfg.placement.cones import Lidar
-from lidarcfg.placement.returns_kernels import Counts, Poses, Scans, Shape
-from lidarcfg.placement.rows import EVERYTHING
-from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.sight import UNLIMITED_SIGHT, Obstacles
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
-from lidarcfg.world.bvh import TRIANGLE, build, corners
 from lidarcfg.world.meshes import Mesh
+from lidarcfg.world.tracer import TRIANGLE
 
 PHASES = 4  # a power of 2, so that means over phases are exact
 PLACES_PER_PART = 64  # that a thread takes at a time
@@ -61,27 +61,41 @@ class Target:
     mesh: Mesh
 
     @cached_property
-    def shape(self) -> Shape:
-        """The object as the compiled loops take it."""
-        vertices, triangles = self.mesh
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        origin = np.array([*(low + high)[:2] / 2, low[2]])
-        shapes, which = np.empty(9 * len(triangles)), np.arange(len(triangles), dtype=np.int32)
-        corners(vertices, triangles, which, origin, shapes)
-        tree = build(shapes, np.full(len(triangles), TRIANGLE, np.uint8), which, np.zeros(len(triangles), np.int32))
-        return Shape(tree, low - origin, high - origin)
+    def shape(self) -> core.returns.TargetShape:
+        """The object as the core takes it."""
+        corners = self.mesh[0][self.mesh[1]] - self._origin_m
+        number = np.arange(len(corners), dtype=np.int32)
+        kind = np.full(len(corners), TRIANGLE, np.uint8)
+        bvh = core.world.Bvh(corners.reshape(-1, 9), kind, number, np.zeros_like(number))
+        return core.returns.TargetShape(bvh, *self.box_m)
+
+    @property
+    def box_m(self) -> tuple[Array, Array]:
+        """(3,) each: the lower and the upper corner of its bounding box, relative to its place."""
+        vertices = self.mesh[0]
+        return vertices.min(axis=0) - self._origin_m, vertices.max(axis=0) - self._origin_m
 
     @property
     def size_m(self) -> Array:
         """(3,) of its bounding box."""
-        return np.asarray(self.shape.high_m - self.shape.low_m)
+        low, high = self.box_m
+        return np.asarray(high - low)
+
+    @property
+    def _origin_m(self) -> Array:
+        """(3,) the middle of its lowest points' plane."""
+        low, high = self.mesh[0].min(axis=0), self.mesh[0].max(axis=0)
+        return np.array([*(low + high)[:2] / 2, low[2]])
+
+    def __getstate__(self) -> dict[str, Mesh]:
+        return {"mesh": self.mesh}  # the core's objects are made anew
 
 
 @dataclass(frozen=True)
 class Returned:
     """The returns from an object at P places."""
 
-    counts: Counts  # (P, sensors, PHASES)
+    counts: NDArray[np.int32]  # (P, sensors, PHASES)
     phases: tuple[int, ...]  # (sensors,) so many of the last axis are a sensor's, the others are 0
 
     @property
@@ -98,36 +112,43 @@ class Returned:
 
     def probability(self, enough: int) -> Array:
         """(P,) the probability of at least this many returns in a revolution."""
-        return np.asarray(kernels.probabilities(self.counts, np.array(self.phases, np.int64), enough))
+        return core.returns.detection_probabilities(self.counts, np.array(self.phases, np.int64), enough)
 
 
-NOTHING = EVERYTHING.obstacles
+NOTHING = UNLIMITED_SIGHT.obstacles
 
 
-def scans(scanners: Sequence[Scanner], phases: int = PHASES) -> Scans:
-    """Sensors as the compiled loops take them."""
-    heads = [one.pattern.heads_rad(phases) for one in scanners]
-    head, laser = np.concatenate(heads), [one.pattern.laser for one in scanners]
-    fov = [one.azimuth_fov_deg or (0.0, 360.0) for one in scanners]
+class Poses(NamedTuple):
+    """Where S sensors are in the vehicle frame."""
 
-    def column(name: str) -> Array:
-        return np.concatenate([getattr(one.sensor, name)[row] for one, row in zip(scanners, laser, strict=True)])
+    R: Array  # (S, 3, 3)
+    t: Array  # (S, 3)
 
-    return Scans(
-        first_head=np.cumsum([0, *(len(row) for row in heads)]),
-        cos_head=np.cos(head),
-        sin_head=np.sin(head),
-        start_rad=np.array([row[0] for row in heads]),
-        fine_rad=np.array([one.pattern.step_rad / one.pattern.phases(phases) for one in scanners]),
-        phases=np.array([one.pattern.phases(phases) for one in scanners], np.int64),
-        first_firing=np.cumsum([0, *(len(row) for row in laser)]),
-        lag_rad=np.concatenate([one.pattern.lag_rad for one in scanners]),
-        decides_rad=np.concatenate([one.pattern.decides_rad for one in scanners]),
-        offset_rad=column("azimuth_offset_rad"),
-        elevation_rad=column("elevation_rad"),
-        start_m=np.stack([column(f"{way}_offset_m") for way in ("forward", "lateral", "vertical")], axis=1),
-        range_m=np.array([one.range_m for one in scanners]),
-        fov_rad=np.radians([(low, (high - low) % 360 or 360.0) for low, high in fov]),
+
+def compiled(scanners: Sequence[Scanner], phases: int = PHASES) -> tuple[core.returns.Scanner, ...]:
+    """Sensors as the core takes them."""
+    return tuple(_compiled(one, phases) for one in scanners)
+
+
+def _compiled(one: Scanner, phases: int) -> core.returns.Scanner:
+    sensor, pattern = one.sensor, one.pattern
+    heads = pattern.heads_rad(phases)
+    laser = pattern.laser
+    low, high = one.azimuth_fov_deg or (0.0, 360.0)
+    offsets = sensor.forward_offset_m, sensor.lateral_offset_m, sensor.vertical_offset_m
+    return core.returns.Scanner(
+        cos_head=np.cos(heads),
+        sin_head=np.sin(heads),
+        start_rad=heads[0],
+        step_rad=pattern.step_rad / pattern.phases(phases),
+        phases=pattern.phases(phases),
+        lag_rad=np.ascontiguousarray(pattern.lag_rad),
+        gating_rad=np.ascontiguousarray(pattern.decides_rad),
+        offset_rad=sensor.azimuth_offset_rad[laser],
+        elevation_rad=sensor.elevation_rad[laser],
+        start_m=np.stack([column[laser] for column in offsets], axis=1),
+        range_m=one.range_m,
+        fov_rad=np.radians((low, (high - low) % 360 or 360.0)),
     )
 
 
@@ -141,7 +162,7 @@ def placed(lidars: Sequence[Lidar]) -> Poses:
 def returns(
     places: Array,
     target: Target,
-    sensors: Scans,
+    scanners: Sequence[core.returns.Scanner],
     poses: Poses,
     obstacles: Obstacles = NOTHING,
     threads: int | None = None,
@@ -151,13 +172,16 @@ def returns(
 
     `on_places` is told how many more places are done; what it raises ends the work.
     """
-    shape = len(places), len(sensors.phases), int(sensors.phases.max())
+    phases = tuple(one.phases for one in scanners)
+    shape = len(places), len(scanners), max(phases)
     what = f"counting the returns at {shape[0]:,} places to {shape[1]} sensors"
     check_memory(what, COUNT_BYTES * math.prod(shape), "use fewer places at a time")
     counts = np.zeros(shape, np.int32)
 
-    def run(part: Counts) -> None:
-        kernels.returns(places, sensors, poses, target.shape, obstacles, part, counts)
+    object_shape = target.shape
+
+    def run(part: NDArray[np.int64]) -> None:
+        core.returns.count_returns(places, part, scanners, poses.R, poses.t, object_shape, obstacles, counts)
 
     count = max(-(-len(places) // PLACES_PER_PART), 1)
     parts = [np.arange(first, len(places), count) for first in range(count)]
@@ -167,4 +191,4 @@ def returns(
                 on_places(len(part))
         finally:
             pool.shutdown(cancel_futures=True)
-    return Returned(counts, tuple(sensors.phases.tolist()))
+    return Returned(counts, phases)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, fault
+from lidarcfg.config import Model, fault, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, angles, turned
 
@@ -36,7 +36,7 @@ class Robust(Model):
     @classmethod
     def _defaults(cls, values: Any) -> Any:
         if isinstance(values, dict) and any(values.get(key) is not None for key in SIGMAS):
-            return {"samples": SAMPLES, "quantile": QUANTILE} | values
+            return with_defaults(values, {"samples": SAMPLES, "quantile": QUANTILE})
         return values
 
     @model_validator(mode="after")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.config import error_at
+from lidarcfg.config import NAME_MAX, error_at
 from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import Choices
 from lidarcfg.placement.cones import Lidar, sensor_lidar
@@ -67,6 +67,9 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
             name = slot_name(group.name, group.count, number, len(found))
             if name in [slot.name for slot in found]:
                 raise error_at(path, ("sensors", i), f"two are called {name!r}; give each group its own name")
+            if len(name) > NAME_MAX:
+                what = f"makes a sensor's name of {len(name)} characters; allowed: at most {NAME_MAX}"
+                raise error_at(path, ("sensors", i, "name"), what)
             image = group.mirror_y_m is not None and number % 2 == 1
             seat = surface.image if surface and image else surface
             found.append(Slot(name, sensor, model, group.range_m, fov_deg, seat, offered))

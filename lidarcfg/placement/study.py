@@ -1,10 +1,9 @@
 """A study: which sensors may be placed where, what is minimised, and how to search."""
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import combinations, islice
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.config import error_at, errors_at, load
+from lidarcfg import core
+from lidarcfg.config import NAME_MAX, error_at, errors_at, load, whole_values
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.firing import Patterns
@@ -25,17 +25,16 @@ from lidarcfg.placement.criterion import EVERY_CASE, Criterion
 from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.returns import NOTHING, scanner, scans
-from lidarcfg.placement.returns_kernels import Scans
+from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
+from lidarcfg.placement.returns import NOTHING, compiled, scanner
 from lidarcfg.placement.robustness import Robust, mounted
-from lidarcfg.placement.sightings import Sought, sought, target
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.placement.slots import Slot, check_bounds, slots_of
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import mirrored, violation
-from lidarcfg.placement.terms import Missed, Trial
+from lidarcfg.placement.terms import MissRate, Trial
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.placement.visibility_kernels import Obstacles
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.scene import Scene, load_scene
@@ -61,7 +60,7 @@ class Study:
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
     robust: Robust | None = None  # what a rig has to withstand
     zones: tuple[Zone, ...] = ()
-    sought: tuple[Sought, ...] = ()  # the objects that are detected by returns
+    detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
     patterns: Patterns | None = None  # where sensors fire; needed for these
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
 
@@ -192,17 +191,13 @@ class Study:
         around = None if spot is None else self.directions(spot.height_m)
         mounts = mounts or self.rig(self.lower).mounts
 
-        @cache
-        def fired(some: tuple[int, ...]) -> Scans:
-            return self.scans([mounts[i] for i in some])
-
-        missed = {one.item.name: Missed(one, fired) for one in self.sought if one.item.name in self.objective.detection}
-        if missed:
-            fired(tuple(range(len(mounts))))  # an error comes before the search
+        wanted = [one for one in self.detection_targets if one.item.name in self.objective.detection]
+        scanners = self.scanners(mounts) if wanted else ()
+        missed = {one.item.name: MissRate(one, scanners) for one in wanted}
         weight = weights(self.zones, self.region)
         return Criterion(self.objective, self.region, self.detection, around, missed, weight, kept)
 
-    def scans(self, mounts: Sequence[Mount]) -> Scans:
+    def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
         if self.patterns is None:
             what = "detection by returns needs to know where sensors fire"
@@ -213,7 +208,7 @@ class Study:
                 found.append(scanner(mount, self.patterns))
             except ConfigError as error:
                 raise error.of(mount.name) from None
-        return scans(found)
+        return compiled(found)
 
     @property
     def obstacles(self) -> Obstacles:
@@ -283,7 +278,7 @@ class Study:
                     range_m=slot.range_m,
                 )
             )
-        return Rig(self.name, tuple(mounts), self.vehicle.section if self.vehicle else None)
+        return Rig(self.name[:NAME_MAX], tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
 def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
@@ -312,7 +307,7 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
     if file.robust:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
-    sought_for = _sought(file, region, path)
+    detection_targets = _detection_targets(file, region, path)
     study = Study(
         name=path.stem,
         region=region,
@@ -329,15 +324,15 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         visibility=_visibility(file, region, bodies, surroundings),
         robust=file.robust,
         zones=zones,
-        sought=sought_for,
+        detection_targets=detection_targets,
         patterns=patterns,
-        file=_resolved(file, slots.slots, choices, bodies, path),
+        file=_resolved(file, slots.slots, choices, path),
     )
-    if sought_for and patterns:
+    if detection_targets and patterns:
         for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
             for sensor in [choice.sensor for choice in slot.choices if choice] or [slot.sensor]:
                 with errors_at(path, "sensors", number):
-                    study.scans([replace(mount, sensor=sensor)])
+                    study.scanners([replace(mount, sensor=sensor)])
     return study
 
 
@@ -358,15 +353,15 @@ def _zones(file: StudyFile, region: Region, path: Path) -> tuple[Zone, ...]:
     return tuple(found)
 
 
-def _sought(file: StudyFile, region: Region, path: Path) -> tuple[Sought, ...]:
+def _detection_targets(file: StudyFile, region: Region, path: Path) -> tuple[DetectionTarget, ...]:
     """The objects that are detected by returns. Raises ConfigError for any object that the region does not hold."""
-    found: dict[tuple[object, ...], Sought] = {}  # of those that look alike, the first
+    found: dict[tuple[object, ...], DetectionTarget] = {}  # of those that look alike, the first
     every = []
     for i, item in enumerate(file.detection):
         with errors_at(path, "detection", i, *(("mesh",) if item.mesh else ())):
             if item.returns:
                 if item.appearance not in found:
-                    found[item.appearance] = sought(region, item, target(item, region, path.parent))
+                    found[item.appearance] = detection_target(region, item, target(item, region, path.parent))
                 every.append(replace(found[item.appearance], item=item))
             else:
                 check_fits(item, region)
@@ -382,16 +377,9 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
     return Visibility.of(scenes if given.occlusion else [], region, given.range, given.field_of_view)
 
 
-def _resolved(
-    file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], bodies: Vehicle | None, path: Path
-) -> dict[str, Any]:
-    """The file's values with defaults filled in, and with the paths of models, meshes and scene resolved."""
-    values = file.model_dump(mode="json", exclude_none=True)
-    if bodies:
-        values["vehicle"] = bodies.file.model_dump(mode="json", exclude_none=True)
-    if file.surroundings is not None:
-        values["surroundings"] = os.path.realpath(path.parent / file.surroundings)
-    models = iter(slots)
+def _resolved(file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], path: Path) -> dict[str, Any]:
+    """The file's values with defaults filled in, and with the paths of models and other files resolved."""
+    values, models = whole_values(file, path.parent), iter(slots)
     for group in values["sensors"]:
         for slot in islice(models, group["count"]):
             if "choose" in group:

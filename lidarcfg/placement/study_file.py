@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, Metres, Model, Position, check_names, fault
+from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, FileName, Metres, Model, Position, check_names, fault
 from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
@@ -162,7 +162,7 @@ class StudyFile(Model):
     region: RegionFile
     sensors: Annotated[tuple[GroupFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
     vehicle: VehicleFile | None = None
-    surroundings: str | None = None  # a scene's file, relative to the study's
+    surroundings: FileName | None = None  # a scene's file, relative to the study's
     visibility: VisibilityFile | None = None
     objective: Objective = Objective()
     constraints: Constraints = Constraints()

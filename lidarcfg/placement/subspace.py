@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import placement as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement import rows
-from lidarcfg.placement.bits import ONE, Words
 from lidarcfg.placement.components import components
-from lidarcfg.placement.cones import Lidar, beam_gap_table, cone_rows
+from lidarcfg.placement.cones import Lidar, cone_rows
+from lidarcfg.placement.grid import Words, count_set, cuboid_number, linked
 from lidarcfg.placement.region import Region, check_voxels
+from lidarcfg.placement.sight import UNLIMITED_SIGHT
 
 if TYPE_CHECKING:
     import open3d
@@ -67,9 +68,7 @@ def segment(region: Region, lidars: Sequence[Lidar], visibility: "Visibility | N
     """Cut a region into its connected subspaces. Raises ConfigError where every cuboid is excluded."""
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
-    grid, work = rows.linked(region, lidars, visibility.sight(lidars) if visibility else rows.EVERYTHING)
-    links, seen = work.links, work.seen if visibility else None
-    del work  # a third of the memory
+    grid, links, seen = linked(region, lidars, visibility.sight(lidars) if visibility else UNLIMITED_SIGHT)
     return _subspaces(region, grid, links, lidars, seen)
 
 
@@ -77,31 +76,34 @@ class Links:
     """The links of each LiDAR, computed once, for the subspaces of any of them."""
 
     def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: "Visibility | None" = None) -> None:
-        self._region, self._lidars, self._limited = region, lidars, visibility is not None
-        sights = [visibility.sight([one]) if visibility else rows.EVERYTHING for one in lidars]
-        each = [rows.linked(region, [one], sight) for one, sight in zip(lidars, sights, strict=True)]
+        self._region = region
+        self._lidars = lidars
+        sights = [visibility.sight([one]) if visibility else UNLIMITED_SIGHT for one in lidars]
+        each = [linked(region, [one], sight) for one, sight in zip(lidars, sights, strict=True)]
         self._grid = each[0][0]
-        self._links = np.stack([work.links for _, work in each])  # (lidars, 3, rows)
-        self._seen = np.concatenate([work.seen for _, work in each])  # (lidars, rows)
+        self._links = np.stack([links for _, links, _ in each])  # (lidars, rows, 3)
+        seen = [words for _, _, words in each if words is not None]
+        self._seen = np.concatenate(seen) if seen else None  # (lidars, rows)
 
     def subspaces(self, kept: Sequence[int]) -> Subspaces:
         """The result of `segment` for these LiDARs alone."""
         which = list(kept)
-        links, lidars = np.bitwise_and.reduce(self._links[which]), [self._lidars[i] for i in which]
-        return _subspaces(self._region, self._grid, links, lidars, self._seen[which] if self._limited else None)
+        links = np.bitwise_and.reduce(self._links[which])
+        seen = None if self._seen is None else self._seen[which]
+        return _subspaces(self._region, self._grid, links, [self._lidars[i] for i in which], seen)
 
 
 def _subspaces(
-    region: Region, grid: rows.Grid, links: Words, lidars: Sequence[Lidar], seen_words: Words | None
+    region: Region, grid: core.Grid, links: Words, lidars: Sequence[Lidar], seen_words: Words | None
 ) -> Subspaces:
-    """The subspaces by their links (3, rows), and by what the LiDARs see (lidars, rows) if sight is limited."""
-    label, cuboids, internal, first = components(grid, region.shape, links)
+    """The subspaces by their links (rows, 3), and by what the LiDARs see (lidars, rows) if sight is limited."""
+    label, cuboids, internal, first = components(grid, links)
     index = np.unravel_index(first, region.shape)
     points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
-    gap = beam_gap_table(points, cone_rows(lidars))
+    gap = core.beam_gaps(points, cone_rows(lidars))
     if seen_words is None:
         return Subspaces(region, label, cuboids, internal, gap, first)
     i, j, k = index
-    number = rows.cuboid_number(grid, (i, j, k))
-    gap[(seen_words[:, number >> 6] >> (number & 63).astype(np.uint64) & ONE).T == 0] = BLIND
-    return Subspaces(region, label, cuboids, internal, gap, first, rows.counted(region, seen_words))
+    number = cuboid_number(grid, (i, j, k))
+    gap[(seen_words[:, number >> 6] >> (number & 63).astype(np.uint64) & np.uint64(1)).T == 0] = BLIND
+    return Subspaces(region, label, cuboids, internal, gap, first, count_set(region, seen_words))

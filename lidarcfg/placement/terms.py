@@ -1,21 +1,23 @@
 """The terms of an objective: each is a figure of a trial, and can stop early once it is too large."""
 
 import math
+import threading
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from lidarcfg import core
 from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
 from lidarcfg.placement.metric import Node, Spheres, clearance_m
 from lidarcfg.placement.region import Region, cuboids_needed
-from lidarcfg.placement.returns import NOTHING
-from lidarcfg.placement.returns_kernels import Scans
-from lidarcfg.placement.sightings import Sought, missed
+from lidarcfg.placement.return_counts import DetectionTarget, MissCounter
+from lidarcfg.placement.returns import NOTHING, Poses
+from lidarcfg.placement.returns import placed as poses_of
 from lidarcfg.placement.subspace import Links, Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Weights, worth_m
@@ -42,6 +44,11 @@ class Trial:
         if self._whole:
             return self._whole._links.subspaces(self.kept)
         return segment(self.region, self.lidars, self.visibility)
+
+    @cached_property
+    def poses(self) -> Poses:
+        """Where its LiDARs are."""
+        return poses_of(self.lidars)
 
     def forget(self, weight: Weights | None) -> None:
         """Keep of its subspaces only what they are worth and the first cuboid of each: the rest is large."""
@@ -72,6 +79,14 @@ class Term(Protocol):
 
     def learn(self) -> None:
         """Called after every batch of trials, so that later batches can use its findings."""
+
+
+@runtime_checkable
+class BoundedTerm(Term, Protocol):
+    """A term of which a part of the work tells how large it is at least."""
+
+    def lower_bound(self, trial: Trial, share: float) -> float:
+        """No more than its value, by a share of the work, 0 to 1."""
 
 
 class Recent(Generic[T]):
@@ -124,20 +139,33 @@ class Undetected:
         """Nothing."""
 
 
-class Missed:
+class MissRate:
     """1 − the detection rate of an object by its returns. Stops once too many places have too few returns."""
 
-    def __init__(self, one: Sought, sensors: Callable[[tuple[int, ...]], Scans]) -> None:
-        self._one, self._sensors = one, sensors  # how some of the study's LiDARs fire, by their numbers
-        self.work = 1e3 * len(one.places)
+    def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner]) -> None:
+        """`scanners` of all of the study's LiDARs."""
+        self._target, self._scanners = target, scanners
+        self._of_thread = threading.local()
+        self.work = 1e3 * len(target.places)
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
+        return self._counter(trial).rate(trial.kept, trial.poses, limit)
+
+    def lower_bound(self, trial: Trial, share: float) -> float:
+        """By the places where the object is the likeliest to be missed."""
+        return self._counter(trial).lower_bound(trial.kept, trial.poses, share)
+
+    def _counter(self, trial: Trial) -> MissCounter:
         obstacles = trial.visibility.obstacles if trial.visibility else NOTHING
-        return missed(self._one, self._sensors(trial.kept), trial.lidars, obstacles, limit)
+        counter: MissCounter | None = getattr(self._of_thread, "counter", None)
+        if counter is None or counter.obstacles is not obstacles:
+            counter = MissCounter(self._target, self._scanners, obstacles)
+            self._of_thread.counter = counter
+        return counter
 
     def learn(self) -> None:
-        """Nothing."""
+        """Nothing: each thread has a MissCounter."""
 
 
 class UnseenFraction:

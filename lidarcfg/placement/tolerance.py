@@ -83,22 +83,24 @@ class StudyEvaluator:
         """Whether costs can be smoothed."""
         return self._at_rest is not None and self._at_rest.smooths and self._off is None
 
-    def costs(self, poses: Array, source: Index, source_poses: Array, to_beat: Array, smoothing: float = 0.0) -> Array:
-        """(n,) the costs, or inf where one is not below `to_beat` (n,). See Evaluator.costs."""
+    def costs(
+        self, poses: Array, source: Index, source_poses: Array, upper_bound: Array, smoothing: float = 0.0
+    ) -> Array:
+        """(n,) the costs, or inf where one is not below `upper_bound` (n,). See Evaluator.costs."""
         cost = np.full(len(poses), -np.inf)
         self.trials += len(poses)
         if self._at_rest:
-            cost = self._at_rest.costs(poses, source, source_poses, to_beat, smoothing if self.smooths else 0.0)
+            cost = self._at_rest.costs(poses, source, source_poses, upper_bound, smoothing if self.smooths else 0.0)
         if self._off:
-            some = np.flatnonzero(cost < (to_beat if self._skip else np.inf))
-            off = self._quantiles(self._off, poses[some], source[some], source_poses, to_beat[some])
+            some = np.flatnonzero(cost < (upper_bound if self._skip else np.inf))
+            off = self._quantiles(self._off, poses[some], source[some], source_poses, upper_bound[some])
             cost[some] = np.maximum(cost[some], off)
         return cost
 
     def _quantiles(
-        self, evaluator: Evaluator, poses: Array, source: Index, source_poses: Array, to_beat: Array
+        self, evaluator: Evaluator, poses: Array, source: Index, source_poses: Array, upper_bound: Array
     ) -> Array:
-        """(n,) the quantiles of the draws' costs, or inf where one is not below `to_beat`."""
+        """(n,) the quantiles of the draws' costs, or inf where one is not below `upper_bound`."""
         assert self._robust
         if self._sources.shape != source_poses.shape or (self._sources != source_poses).any():
             everywhere = [mounted(source_poses, error) for error in self._errors]
@@ -107,15 +109,15 @@ class StudyEvaluator:
         order = list(dict.fromkeys((*self._refuting.items, *range(self._drawn))))
         values, spare = np.full((len(poses), self._drawn), np.nan), self._robust.spare
         if not self._skip:
-            to_beat = np.full(len(poses), np.inf)
+            upper_bound = np.full(len(poses), np.inf)
         for witnesses_alone in (True, False):
             for draw in order:
-                worse = (values >= to_beat[:, None]).sum(axis=1)
+                worse = (values >= upper_bound[:, None]).sum(axis=1)
                 open_ones = np.flatnonzero((worse <= spare) & np.isnan(values[:, draw]))
                 if not len(open_ones):
                     continue
                 off = mounted(poses[open_ones], self._errors[draw])
-                asked = off, source[open_ones] + first[draw], self._off_sources, to_beat[open_ones]
+                asked = off, source[open_ones] + first[draw], self._off_sources, upper_bound[open_ones]
                 if witnesses_alone:
                     values[open_ones[evaluator.refuted(*asked)], draw] = np.inf
                 else:
@@ -123,7 +125,7 @@ class StudyEvaluator:
                 for _ in range(int((values[open_ones, draw] == np.inf).sum())):
                     self._refuting.add(draw)
         self._refuting.learn()
-        settled = (values >= to_beat[:, None]).sum(axis=1) > spare
+        settled = (values >= upper_bound[:, None]).sum(axis=1) > spare
         out = np.full(len(poses), np.inf)
         out[~settled] = np.sort(values[~settled], axis=1)[:, self._drawn - 1 - spare]
         return out

@@ -10,23 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.geometry import Array
-from lidarcfg.placement import rows
 from lidarcfg.placement.cones import Lidar, cone_rows
+from lidarcfg.placement.grid import seen_words, unpack
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.visibility_kernels import (
-    BEYOND,
-    LIMITS,
-    WITHIN,
-    Obstacles,
-    Sight,
-    new_looks,
-    seen_points,
-)
-from lidarcfg.world.bvh import EMPTY
-from lidarcfg.world.numba_trees import obstacles
+from lidarcfg.placement.sight import BEYOND, LIMITS, UNLIMITED_SIGHT, WITHIN, Obstacles, Sight
 from lidarcfg.world.scene import Scene
-from lidarcfg.world.shadow_kernels import ROW, boxes_of
+from lidarcfg.world.vehicle import obstacles
 
 ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
 EXACT = 1e-15  # a cosine or sine below it is 0
@@ -52,18 +43,17 @@ class Visibility:
         middle = 0.5 * (region.min_m + region.max_m)
         origin_m = np.rint(middle / ROUND_M) * ROUND_M
         grounds = [scene.file.ground.z_m for scene in scenes if scene.file.ground]
-        tree = obstacles(scenes, origin_m)
-        found = Obstacles(tree, boxes_of(tree), origin_m, max(grounds, default=np.inf))
+        found = Obstacles.of(obstacles(scenes, origin_m), origin_m, max(grounds, default=np.inf))
         return cls(found, range, field_of_view)
 
     @property
     def blocks(self) -> bool:
         """Whether there is anything that hides what is behind it."""
-        return self.obstacles.tree.root != EMPTY or self.obstacles.ground_m < np.inf
+        return len(self.obstacles.tree) > 0 or self.obstacles.ground_m < np.inf
 
     def transparent(self) -> "Visibility":
         """The same as if nothing hid anything."""
-        return replace(self, obstacles=rows.EVERYTHING.obstacles)
+        return replace(self, obstacles=UNLIMITED_SIGHT.obstacles)
 
     def limits(self, lidars: Sequence[Lidar], level: Array | None = None) -> Array:
         """(…, lidars, 9): Sight.limits of LiDARs; `level` (…, lidars, 3, 2) if they are not at their own poses."""
@@ -87,17 +77,16 @@ class Visibility:
         return out
 
     def sight(self, lidars: Sequence[Lidar]) -> Sight:
-        """What the compiled loops know of these LiDARs."""
+        """What the core takes of these LiDARs."""
         return Sight(self.limits(lidars), self.obstacles)
 
     def seen(self, region: Region, lidars: Sequence[Lidar]) -> NDArray[np.bool_]:
         """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
-        return rows.unpacked(region, rows.seen_words(region, lidars, self.sight(lidars)))
+        return unpack(region, seen_words(region, lidars, self.sight(lidars)))
 
     def seen_points(self, points_m: Array, lidar: Lidar) -> NDArray[np.bool_]:
         """(N,): which points (N, 3) a LiDAR sees."""
         out = np.empty(len(points_m), np.bool_)
         points = np.ascontiguousarray(np.asarray(points_m, np.float64).T)
-        looks = new_looks(1, len(out))
-        seen_points(points, cone_rows([lidar]), self.sight([lidar]), looks, np.empty(ROW), out)
+        core.visibility.see_points(points, cone_rows([lidar])[0], self.sight([lidar]), out)
         return out

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from lidarcfg import core
 from lidarcfg.config import Name
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.placement.column_kernels import mark
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import BoxFile, Region
 from lidarcfg.placement.subspace import Subspaces
@@ -54,7 +54,8 @@ class Zone:
         """The largest of the VSRs (n,) of subspaces that have a cuboid in it."""
         found = np.zeros(len(vsr) + 1, np.bool_)  # the last is for excluded cuboids, of label −1
         x, y, z = self.cells(subspaces.region)
-        mark(subspaces.label, np.array([[x.start, x.stop], [y.start, y.stop], [z.start, z.stop]]), found)
+        cells = np.array([[x.start, x.stop], [y.start, y.stop], [z.start, z.stop]])
+        core.visibility.mark_subspaces(subspaces.label, cells, found)
         return float(vsr[found[:-1]].max())
 
 

@@ -22,7 +22,6 @@ from lidarcfg.report.html import Best, Figure, Table, render
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.robustness import FAR, draw_lost
 from lidarcfg.report.words import (
-    as_yaml,
     beams,
     counted,
     date,
@@ -34,6 +33,7 @@ from lidarcfg.report.words import (
     versions,
 )
 from lidarcfg.rig import Rig
+from lidarcfg.yaml_document import yaml_text
 
 RIGS_MAX = 10
 COMPARED = ("compare.json", "compare.html")  # the files of a comparison
@@ -248,7 +248,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         mounts=[(rig.title, mounts_table(rig.rig)) for rig in rigs],
         commands=commands,
         repeat=[("seed", "not needed"), ("versions", versions()), ("date", date())],
-        study_yaml=as_yaml(study.file) if study.file else None,
+        study_yaml=yaml_text(study.file) if study.file else None,
         worst=[
             drawings.compare_worst(f"worst{n}", [(rig.title, rig.rig, rig.found) for rig in part])
             for n, part in enumerate(parts)

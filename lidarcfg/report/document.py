@@ -21,7 +21,6 @@ from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
 from lidarcfg.report.surfaces import draw_surfaces
 from lidarcfg.report.words import (
-    as_yaml,
     bounds_table,
     constraints_in_words,
     counted,
@@ -40,6 +39,7 @@ from lidarcfg.report.words import (
     versions,
 )
 from lidarcfg.rig import Rig, rig_to_dict
+from lidarcfg.yaml_document import yaml_text
 
 Facts = list[tuple[str, object]]
 
@@ -76,13 +76,13 @@ def report(
         about=f"{rig_in_words(rig)}; {what} by lidarcfg {__version__} on {date()}",
         summary=figures_beside(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
         baseline=baseline,
-        baseline_yaml=as_yaml(rig_to_dict(baseline.rig)) if baseline else None,
+        baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
         commands=commands,
         task=_task(study, placement),
         bounds=bounds_table(study),
-        study_yaml=as_yaml(study.file) if study.file else None,
-        rig_yaml=as_yaml(rig_to_dict(rig)),
+        study_yaml=yaml_text(study.file) if study.file else None,
+        rig_yaml=yaml_text(rig_to_dict(rig)),
         search=_search(placement),
         worst_is_outside=_is_outside(found.worst[0]),
         worst_is_blind=all(pair == [None, None] for pair in found.worst[0].between_deg),

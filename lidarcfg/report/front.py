@@ -25,7 +25,8 @@ from lidarcfg.report.front_plot import draw_front, front_svg
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
-from lidarcfg.report.words import as_yaml, counted, date, objective_in_words, price, solver_in_words, versions
+from lidarcfg.report.words import counted, date, objective_in_words, price, solver_in_words, versions
+from lidarcfg.yaml_document import yaml_text
 
 STUDY = "study.yaml"
 POINT = (STUDY, *RESULTS)  # the files of a point
@@ -101,7 +102,7 @@ def _save_point(point: Point, folder: Path, commands: Commands) -> None:
     """Write the study of a combination, and the results of its search as `optimize` writes them."""
     study, found = point.combination.study, point.placement
     shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
-    write_text(as_yaml(study.file) + "\n", folder / STUDY)
+    write_text(yaml_text(study.file), folder / STUDY)
     save_placement(study, found, shown, folder, commands)
 
 
@@ -192,7 +193,7 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
             ("seconds", f"{found.seconds:.2f}"),
             ("date", date()),
         ],
-        study_yaml=as_yaml(study.file),
+        study_yaml=yaml_text(study.file),
     )
 
 

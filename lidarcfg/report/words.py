@@ -6,10 +6,8 @@ import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
-from typing import Any
 
 import numpy as np
-import yaml
 
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
@@ -19,7 +17,7 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Returns
 from lidarcfg.placement.hiding import Hiding
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sightings import HEADINGS_DEG, STEP_M
+from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
@@ -67,11 +65,6 @@ def vector(values: Sequence[float] | Array, form: str = "g") -> str:
     return ", ".join(f"{value:z{form}}" for value in values)
 
 
-def as_yaml(values: dict[str, Any]) -> str:
-    """The values as a file would hold them."""
-    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110).rstrip()
-
-
 def beams(rig: Rig) -> int:
     """The number of beams of all sensors."""
     return sum(mount.sensor.count for mount in rig.mounts)
@@ -101,7 +94,7 @@ def object_in_words(item: DetectionObject) -> str:
     where = "on the ground" if item.on_ground else "at all heights"
     how = f"{counted(item.samples, 'position')} and headings drawn" if item.samples else "every position on the grid"
     size = " × ".join(f"{edge:g}" for edge in item.box_m)
-    return f"{size} m, {where}, {how}; detected if in more than {counted(item.threshold, 'subspace')}"
+    return f"{size} m, {where}, {how}; detected if in more than {counted(item.most_touched, 'subspace')}"
 
 
 def hiding_in_words(hiding: Mapping[str, Hiding]) -> list[str]:

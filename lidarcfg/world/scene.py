@@ -8,7 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Metres, Model, Name, Position, Positive, Vec3, errors_at, fault, load
+from lidarcfg.config import (
+    COORDINATE_MAX_M,
+    FileName,
+    Metres,
+    Model,
+    Name,
+    Position,
+    Positive,
+    Vec3,
+    errors_at,
+    fault,
+    load,
+)
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
@@ -83,7 +95,7 @@ class Plane(SceneObject):
 class MeshFile(SceneObject):
     """A triangle mesh in a file that Open3D reads."""
 
-    file: Annotated[str, Field(min_length=1)]  # relative to the scene's file
+    file: FileName  # relative to the scene's file
     position_m: Position
     rpy_deg: Vec3 = (0.0, 0.0, 0.0)
     scale: Positive = 1.0
@@ -92,7 +104,7 @@ class MeshFile(SceneObject):
 class HeightField(SceneObject):
     """Ground of a grid of heights: columns run along x, rows against y, as a map whose top is y."""
 
-    file: Annotated[str, Field(min_length=1)] | None = None  # .png in grey or .npy, relative to the scene's file
+    file: FileName | None = None  # .png in grey or .npy, relative to the scene's file
     heights_m: Annotated[tuple[tuple[Metres, ...], ...], Field(min_length=2)] | None = None  # rows, in place of a file
     cell_m: Size
     position_m: Position  # of the last row's first height, at a height of 0

@@ -74,6 +74,9 @@ class Tracer:
             paths=[one.path.compiled for one in self.dynamic],
         )
 
+    def __reduce__(self) -> tuple[type["Tracer"], tuple[Scene, Array, int]]:
+        return Tracer, (self.scene, self.origin_m, self.zero_ns)
+
     def cast(
         self,
         origins_m: Array,

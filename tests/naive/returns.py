@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from lidarcfg.placement import returns as placement
+
 
 def hit_m(origin, direction, corners):
     """How far the nearest of triangles (T, 3, 3) is along a ray; inf if none is hit."""
@@ -54,3 +56,10 @@ def probability(counts, enough):
     if not counts:
         return float(enough <= 0)
     return sum(probability(counts[1:], enough - count) for count in counts[0]) / len(counts[0])
+
+
+def missed(places, target, scanners, poses, obstacles, enough):
+    """Place by place, how likely it is that an object is missed, by all counts, which are known to be right."""
+    found = placement.returns(places, target, scanners, poses, obstacles, 1)
+    rows = [[counts[s, :count].tolist() for s, count in enumerate(found.phases)] for counts in found.counts]
+    return [1.0 - probability(one, enough) for one in rows]

@@ -75,16 +75,16 @@ def test_what_a_source_takes_over_is_what_would_be_computed(tmp_path, body):
             sources = study.poses(x)
             step = x + np.where(study.groups == cycle % 3, rng.normal(0, 0.05, x.shape), 0.0)
             trials = np.clip(step, 0, 1)
-            before = evaluator._linked.copy()
+            before = evaluator._linked_poses.copy()
             cost = evaluator.costs(study.poses(trials), every, sources, np.full(6, 10.0))
-            taken_over += int(cycle > 1 and not (before == evaluator._linked).all())
+            taken_over += int(cycle > 1 and not (before == evaluator._linked_poses).all())
             x = np.where((cost < 10.0)[:, None], trials, x)
         assert taken_over
-        evaluator._follow(study.poses(x))
-        assert (evaluator._linked == study.poses(x)).all()  # nothing is left to compute
+        evaluator._sync(study.poses(x))
+        assert (evaluator._linked_poses == study.poses(x)).all()  # nothing is left to compute
         with Evaluator(study.region, lidars, 1, visibility=study.visibility) as other:
-            other._follow(study.poses(x))
-            other._renew(every)
+            other._sync(study.poses(x))
+            other._recompute_links(every)
             assert (evaluator._links == other._links).all()
             assert evaluator._clear.shape == other._clear.shape == (6 * bool(body), *other._clear.shape[1:])
             assert (evaluator._clear == other._clear).all()
@@ -186,26 +186,26 @@ def costs(beams, lidars, **settings):
     trials[np.arange(30), rng.integers(lidars, size=30), rng.integers(5, size=30)] += rng.normal(0, 0.2, 30)
     plain = np.array([max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in trials])
     with Evaluator(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2, **settings) as evaluator:
-        to_beat = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf))[source]
-        found = [evaluator.costs(trials, source, sources, to_beat) for _ in range(2)]
+        upper_bound = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf))[source]
+        found = [evaluator.costs(trials, source, sources, upper_bound) for _ in range(2)]
     own = [max_vsr(REGION, [lidar(row[:3], row[3:], sine) for row in poses]) for poses in sources]
-    assert to_beat.tolist() == np.array(own)[source].tolist()
-    return plain, to_beat, found
+    assert upper_bound.tolist() == np.array(own)[source].tolist()
+    return plain, upper_bound, found
 
 
 @pytest.mark.parametrize("beams", [1, 3, 16, 40])
 @pytest.mark.parametrize("lidars", [1, 2, 5])
 def test_costs_are_the_plain_evaluations(beams, lidars):
-    plain, to_beat, found = costs(beams, lidars)
-    expected = np.where(plain < to_beat, plain, np.inf)
+    plain, upper_bound, found = costs(beams, lidars)
+    expected = np.where(plain < upper_bound, plain, np.inf)
     for cost in found:  # the second time with what the first one remembered
         assert np.array_equal(cost, expected)
 
 
 def test_nothing_is_kept_where_it_would_not_fit():
-    plain, to_beat, found = costs(16, 2, cache_bytes=1000)
+    plain, upper_bound, found = costs(16, 2, cache_bytes=1000)
     for cost in found:
-        assert np.array_equal(cost, np.where(plain < to_beat, plain, np.inf))
+        assert np.array_equal(cost, np.where(plain < upper_bound, plain, np.inf))
 
 
 def norm(values, smoothing):
@@ -230,12 +230,12 @@ def test_smoothed_costs_are_norms_of_the_worst_subspaces(beams, lidars, smoothin
     placed = [[lidar(row[:3], row[3:], sine) for row in poses] for poses in every]
     plain = np.array([norm(vsr_m(segment(REGION, rig)).tolist(), smoothing) for rig in placed])
     greatest = np.array([max_vsr(REGION, rig) for rig in placed])
-    to_beat = plain[:6][source] * 1.001
-    expected = np.where(plain[6:] < to_beat, plain[6:], np.inf)
+    upper_bound = plain[:6][source] * 1.001
+    expected = np.where(plain[6:] < upper_bound, plain[6:], np.inf)
     with Evaluator(REGION, [lidar((0, 0, 0), (0, 0, 0), sine)] * lidars, threads=2) as evaluator:
         first = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf), smoothing)
         before = evaluator.full_evaluations
-        found = [evaluator.costs(trials, source, sources, to_beat, smoothing) for _ in range(2)]
+        found = [evaluator.costs(trials, source, sources, upper_bound, smoothing) for _ in range(2)]
         full = evaluator.full_evaluations - before
     assert first == pytest.approx(plain[:6], rel=1e-14)
     assert (first >= greatest[:6]).all()
@@ -245,7 +245,7 @@ def test_smoothed_costs_are_norms_of_the_worst_subspaces(beams, lidars, smoothin
     assert np.isinf(expected).any()
     assert full < 2 * 120
     if smoothing == 1.0 and beams == 16:  # of 12 or more, no single one refutes; several together do
-        assert (greatest[6:] < to_beat).all()
+        assert (greatest[6:] < upper_bound).all()
 
 
 @pytest.mark.parametrize(
@@ -260,9 +260,9 @@ def test_skipping_changes_nothing_in_rounds_that_smooth(tmp_path, monkeypatch, m
     study, smoothed = with_solver(load_study(path), method="annealing", evaluations=4000), []
     asked = StudyEvaluator.costs
 
-    def costs(self, poses, source, source_poses, to_beat, smoothing=0.0):
+    def costs(self, poses, source, source_poses, upper_bound, smoothing=0.0):
         smoothed.append(smoothing)
-        return asked(self, poses, source, source_poses, to_beat, smoothing)
+        return asked(self, poses, source, source_poses, upper_bound, smoothing)
 
     monkeypatch.setattr(StudyEvaluator, "costs", costs)
     runs = [optimize(study, threads=threads, skip=skip) for threads, skip in ((1, False), (1, True), (3, True))]

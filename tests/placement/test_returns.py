@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lidarcfg import core
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement import returns_kernels as kernels
-from lidarcfg.placement.returns import NOTHING, PHASES, Target, placed, returns, scanner, scans
-from lidarcfg.placement.visibility_kernels import Obstacles
-from lidarcfg.world.numba_trees import tree
+from lidarcfg.placement.returns import NOTHING, PHASES, Poses, Target, compiled, placed, returns, scanner
+from lidarcfg.placement.sight import Obstacles
+from lidarcfg.world.tracer import bvh
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated, tracer_of
 
@@ -35,7 +35,7 @@ MOUNTS = (
 def obstacles(mesh):
     """A mesh in the way, relative to a point that is not the origin."""
     point = np.array([3.0, -2.0, 1.0])
-    return Obstacles(tree(scene_with([mesh]), np.array([True]), point), np.empty((6, 0)), point, math.inf)
+    return Obstacles.of(bvh(scene_with([mesh]), np.array([True]), point), point)
 
 
 def places(rng, count, size_m, far_m=30.0):
@@ -50,7 +50,7 @@ def test_counts_are_the_simulators(size):
     """All families, at a random phase each, with the body in the way; tools/accuracy_returns.py has 10,000 places."""
     rng = np.random.default_rng(7)
     where, target, total = places(rng, 8, size), Target(box(*size)), 0
-    sensors = scans([scanner(one, pattern) for one in MOUNTS])
+    sensors = compiled([scanner(one, pattern) for one in MOUNTS])
     found = returns(where, target, sensors, placed(lidars(MOUNTS)), obstacles(BODY))
     for p in range(len(where)):
         tracer = tracer_of([BODY, at_place(target.mesh, where[p])])
@@ -68,7 +68,7 @@ def test_counts_are_those_of_plain_loops(model):
     short = replace(scanner(one, pattern), pattern=coarse(pattern(one)), range_m=(2.0, 9.0))
     rng, target = np.random.default_rng(3), Target(box(1.8, 0.6, 1.75))
     where = places(rng, 4, (1.8, 0.6), 10.0)
-    found = returns(where, target, scans([short], 2), placed(lidars([one])), obstacles(BODY))
+    found = returns(where, target, compiled([short], 2), placed(lidars([one])), obstacles(BODY))
     body = BODY[0][BODY[1]]
     for p, place in enumerate(where):
         vertices, triangles = at_place(target.mesh, place)
@@ -90,7 +90,10 @@ def test_an_upright_box_straight_ahead():
     bare = one.sensor.model_copy(update={"beams": one.sensor.beams.model_copy(update={"vertical_offset_mm": ()})})
     wall = np.array([[10.5, 0.0, 0.0, 0.0]])
     found = returns(
-        wall, Target(box(1.0, 4.0, 2.0)), scans([replace(scanner(one, pattern), sensor=bare)], 1), placed(lidars([one]))
+        wall,
+        Target(box(1.0, 4.0, 2.0)),
+        compiled([replace(scanner(one, pattern), sensor=bare)], 1),
+        placed(lidars([one])),
     )
     step_deg, expected = 360 * 10 * 55_296e-9, 0
     for laser, rise_deg in enumerate(bare.beams.elevation_deg):
@@ -114,7 +117,7 @@ def test_mean_over_phases_is_the_solid_angle():
     found = returns(
         np.array([[8.0, 3.0, 0.0, 1.0]]),
         Target(ball),
-        scans([replace(scanner(one, pattern), sensor=sensor)], 64),
+        compiled([replace(scanner(one, pattern), sensor=sensor)], 64),
         placed(lidars([one])),
     )
     expected = 16 * 2 * math.degrees(math.asin(0.5 / math.hypot(8, 3))) / (360 * 10 * 55_296e-9)
@@ -127,7 +130,7 @@ def test_a_field_of_view_and_ranges_end_what_returns():
     one = mount("vlp-16", (0.0, 0.0, 1.0), (0, 0, 0))
 
     def counts(changed):
-        return returns(where, target, scans([changed]), placed(lidars([one]))).mean
+        return returns(where, target, compiled([changed]), placed(lidars([one]))).mean
 
     around = scanner(one, pattern)
     assert (counts(around) > 0).all()
@@ -143,7 +146,7 @@ def test_the_ground_of_the_surroundings_hides():
     one = mount("vlp-16", (0.0, 0.0, 2.0), (0, 0, 0))
     count = [
         returns(
-            where, target, scans([scanner(one, pattern)]), placed(lidars([one])), NOTHING._replace(ground_m=ground)
+            where, target, compiled([scanner(one, pattern)]), placed(lidars([one])), NOTHING._replace(ground_m=ground)
         ).mean[0]
         for ground in (0.0, 0.8, 1.5)
     ]
@@ -155,7 +158,7 @@ def test_the_ground_of_the_surroundings_hides():
 def test_probability_is_that_of_all_combinations(counts, enough):
     table, phases = np.array(counts, np.int32), np.array([4 if i % 3 else 1 for i in range(len(counts))], np.int64)
     rows = [row[:count] for row, count in zip(counts, phases.tolist(), strict=True)]
-    found = kernels.probability(table, phases, enough, np.empty(enough + 1))
+    (found,) = core.returns.detection_probabilities(table[None], phases, enough)
     assert found == naive.probability(rows, enough)
 
 
@@ -163,19 +166,54 @@ def test_ending_early_changes_nothing():
     """Beside counts in full: the sum over places of the probability to go undetected; and no less once it ends early."""
     rng, mounts = np.random.default_rng(5), MOUNTS[:3]
     where, target, around = places(rng, 60, (0.5, 0.5)), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
-    sensors, at = scans([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
-    found = returns(where, target, sensors, at, around)
+    scanners, at = compiled([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
+    found = returns(where, target, scanners, at, around)
     for enough in (1, 40, 200, 2000):
         missed = float(sum(1.0 - found.probability(enough)))
-        assert kernels.undetected(where, sensors, at, target.shape, around, enough, math.inf) == missed
+
+        def counted(most, enough=enough):
+            counter = core.returns.ReturnCounter(scanners, target.shape, where, np.array([60]), around, enough)
+            return counter.missed(np.arange(3), *at, 0, most)
+
+        assert counted(math.inf) == missed
         for most in (0.3 * missed, 0.99 * missed):
-            assert most <= kernels.undetected(where, sensors, at, target.shape, around, enough, most) <= missed
+            assert most <= counted(most) <= missed
     assert 0 < sum(1.0 - found.probability(200)) < len(where)
+
+
+@pytest.mark.parametrize("phases", [1, 2, 3, 4])
+def test_what_a_counter_keeps_changes_nothing(phases):
+    """A search's trials, of which each moves one sensor or none, by some of the sensors, beside plain counts of each."""
+    rng, mounts = np.random.default_rng(8), MOUNTS[:4]
+    where, target, around = places(rng, 50, (0.5, 0.5), 20.0), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
+    scanners, at = compiled([scanner(one, pattern) for one in mounts], phases), placed(lidars(mounts))
+    counter = core.returns.ReturnCounter(scanners, target.shape, where, np.array([7, 7, 50]), around, 60)
+    poses, ended = [at], 0
+    for trial in range(40):
+        source = poses[rng.integers(len(poses))]
+        at = Poses(source.R.copy(), source.t.copy())
+        at.t[rng.integers(4)] += rng.normal(0, 0.3, 3) * (trial % 5 > 0)
+        poses.append(at)
+        some = np.flatnonzero(rng.random(4) < 0.7)
+        some = some if len(some) else np.arange(4)
+        here = Poses(np.ascontiguousarray(at.R[some]), np.ascontiguousarray(at.t[some]))
+        plain = naive.missed(where, target, [scanners[n] for n in some], here, around, 60)
+        group = trial % 3
+        first, end = ((0, 7), (7, 7), (7, 50))[group]
+        expected = float(np.cumsum([0.0, *plain[first:end]])[-1])
+        most = math.inf if trial % 2 else 0.8 * expected
+        among = counter.missed_among(some, *here, group, int(rng.integers(60)))
+        found = counter.missed(some, *here, group, most)
+        assert 0.0 <= among <= expected
+        assert found == expected if most == math.inf else most <= found <= expected
+        ended += found < expected
+    assert ended
+    assert counter.traced < 40 * 4 * len(where) / 3
 
 
 def test_threads_change_nothing():
     rng, mounts = np.random.default_rng(6), MOUNTS[:2]
     where, target = places(rng, 200, (0.5, 0.5)), Target(box(0.5, 0.5, 1.75))
-    sensors, at = scans([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
+    sensors, at = compiled([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
     one, many = (returns(where, target, sensors, at, obstacles(BODY), threads).counts for threads in (1, 5))
     assert np.array_equal(one, many)

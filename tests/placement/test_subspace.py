@@ -7,12 +7,11 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import rows
 from lidarcfg.placement.components import components
 from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.grid import beam_gaps, grid_of
 from lidarcfg.placement.metric import Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.rows import beam_gaps
 from lidarcfg.placement.subspace import Subspaces, segment
 from tests.naive import placement as naive
 
@@ -28,8 +27,8 @@ def bodies(array, edges=EDGES):
     alike = [(padded == np.roll(padded, 1, axis)) & (padded > 0) for axis in (2, 1, 0)]
     bits = np.zeros((3, *padded.shape[:2], 64 * -(-array.shape[0] // 64)), bool)
     bits[..., : array.shape[0]] = np.stack(alike)[..., 1:-1]
-    links = np.packbits(bits, axis=-1, bitorder="little").view(np.uint64).reshape(3, -1)
-    label, cuboids, internal, first = components(rows.Grid.of(region), region.shape, links)
+    links = np.packbits(bits, axis=-1, bitorder="little").view(np.uint64).reshape(3, -1).T.copy()
+    label, cuboids, internal, first = components(grid_of(region), links)
     assert label.ravel()[first].tolist() == list(range(len(first)))
     return Subspaces(region, label, cuboids, internal, np.zeros((len(cuboids), 0), np.int64), first)
 

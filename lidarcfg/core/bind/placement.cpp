@@ -1,8 +1,260 @@
 #include "bind/arguments.h"
 #include "bind/modules.h"
+#include "bind/sight.h"
+#include "placement/components.h"
+#include "placement/cones.h"
+#include "placement/evaluator.h"
+#include "placement/grid.h"
+#include "placement/linker.h"
+#include "placement/seen.h"
+#include "placement/worst.h"
 
 namespace lidarcfg::bind {
 
-void bind_placement(nb::module_& module) { (void)module; }
+template <>
+struct Columns<placement::Links> {
+  using Element = placement::Word;
+  static constexpr Index count = 3;
+};
+template <>
+struct Columns<const placement::Links> {
+  using Element = const placement::Word;
+  static constexpr Index count = 3;
+};
+
+template <>
+struct Fields<placement::Placed> {
+  using P = placement::Placed;
+  static constexpr auto members =
+      fields(field("cones", &P::cones), field("limits", &P::limits), field("obstacles", &P::obstacles));
+};
+
+template <>
+struct Fields<placement::Batch> {
+  using B = placement::Batch;
+  static constexpr auto members =
+      fields(field("placed", &B::placed), field("upper_bound", &B::upper_bound), field("moved", &B::moved),
+             field("source", &B::source), field("certificates", &B::certificates), field("links", &B::links),
+             field("same_position", &B::same_position), field("clear", &B::clear), field("smoothing", &B::smoothing));
+};
+
+template <>
+struct Fields<placement::BatchResult> {
+  using R = placement::BatchResult;
+  static constexpr auto members =
+      fields(field("cost", &R::cost), field("refuted_by", &R::refuted_by), field("certificates", &R::certificates),
+             field("links", &R::links), field("clear", &R::clear));
+};
+
+template <>
+struct Fields<placement::Sources> {
+  using S = placement::Sources;
+  static constexpr auto members =
+      fields(field("row", &S::row), field("placed", &S::placed), field("changed", &S::changed),
+             field("same_position", &S::same_position), field("links", &S::links), field("clear", &S::clear));
+};
+
+namespace {
+
+using namespace placement;
+
+void check_cones(Rows<const double> cones) {
+  require(cones.columns() >= Cones::first_beam, "cones: at least six columns");
+}
+
+void check_placed(const Placed& placed, Index count, Index lidars) {
+  require(placed.cones.tables() == count, "placed.cones: a table for each");
+  require(placed.cones.rows() == lidars, "placed.cones: a row for each LiDAR");
+  require(placed.cones.columns() >= Cones::first_beam, "placed.cones: at least six columns");
+  require(placed.limits.tables() == count, "placed.limits: a table for each");
+  require(placed.limits.rows() == 0 || placed.limits.rows() == lidars, "placed.limits: a row for each LiDAR, or none");
+  require(placed.limits.columns() == limit_columns, "placed.limits: nine columns");
+  require(placed.obstacles.boxes.rows() == 6, "placed.obstacles.boxes: six rows");
+}
+
+void check_flags(Rows<const bool> flags, Index count, Index lidars, const char* message) {
+  require(flags.rows() == count && flags.columns() == lidars, message);
+}
+
+void check_batch(const TrialEvaluator& evaluator, const Batch& batch, const BatchResult& result) {
+  const Index count = std::ssize(batch.source);
+  const Index lidars = evaluator.lidars();
+  const Index rows = evaluator.grid().rows();
+  check_placed(batch.placed, count, lidars);
+  require(std::ssize(batch.upper_bound) == count, "upper_bound: one for each trial");
+  check_flags(batch.moved, count, lidars, "moved: a flag for each LiDAR of each trial");
+  check_flags(batch.same_position, count, lidars, "same_position: a flag for each LiDAR of each trial");
+  require(batch.certificates.rows() == count, "certificates: a row for each trial");
+  require(batch.links.tables() == 0 || (batch.links.rows() == lidars && batch.links.columns() == rows),
+          "links: of each LiDAR, a row for each of the grid's");
+  require(batch.clear.tables() == 0 || (batch.clear.rows() == lidars && batch.clear.columns() == rows),
+          "clear: of each LiDAR, a word for each row of the grid");
+  for (Index trial = 0; trial < count; ++trial) {
+    const Index source = batch.source[trial];
+    for (Index lidar = 0; lidar < lidars; ++lidar) {
+      require(batch.moved(trial, lidar) || (0 <= source && source < batch.links.tables()),
+              "source: not a row of links");
+      require(!batch.same_position(trial, lidar) || (0 <= source && source < batch.clear.tables()),
+              "source: not a row of clear");
+    }
+    for (const std::int64_t certificate : batch.certificates[trial]) {
+      require(-1 <= certificate && certificate < evaluator.cases() * evaluator.grid().cuboids(),
+              "certificates: not a cuboid of a case");
+    }
+  }
+  require(std::ssize(result.cost) == count, "cost: one for each trial");
+  require(std::ssize(result.refuted_by) == count, "refuted_by: one for each trial");
+  require(result.certificates.rows() == count && result.certificates.columns() == evaluator.certificates(),
+          "result.certificates: as many for each trial as the evaluator finds");
+  require(result.links.rows() == 0 || (result.links.rows() == count && result.links.columns() == rows),
+          "result.links: for each trial a row for each of the grid's, or none");
+  require(result.clear.rows() == 0 || (result.clear.rows() == count && result.clear.columns() == rows),
+          "result.clear: for each trial a word for each row of the grid, or none");
+  require(result.clear.rows() == 0 || batch.placed.limited(), "result.clear: none where everything is seen");
+}
+
+void check_sources(const TrialEvaluator& evaluator, const Sources& sources) {
+  const Index count = std::ssize(sources.row);
+  const Index lidars = evaluator.lidars();
+  const Index rows = evaluator.grid().rows();
+  const bool limited = sources.placed.limited();
+  check_placed(sources.placed, count, lidars);
+  check_flags(sources.changed, count, lidars, "changed: a flag for each LiDAR of each source");
+  check_flags(sources.same_position, count, lidars, "same_position: a flag for each LiDAR of each source");
+  require(sources.links.rows() == lidars && sources.links.columns() == rows,
+          "links: of each LiDAR, a row for each of the grid's");
+  require(!limited || (sources.clear.rows() == lidars && sources.clear.columns() == rows),
+          "clear: of each LiDAR, a word for each row of the grid");
+  for (const Index row : sources.row) {
+    require(0 <= row && row < sources.links.tables(), "row: not a row of links");
+    require(!limited || row < sources.clear.tables(), "row: not a row of clear");
+  }
+}
+
+Array<std::int64_t, 2> bound_beam_gaps(View<const Vec3> points, Rows<const double> cones) {
+  check_cones(cones);
+  const std::size_t count = points.size();
+  const auto lidars = static_cast<std::size_t>(cones.rows());
+  Array<std::int64_t, 2> out{std::vector<std::int64_t>(count * lidars), {count, lidars}};
+  beam_gaps(points, cones, {out.values.data(), std::ssize(points), cones.rows()});
+  return out;
+}
+
+Array<Word, 2> bound_seen(const Grid& grid, Rows<const double> cones, const Sight& sight) {
+  check_cones(cones);
+  check_sight(sight, cones.rows());
+  require(sight.limited() || cones.rows() == 0, "sight.limits: a row for each LiDAR");
+  const auto lidars = static_cast<std::size_t>(cones.rows());
+  const auto rows = static_cast<std::size_t>(grid.rows());
+  Array<Word, 2> out{std::vector<Word>(lidars * rows), {lidars, rows}};
+  VisibilityCache cache(cones.rows(), grid.rows());
+  for (Index lidar = 0; lidar < cones.rows(); ++lidar) {
+    find_seen(grid, lidar, cones, sight, cache, {out.values.data() + lidar * grid.rows(), rows});
+  }
+  return out;
+}
+
+void bound_links(const Grid& grid, Rows<const double> cones, Rows<const Word> seen, View<Links> out) {
+  check_cones(cones);
+  require(seen.rows() == 0 || seen.rows() == cones.rows(), "seen: a row for each LiDAR, or none");
+  require(seen.rows() == 0 || seen.columns() == grid.rows(), "seen: a word for each row of the grid");
+  require(std::ssize(out) == grid.rows(), "out: links for each row of the grid");
+  std::ranges::copy(grid.links, out.begin());
+  Linker linker(grid);
+  for (Index lidar = 0; lidar < cones.rows(); ++lidar) {
+    linker.cut(Cones(cones[lidar]), seen.rows() ? seen[lidar] : View<const Word>(), out);
+  }
+}
+
+std::tuple<std::vector<std::int64_t>, Array<std::int64_t, 2>, std::vector<std::int64_t>> bound_components(
+    const Grid& grid, View<const Links> links, Tables<std::int32_t> label) {
+  const auto [nx, ny, nz] = grid.shape();
+  require(std::ssize(links) == grid.rows(), "links: for each row of the grid");
+  require(label.tables() == nx && label.rows() == ny && label.columns() == nz, "label: of the grid's shape");
+  require(label.size() < std::numeric_limits<std::int32_t>::max(), "label: fewer than 2^31 cuboids");
+  Components found = label_components(grid, links, label);
+  const std::size_t count = found.cuboids.size();
+  return {std::move(found.cuboids), {std::move(found.internal), {count, 3}}, std::move(found.first)};
+}
+
+}  // namespace
+
+void bind_placement(nb::module_& module) {
+  nb::class_<Grid> grid(module, "Grid", "A region as rows of bits; it does not change.");
+  init(
+      grid,
+      [](View<const double> x, View<const double> y, View<const double> z, View<const Word> included, Vec3 edge,
+         View<const double> weight,
+         Rows<const Word> weighted) { return Grid(x, y, z, included, edge, weight, weighted); },
+      "A region's centres, the cuboids that count, their edges, and their weights.", "x", "y", "z", "included", "edge",
+      "weight", "weighted");
+  grid.def_prop_ro("rows", &Grid::rows, "How many rows of bits it has, those of the margin too.");
+  grid.def_prop_ro("chunks", &Grid::step_y, "How many rows there are along x.");
+  grid.def_prop_ro(
+      "shape",
+      [](const Grid& self) {
+        const auto [nx, ny, nz] = self.shape();
+        return nb::make_tuple(nx, ny, nz);
+      },
+      "The cuboids along each axis.");
+
+  def(module, "beam_gaps", bound_beam_gaps, "The beam gap index of points for each LiDAR.", "points", "cones");
+  def(module, "seen", bound_seen, "Which cuboids each LiDAR sees.", "grid", "cones", "sight");
+  def(module, "links", bound_links, "Write the links of a grid by some LiDARs.", "grid", "cones", "seen", "out");
+  def(module, "label_components", bound_components, "Label the connected subspaces of a grid.", "grid", "links",
+      "label");
+
+  nb::class_<WorstSubspaces> worst(module, "WorstSubspaces",
+                                   "Evaluates rigs in full. Not for several threads at once.");
+  init(worst, [](const Grid& grid) { return WorstSubspaces(grid); }, "For rigs in a grid.", "grid");
+  def(
+      worst, "max_vsr",
+      [](WorstSubspaces& self, Rows<const double> cones, const Sight& sight) {
+        check_cones(cones);
+        check_sight(sight, cones.rows());
+        return self.max_vsr(cones, sight);
+      },
+      "The largest volume to surface in metres.", "cones", "sight");
+
+  nb::class_<TrialEvaluator> evaluator(module, "TrialEvaluator", "Evaluates trials. Not for several threads at once.");
+  init(
+      evaluator,
+      [](const Grid& grid, Rows<const bool> cases, Index certificates) {
+        require(cases.rows() > 0, "cases: none");
+        require(certificates > 0, "certificates: none");
+        return TrialEvaluator(grid, cases, certificates);
+      },
+      "For rigs in a grid, with the LiDARs of each case.", "grid", "cases", "certificates");
+  def(
+      evaluator, "evaluate_batch",
+      [](TrialEvaluator& self, View<std::int64_t> counter, Index most, const Batch& batch, bool in_full,
+         const BatchResult& result) {
+        require(std::ssize(counter) == 1, "counter: one number");
+        check_batch(self, batch, result);
+        const Effort effort = self.evaluate_batch(counter, most, batch, in_full, result);
+        return std::tuple(effort.full_cases, effort.compared_rows, effort.cast_segments);
+      },
+      "Evaluate the next trials of a batch.", "counter", "most", "batch", "in_full", "result");
+  def(
+      evaluator, "recompute_links",
+      [](TrialEvaluator& self, View<std::int64_t> counter, Index most, const Sources& sources) {
+        require(std::ssize(counter) == 1, "counter: one number");
+        check_sources(self, sources);
+        self.recompute_links(counter, most, sources);
+      },
+      "Compute the links of LiDARs that have changed of the next food sources.", "counter", "most", "sources");
+
+  def(
+      module, "promote_certificates",
+      [](Rows<std::int64_t> certificates, View<const std::int64_t> source, View<const std::int64_t> refuted_by) {
+        require(source.size() == refuted_by.size(), "refuted_by: one for each trial");
+        require(certificates.columns() > 0, "certificates: no columns");
+        for (const Index row : source) {
+          require(0 <= row && row < certificates.rows(), "source: not a row of certificates");
+        }
+        promote_certificates(certificates, source, refuted_by);
+      },
+      "Move what refuted trials to the front of their sources' certificates.", "certificates", "source", "refuted_by");
+}
 
 }  // namespace lidarcfg::bind

@@ -1,8 +1,165 @@
+#include <cmath>
+
 #include "bind/arguments.h"
 #include "bind/modules.h"
+#include "bind/sight.h"
+#include "placement/return_counter.h"
 
 namespace lidarcfg::bind {
+namespace {
 
-void bind_returns(nb::module_& module) { (void)module; }
+using placement::Obstacles;
+using placement::Place;
+using placement::ReturnCounter;
+using placement::Scanner;
+using placement::ScannerColumns;
+using placement::SensorPose;
+using placement::TargetShape;
+using Scanners = std::vector<const Scanner*>;
+
+Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, double start_rad, double step_rad,
+                     std::int64_t phases, View<const double> lag_rad, View<const double> gating_rad,
+                     View<const double> offset_rad, View<const double> elevation_rad, Rows<const double> start_m,
+                     std::array<double, 2> range_m, std::array<double, 2> fov_rad) {
+  const auto firings = lag_rad.size();
+  require(cos_head.size() == sin_head.size(), "sin_head: one for each cos_head");
+  require(step_rad > 0, "step_rad: not above 0");
+  require(cos_head.size() < (std::size_t{1} << 31), "cos_head: too many heads");
+  require(firings < (std::size_t{1} << 31), "lag_rad: too many firings");
+  require(1 <= phases && phases <= 1 << 20, "phases: not from 1 to 2^20");
+  require(gating_rad.size() == firings, "gating_rad: one for each firing");
+  require(offset_rad.size() == firings, "offset_rad: one for each firing");
+  require(elevation_rad.size() == firings, "elevation_rad: one for each firing");
+  require(start_m.rows() == std::ssize(lag_rad) && start_m.columns() == 3, "start_m: three numbers for each firing");
+  return Scanner(ScannerColumns{cos_head, sin_head, start_rad, step_rad, phases, lag_rad, gating_rad, offset_rad,
+                                elevation_rad, start_m, range_m, fov_rad});
+}
+
+std::vector<Place> places_of(Rows<const double> places) {
+  require(places.columns() == 4, "places: four columns");
+  std::vector<Place> out;
+  for (Index p = 0; p < places.rows(); ++p) {
+    const View<const double> one = places[p];
+    out.push_back({{one[0], one[1], one[2]}, std::cos(one[3]), std::sin(one[3])});
+  }
+  return out;
+}
+
+std::vector<SensorPose> poses_of(Index sensors, Tables<const double> R, Rows<const double> t) {
+  require(R.tables() == sensors && R.rows() == 3 && R.columns() == 3, "R: a matrix for each sensor");
+  require(t.rows() == sensors && t.columns() == 3, "t: three numbers for each sensor");
+  std::vector<SensorPose> out(sensors);
+  for (Index s = 0; s < sensors; ++s) {
+    for (Index k = 0; k < 3; ++k) {
+      out[s].R[k] = {R(s, k, 0), R(s, k, 1), R(s, k, 2)};
+      out[s].t[k] = t(s, k);
+    }
+  }
+  return out;
+}
+
+void check_sensors(const ReturnCounter& counter, View<const std::int64_t> sensors) {
+  for (std::size_t n = 0; n < sensors.size(); ++n) {
+    require(0 <= sensors[n] && sensors[n] < counter.sensors(), "sensors: no number of a scanner");
+    require(n == 0 || sensors[n - 1] < sensors[n], "sensors: not ascending");
+  }
+}
+
+void check_group(const ReturnCounter& counter, Index group) {
+  require(0 <= group && group < counter.groups(), "group: no number of a group");
+}
+
+void bind_shapes(nb::module_& module) {
+  nb::class_<Scanner> scanner(module, "Scanner", "A sensor's firing pattern, whatever its pose; it does not change.");
+  init(scanner, make_scanner, "Heads at the start of cycles of all phases, and the firings of a cycle.", "cos_head",
+       "sin_head", "start_rad", "step_rad", "phases", "lag_rad", "gating_rad", "offset_rad", "elevation_rad", "start_m",
+       "range_m", "fov_rad");
+  scanner.def_prop_ro("phases", [](const Scanner& self) { return self.phases(); });
+  nb::class_<TargetShape> target(module, "TargetShape", "An object in its own frame; it does not change.");
+  init(
+      target, [](const world::Bvh& bvh, Vec3 low_m, Vec3 high_m) { return TargetShape(bvh, low_m, high_m); },
+      "Its hierarchy and the corners of its bounding box.", "bvh", "low_m", "high_m");
+}
+
+void bind_counter(nb::module_& module) {
+  nb::class_<ReturnCounter> counter(
+      module, "ReturnCounter", "In how many places an object is missed, trial after trial. Not for several threads.");
+  init(
+      counter,
+      [](Scanners scanners, const TargetShape& target, Rows<const double> places, View<const std::int64_t> group_ends,
+         const Obstacles& obstacles, std::int32_t enough) {
+        require(!group_ends.empty() && group_ends.back() == places.rows(), "group_ends: not up to the last place");
+        for (std::size_t n = 0; n < group_ends.size(); ++n) {
+          require(group_ends[n] >= (n ? group_ends[n - 1] : 0), "group_ends: not ascending");
+        }
+        require(enough >= 0 && enough < 1 << 24, "enough: not from 0 to 2^24");
+        std::vector<Scanner> copies;
+        for (const Scanner* one : scanners) {
+          copies.push_back(*one);
+        }
+        return ReturnCounter(std::move(copies), target, places_of(places), {group_ends.begin(), group_ends.end()},
+                             obstacles, enough);
+      },
+      "For scanners and an object at places.", "scanners", "target", "places", "group_ends", "obstacles", "enough");
+  def(
+      counter, "missed",
+      [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
+         Index group, double most) {
+        check_sensors(self, sensors);
+        check_group(self, group);
+        return self.missed(sensors, poses_of(std::ssize(sensors), R, t), group, most);
+      },
+      "In how many places of a group the object is missed.", "sensors", "R", "t", "group", "most");
+  def(
+      counter, "missed_among",
+      [](ReturnCounter& self, View<const std::int64_t> sensors, Tables<const double> R, Rows<const double> t,
+         Index group, Index count) {
+        check_sensors(self, sensors);
+        check_group(self, group);
+        require(0 <= count, "count: below 0");
+        return self.missed_among(sensors, poses_of(std::ssize(sensors), R, t), group, count);
+      },
+      "In how many of those places of a group that are the likeliest to be missed the object is.", "sensors", "R", "t",
+      "group", "count");
+  counter.def_prop_ro("traced", &ReturnCounter::traced);
+}
+
+}  // namespace
+
+void bind_returns(nb::module_& module) {
+  bind_shapes(module);
+  bind_counter(module);
+  def(
+      module, "count_returns",
+      [](Rows<const double> places, View<const std::int64_t> which, Scanners scanners, Tables<const double> R,
+         Rows<const double> t, const TargetShape& target, const Obstacles& obstacles, Tables<std::int32_t> counts) {
+        const std::vector<SensorPose> poses = poses_of(std::ssize(scanners), R, t);
+        require(counts.tables() == places.rows(), "counts: a table for each place");
+        require(counts.rows() == std::ssize(scanners), "counts: a row for each scanner");
+        for (const Scanner* one : scanners) {
+          require(one->phases() <= counts.columns(), "counts: a column for each phase");
+        }
+        for (const std::int64_t place : which) {
+          require(0 <= place && place < places.rows(), "which: no number of a place");
+        }
+        placement::count_returns(places_of(places), which, scanners, poses, target, obstacles, counts);
+      },
+      "Count the returns from an object at some of its places.", "places", "which", "scanners", "R", "t", "target",
+      "obstacles", "counts");
+  def(
+      module, "detection_probabilities",
+      [](Tables<const std::int32_t> counts, View<const std::int64_t> phases, Index enough) {
+        require(std::ssize(phases) == counts.rows(), "phases: one for each row of counts");
+        require(enough >= 0 && enough < 1 << 24, "enough: not from 0 to 2^24");
+        for (const std::int64_t one : phases) {
+          require(1 <= one && one <= counts.columns(), "phases: not the columns of counts");
+        }
+        for (Index n = 0; n < counts.size(); ++n) {
+          require(counts.data()[n] >= 0, "counts: below 0");
+        }
+        return placement::detection_probabilities(counts, phases, enough);
+      },
+      "The probability of enough returns at each place.", "counts", "phases", "enough");
+}
 
 }  // namespace lidarcfg::bind

@@ -1,8 +1,111 @@
+#include "placement/visibility.h"
+
 #include "bind/arguments.h"
 #include "bind/modules.h"
+#include "bind/sight.h"
+#include "placement/columns.h"
+#include "placement/outline.h"
 
 namespace lidarcfg::bind {
 
-void bind_visibility(nb::module_& module) { (void)module; }
+template <>
+struct Fields<placement::Span> {
+  using S = placement::Span;
+  static constexpr auto members = fields(field("low", &S::low), field("high", &S::high));
+};
+
+namespace {
+
+using placement::Labels;
+
+template <class T>
+bool has_shape(const Tables<T>& lines, Index tables, Index rows, Index columns) {
+  return lines.tables() == tables && lines.rows() == rows && lines.columns() == columns;
+}
+
+/// Whether something of each of `count` has the lines along x, y and z of a grid.
+template <class T>
+void check_lines(const Labels& label, Index count, const Tables<T>& x, const Tables<T>& y, const Tables<T>& z) {
+  require(has_shape(x, count, label.rows(), label.columns()), "x: not the lines along x");
+  require(has_shape(y, count, label.tables(), label.columns()), "y: not the lines along y");
+  require(has_shape(z, count, label.tables(), label.rows()), "z: not the lines along z");
+}
+
+void bind_columns(nb::module_& module) {
+  def(
+      module, "mark_subspaces",
+      [](Labels label, Rows<const std::int64_t> cells, View<bool> found) {
+        require(cells.rows() == 3 && cells.columns() == 2, "cells: not (3, 2)");
+        const Index shape[3] = {label.tables(), label.rows(), label.columns()};
+        for (Index axis = 0; axis < 3; ++axis) {
+          require(cells(axis, 0) >= 0 && cells(axis, 1) <= shape[axis], "cells: outside label");
+        }
+        placement::mark_subspaces(label, cells, found);
+      },
+      "Mark the subspaces that have a cuboid in a box.", "label", "cells", "found");
+  def(
+      module, "count_lines",
+      [](Labels label, View<const std::int64_t> row_of, Tables<std::int32_t> x, Tables<std::int32_t> y,
+         Tables<std::int32_t> z) {
+        check_lines(label, x.tables(), x, y, z);
+        for (const std::int64_t row : row_of) {
+          require(row < x.tables(), "row_of: beyond the rows of x");
+        }
+        placement::count_lines(label, row_of, x, y, z);
+      },
+      "Count the cuboids of subspaces on lines along x, y and z.", "label", "row_of", "x", "y", "z");
+  def(
+      module, "widen_spans",
+      [](Labels label, Rows<const std::int64_t> gap, std::int64_t blind, placement::Span x, placement::Span y,
+         placement::Span z) {
+        check_lines(label, gap.columns(), x.low, y.low, z.low);
+        check_lines(label, gap.columns(), x.high, y.high, z.high);
+        placement::widen_spans(label, gap, blind, x, y, z);
+      },
+      "Widen the spans of lines along x, y and z by the gaps of what lies on them.", "label", "gap", "blind", "x", "y",
+      "z");
+}
+
+void bind_sight(nb::module_& module) {
+  def(
+      module, "boxes_of",
+      [](const world::Bvh& bvh) {
+        std::vector<double> boxes = world::boxes_of(bvh);
+        const std::size_t columns = boxes.size() / 6;
+        return Array<double, 2>{std::move(boxes), {6, columns}};
+      },
+      "Boxes that together hold a hierarchy's shapes.", "bvh");
+  def(
+      module, "see_points",
+      [](Rows<const double> points, View<const double> cone, const placement::Sight& sight, View<bool> out) {
+        require(points.rows() == 3, "points: three rows");
+        require(std::ssize(cone) >= 3, "cone: fewer than three numbers");
+        require(std::ssize(out) == points.columns(), "out: one for each point");
+        require(sight.limited(), "sight.limits: a row for the LiDAR");
+        check_sight(sight, 1);
+        placement::see_points(points, cone, sight, out);
+      },
+      "Which of some points a LiDAR sees.", "points", "cone", "sight", "out");
+}
+
+}  // namespace
+
+void bind_visibility(nb::module_& module) {
+  bind_sight(module);
+  bind_columns(module);
+  def(
+      module, "trace_outline",
+      [](Rows<const double> points, Rows<const std::int64_t> triangles, View<double> out) {
+        require(points.columns() == 2, "points: two columns");
+        require(triangles.columns() == 3, "triangles: three columns");
+        require(!out.empty(), "out: no directions");
+        for (Index n = 0; n < triangles.size(); ++n) {
+          const std::int64_t vertex = triangles.data()[n];
+          require(0 <= vertex && vertex < points.rows(), "triangles: no number of a point");
+        }
+        placement::trace_outline(points, triangles, out);
+      },
+      "Raise distances to where rays from the origin cross the edges of triangles.", "points", "triangles", "out");
+}
 
 }  // namespace lidarcfg::bind

@@ -1,6 +1,7 @@
 #include "bind/world.h"
 
 #include <algorithm>
+#include <cstring>
 #include <tuple>
 
 #include "bind/arguments.h"
@@ -42,10 +43,43 @@ Bvh build(Rows<const double> shapes, View<const std::uint8_t> kind, View<const s
                       {reinterpret_cast<const Kind*>(kind.data()), count}, number, object);
 }
 
+/// For pickles, which other processes of this machine read.
+template <class T>
+nb::bytes bytes_of(View<const T> values) {
+  return nb::bytes(values.data(), values.size_bytes());
+}
+
+template <class T>
+std::vector<T> values_of(nb::handle bytes) {
+  const auto raw = nb::cast<nb::bytes>(bytes);
+  std::vector<T> out(raw.size() / sizeof(T));
+  if (!out.empty()) {
+    std::memcpy(out.data(), raw.data(), out.size() * sizeof(T));
+  }
+  return out;
+}
+
+nb::tuple state_of(const Bvh& self) {
+  return nb::make_tuple(bytes_of(self.nodes), bytes_of(self.leaves), bytes_of(self.kind), bytes_of(self.number),
+                        bytes_of(self.object));
+}
+
+void restore(Bvh& self, const nb::tuple& state) {
+  require(state.size() == 5, "state: five columns");
+  const auto nodes = values_of<world::Node>(state[0]);
+  const auto leaves = values_of<world::Leaf>(state[1]);
+  const auto kind = values_of<Kind>(state[2]);
+  const auto number = values_of<std::int32_t>(state[3]);
+  const auto object = values_of<std::int32_t>(state[4]);
+  new (&self) Bvh(world::copy_of({nodes, leaves, kind, number, object, 0, nullptr}));
+}
+
 void bind_bvh(nb::module_& module) {
   nb::class_<Bvh> bvh(module, "Bvh", "An immutable bounding volume hierarchy over shapes, in the order of its leaves.");
   init(bvh, &build, "Build it over shapes.", "shapes", "kind", "number", "object");
   bvh.def("__len__", [](const Bvh& self) { return self.size(); });
+  bvh.def("__getstate__", &state_of);
+  bvh.def("__setstate__", &restore);
   bvh.def_prop_ro("number", [](nb::handle self) { return column(nb::cast<const Bvh&>(self).number, self); });
   bvh.def_prop_ro("object", [](nb::handle self) { return column(nb::cast<const Bvh&>(self).object, self); });
   bvh.def_prop_ro("kind", [](nb::handle self) {
@@ -57,6 +91,10 @@ void bind_bvh(nb::module_& module) {
     const double* const first = leaves.empty() ? nullptr : leaves[0].shape.data();
     return nb::cast(nb::ndarray<nb::numpy, const double>(first, {leaves.size(), 9}, self,
                                                          {sizeof(world::Leaf) / sizeof(double), 1}));
+  });
+  bvh.def("__reduce__", [](nb::handle self) {  // it is built again, over the same shapes
+    return nb::make_tuple(self.type(), nb::make_tuple(self.attr("shapes").attr("copy")(), self.attr("kind"),
+                                                      self.attr("number"), self.attr("object")));
   });
   def(
       module, "first_hits",

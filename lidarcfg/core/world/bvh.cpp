@@ -7,6 +7,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "simd.h"
+
 namespace lidarcfg::world {
 namespace {
 
@@ -26,9 +28,30 @@ float above(double value) {
   return rounded < value ? std::nextafter(rounded, inf) : rounded;
 }
 
+using Float4 = simd::VectorOf<float, 4>::type;  // along x, y and z; the last means nothing
+
+/// A box in registers.
+struct Bounds {
+  Float4 low = Float4{} + inf;
+  Float4 high = Float4{} - inf;
+
+  Bounds() = default;
+  explicit Bounds(const Box& box)
+      : low{box.low[0], box.low[1], box.low[2], 0}, high{box.high[0], box.high[1], box.high[2], 0} {}
+
+  Box box() const { return {{low[0], low[1], low[2]}, {high[0], high[1], high[2]}}; }
+
+  void add(const Bounds& other) {
+    low = simd::min(other.low, low);
+    high = simd::max(other.high, high);
+  }
+
+  float half_area() const { return box().half_area(); }
+};
+
 /// A node of the binary tree; without children, a leaf.
 struct Binary {
-  Box box;
+  Bounds bounds;
   std::int32_t first;  // of the shapes in order
   std::int32_t end;
   std::int32_t left = -1;
@@ -42,45 +65,44 @@ struct Cut {
   double cost = std::numeric_limits<double>::infinity();
 };
 
-/// A box and which shape it holds.
-struct Item {
-  Box box;
-  std::int32_t shape;
-};
-
-/// Which bin a box is in, by its centre.
+/// Which bin boxes are in along each axis, by their centres.
 struct Binning {
-  std::array<float, 3> low;
-  std::array<float, 3> scale;
+  using Bins = simd::VectorOf<std::int32_t, 4>::type;
 
-  int operator()(const Box& box, int axis) const {
-    const float place = (box.low[axis] + box.high[axis] - low[axis]) * scale[axis];
-    return place > 0 ? static_cast<int>(std::min<float>(place, bins - 1)) : 0;  // a NaN is in the first
+  Float4 low;
+  Float4 scale;  // 0: along this axis all are the same
+
+  Bins operator()(const Bounds& one) const {
+    const Float4 place = simd::max((one.low + one.high - low) * scale, Float4{});  // a NaN is in the first
+    return __builtin_convertvector(simd::min(place, Float4{} + (bins - 1)), Bins);
   }
 };
 
 struct Bin {
-  Box box = Box::none();
+  Bounds bounds;
   Index count = 0;
 
   void add(const Bin& other) {
-    box.add(other.box);
+    bounds.add(other.bounds);
     count += other.count;
   }
-  double cost() const { return static_cast<double>(count) * box.half_area(); }
+  double cost() const { return static_cast<double>(count) * bounds.half_area(); }
 };
 
 class Builder {
  public:
-  Builder(View<const Shape> shapes, View<const Kind> kind) : kind_(kind) {
-    items_.reserve(shapes.size());
+  Builder(View<const Shape> shapes, View<const Kind> kind) : kind_(kind), order_(shapes.size()) {
+    std::iota(order_.begin(), order_.end(), 0);
+    bounds_.reserve(shapes.size());
     for (Index s = 0; s < std::ssize(shapes); ++s) {
-      items_.push_back({box_of(shapes[s], kind[s]), static_cast<std::int32_t>(s)});
+      bounds_.emplace_back(box_of(shapes[s], kind[s]));
     }
     split(0, static_cast<std::int32_t>(shapes.size()), 0);
   }
 
-  const std::vector<Item>& items() const { return items_; }
+  Index size() const { return std::ssize(order_); }
+  std::int32_t shape(Index slot) const { return order_[slot]; }
+  Box box(Index slot) const { return bounds_[slot].box(); }
 
   /// Append the nodes of eight children of a subtree; returns its code.
   std::int32_t collapse(std::int32_t root, std::vector<Node>& out) const {
@@ -92,7 +114,8 @@ class Builder {
     int count = 1;
     while (count < node_size) {
       const auto end = children.begin() + count;
-      const auto largest = std::max_element(children.begin(), end, [&](int a, int b) { return size(a) < size(b); });
+      const auto largest =
+          std::max_element(children.begin(), end, [&](int a, int b) { return to_open(a) < to_open(b); });
       const Binary& opened = tree_[*largest];
       if (opened.left < 0) {
         break;
@@ -104,7 +127,7 @@ class Builder {
     out.emplace_back();
     for (int c = 0; c < node_size; ++c) {
       const bool is = c < count;
-      const Box box = is ? tree_[children[c]].box : Box::none();
+      const Box box = is ? tree_[children[c]].bounds.box() : Box::none();
       const std::int32_t code = is ? collapse(children[c], out) : LeafCode::of(0, 0, false);
       Node& node = out[number];  // which may have moved
       node.child[c] = code;
@@ -117,37 +140,33 @@ class Builder {
   }
 
  private:
-  /// By which children are opened, the largest first; leaves last.
-  float size(std::int32_t node) const { return tree_[node].left < 0 ? -1.0f : tree_[node].box.half_area(); }
+  /// By which children are opened, the largest first; leaves are not.
+  float to_open(std::int32_t node) const { return tree_[node].left < 0 ? -1.0f : tree_[node].bounds.half_area(); }
 
   std::int32_t leaf(const Binary& node) const {
     bool mixed = false;
     for (std::int32_t i = node.first; i < node.end; ++i) {
-      mixed |= kind_[items_[i].shape] != Kind::triangle;
+      mixed |= kind_[order_[i]] != Kind::triangle;
     }
     return LeafCode::of(node.first, node.end - node.first, mixed);
   }
 
+  /// Add a subtree over boxes; returns its number.
   std::int32_t split(std::int32_t first, std::int32_t end, int depth) {
-    Box whole = Box::none();
-    Box centres = Box::none();
+    Bounds whole;
+    Bounds centres;
     for (std::int32_t i = first; i < end; ++i) {
-      const Box& box = items_[i].box;
-      whole.add(box);
-      for (int axis = 0; axis < 3; ++axis) {
-        const float centre = box.low[axis] + box.high[axis];
-        centres.low[axis] = std::min(centres.low[axis], centre);
-        centres.high[axis] = std::max(centres.high[axis], centre);
-      }
+      const Bounds& one = bounds_[i];
+      whole.add(one);
+      const Float4 centre = one.low + one.high;
+      centres.low = simd::min(centre, centres.low);
+      centres.high = simd::max(centre, centres.high);
     }
     const auto number = static_cast<std::int32_t>(tree_.size());
     const std::int32_t count = end - first;
     tree_.push_back({whole, first, end});
-    Binning binning{centres.low, {}};
-    for (int axis = 0; axis < 3; ++axis) {
-      const float extent = centres.high[axis] - centres.low[axis];
-      binning.scale[axis] = extent > 0 ? static_cast<float>(bins * 0.9999) / extent : 0.0f;
-    }
+    const Float4 extent = centres.high - centres.low;
+    const Binning binning{centres.low, extent > 0 ? static_cast<float>(bins * 0.9999) / extent : Float4{}};
     const Cut cut = depth < levels_by_area && count > 1 ? cheapest(first, end, binning) : Cut{};
     const double area = whole.half_area();
     if (count <= leaf_most && (cut.axis < 0 || !(area > 0) ||
@@ -157,10 +176,11 @@ class Builder {
     std::int32_t middle = first;
     if (cut.axis >= 0) {
       for (std::int32_t last = end - 1; middle <= last;) {
-        if (binning(items_[middle].box, cut.axis) <= cut.bin) {
+        if (binning(bounds_[middle])[cut.axis] <= cut.bin) {
           ++middle;
         } else {
-          std::swap(items_[middle], items_[last]);
+          std::swap(bounds_[middle], bounds_[last]);
+          std::swap(order_[middle], order_[last]);
           --last;
         }
       }
@@ -176,15 +196,21 @@ class Builder {
   }
 
   Cut cheapest(std::int32_t first, std::int32_t end, const Binning& binning) const {
+    Bin all[3][bins];
+    for (std::int32_t i = first; i < end; ++i) {
+      const Binning::Bins bin = binning(bounds_[i]);
+      for (int axis = 0; axis < 3; ++axis) {
+        Bin& one = all[axis][bin[axis]];
+        one.bounds.add(bounds_[i]);
+        ++one.count;
+      }
+    }
     Cut best;
     for (int axis = 0; axis < 3; ++axis) {
       if (binning.scale[axis] == 0) {
         continue;
       }
-      Bin bin[bins];
-      for (std::int32_t i = first; i < end; ++i) {
-        bin[binning(items_[i].box, axis)].add({items_[i].box, 1});
-      }
+      const auto& bin = all[axis];
       double right[bins];
       Bin side;
       for (int b = bins - 1; b > 0; --b) {
@@ -203,7 +229,8 @@ class Builder {
   }
 
   View<const Kind> kind_;
-  std::vector<Item> items_;
+  std::vector<std::int32_t> order_;  // of the shapes
+  std::vector<Bounds> bounds_;       // theirs, in this order
   std::vector<Binary> tree_;
 };
 
@@ -216,16 +243,21 @@ struct Memory {
   std::vector<std::int32_t> object;
 };
 
+Bvh view_of(std::shared_ptr<const Memory> memory) {
+  Bvh out{memory->nodes, memory->leaves, memory->kind, memory->number, memory->object, 0, memory};
+  for (const Leaf& leaf : memory->leaves) {
+    float reach_m = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+      reach_m += std::max(std::abs(leaf.box.low[axis]), std::abs(leaf.box.high[axis]));
+    }
+    out.reach_m = std::max(out.reach_m, reach_m);
+  }
+  return out;
+}
+
 }  // namespace
 
 Box Box::none() { return {{inf, inf, inf}, {-inf, -inf, -inf}}; }
-
-void Box::add(const Box& other) {
-  for (int axis = 0; axis < 3; ++axis) {
-    low[axis] = std::min(low[axis], other.low[axis]);
-    high[axis] = std::max(high[axis], other.high[axis]);
-  }
-}
 
 float Box::half_area() const {
   const float x = high[0] - low[0];
@@ -255,36 +287,32 @@ Bvh build(View<const Shape> shapes, View<const Kind> kind, View<const std::int32
   if (std::ssize(shapes) > most_shapes) {
     throw std::invalid_argument("shapes: more than 268,435,456");
   }
-  Bvh out;
-  if (shapes.empty()) {
-    return out;
-  }
   auto memory = std::make_shared<Memory>();
-  const Builder builder(shapes, kind);
-  builder.collapse(0, memory->nodes);
-  memory->nodes.shrink_to_fit();
-  memory->leaves.reserve(shapes.size());
-  memory->kind.reserve(shapes.size());
-  memory->number.reserve(shapes.size());
-  memory->object.reserve(shapes.size());
-  for (const auto& [box, s] : builder.items()) {
-    memory->leaves.push_back({box, shapes[s]});
-    memory->kind.push_back(kind[s]);
-    memory->number.push_back(number[s]);
-    memory->object.push_back(object[s]);
-    float reach_m = 0;
-    for (int axis = 0; axis < 3; ++axis) {
-      reach_m += std::max(std::abs(box.low[axis]), std::abs(box.high[axis]));
+  if (!shapes.empty()) {
+    const Builder builder(shapes, kind);
+    builder.collapse(0, memory->nodes);
+    memory->nodes.shrink_to_fit();
+    memory->leaves.reserve(shapes.size());
+    memory->kind.reserve(shapes.size());
+    memory->number.reserve(shapes.size());
+    memory->object.reserve(shapes.size());
+    for (Index slot = 0; slot < builder.size(); ++slot) {
+      const std::int32_t s = builder.shape(slot);
+      memory->leaves.push_back({builder.box(slot), shapes[s]});
+      memory->kind.push_back(kind[s]);
+      memory->number.push_back(number[s]);
+      memory->object.push_back(object[s]);
     }
-    out.reach_m = std::max(out.reach_m, reach_m);
   }
-  out.nodes = memory->nodes;
-  out.leaves = memory->leaves;
-  out.kind = memory->kind;
-  out.number = memory->number;
-  out.object = memory->object;
-  out.memory = memory;
-  return out;
+  return view_of(std::move(memory));
+}
+
+Bvh copy_of(const Bvh& views) {
+  return view_of(std::make_shared<Memory>(Memory{{views.nodes.begin(), views.nodes.end()},
+                                                 {views.leaves.begin(), views.leaves.end()},
+                                                 {views.kind.begin(), views.kind.end()},
+                                                 {views.number.begin(), views.number.end()},
+                                                 {views.object.begin(), views.object.end()}}));
 }
 
 }  // namespace lidarcfg::world

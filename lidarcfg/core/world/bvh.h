@@ -24,7 +24,6 @@ struct Box {
   std::array<float, 3> high;
 
   static Box none();
-  void add(const Box& other);
   float half_area() const;
 };
 
@@ -58,7 +57,8 @@ struct alignas(32) Leaf {
   Shape shape;
 };
 
-/// A hierarchy over S shapes, which are in the order of its leaves: a slot is a place there. Copies share its memory.
+/// A hierarchy over S shapes, which are in the order of its leaves: a slot is a place there. Copies share its memory,
+/// which never changes.
 struct Bvh {
   View<const Node> nodes;           // the root first; none: no shapes
   View<const Leaf> leaves;          // (S,)
@@ -76,5 +76,8 @@ constexpr Index most_shapes = Index{1} << 28;  // so that slots fit into leaf co
 /// The hierarchy over shapes of kinds (S,) with numbers (S,), which belong to objects (S,); S is at most `most_shapes`.
 Bvh build(View<const Shape> shapes, View<const Kind> kind, View<const std::int32_t> number,
           View<const std::int32_t> object);
+
+/// The same hierarchy in memory of its own.
+Bvh copy_of(const Bvh& views);
 
 }  // namespace lidarcfg::world

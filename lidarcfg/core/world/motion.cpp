@@ -14,14 +14,15 @@ Matrix3 product(const Matrix3& m, const Matrix3& n) {
 
 Path Path::velocity(const Vec3& velocity_m_s) {
   Path out;
-  out.values_ = velocity_m_s;
+  out.velocity_m_s_ = velocity_m_s;
   return out;
 }
 
 Path Path::arc(double speed_m_s, double yaw_rate_rad_s, double heading_rad) {
   Path out;
   out.kind_ = Kind::arc;
-  out.values_ = {speed_m_s, yaw_rate_rad_s, heading_rad};
+  out.arc_ = {speed_m_s, yaw_rate_rad_s};
+  out.heading_ = {std::cos(heading_rad), std::sin(heading_rad)};
   return out;
 }
 
@@ -39,19 +40,19 @@ Pose Path::at(double seconds) const {
     case Kind::poses:
       return between(seconds);
     default:
-      return {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {values_[0] * seconds, values_[1] * seconds, values_[2] * seconds}};
+      return {{1, 0, 0, 0, 1, 0, 0, 0, 1},
+              {velocity_m_s_[0] * seconds, velocity_m_s_[1] * seconds, velocity_m_s_[2] * seconds}};
   }
 }
 
 /// Along a circle at a constant speed.
 Pose Path::along_arc(double seconds) const {
-  const auto [speed_m_s, rate_rad_s, heading_rad] = values_;
+  const auto [speed_m_s, rate_rad_s] = arc_;
   const double half = seconds * rate_rad_s / 2;
   const double c = std::cos(half);
   const double s = std::sin(half);
   const double chord_m = speed_m_s * seconds * (half != 0 ? s / half : 1.0);
-  const double cos_0 = std::cos(heading_rad);
-  const double sin_0 = std::sin(heading_rad);
+  const auto [cos_0, sin_0] = heading_;
   const double yawed = 1 - 2 * s * s;
   return {{yawed, -2 * s * c, 0, 2 * s * c, yawed, 0, 0, 0, 1},
           {chord_m * (c * cos_0 - s * sin_0), chord_m * (s * cos_0 + c * sin_0), 0}};

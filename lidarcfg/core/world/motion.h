@@ -45,7 +45,7 @@ class Path {
   static Path timed(std::vector<Timed> poses);                                   // two or more, whose times ascend
 
   Kind kind() const { return kind_; }
-  const Vec3& velocity_m_s() const { return values_; }
+  const Vec3& velocity_m_s() const { return velocity_m_s_; }
 
   /// Before the first and after the last timed pose, the first and last segments are extrapolated.
   Pose at(double seconds) const;
@@ -55,7 +55,9 @@ class Path {
   Pose between(double seconds) const;
 
   Kind kind_ = Kind::velocity;
-  Vec3 values_{};  // the velocity; or speed, yaw rate and heading
+  Vec3 velocity_m_s_{};
+  std::array<double, 2> arc_{};      // speed, m/s, and yaw rate, rad/s
+  std::array<double, 2> heading_{};  // cosine and sine at time 0
   std::vector<Timed> poses_;
 };
 

@@ -1,7 +1,11 @@
 #include "world/solids.h"
 
 #include <algorithm>
+#include <limits>
 #include <utility>
+#include <vector>
+
+#include "simd.h"
 
 namespace lidarcfg::world {
 namespace {
@@ -54,16 +58,32 @@ double along(const Corners& t, double y, double z) {
 
 void toggle_points(View<const Vec3> vertices, Rows<const std::int64_t> triangles, View<const Vec3> points,
                    View<bool> odd) {
+  constexpr int width = simd::lanes<double>;
+  const Index count = std::ssize(points);
+  const Index whole = (count + width - 1) / width * width;
+  std::vector<double> y(whole, std::numeric_limits<double>::quiet_NaN());  // what is beyond the last is nowhere
+  std::vector<double> z(y);
+  for (Index n = 0; n < count; ++n) {
+    y[n] = points[n][1];
+    z[n] = points[n][2];
+  }
   for (Index t = 0; t < triangles.rows(); ++t) {
     const Corners corners(vertices, triangles[t]);
     const double low_y = corners.least(1);
     const double high_y = corners.most(1);
     const double low_z = corners.least(2);
     const double high_z = corners.most(2);
-    for (Index n = 0; n < std::ssize(points); ++n) {
-      const auto [x, y, z] = points[n];
-      if (low_y <= y && y <= high_y && low_z <= z && z <= high_z && crossed(corners, y, z)) {
-        odd[n] ^= along(corners, y, z) <= x;
+    for (Index first = 0; first < whole; first += width) {
+      const auto ys = simd::load<simd::Doubles>(&y[first]);
+      const auto zs = simd::load<simd::Doubles>(&z[first]);
+      if (!simd::any((ys >= low_y) & (ys <= high_y) & (zs >= low_z) & (zs <= high_z))) {
+        continue;
+      }
+      for (Index n = first; n < std::min(first + width, count); ++n) {
+        const bool near = low_y <= y[n] && y[n] <= high_y && low_z <= z[n] && z[n] <= high_z;
+        if (near && crossed(corners, y[n], z[n])) {
+          odd[n] ^= along(corners, y[n], z[n]) <= points[n][0];
+        }
       }
     }
   }

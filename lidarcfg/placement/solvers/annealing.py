@@ -106,7 +106,7 @@ class Annealing:
         if trials.smoothing != self._smoothing:
             self._go_on(cost)
             return
-        taken = np.flatnonzero(cost < trials.to_beat)
+        taken = np.flatnonzero(cost < trials.upper_bound)
         chain, first = np.unique(trials.source[taken], return_index=True)
         self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
         self._done += self._tries + TAKEN * len(taken) / len(self._x)
@@ -163,9 +163,9 @@ class Annealing:
         x = 1.0 - np.abs(1.0 - np.abs(x))  # reflected by the walls
         cost = self._cost[chain]
         with np.errstate(over="ignore", invalid="ignore"):
-            to_beat = cost + np.abs(cost) * np.expm1(self.temperature * rng.exponential(size=n))
-        to_beat = np.where(np.isnan(to_beat), np.inf, to_beat)
-        return Trials("trial", np.clip(x, 0.0, 1.0), chain, to_beat, self._smoothing)
+            upper_bound = cost + np.abs(cost) * np.expm1(self.temperature * rng.exponential(size=n))
+        upper_bound = np.where(np.isnan(upper_bound), np.inf, upper_bound)
+        return Trials("trial", np.clip(x, 0.0, 1.0), chain, upper_bound, self._smoothing)
 
 
 def _counterparts(kind: NDArray[np.int64], members: NDArray[np.bool_]) -> NDArray[np.int64]:

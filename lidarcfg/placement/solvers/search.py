@@ -28,7 +28,7 @@ class Trials:
     phase: str  # "first" and "scout" do not count as evaluations; all others do
     x: Array  # (n, dimensions)
     source: NDArray[np.int64]  # (n,) the row of the search's `sources` that each was drawn around
-    to_beat: Array  # (n,) a cost at or above this may be reported as inf; inf where every cost matters
+    upper_bound: Array  # (n,) a cost at or above this may be reported as inf; inf where every cost matters
     smoothing: float = 0.0  # of the costs that are wanted, if they can be smoothed, see Evaluator.costs; 0: none
 
 

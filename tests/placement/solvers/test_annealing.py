@@ -28,12 +28,12 @@ def test_chains_begin_at_random_points_and_go_there_whatever_they_cost():
     run = Annealing(COORDINATES, np.random.default_rng(2), 10**9)
     begin = run.ask()
     assert begin.x.shape == (16, 6)
-    assert np.isinf(begin.to_beat).all()
+    assert np.isinf(begin.upper_bound).all()
     run.tell(np.where(np.arange(16) % 2, np.inf, 5.0))
     assert np.array_equal(run.sources, begin.x)
     asked = run.ask()
-    assert np.isinf(asked.to_beat[asked.source % 2 == 1]).all()
-    assert (asked.to_beat[asked.source % 2 == 0] > 5).all()
+    assert np.isinf(asked.upper_bound[asked.source % 2 == 1]).all()
+    assert (asked.upper_bound[asked.source % 2 == 0] > 5).all()
 
 
 def test_a_trial_moves_coordinates_of_one_group():
@@ -55,13 +55,13 @@ def test_the_fewer_trials_are_taken_the_more_of_them_a_chain_has_at_a_time(taken
     assert run.ask().source.tolist() == [chain for chain in range(16) for _ in range(trials)]
 
 
-def test_what_a_trial_has_to_beat_is_drawn_from_the_rule_of_metropolis():
+def test_what_a_trial_has_upper_bound_is_drawn_from_the_rule_of_metropolis():
     """One that costs r times as much is taken with probability r^(−1/T): Metropolis on the logarithm of the cost."""
     run = started()
     uphill = []
     for _ in range(50):
         asked = run.ask()
-        uphill.append(np.log(asked.to_beat / sphere(run.sources[asked.source])) / run.temperature)
+        uphill.append(np.log(asked.upper_bound / sphere(run.sources[asked.source])) / run.temperature)
         run.tell(np.full(len(asked.x), np.inf))
     drawn = np.concatenate(uphill)
     assert kstest(drawn, "expon").pvalue > 1e-3
@@ -75,8 +75,8 @@ def test_the_first_trial_that_a_chain_takes_moves_it():
     run.tell(np.full(16, np.inf))
     before, asked = run.sources.copy(), run.ask()
     cost = np.full(128, np.inf)
-    cost[17], cost[18] = asked.to_beat[17] * 0.999, 0.5  # both of chain 2
-    cost[40] = asked.to_beat[40]  # of chain 5, and no better than what it had to beat
+    cost[17], cost[18] = asked.upper_bound[17] * 0.999, 0.5  # both of chain 2
+    cost[40] = asked.upper_bound[40]  # of chain 5, and no better than what it had to beat
     run.tell(cost)
     assert np.array_equal(run.sources[2], asked.x[17])
     assert np.array_equal(np.delete(run.sources, 2, axis=0), np.delete(before, 2, axis=0))
@@ -185,7 +185,7 @@ def test_only_the_best_population_ends_a_round(smoothing):
         asked, before, alone = run.ask(), run.sources.copy(), len(run.sources) == 16
         population = np.full(len(asked.x), best) if alone else asked.source // 16
         ranks = np.array([3.0, 1.0, 2.0] if asked.smoothing or not smoothing else [2.0, 3.0, 1.0])
-        start = np.isinf(asked.to_beat).all()
+        start = np.isinf(asked.upper_bound).all()
         run.tell(np.where(start, ranks[population], np.inf))
         seen.append((run.progress, len(run.sources)))
         if len(run.sources) < len(before):
@@ -225,7 +225,7 @@ def works(solver, rounds, ends):
     runs = []
     while solver.rounds < rounds:
         asked = solver.ask()
-        if np.isinf(asked.to_beat).all():
+        if np.isinf(asked.upper_bound).all():
             runs.append([solver.rounds, 0])
         cost = np.full(len(asked.x), np.inf)
         if not runs[-1][1]:
@@ -273,7 +273,7 @@ def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():
         asked_without.append(run.progress)
         before, mean = run.sources.copy(), run.mean_cost
         assert np.array_equal(asked.x, before)
-        assert np.isinf(asked.to_beat).all()
+        assert np.isinf(asked.upper_bound).all()
         run.tell(sphere(asked.x))
         assert np.array_equal(run.sources, before)
         assert run.mean_cost == mean

@@ -46,7 +46,7 @@ def test_each_employed_bee_moves_one_coordinate_of_its_own_source_between_it_and
     colony = started(bees=40)
     trials = colony.ask()
     assert trials.source.tolist() == list(range(40))
-    assert np.array_equal(trials.to_beat, colony.cost)
+    assert np.array_equal(trials.upper_bound, colony.cost)
     moved = trials.x != colony.x
     assert moved.sum(axis=1).max() == 1
     for row, along in np.argwhere(moved):
@@ -128,7 +128,7 @@ def test_scouts_replace_exactly_the_exhausted_sources():
     assert trials.phase == "scout"
     assert 0 < len(exhausted) < 6
     assert trials.source.tolist() == exhausted.tolist()
-    assert trials.to_beat.tolist() == [np.inf] * len(exhausted)
+    assert trials.upper_bound.tolist() == [np.inf] * len(exhausted)
     x, cost = colony.x.copy(), colony.cost.copy()
     colony.tell(np.full(len(exhausted), 7.0))  # worse than before, and taken all the same
     kept = np.setdiff1d(range(6), exhausted)

@@ -122,7 +122,7 @@ def test_auto_is_one_run_of_cma_es_and_rounds_of_annealing(flat):
     assert spent < 200 * dimensions if flat else 0 <= spent - 200 * dimensions < 30
     assert np.array_equal(solver.ask().x, np.tile(solver.best_x, (16, 1)))
     annealed = 0
-    while not annealed or np.isfinite(solver.ask().to_beat).all():
+    while not annealed or np.isfinite(solver.ask().upper_bound).all():
         trials, cost, work = len(solver.ask().x), np.inf if annealed else 1.0, 1 if annealed else 11
         solver.tell(np.full(trials, cost))
         annealed += trials * work
@@ -151,12 +151,12 @@ def test_lshade_shrinks_to_four_points_that_lie_deep():
     while not solver.over:
         asked = solver.ask()
         assert len(asked.x) == (max(4, round(72 - 68 * used / 6000)) if used else 72)
-        assert np.isfinite(asked.to_beat).all() == (used > 0)
+        assert np.isfinite(asked.upper_bound).all() == (used > 0)
         cost = bowl(asked.x)
-        cost[cost >= asked.to_beat] = np.inf  # all that an evaluator says of them
+        cost[cost >= asked.upper_bound] = np.inf  # all that an evaluator says of them
         solver.tell(cost)
         used, best = used + len(asked.x), min(best, cost.min())
-        assert np.array_equal(bowl(solver.sources[asked.source]), np.minimum(cost, asked.to_beat))
+        assert np.array_equal(bowl(solver.sources[asked.source]), np.minimum(cost, asked.upper_bound))
     assert used >= 6000
     assert best < 1e-6
 

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.core import analytic as core
+from lidarcfg import core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.placement import returns_kernels
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import (
     Counts,
@@ -25,9 +24,8 @@ from lidarcfg.placement.detection import (
     ring,
 )
 from lidarcfg.placement.region import AXES, Region
-from lidarcfg.placement.returns import Target, placed, returns
-from lidarcfg.placement.returns_kernels import Scans
-from lidarcfg.placement.visibility_kernels import Obstacles
+from lidarcfg.placement.returns import Poses, Target, placed, returns
+from lidarcfg.placement.sight import Obstacles
 from lidarcfg.world.meshes import box_mesh, read_mesh
 from lidarcfg.world.scene import Box
 from lidarcfg.world.solids import open_edges, welded
@@ -40,7 +38,7 @@ FIT_M = 1e-9  # by which an object may reach over the region's side, for roundin
 
 
 @dataclass(frozen=True)
-class Sought:
+class DetectionTarget:
     """An object that is detected by returns, and the P places where it may be."""
 
     item: DetectionObject
@@ -63,10 +61,10 @@ class Sought:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class ReturnCounts:
     """The returns from an object at its places, in one revolution."""
 
-    sought: Sought
+    target: DetectionTarget
     worst: Array  # (P,) returns where each sensor is in its worst phase
     mean: Array  # (P,) over phases
     probability: Array  # (P,) that it is detected, over phases
@@ -76,26 +74,26 @@ class Sightings:
         """The detection rate; for drawn places, the mean of the replicates' rates with Student's interval."""
         missed = 1.0 - self.probability
         found = Returns(
-            rate_in_worst_phase=float(np.mean(self.worst >= self.sought.enough)),
+            rate_in_worst_phase=float(np.mean(self.worst >= self.target.enough)),
             mean=float(self.mean.mean()),
             mean_in_worst_phase=float(self.worst.mean()),
         )
-        if not self.sought.item.samples:
+        if not self.target.item.samples:
             return Detection(1.0 - _sum(missed) / len(missed), len(missed), 0.0, found)
-        rates = [1.0 - _sum(part) / len(part) for part in np.split(missed, _ends(self.sought))]
+        rates = [1.0 - _sum(part) / len(part) for part in np.split(missed, _ends(self.target))]
         rate, half_width = mean_of(rates, len(missed))
         return Detection(rate, len(missed), half_width, found)
 
     def rings(self, middle_m: Array, edges_m: Array) -> Rings:
         """Its places by their distance from a point; see `detection_by_distance`."""
-        at, n = ring(self.sought.places[:, 0], self.sought.places[:, 1], middle_m, edges_m), len(edges_m) - 1
+        at, n = ring(self.target.places[:, 0], self.target.places[:, 1], middle_m, edges_m), len(edges_m) - 1
         detected = np.bincount(at, self.probability, n + 1)[:n]
         return Rings(edges_m, detected, np.bincount(at, minlength=n + 1)[:n])
 
     def from_above(self, values: Array) -> Array:
         """(nx, ny) the sums of values (P,) in each cell of the grid."""
-        cells = np.bincount(self.sought.part, values, math.prod(self.sought.grid))
-        return np.asarray(cells.reshape(self.sought.grid))
+        cells = np.bincount(self.target.part, values, math.prod(self.target.grid))
+        return np.asarray(cells.reshape(self.target.grid))
 
 
 def target(item: DetectionObject, region: Region, folder: Path) -> Target:
@@ -119,7 +117,7 @@ def target(item: DetectionObject, region: Region, folder: Path) -> Target:
     return found
 
 
-def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
+def detection_target(region: Region, item: DetectionObject, target: Target) -> DetectionTarget:
     """An object's places in a region: on its floor, inside it, free of exclusions; counted on a grid, or drawn.
 
     Raises ConfigError where there is none.
@@ -146,11 +144,11 @@ def sought(region: Region, item: DetectionObject, target: Target) -> Sought:
         inside = _inside(region, places, target.size_m)
         places, part = places[inside], part[inside]
     label, cuboid_m = np.where(region.included, np.int32(0), np.int32(-1)), region.cuboid_m
-    free = [core.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
+    free = [core.analytic.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
     which = np.array(free, bool)
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
         raise ConfigError(f"{item.name}: has no free place in the region")
-    return Sought(item, target, np.ascontiguousarray(places[which]), part[which], low, grid)
+    return DetectionTarget(item, target, np.ascontiguousarray(places[which]), part[which], low, grid)
 
 
 def _check_count(item: DetectionObject, places: int) -> None:
@@ -160,58 +158,89 @@ def _check_count(item: DetectionObject, places: int) -> None:
     check_memory(f"{item.name}, with {places:,} places,", PLACE_BYTES * places, f"give {advice}")
 
 
-def sightings(
-    objects: Sequence[Sought],
-    sensors: Scans,
+def return_counts(
+    targets: Sequence[DetectionTarget],
+    scanners: Sequence[core.returns.Scanner],
     lidars: Sequence[Lidar],
     obstacles: Obstacles,
     on_progress: Callable[[float], None] = lambda fraction: None,
-) -> list[Sightings]:
+) -> list[ReturnCounts]:
     """The returns from objects to sensors at these poses; those of objects that look alike are counted once.
 
     `on_progress` is told the fraction done.
     """
     alike: dict[tuple[object, ...], list[int]] = {}
-    for number, one in enumerate(objects):
+    for number, one in enumerate(targets):
         alike.setdefault(one.item.appearance, []).append(number)
-    first, poses, done = [objects[numbers[0]] for numbers in alike.values()], placed(lidars), 0
+    first = [targets[numbers[0]] for numbers in alike.values()]
+    poses = placed(lidars)
     total = sum(len(one.places) for one in first)
+    done = 0
 
     def on_places(count: int) -> None:
         nonlocal done
         done += count
         on_progress(done / total)
 
-    found: dict[int, Sightings] = {}
+    found: dict[int, ReturnCounts] = {}
     for one, numbers in zip(first, alike.values(), strict=True):
-        counted = returns(one.places, one.target, sensors, poses, obstacles, on_places=on_places)
+        counted = returns(one.places, one.target, scanners, poses, obstacles, on_places=on_places)
         worst, mean = counted.worst, counted.mean
         for number in numbers:
-            enough = objects[number].enough
-            found[number] = Sightings(objects[number], worst, mean, counted.probability(enough))
-    return [found[number] for number in range(len(objects))]
+            enough = targets[number].enough
+            found[number] = ReturnCounts(targets[number], worst, mean, counted.probability(enough))
+    return [found[number] for number in range(len(targets))]
 
 
-def missed(one: Sought, sensors: Scans, lidars: Sequence[Lidar], obstacles: Obstacles, limit: float) -> float:
-    """1 − the rate of `sightings`; or, once it is known to be at least `limit`, any number that is."""
-    poses, shape, count = placed(lidars), one.target.shape, len(one.places)
-    if not one.item.samples:
-        most = limit * count
-        while 1.0 - (1.0 - most / count) < limit < math.inf:  # rounding
-            most += count * 2.0**-53
-        found = returns_kernels.undetected(one.places, sensors, poses, shape, obstacles, one.enough, most)
-        return 1.0 - (1.0 - float(found) / count)
-    parts = np.split(one.places, _ends(one))
-    rates = np.ones(len(parts))
-    for number, part in enumerate(parts):
-        found = returns_kernels.undetected(part, sensors, poses, shape, obstacles, one.enough, math.inf)
-        rates[number] = 1.0 - float(found) / len(part)
-        if 1.0 - float(np.mean(rates)) >= limit:
-            break
-    return 1.0 - float(np.mean(rates))
+class MissCounter:
+    """1 − the detection rate of an object, trial after trial; not for several threads at once.
+
+    What is known of sensors at their latest poses is kept, so that a trial counts the returns of those that moved.
+    """
+
+    def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner], obstacles: Obstacles) -> None:
+        ends = np.append(_ends(target) if target.item.samples else [], len(target.places)).astype(np.int64)
+        self.obstacles = obstacles
+        self._drawn = target.item.samples is not None
+        self._counts = np.diff(ends, prepend=0).tolist()  # of places in each replicate
+        self._counter = core.returns.ReturnCounter(
+            scanners, target.target.shape, target.places, ends, obstacles, target.enough
+        )
+
+    def rate(self, sensors: Sequence[int], poses: Poses, limit: float = math.inf) -> float:
+        """By some of the scanners, whose numbers ascend; or, once it is known to be at least `limit`, any that is."""
+        numbers = np.array(sensors, np.int64)
+        if not self._drawn:
+            (count,) = self._counts
+            missed = self._counter.missed(numbers, *poses, 0, _most(limit, count))
+            return 1.0 - (1.0 - missed / count)
+        rates = np.ones(len(self._counts))
+        for number, count in enumerate(self._counts):
+            rates[number] = 1.0 - self._counter.missed(numbers, *poses, number, math.inf) / count
+            if 1.0 - float(np.mean(rates)) >= limit:
+                break
+        return 1.0 - float(np.mean(rates))
+
+    def lower_bound(self, sensors: Sequence[int], poses: Poses, share: float) -> float:
+        """No more than `rate`, by a share of the places, the likeliest to be missed; 0 of drawn places."""
+        if self._drawn:
+            return 0.0
+        (count,) = self._counts
+        missed = self._counter.missed_among(np.array(sensors, np.int64), *poses, 0, int(share * count))
+        return 1.0 - (1.0 - missed / count)
 
 
-def _ends(one: Sought) -> Counts:
+def _most(limit: float, count: int) -> float:
+    """Out of so many places, those from which on a miss rate is at least a limit, also as it is rounded."""
+    if limit > 1.0:
+        return math.inf  # never
+    most = limit * count
+    while 1.0 - (1.0 - most / count) < limit:
+        most += count * 2.0**-53
+    return most
+
+
+def _ends(one: DetectionTarget) -> Counts:
     """The ends of all replicates but the last."""
     return np.flatnonzero(np.diff(one.part)) + 1
 

@@ -8,9 +8,9 @@ from scipy import ndimage
 
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.geometry import rotation
-from lidarcfg.placement import rows
 from lidarcfg.placement.components import components
 from lidarcfg.placement.cones import Lidar, gaps_at
+from lidarcfg.placement.grid import beam_gaps, check_grid, grid_of, linked
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
@@ -60,8 +60,8 @@ def direct(centres, included, lidars):
 def check(region, lidars):
     """Rows give the direct result: labels, counts, gaps at points and on the grid, and the largest V / S."""
     label, cuboids, internal, first = direct(region.centres(), region.included, lidars)
-    grid, work = rows.linked(region, lidars)
-    mine = components(grid, region.shape, work.links)
+    grid, links, _ = linked(region, lidars)
+    mine = components(grid, links)
     for ours, theirs in zip(mine, (label, cuboids, internal, first), strict=True):
         assert np.array_equal(ours, theirs)
     assert mine[0].dtype == np.int32
@@ -69,7 +69,7 @@ def check(region, lidars):
     for one in lidars:
         gap = digits(region.centres(), one)
         assert np.array_equal(gaps_at(points, one), gap.ravel())
-        on_grid = rows.beam_gaps(region, one)
+        on_grid = beam_gaps(region, one)
         assert np.array_equal(on_grid[region.included], gap[region.included])
     if len(first):
         assert max_vsr(grid, lidars) == vsr_m(segment(region, lidars)).max()
@@ -197,7 +197,7 @@ def test_nothing_cut_and_nothing_left():
 
 
 def test_a_million_beams_are_compared_with_cuboids_and_not_one_sensor_more():
-    grid = rows.Grid.of(Region.from_boxes((0, 0, 0), (1, 1, 1), (0.5, 0.5, 0.5)))
-    rows.check_room(grid, 100, 10_000)
+    grid = grid_of(Region.from_boxes((0, 0, 0), (1, 1, 1), (0.5, 0.5, 0.5)))
+    check_grid(grid, 100, 10_000)
     with pytest.raises(LidarcfgError, match=r"101 sensors of up to 10,000 beams are 1,010,000 .* at most 1,000,000"):
-        rows.check_room(grid, 101, 10_000)
+        check_grid(grid, 101, 10_000)

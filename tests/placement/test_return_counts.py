@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,13 @@ import lidarcfg
 from lidarcfg import inputs, report
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement import checks
-from lidarcfg.placement import sightings as sightings_module
+from lidarcfg.placement import return_counts as return_counts_module
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.sightings import missed
+from lidarcfg.placement.return_counts import MissCounter, return_counts
+from lidarcfg.placement.returns import placed
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.terms import Trial
 from lidarcfg.report.words import object_in_words
@@ -63,10 +65,10 @@ def test_rates_are_those_of_the_simulator(tmp_path):
     loaded = study(tmp_path, change=("step_m: 1.5", "step_m: 3"))
     rig = rig_of(loaded)
     found = evaluate(loaded, rig)
-    seen = found.sightings["crate"]
+    seen = found.return_counts["crate"]
     body, target = box(4.5, 1.8, 1.0), box(0.6, 0.4, 0.3)
     rate, worst, mean = [], [], []
-    for place in seen.sought.places:
+    for place in seen.target.places:
         tracer, by_sensor = tracer_of([body, at_place(target, place)]), []
         for s, one in enumerate(rig.mounts):
             by_sensor.append([simulated(one, s, revolution(one, phase, 4), tracer, 1) for phase in range(4)])
@@ -86,7 +88,7 @@ def test_rates_are_those_of_the_simulator(tmp_path):
 
 def test_places_are_a_grid_inside_the_region_and_free(tmp_path):
     """1.5 m apart, symmetric about the middle; its box, rotated, neither leaves the region nor enters the exclusion."""
-    one = study(tmp_path).sought[0]
+    one = study(tmp_path).detection_targets[0]
     expected = set()
     for i in range(12):
         for j in range(8):
@@ -109,17 +111,17 @@ def test_maps_and_rings_add_up(tmp_path):
     found = evaluate(loaded, rig)
     shown = details(loaded, rig, found)
     for name in ("crate", "child"):
-        rings, seen = shown.rings[name], found.sightings[name]
+        rings, seen = shown.rings[name], found.return_counts[name]
         assert rings.detected.sum() == pytest.approx(seen.probability.sum())
         assert rings.places.sum() == len(seen.probability)
     at = shown.places["crate"]
-    assert at.detected.sum() == pytest.approx(found.sightings["crate"].probability.sum())
+    assert at.detected.sum() == pytest.approx(found.return_counts["crate"].probability.sum())
     assert at.places.max() == 2
     assert (at.low_m.tolist(), at.high_m.tolist()) == ([-9, -6], [9, 6])
-    place = found.sightings["crate"].sought.places[0]
+    place = found.return_counts["crate"].target.places[0]
     cell = tuple(((place[:2] - at.low_m) / 1.5).astype(int))
-    first = found.sightings["crate"].sought.part == found.sightings["crate"].sought.part[0]
-    assert at.detected[cell] == pytest.approx(found.sightings["crate"].probability[first].sum())
+    first = found.return_counts["crate"].target.part == found.return_counts["crate"].target.part[0]
+    assert at.detected[cell] == pytest.approx(found.return_counts["crate"].probability[first].sum())
     assert "child" not in shown.places
 
 
@@ -139,14 +141,32 @@ def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name)
     poses = loaded.poses(np.full((1, int(loaded.free.sum())), 0.3))[0]
     value = loaded.cost(poses)
     assert value == 1.0 - evaluate(loaded, loaded.rig(poses)).detection[name].rate
-    one = next(one for one in loaded.sought if one.item.name == name)
-    fired, lidars = loaded.scans(loaded.rig(poses).mounts), loaded.lidars(poses)
+    one = next(one for one in loaded.detection_targets if one.item.name == name)
+    scanners, lidars = loaded.scanners(loaded.rig(poses).mounts), loaded.lidars(poses)
+    numbers, at = range(len(lidars)), placed(lidars)
     for limit in (0.2 * value, value, np.nextafter(value, 0), np.nextafter(value, 1), 1.5 * value):
-        found = missed(one, fired, lidars, loaded.obstacles, limit)
+        found = MissCounter(one, scanners, loaded.obstacles).rate(numbers, at, limit)
         assert found >= limit if value >= limit else found == value
         trial = Trial(loaded.region, lidars, loaded.visibility)
         assert loaded.criterion().of(trial, limit) == (math.inf if value >= limit else value)
         assert not trial.is_cut
+
+
+@pytest.mark.parametrize("name", ["crate", "child"])
+@pytest.mark.parametrize("limit", [1.0, np.nextafter(1.0, 2.0), 1.8091036796430564, 2.0, 1e300, math.inf])
+def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
+    """Of a mean of several terms a limit of one of them may be above 1; 48 places, and 1.8…, once took forever."""
+    loaded = study(tmp_path, f"detection: {{{name}: 2}}")
+    one = next(one for one in loaded.detection_targets if one.item.name == name)
+    some = np.linspace(0, len(one.places) - 1, 48).astype(int)
+    one = replace(one, places=one.places[some], part=one.part[some])
+    rig = rig_of(loaded)
+    scanners, lidars = loaded.scanners(rig.mounts), rig_lidars(rig)
+    (seen,) = return_counts([one], scanners, lidars, loaded.obstacles)
+    counter = MissCounter(one, scanners, loaded.obstacles)
+    found = counter.rate(range(len(lidars)), placed(lidars), limit)
+    assert 0 < found < 1
+    assert found == 1.0 - seen.detection.rate
 
 
 def test_skipping_and_threads_change_no_search(tmp_path):
@@ -250,22 +270,22 @@ def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp
             tmp_path,
             change=(before.replace("MESH", str(ROOT / "data/objects/child.ply")), f"  - {{name: a, {item}}}\n"),
         )
-        alone.append(evaluate(loaded, rig_of(loaded)).sightings["a"])
+        alone.append(evaluate(loaded, rig_of(loaded)).return_counts["a"])
     every = "".join(f"  - {{name: {name}, {item}}}\n" for name, item in zip("abcd", items, strict=True))
     loaded = study(tmp_path, change=(before.replace("MESH", str(ROOT / "data/objects/child.ply")), every))
     counted, told = [], []
-    real = sightings_module.returns
+    real = return_counts_module.returns
     monkeypatch.setattr(
-        sightings_module, "returns", lambda places, *a, **k: counted.append(len(places)) or real(places, *a, **k)
+        return_counts_module, "returns", lambda places, *a, **k: counted.append(len(places)) or real(places, *a, **k)
     )
-    found = evaluate(loaded, rig_of(loaded), on_progress=told.append).sightings
+    found = evaluate(loaded, rig_of(loaded), on_progress=told.append).return_counts
     assert list(found) == list("abcd")
     for one, other in zip(found.values(), alone, strict=True):
         assert one.detection == other.detection
         for name in ("worst", "mean", "probability"):
             assert np.array_equal(getattr(one, name), getattr(other, name))
     assert found["a"].detection.rate < found["b"].detection.rate
-    assert counted == [len(found[name].sought.places) for name in "acd"]
+    assert counted == [len(found[name].target.places) for name in "acd"]
     assert told == sorted(told)
     assert told[-1] == 1.0
     assert len(told) == sum(-(-count // 64) for count in counted)
@@ -275,16 +295,16 @@ def test_what_returns_will_cost_is_said(tmp_path, monkeypatch):
     """By a clock that counts places: a second each."""
     monkeypatch.setattr(checks, "SAMPLES", (8,))
     loaded, done = study(tmp_path), [0.0]
-    real = checks.sightings
+    real = checks.return_counts
 
     def timed(objects, *more):
         done[0] += sum(len(one.places) for one in objects)
         return real(objects, *more)
 
-    monkeypatch.setattr(checks, "sightings", timed)
+    monkeypatch.setattr(checks, "return_counts", timed)
     monkeypatch.setattr(checks.time, "process_time", lambda: done[0])
     lines = list(checks.study_warnings(tmp_path / "study.yaml", loaded))
-    total = sum(len(one.places) for one in loaded.sought)
+    total = sum(len(one.places) for one in loaded.detection_targets)
     said = f"detection: 2 objects at {total} places: their returns to 2 LiDARs take about {total} s of processor time"
     assert f"{tmp_path / 'study.yaml'}:18:1: {said}" in lines[-1]
     monkeypatch.setattr(checks, "LONG_S", float(total))
@@ -300,9 +320,9 @@ def test_more_places_than_memory_holds_are_refused_with_the_figure(tmp_path, mon
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 36 * 24 * 2 * 150 + 1.0)
     loaded = study(tmp_path, change=step)
     rig = rig_of(loaded)
-    one, sensors, lidars = loaded.sought[0], loaded.scans(rig.mounts), rig_lidars(rig)
+    one, sensors, lidars = loaded.detection_targets[0], loaded.scanners(rig.mounts), rig_lidars(rig)
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 8 * 2 * 4 * len(one.places) - 1.0)
     with pytest.raises(LidarcfgError, match=r"counting the returns at 1,\d+ places to 2 sensors needs .* memory"):
-        sightings_module.sightings([one], sensors, lidars, loaded.obstacles)
+        return_counts_module.return_counts([one], sensors, lidars, loaded.obstacles)
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 8 * 2 * 4 * len(one.places) + 1.0)
-    assert len(sightings_module.sightings([one], sensors, lidars, loaded.obstacles)) == 1
+    assert len(return_counts_module.return_counts([one], sensors, lidars, loaded.obstacles)) == 1

@@ -1,0 +1,31 @@
+/// Sight and Obstacles from the NamedTuples of lidarcfg/placement/sight.py.
+#pragma once
+
+#include "bind/arguments.h"
+#include "placement/visibility.h"
+
+namespace lidarcfg::bind {
+
+template <>
+struct Fields<placement::Obstacles> {
+  using O = placement::Obstacles;
+  static constexpr auto members = fields(field("tree", &O::tree), field("boxes", &O::boxes),
+                                         field("origin_m", &O::origin_m), field("ground_m", &O::ground_m));
+};
+
+template <>
+struct Fields<placement::Sight> {
+  using S = placement::Sight;
+  static constexpr auto members = fields(field("limits", &S::limits), field("obstacles", &S::obstacles));
+};
+
+/// What of a sight can be wrong, for `lidars` LiDARs.
+inline void check_sight(const placement::Sight& sight, Index lidars) {
+  require(sight.limits.columns() == placement::limit_columns, "sight.limits: nine columns");
+  require(!sight.limited() || sight.limits.rows() >= lidars, "sight.limits: a row for each LiDAR, or none");
+  const Index boxes = sight.obstacles.boxes.columns();
+  require(sight.obstacles.boxes.rows() == 6 && (boxes == 0 || boxes == world::shadow_boxes),
+          "sight.obstacles.boxes: neither (6, 16) nor (6, 0)");
+}
+
+}  // namespace lidarcfg::bind

@@ -1,0 +1,179 @@
+#include "placement/return_counts.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+
+namespace lidarcfg::placement {
+namespace {
+
+constexpr double beyond_m = 1.0;  // beyond the greatest range nothing is a return; rays are traced this much farther
+constexpr int stride = world::packet_size;
+
+std::int32_t least_of(View<const std::int32_t> counts) { return *std::min_element(counts.begin(), counts.end()); }
+
+std::int32_t most_of(View<const std::int32_t> counts) { return *std::max_element(counts.begin(), counts.end()); }
+
+/// Between how many returns each phase has, of which some are counted and others may come from open beams.
+ReturnTracer::Bounds bounds_of(View<const std::int32_t> counts, View<const std::int32_t> open) {
+  std::int32_t most = 0;
+  for (std::size_t n = 0; n < counts.size(); ++n) {
+    most = std::max(most, counts[n] + open[n]);
+  }
+  return {least_of(counts), most, most_of(open) == 0};
+}
+
+}  // namespace
+
+void ReturnTracer::count(const AimedBeams& beams, const Obstacles& obstacles, View<std::int32_t> counts) {
+  waiting_ = 0;
+  for (const AimedBeams::Heads& heads : beams.heads()) {
+    for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
+      trace(beams, {heads.firing, head, std::min(heads.end, head + world::packet_size)}, obstacles);
+      if (waiting_ > capacity - world::packet_size) {
+        settle(obstacles, counts);
+      }
+    }
+  }
+  settle(obstacles, counts);
+}
+
+ReturnTracer::Bounds ReturnTracer::count_until(const AimedBeams& beams, const Obstacles& obstacles, std::int32_t enough,
+                                               std::int32_t wanted, View<std::int32_t> counts) {
+  open_.assign(counts.size(), 0);
+  for (const AimedBeams::Heads& heads : beams.heads()) {
+    add_by_phase(heads, 1, open_);
+  }
+  waiting_ = 0;
+  for (const AimedBeams::Heads& heads : beams.heads()) {
+    for (std::int32_t head = heads.first; head < heads.end; head += world::packet_size) {
+      const AimedBeams::Heads some{heads.firing, head, std::min(heads.end, head + world::packet_size)};
+      trace(beams, some, obstacles);
+      settle(obstacles, counts);
+      add_by_phase(some, -1, open_);
+      const Bounds bounds = bounds_of(counts, open_);
+      if (bounds.least >= enough || bounds.most < wanted) {
+        return bounds;
+      }
+    }
+  }
+  return bounds_of(counts, open_);
+}
+
+/// Have those of a firing's rays wait that hit the object within range and field of view.
+void ReturnTracer::trace(const AimedBeams& beams, const AimedBeams::Heads& heads, const Obstacles& obstacles) {
+  const int count = heads.end - heads.first;
+  const Scanner& scanner = beams.scanner();
+  const Rows<const double> origins(origins_, 3, stride);
+  const Rows<const double> directions(directions_, 3, stride);
+  beams.rays(heads, origins_, directions_, stride);
+  for (int done = 0; done < count;) {
+    const auto [some, face] = world::alike(directions, done, count);
+    packet_.load(origins, directions, done, some, face);
+    packet_.limit(scanner.most_m() + beyond_m);
+    packet_.first_hits(beams.target().bvh);
+    for (int n = 0; n < some; ++n) {
+      const double range = packet_.range(n);
+      const Index head = heads.first + done + n;
+      if (packet_.slot(n) < 0 || !(scanner.least_m() <= range && range <= scanner.most_m()) ||
+          scanner.is_outside(heads.firing, head)) {
+        continue;
+      }
+      const int ray = done + n;
+      const Vec3 start = beams.point_in_vehicle({origins_[ray], origins_[stride + ray], origins_[2 * stride + ray]},
+                                                obstacles.origin_m);
+      const Vec3 way =
+          beams.direction_in_vehicle({directions_[ray], directions_[stride + ray], directions_[2 * stride + ray]});
+      for (int k = 0; k < 3; ++k) {
+        starts_[k * capacity + waiting_] = start[k];
+        ways_[k * capacity + waiting_] = way[k] * range;
+      }
+      phase_[waiting_++] = static_cast<int>(head % scanner.phases());
+    }
+    done += some;
+  }
+}
+
+/// Count those of the hits that wait that nothing stands before.
+void ReturnTracer::settle(const Obstacles& obstacles, View<std::int32_t> counts) {
+  const Rows<const double> starts(starts_, 3, capacity);
+  const Rows<const double> ways(ways_, 3, capacity);
+  const double ground_m = obstacles.ground_m - obstacles.origin_m[2];
+  for (int done = 0; done < waiting_;) {
+    int some = waiting_ - done;
+    const bool blocks = obstacles.tree->size() > 0;
+    if (blocks) {
+      const world::Alike alike = world::alike(ways, done, waiting_);
+      some = alike.count;
+      packet_.load(starts, ways, done, some, alike.face);
+      packet_.limit(1 - world::ends);
+      packet_.any_hits(*obstacles.tree);
+    }
+    for (int n = 0; n < some; ++n) {
+      const double start = starts(2, done + n);
+      const double end = start + ways(2, done + n);
+      const bool hidden = blocks && packet_.slot(n) >= 0;
+      counts[phase_[done + n]] += !(hidden || (std::min(start, end) < ground_m && ground_m < std::max(start, end)));
+    }
+    done += some;
+  }
+  waiting_ = 0;
+}
+
+void count_returns(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
+                   View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles,
+                   const Tables<std::int32_t>& counts) {
+  const auto tracer = std::make_unique<ReturnTracer>();
+  AimedBeams beams;
+  for (const std::int64_t place : which) {
+    for (Index s = 0; s < std::ssize(scanners); ++s) {
+      beams.aim(*scanners[s], poses[s], target, places[place]);
+      beams.tighten();
+      tracer->count(beams, obstacles, counts[place][s].first(scanners[s]->phases()));
+    }
+  }
+}
+
+double DetectionProbability::of(View<const View<const std::int32_t>> counts) {
+  const Index enough = std::ssize(chance_) - 1;
+  Index least = 0;
+  Index most = 0;
+  for (const View<const std::int32_t> by_phase : counts) {
+    least += least_of(by_phase);
+    most += most_of(by_phase);
+  }
+  if (least >= enough || most < enough) {
+    return least >= enough ? 1.0 : 0.0;
+  }
+  std::fill(chance_.begin(), chance_.end(), 0.0);
+  chance_[0] = 1.0;
+  for (const View<const std::int32_t> by_phase : counts) {
+    for (Index had = enough - 1; had >= 0; --had) {
+      const double part = chance_[had] / static_cast<double>(by_phase.size());
+      if (part == 0.0) {
+        continue;
+      }
+      chance_[had] = 0.0;
+      for (const std::int32_t more : by_phase) {
+        chance_[std::min(had + more, enough)] += part;
+      }
+    }
+  }
+  return chance_[enough];
+}
+
+std::vector<double> detection_probabilities(const Tables<const std::int32_t>& counts, View<const std::int64_t> phases,
+                                            Index enough) {
+  DetectionProbability probability(enough);
+  std::vector<View<const std::int32_t>> here(phases.size());
+  std::vector<double> out;
+  for (Index place = 0; place < counts.tables(); ++place) {
+    for (std::size_t s = 0; s < phases.size(); ++s) {
+      here[s] = counts[place][static_cast<Index>(s)].first(phases[s]);
+    }
+    out.push_back(probability.of(here));
+  }
+  return out;
+}
+
+}  // namespace lidarcfg::placement

@@ -1,0 +1,71 @@
+/// Returns from an object: what of a sensor's beams hits it, within range and field of view, before anything else.
+#pragma once
+
+#include <vector>
+
+#include "placement/scanner.h"
+#include "placement/visibility.h"
+#include "world/packet.h"
+
+namespace lidarcfg::placement {
+
+/// Traces aimed beams. Not for several threads at once.
+class ReturnTracer {
+ public:
+  /// Count all returns, to counts (phases,), of zeros.
+  void count(const AimedBeams& beams, const Obstacles& obstacles, View<std::int32_t> counts);
+
+  /// Between how many returns each phase has.
+  struct Bounds {
+    std::int32_t least;
+    std::int32_t most;
+    bool exact;  // all are counted
+  };
+
+  /// The same, until it is known that each phase has at least `enough`, or that none has `wanted`.
+  Bounds count_until(const AimedBeams& beams, const Obstacles& obstacles, std::int32_t enough, std::int32_t wanted,
+                     View<std::int32_t> counts);
+
+ private:
+  static constexpr int capacity = 2 * world::packet_size;
+
+  void trace(const AimedBeams& beams, const AimedBeams::Heads& heads, const Obstacles& obstacles);
+  void settle(const Obstacles& obstacles, View<std::int32_t> counts);
+
+  world::Packet packet_;
+  double origins_[3 * world::packet_size];  // of rays, in the object's frame
+  double directions_[3 * world::packet_size];
+
+  // Hits that are still to be asked what stands before them.
+  double starts_[3 * capacity];  // where their beams start, relative to the obstacles' origin
+  double ways_[3 * capacity];    // to where they are
+  int phase_[capacity];
+  int waiting_ = 0;
+
+  std::vector<std::int32_t> open_;  // (phases,) beams that are not traced yet
+};
+
+/// Write the returns at places to counts (places, sensors, phases), of zeros.
+///
+/// @param which  the places to be counted
+void count_returns(View<const Place> places, View<const std::int64_t> which, View<const Scanner* const> scanners,
+                   View<const SensorPose> poses, const TargetShape& target, const Obstacles& obstacles,
+                   const Tables<std::int32_t>& counts);
+
+/// The probability of `enough` returns in all, where each sensor is in any of its phases, whatever the others'.
+class DetectionProbability {
+ public:
+  explicit DetectionProbability(Index enough) : chance_(enough + 1) {}
+
+  /// Of sensors' returns, by phase.
+  double of(View<const View<const std::int32_t>> counts);
+
+ private:
+  std::vector<double> chance_;  // of exactly so many returns; the last: of so many or more
+};
+
+/// (P,) that probability of counts (P, sensors, phases), of which each sensor has some phases.
+std::vector<double> detection_probabilities(const Tables<const std::int32_t>& counts, View<const std::int64_t> phases,
+                                            Index enough);
+
+}  // namespace lidarcfg::placement

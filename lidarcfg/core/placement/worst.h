@@ -1,0 +1,65 @@
+/// The worst subspaces: those of the largest volume to surface, without flooding those that cannot be among them.
+#pragma once
+
+#include <vector>
+
+#include "placement/flood.h"
+#include "placement/linker.h"
+
+namespace lidarcfg::placement {
+
+/// Some subspaces of the largest values, descending, each by a cuboid in it. A subspace's value is its volume to
+/// surface in metres, times its weight where cuboids have weights.
+class WorstList {
+ public:
+  explicit WorstList(Index size) : values_(size), cuboids_(size) { clear(); }
+
+  void clear();
+
+  /// Insert a subspace if it belongs there; returns whether it does.
+  bool insert(double value, Index cuboid);
+
+  /// −1 where there are fewer subspaces.
+  View<const double> values() const { return values_; }
+  View<const std::int64_t> cuboids() const { return cuboids_; }
+
+  /// The p-norm of the values above 0, p = 1 / smoothing: at least the greatest, which it is without smoothing.
+  double norm(double smoothing) const;
+
+  /// Whether the norm is surely at least so much, whatever values may be added.
+  bool reaches(double bound, double smoothing) const;
+
+ private:
+  std::vector<double> values_;
+  std::vector<std::int64_t> cuboids_;
+};
+
+/// Insert the worst of the subspaces that a flooder has left into a list.
+///
+/// Skips cuboids that cannot be in any of them. Ends as soon as the list's norm reaches a bound.
+///
+/// @param links  (rows,) of all LiDARs
+/// @param first  is added to the numbers of cuboids
+/// @return       whether the norm has reached the bound
+bool find_worst(const Grid& grid, View<const Links> links, double bound, double smoothing, Index first,
+                Flooder& flooder, WorstList& worst);
+
+/// The paper's cost of rigs, evaluated in full. Not for several threads at once.
+class WorstSubspaces {
+ public:
+  explicit WorstSubspaces(const Grid& grid);
+
+  /// The largest volume to surface in metres (paper, eq. 10), times weights; −1 where no cuboid counts.
+  ///
+  /// @param cones  (lidars, 6 + beams), rows of `Cones`
+  double max_vsr(Rows<const double> cones, const Sight& sight);
+
+ private:
+  Grid grid_;
+  Linker linker_;
+  Flooder flooder_;
+  std::vector<Links> links_;
+  std::vector<Word> seen_;
+};
+
+}  // namespace lidarcfg::placement

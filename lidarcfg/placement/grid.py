@@ -1,0 +1,127 @@
+"""A region as rows of bits, 64 cuboids along x to a word, and the links between neighbouring cuboids on it.
+
+Two neighbours lie in one subspace if no cone passes between them, that is if every digit of their base-n labels is
+the same; a LiDAR that does not see a cuboid has one digit for it, whatever its beams. So each row of up to 64 cuboids
+has three words of bits, its links: whether each cuboid and the one before it along x, y and z have the same digits. The
+links of several LiDARs are those of each, joined by `and`.
+
+Rows are numbered ((k + 1)(ny + 2) + j + 1) · chunks + c, so that every neighbour exists; a cuboid is row · 64 + bit.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.core import placement as core
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.geometry import Array
+from lidarcfg.inputs import check_memory
+from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, gaps_at
+from lidarcfg.placement.region import Region
+from lidarcfg.placement.sight import UNLIMITED_SIGHT, Sight
+
+Words = NDArray[np.uint64]
+Counts = NDArray[np.int64]
+BEAMS_MAX = 1_000_000  # of all LiDARs together
+LARGE = 2**14  # rows from which on what LiDARs see is found on threads
+WORDS = 16  # a row that an evaluation needs at least, beside three for each LiDAR
+
+
+def grid_of(region: Region, weights: tuple[Array, NDArray[np.integer]] | None = None) -> core.Grid:
+    """The grid of a region; `weights` as `zones.Weights` has them: (n,), and by cuboid 1 + which of them."""
+    weight, number = weights or (np.empty(0), np.empty(0, np.uint8))
+    included = pack(region.included).ravel()
+    weighted = np.zeros((len(weight), included.size), np.uint64)
+    for n in range(len(weight)):
+        weighted[-1 - n] = pack(np.equal(number, n + 1)).ravel()
+    return core.Grid(*region.centres(), included, region.cuboid_m.tolist(), weight[::-1].copy(), weighted)
+
+
+def pack(bits: NDArray[np.bool_]) -> Words:
+    """(nz + 2, ny + 2, chunks) the words of flags by cuboid (nx, ny, nz), 64 along x, with a margin of none."""
+    nx, ny, nz = bits.shape
+    words = np.zeros((nz + 2, ny + 2, -(-nx // 64)), np.uint64)
+    for chunk in range(words.shape[2]):
+        octets = np.zeros((nz, ny, 8), np.uint8)
+        found = np.packbits(bits[64 * chunk : 64 * chunk + 64], axis=0, bitorder="little")
+        octets[..., : len(found)] = found.transpose(2, 1, 0)
+        words[1:-1, 1:-1, chunk] = octets.view("<u8")[..., 0]
+    return words
+
+
+def unpack(region: Region, words: Words) -> NDArray[np.bool_]:
+    """(…, nx, ny, nz) the bits of words (…, rows)."""
+    every = [count_set(region, one[None]).astype(np.bool_) for one in words.reshape(-1, words.shape[-1])]
+    return np.array(every, np.bool_).reshape(*words.shape[:-1], *region.shape)
+
+
+def count_set(region: Region, words: Words) -> NDArray[np.integer]:
+    """(nx, ny, nz) in how many of several words (n, rows) each cuboid is set."""
+    _, ny, nz = region.shape
+    out = np.empty(region.shape, np.min_scalar_type(len(words)))
+    chunks = words.reshape(len(words), nz + 2, ny + 2, -1)[:, 1:-1, 1:-1].astype("<u8", copy=False)
+    for j in range(ny):
+        for chunk in range(chunks.shape[3]):
+            octets = np.ascontiguousarray(chunks[:, :, j, chunk]).view(np.uint8).reshape(len(words), nz, 8)
+            count = np.unpackbits(octets, axis=2, bitorder="little").sum(axis=0, dtype=out.dtype)
+            part = out[64 * chunk : 64 * chunk + 64, j]
+            part[:] = count.T[: len(part)]
+    return out
+
+
+def cuboid_number(grid: core.Grid, index: tuple[Counts, Counts, Counts]) -> Counts:
+    """The numbers of cuboids by their indices along x, y and z."""
+    i, j, k = index
+    row = ((k + 1) * (grid.shape[1] + 2) + j + 1) * grid.chunks + (i >> 6)
+    number: Counts = row << 6 | i & 63
+    return number
+
+
+def check_grid(grid: core.Grid, lidars: int, beams: int, threads: int = 1) -> None:
+    """Raises LidarcfgError where there are too many beams, or memory does not hold evaluations on that many threads."""
+    if lidars * beams > BEAMS_MAX:
+        what = f"{lidars} sensors of up to {beams:,} beams are {lidars * beams:,} to compare cuboids with"
+        raise LidarcfgError(f"{what}; allowed: at most {BEAMS_MAX:,}")
+    layer = grid.rows // (grid.shape[2] + 2)
+    needed = 8.0 * threads * ((WORDS + 3 * lidars) * grid.rows + 2 * layer * lidars * beams)
+    what = f"comparing {64 * grid.rows:,} cuboids with {lidars * beams:,} beams on {threads} threads"
+    check_memory(what, needed, "use larger cuboids or fewer beams")
+
+
+def linked(
+    region: Region, lidars: Sequence[Lidar], sight: Sight = UNLIMITED_SIGHT
+) -> tuple[core.Grid, Words, Words | None]:
+    """A region's grid, the links (rows, 3) of some LiDARs on it, and, where sight is limited, what they see."""
+    grid = grid_of(region)
+    cones = cone_rows(lidars)
+    check_grid(grid, len(cones), cones.shape[1] - FIRST)
+    seen = _seen(grid, cones, sight) if len(sight.limits) else None
+    links = np.empty((grid.rows, 3), np.uint64)
+    core.links(grid, cones, np.empty((0, grid.rows), np.uint64) if seen is None else seen, links)
+    return grid, links, seen
+
+
+def seen_words(region: Region, lidars: Sequence[Lidar], sight: Sight) -> Words:
+    """(lidars, rows): which cuboids each LiDAR sees."""
+    return _seen(grid_of(region), cone_rows(lidars), sight)
+
+
+def _seen(grid: core.Grid, cones: Array, sight: Sight) -> Words:
+    """The same; on threads where the grid is large."""
+    if grid.rows <= LARGE or len(cones) <= 1:
+        return core.seen(grid, cones, sight)
+
+    def of_one(lidar: int) -> Words:
+        one = slice(lidar, lidar + 1)
+        return core.seen(grid, cones[one], sight._replace(limits=sight.limits[one]))
+
+    with ThreadPoolExecutor() as pool:
+        return np.concatenate(list(pool.map(of_one, range(len(cones)))))
+
+
+def beam_gaps(region: Region, lidar: Lidar) -> Counts:
+    """(nx, ny, nz) the beam gap index of each cuboid: how many of a LiDAR's cones lie at or below its centre."""
+    points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1)
+    return gaps_at(points.reshape(-1, 3), lidar).reshape(region.shape)
