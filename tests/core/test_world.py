@@ -304,3 +304,16 @@ def test_a_pickle_is_the_same_hierarchy():
     for one, other in zip(first(again, origins, way), first(tree, origins, way), strict=True):
         assert np.array_equal(one, other)
     assert len(pickle.loads(pickle.dumps(bvh([])))) == 0
+
+
+def test_rays_that_are_not_near_each_other_are_traced_in_pieces():
+    """Each hits what it hits alone, also where all rays of a packet face the same way."""
+    rng = np.random.default_rng(5)
+    tree, (origins, way) = bvh(soup(rng, 3000, 0.1)), rays(rng, 200)
+    way = abs(way) * [0.1, 0.2, 1.0]
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    range_m, slot = first(tree, origins, way)
+    alone = [first(tree, origins[n : n + 1], way[n : n + 1]) for n in range(200)]
+    assert np.array_equal(range_m, [one[0][0] for one in alone])
+    assert np.array_equal(slot, [one[1][0] for one in alone])
+    assert np.array_equal(blocked(tree, origins, way * 3), range_m < 3 * (1 - 1e-9))

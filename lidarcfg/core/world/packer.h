@@ -1,6 +1,8 @@
 /// Collects rays into packets of those that face the same way.
 #pragma once
 
+#include <algorithm>
+#include <numeric>
 #include <utility>
 #include <vector>
 
@@ -28,6 +30,26 @@ class Packer {
     waiting_ |= 1u << face;
     if (++queue.count == Capacity) {
       flush(face, take);
+    }
+  }
+
+  /// Add rays `first` to `first` + count of (3, N), which face the same way; their numbers are those of their columns.
+  template <class Take>
+  void add(Rows<const double> origins, Rows<const double> directions, Index first, Index count, int face, Take&& take) {
+    Queue& queue = queues_[face];
+    for (const Index end = first + count; first < end;) {
+      const Index some = std::min<Index>(end - first, Capacity - queue.count);
+      for (int axis = 0; axis < 3; ++axis) {
+        std::copy_n(origins[axis].data() + first, some, queue.origins[axis] + queue.count);
+        std::copy_n(directions[axis].data() + first, some, queue.directions[axis] + queue.count);
+      }
+      std::iota(queue.numbers + queue.count, queue.numbers + queue.count + some, first);
+      waiting_ |= 1u << face;
+      queue.count += static_cast<int>(some);
+      first += some;
+      if (queue.count == Capacity) {
+        flush(face, take);
+      }
     }
   }
 

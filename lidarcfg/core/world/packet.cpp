@@ -34,7 +34,7 @@ void prefetch(const Bvh& bvh, std::int32_t code) {
 
 /// A side of an interval of origins, moved outwards by more than what float32 rounds.
 float outward(double at, bool down) {
-  const double wide = std::abs(at) * wider + pad_m;
+  const double wide = std::abs(at) < infinity ? std::abs(at) * wider + pad_m : 0;
   return static_cast<float>(down ? at - wide : at + wide);
 }
 
@@ -53,15 +53,34 @@ V by_vector(const V* rows, Combine combine) {
   }
 }
 
-/// The same of groups of rays, from a row on; what is no number is taken as `neutral`.
-template <class Combine>
-Doubles by_group(const double* row, double neutral, Combine combine) {
+/// The same of groups of rays, from a row on, whose values `take` takes.
+template <class Take, class Combine>
+Doubles by_group(const double* row, Take take, Combine combine) {
   Doubles rows[lanes<double>];
   for (int g = 0; g < lanes<double>; ++g) {
-    const Doubles values = load<Doubles>(row + g * lanes<double>);
-    rows[g] = values == values ? values : Doubles{} + neutral;
+    rows[g] = take(load<Doubles>(row + g * lanes<double>));
   }
   return by_vector(rows, combine);
+}
+
+/// A value, but another if it is infinite or no number.
+Doubles finite_or(Doubles values, double other) { return values - values == 0 ? values : Doubles{} + other; }
+
+Doubles lowest_by_group(const double* row) {
+  return by_group(
+      row, [](Doubles values) { return finite_or(values, infinity); }, [](Doubles a, Doubles b) { return min(a, b); });
+}
+
+Doubles highest_by_group(const double* row) {
+  return by_group(
+      row, [](Doubles values) { return finite_or(values, -infinity); }, [](Doubles a, Doubles b) { return max(a, b); });
+}
+
+/// The farthest of ranges, but not farther than `farthest`.
+Doubles range_by_group(const double* row) {
+  return by_group(
+      row, [](Doubles values) { return min(values, Doubles{} + farthest); },
+      [](Doubles a, Doubles b) { return max(a, b); });
 }
 
 /// Which of several directions in a row face another way.
@@ -78,20 +97,13 @@ auto other_facing(int face, const double* from_x, const double* from_y, const do
   return largest + octant != face;
 }
 
-Doubles lowest_by_group(const double* row) {
-  return by_group(row, infinity, [](Doubles a, Doubles b) { return min(a, b); });
-}
-
-Doubles highest_by_group(const double* row) {
-  return by_group(row, -infinity, [](Doubles a, Doubles b) { return max(a, b); });
-}
-
 }  // namespace
 
 template <int Capacity>
 void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> directions, Index first, int count,
                               int face) {
   count_ = count;
+  face_ = face;
   const int per_chunk = chunk * group_size;
   groups_ = (count + per_chunk - 1) / per_chunk * chunk;
   for (int axis = 0; axis < 3; ++axis) {
@@ -104,17 +116,17 @@ void PacketOf<Capacity>::load(Rows<const double> origins, Rows<const double> dir
     std::fill(origin_[row] + count, origin_[row] + groups_ * group_size, from[count - 1]);
     std::fill(direction_[row] + count, direction_[row] + groups_ * group_size, way[count - 1]);
   }
-  bound(face);
+  bound();
   span_fan();
   sheared_ = false;
 }
 
-/// Find the intervals that hold the rays. A ray that has what is no number is in none: it hits nothing.
+/// Find the intervals that hold the rays, but for what is infinite or no number: a ray that has that hits no shape.
 template <int Capacity>
-void PacketOf<Capacity>::bound(int face) {
+void PacketOf<Capacity>::bound() {
   for (int row = 0; row < 3; ++row) {
     const int axis = axis_[row];
-    const bool negative = face >> (2 + axis) & 1;
+    const bool negative = face_ >> (2 + axis) & 1;
     const float way = negative ? -1 : 1;
     double low[most_groups];
     double high[most_groups];
@@ -128,6 +140,7 @@ void PacketOf<Capacity>::bound(int face) {
       store(flat + g, negative ? -highest_by_group(along) : lowest_by_group(along));
       store(steep + g, negative ? -lowest_by_group(along) : highest_by_group(along));
     }
+    float near_origin = -way * static_cast<float>(infinity);
     float near_inverse = farthest;
     float far_inverse = 0;
     double all_low = infinity;
@@ -135,10 +148,13 @@ void PacketOf<Capacity>::bound(int face) {
     for (int g = 0; g < groups_; ++g) {
       const float least = 1 / std::max(static_cast<float>(steep[g]), flattest) * (1 - wider);
       const float most = 1 / std::max(static_cast<float>(flat[g]), flattest) * (1 + wider);
-      near_origin_[axis][g] = outward(negative ? low[g] : high[g], negative);
+      const bool none = !(low[g] <= high[g] && flat[g] < infinity);
+      const float entry = none ? -way * static_cast<float>(infinity) : outward(negative ? low[g] : high[g], negative);
+      near_origin_[axis][g] = entry;
       far_origin_[axis][g] = outward(negative ? high[g] : low[g], !negative);
       near_inverse_[axis][g] = way * least;
       far_inverse_[axis][g] = way * most;
+      near_origin = negative ? std::min(near_origin, entry) : std::max(near_origin, entry);
       near_inverse = std::min(near_inverse, least);
       far_inverse = std::max(far_inverse, most);
       all_low = std::min(all_low, low[g]);
@@ -147,7 +163,7 @@ void PacketOf<Capacity>::bound(int face) {
     sign_[axis] = negative;
     near_.inverse[axis] = way * near_inverse;
     far_.inverse[axis] = way * far_inverse;
-    near_.origin[axis] = outward(negative ? all_low : all_high, negative);
+    near_.origin[axis] = near_origin;
     far_.origin[axis] = outward(negative ? all_high : all_low, !negative);
   }
 }
@@ -232,7 +248,7 @@ template <int Capacity>
 void PacketOf<Capacity>::shorten(int first_group) {
   double far[chunk];
   for (int g = 0; g < chunk; g += lanes<double>) {
-    store(far + g, min(highest_by_group(range_ + (first_group + g) * group_size), Doubles{} + farthest));
+    store(far + g, range_by_group(range_ + (first_group + g) * group_size));
   }
   for (int g = 0; g < chunk; ++g) {
     group_most_[first_group + g] = static_cast<float>(far[g]) * (1 + wider);
@@ -286,20 +302,18 @@ unsigned PacketOf<Capacity>::groups_at(const Box& box, int g) const {
   return bits(enters <= leaves);
 }
 
-/// Keep a triangle where some groups of a chunk hit it first; returns which do.
+/// Keep a triangle where some groups of a chunk hit it first; returns whether any does.
 template <int Capacity>
-unsigned PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, double after, int first_group,
-                                          unsigned which) {
+bool PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, double after, int first_group, unsigned which) {
   const auto [i, j, k] = axis_;
   const Vec3 a{shape[i], shape[j], shape[k]};
   const Vec3 b{shape[3 + i], shape[3 + j], shape[3 + k]};
   const Vec3 c{shape[6 + i], shape[6 + j], shape[6 + k]};
   Vec3 across{};
   bool across_known = false;
-  unsigned found = 0;
+  bool found = false;
   for (; which; which &= which - 1) {
-    const int group = std::countr_zero(which);
-    const int n = (first_group + group) * group_size;
+    const int n = (first_group + std::countr_zero(which)) * group_size;
     const Doubles ox = simd::load<Doubles>(origin_[0] + n);
     const Doubles oy = simd::load<Doubles>(origin_[1] + n);
     const Doubles oz = simd::load<Doubles>(origin_[2] + n);
@@ -343,19 +357,19 @@ unsigned PacketOf<Capacity>::hit_triangle(const Shape& shape, double slot, doubl
     hit &= (far > after) & ((far < nearest) | ((far == nearest) & (slot < known)));
     store(range_ + n, hit ? far : nearest);
     store(slot_ + n, hit ? Doubles{} + slot : known);
-    found |= static_cast<unsigned>(any(hit)) << group;
+    found |= any(hit);
   }
   return found;
 }
 
 /// The same of a sphere or a cylinder.
 template <int Capacity>
-unsigned PacketOf<Capacity>::hit_round(const Shape& shape, Kind kind, double slot, double after, int first_group,
-                                       unsigned which) {
-  unsigned found = 0;
+bool PacketOf<Capacity>::hit_round(const Shape& shape, Kind kind, double slot, double after, int first_group,
+                                   unsigned which) {
+  bool found = false;
   for (; which; which &= which - 1) {
-    const int group = std::countr_zero(which);
-    for (int n = (first_group + group) * group_size; n < (first_group + group + 1) * group_size; ++n) {
+    const int first = (first_group + std::countr_zero(which)) * group_size;
+    for (int n = first; n < first + group_size; ++n) {
       Vec3 way = direction(n);
       double length = 1;
       if (after != 0) {  // a segment
@@ -366,7 +380,7 @@ unsigned PacketOf<Capacity>::hit_round(const Shape& shape, Kind kind, double slo
       if (far > after && (far < range_[n] || (far == range_[n] && slot < slot_[n]))) {
         range_[n] = far;
         slot_[n] = slot;
-        found |= 1u << group;
+        found = true;
       }
     }
   }
@@ -374,19 +388,19 @@ unsigned PacketOf<Capacity>::hit_round(const Shape& shape, Kind kind, double slo
 }
 
 template <int Capacity>
-unsigned PacketOf<Capacity>::hit(const Bvh& bvh, std::int32_t s, Kind kind, double slot, double after, int first_group,
-                                 unsigned which) {
-  const Shape& shape = bvh.leaves[s].shape;
+bool PacketOf<Capacity>::hit(const Shape& shape, Kind kind, double slot, double after, int first_group,
+                             unsigned which) {
   return kind == Kind::triangle ? hit_triangle(shape, slot, after, first_group, which)
                                 : hit_round(shape, kind, slot, after, first_group, which);
 }
 
-/// Visit the leaves that the packet may be in, nearest first: `visit(leaf)`.
+/// Visit the leaves that the packet may be in, nearest first: `visit(leaf)`. Returns false if it gives up after a
+/// number of nodes and leaves.
 template <int Capacity>
 template <class Visit>
-void PacketOf<Capacity>::walk(const Bvh& bvh, Visit visit) {
+bool PacketOf<Capacity>::walk(const Bvh& bvh, Index most, Visit visit) {
   if (bvh.nodes.empty()) {
-    return;
+    return true;
   }
   begin();
   const float slack_m = 2e-6f * (bvh.reach_m + std::abs(fan_.low) + std::abs(fan_.high));  // for float32
@@ -397,6 +411,9 @@ void PacketOf<Capacity>::walk(const Bvh& bvh, Visit visit) {
     const auto [near, code] = *--top;
     if (near > most_) {
       continue;
+    }
+    if (most-- == 0) {
+      return false;
     }
     if (code < 0) {
       visit(LeafCode(code));
@@ -415,22 +432,7 @@ void PacketOf<Capacity>::walk(const Bvh& bvh, Visit visit) {
       prefetch(bvh, node.child[c]);
     }
   }
-}
-
-template <int Capacity>
-void PacketOf<Capacity>::first_hits(const Bvh& bvh, std::int32_t first_slot) {
-  walk(bvh, [&](LeafCode leaf) {
-    for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
-      const Kind kind = leaf.mixed() ? bvh.kind[s] : Kind::triangle;
-      for (int g = 0; g < groups_; g += chunk) {
-        if (const unsigned which = groups_at(bvh.leaves[s].box, g)) {
-          if (const unsigned found = hit(bvh, s, kind, s + static_cast<double>(first_slot), 0.0, g, which)) {
-            shorten(g);
-          }
-        }
-      }
-    }
-  });
+  return true;
 }
 
 /// Have rays that hit anything end before everything.
@@ -442,27 +444,72 @@ void PacketOf<Capacity>::end_hit() {
 }
 
 template <int Capacity>
-void PacketOf<Capacity>::any_hits(const Bvh& bvh) {
-  walk(bvh, [&](LeafCode leaf) {
+template <bool Any>
+void PacketOf<Capacity>::hits(const Bvh& bvh, std::int32_t first_slot) {
+  const Index most = count_ > 1 ? 128 + 24 * count_ : std::numeric_limits<Index>::max();
+  const bool done = walk(bvh, most, [&](LeafCode leaf) {
     for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
       const Kind kind = leaf.mixed() ? bvh.kind[s] : Kind::triangle;
+      const double slot = static_cast<double>(first_slot) + s;
       for (int g = 0; g < groups_; g += chunk) {
-        if (const unsigned which = groups_at(bvh.leaves[s].box, g)) {
-          if (const unsigned found = hit(bvh, s, kind, s, ends, g, which)) {
+        const unsigned which = groups_at(bvh.leaves[s].box, g);
+        if (which && hit(bvh.leaves[s].shape, kind, slot, Any ? ends : 0.0, g, which)) {
+          if constexpr (Any) {
             end_hit();
-            shorten(g);
           }
+          shorten(g);
         }
       }
     }
   });
+  if (!done) {
+    in_pieces<Any>(bvh, first_slot);
+  }
+}
+
+/// The same for packets of fewer rays: these are not near each other, so that they are faster alone.
+template <int Capacity>
+template <bool Any>
+void PacketOf<Capacity>::in_pieces(const Bvh& bvh, std::int32_t first_slot) {
+  double origins[3][Capacity];
+  double directions[3][Capacity];
+  for (int row = 0; row < 3; ++row) {
+    std::copy(origin_[row], origin_[row] + count_, origins[axis_[row]]);
+    std::copy(direction_[row], direction_[row] + count_, directions[axis_[row]]);
+  }
+  const int size = count_ > packet_size ? packet_size : count_ > 4 ? 4 : 1;
+  PacketOf<packet_size> piece;
+  for (int first = 0; first < count_; first += size) {
+    piece.load({origins[0], 3, Capacity}, {directions[0], 3, Capacity}, first, std::min(size, count_ - first), face_);
+    for (int n = 0; n < piece.count(); ++n) {
+      piece.keep(n, range_[first + n], slot(first + n));
+    }
+    if constexpr (Any) {
+      piece.any_hits(bvh);
+    } else {
+      piece.first_hits(bvh, first_slot);
+    }
+    for (int n = 0; n < piece.count(); ++n) {
+      keep(first + n, piece.range(n), piece.slot(n));
+    }
+  }
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::first_hits(const Bvh& bvh, std::int32_t first_slot) {
+  hits<false>(bvh, first_slot);
+}
+
+template <int Capacity>
+void PacketOf<Capacity>::any_hits(const Bvh& bvh) {
+  hits<true>(bvh, 0);
 }
 
 template <int Capacity>
 int PacketOf<Capacity>::any_hits(const Bvh& bvh, std::int32_t slot) {
   begin();
   for (int g = 0; g < groups_; g += chunk) {
-    hit(bvh, slot, bvh.kind[slot], slot, ends, g, (1u << chunk) - 1);
+    hit(bvh.leaves[slot].shape, bvh.kind[slot], slot, ends, g, (1u << chunk) - 1);
   }
   end_hit();
   return static_cast<int>(std::count_if(slot_, slot_ + count_, [](double one) { return one >= 0; }));
@@ -470,7 +517,7 @@ int PacketOf<Capacity>::any_hits(const Bvh& bvh, std::int32_t slot) {
 
 template <int Capacity>
 void PacketOf<Capacity>::list_near(const Bvh& bvh, std::vector<std::int32_t>& numbers) {
-  walk(bvh, [&](LeafCode leaf) {
+  walk(bvh, std::numeric_limits<Index>::max(), [&](LeafCode leaf) {
     for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
       unsigned near = 0;
       for (int g = 0; g < groups_; g += chunk) {

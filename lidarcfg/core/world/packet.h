@@ -4,8 +4,8 @@
 /// of a node at once, those of each group of rays for a shape. Shapes are tested in float64, by the same operations for
 /// every ray, so that what a ray hits does not depend on the rays that it travels with.
 ///
-/// A thin beam is one ray: use `Packet`. The rays of wide beams, several for each, go together in a `WidePacket`, group
-/// by group: neighbouring rays should be in one group.
+/// Neighbouring rays should be neighbours in a packet. So are those of wide beams, several for each, beam after beam:
+/// in a `Packet` as those of thin beams, 32 at a time, they are fastest; a `WidePacket` holds all rays of 32 beams.
 #pragma once
 
 #include <cmath>
@@ -99,17 +99,21 @@ class PacketOf {
     float rise;
   };
 
-  void bound(int face);
+  void bound();
   void span_fan();
   void begin();
   void shorten(int first_group);
   template <class Visit>
-  void walk(const Bvh& bvh, Visit visit);
+  bool walk(const Bvh& bvh, Index most, Visit visit);
   unsigned enter(const Node& node, float slack_m, float* near) const;
   unsigned groups_at(const Box& box, int first_group) const;
-  unsigned hit_triangle(const Shape& shape, double slot, double after, int first_group, unsigned which);
-  unsigned hit_round(const Shape& shape, Kind kind, double slot, double after, int first_group, unsigned which);
-  unsigned hit(const Bvh& bvh, std::int32_t s, Kind kind, double slot, double after, int first_group, unsigned which);
+  bool hit_triangle(const Shape& shape, double slot, double after, int first_group, unsigned which);
+  bool hit_round(const Shape& shape, Kind kind, double slot, double after, int first_group, unsigned which);
+  bool hit(const Shape& shape, Kind kind, double slot, double after, int first_group, unsigned which);
+  template <bool Any>
+  void hits(const Bvh& bvh, std::int32_t first_slot);
+  template <bool Any>
+  void in_pieces(const Bvh& bvh, std::int32_t first_slot);
   void end_hit();
   Vec3 vector(const Lanes (&rows)[3], int ray) const;
 
@@ -131,6 +135,7 @@ class PacketOf {
   int axis_[3];  // of the rows
   int sign_[3];  // of directions along x, y and z: whether they are negative
   int count_ = 0;
+  int face_ = 0;
   int groups_ = 0;  // a multiple of `chunk`
   bool sheared_;
 };

@@ -32,9 +32,10 @@ void any_hits(const Bvh& bvh, Rows<const double> origins, Rows<const double> dir
       hit[numbers[n]] = packet.slot(static_cast<int>(n)) >= 0;
     }
   };
-  for (Index n = 0; n < origins.columns(); ++n) {
-    packer->add({origins(0, n), origins(1, n), origins(2, n)}, {directions(0, n), directions(1, n), directions(2, n)},
-                n, take);
+  for (Index first = 0; first < origins.columns();) {
+    const auto [count, face] = alike(directions, first, origins.columns());
+    packer->add(origins, directions, first, count, face, take);
+    first += count;
   }
   packer->finish(take);
 }
