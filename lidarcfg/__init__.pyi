@@ -1,7 +1,7 @@
 from .capture.decode import decode as decode
 from .cloud import PointCloud as PointCloud
 from .errors import LidarcfgError as LidarcfgError
-from .formats.exports import export as export
+from .formats.export import export as export
 from .packets.families import pattern as pattern
 from .placement.region import Region as Region
 from .placement.study import Study as Study

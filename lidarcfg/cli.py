@@ -23,7 +23,6 @@ from lidarcfg.commands.files import init, schema, validate
 from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.commands.optimize import optimize
 from lidarcfg.commands.replay import replay
-from lidarcfg.commands.screen import shown
 from lidarcfg.commands.sensors import sensors
 from lidarcfg.commands.sweep import sweep
 from lidarcfg.commands.view import view
@@ -49,24 +48,23 @@ def main() -> None:
 
 
 def _run(interrupts: Interrupts) -> int:
-    """The command, and what is said of its errors; returns its exit code."""
+    """Run the command and print its error, if any; returns the exit code."""
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end quietly if the reader of our output is gone
-    sys.stdout, sys.stderr = sys.stdout or open(os.devnull, "w"), sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):  # print ? for characters that the terminal's encoding lacks
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
         _check_environment()
-        interrupts.screen.quiet = bool({"--quiet", "--json"} & set(sys.argv))
-        with shown(interrupts.screen):
-            return int(cli.main(standalone_mode=False, obj=interrupts) or 0)
+        return int(cli.main(standalone_mode=False, obj=interrupts) or 0)
     except click.Abort:
         raise KeyboardInterrupt from None
     except Exception as error:
         if interrupts.raised:  # which broke something
             raise KeyboardInterrupt from None
-        return _fail(_said_of(error, interrupts.doing))
+        return _fail(_format_error(error, interrupts.doing))
 
 
 def _fail(message: str) -> int:
@@ -74,8 +72,8 @@ def _fail(message: str) -> int:
     return 2
 
 
-def _said_of(error: Exception, doing: str) -> str:
-    """What is said of an error. Raises it if it is a bug."""
+def _format_error(error: Exception, doing: str) -> str:
+    """Formats an error for the terminal; re-raises bugs."""
     if isinstance(error, click.ClickException):
         return f"{' '.join(error.format_message().split())} (see {_command_path(error)} --help)"
     if isinstance(error, LidarcfgError):
@@ -93,8 +91,6 @@ def _check_environment() -> None:
     """Raises LidarcfgError for what libraries would raise ValueError for, or hang, as they are imported."""
     if not {"-h", "--help", "--version"} & set(sys.argv):
         check_memory("any command", 0.0, reserved=LIBRARIES_BYTES)
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-        raise ConfigError("NUMBA_DISABLE_JIT: is set, and nothing works without compiled loops; unset it")
     os.environ["MPLBACKEND"] = "agg"  # for all commands; matplotlib would reject an unknown backend
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not epoch.isdecimal() or len(epoch) > EPOCH_DIGITS:

@@ -39,7 +39,8 @@ PLY_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<i4"), ("time_s", "<f8"), ("time
 PCD_ROW = np.dtype([*_XYZ, *_BYTES, ("sensor", "<u2"), ("time_ns", "<i8")])
 OBJECT_ROW = [("object", "<i4")]
 PLY_TYPES = {np.dtype("<f8"): "double", np.dtype("<i4"): "int", np.dtype("u1"): "uchar"}
-UNPACKED_MIN, UNPACKED_RATIO = 1 << 26, 20  # bytes; and multiples of the archive's size: real arrays hardly compress
+UNPACKED_MIN = 1 << 26  # bytes
+UNPACKED_RATIO = 20  # times the archive's size: real arrays hardly compress
 UNPACKED_COPIES = 3  # of the arrays, in memory at once
 FILE_COPIES = 4  # of a PLY or PCD file
 XYZ_BYTES = 2 * np.dtype(FIELDS["xyz"]).itemsize  # beyond x
@@ -164,7 +165,8 @@ def save_clouds(
 def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDArray[np.void]]) -> int:
     index: dict[str, int] = {}
     objects: dict[str, int] = {}
-    count, knows_objects = 0, False
+    count = 0
+    knows_objects = False
     with replacing(path, "wb") as file, ExitStack() as stack:
         kinds = FIELDS | {"object": np.int32}
         bodies = {key: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for key in kinds}
@@ -173,7 +175,8 @@ def _save_npz(path: Path, clouds: Iterable[PointCloud], boxes: Callable[[], NDAr
             columns |= {"sensor": _sensor(cloud, index), "object": _object(cloud, objects)}
             for key, body in bodies.items():
                 body.write(np.ascontiguousarray(columns[key], kinds[key]).data)
-            count, knows_objects = count + len(cloud.xyz), knows_objects or cloud.object is not None
+            count += len(cloud.xyz)
+            knows_objects = knows_objects or cloud.object is not None
         arrays: dict[str, Any] = {}
         for key, body in bodies.items():
             shape = (count, 3) if key == "xyz" else (count,)
@@ -257,7 +260,8 @@ def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> P
         letters, kinds = ("f", "floats") if key == "xyz" else ("iu", "integers")
         if columns[key].dtype.kind not in letters:
             raise CloudError(f"{path}: {key} is of type {columns[key].dtype}; allowed: {kinds}")
-    xyz, names = columns["xyz"], _names(path, columns["sensor_names"])
+    xyz = columns["xyz"]
+    names = _names(path, columns["sensor_names"])
     if xyz.shape == (0, 3) and not allow_empty:
         raise CloudError(f"{path}: the cloud is empty")
     if xyz.shape[1:] != (3,) or any(columns[key].shape != xyz.shape[:1] for key in FIELDS if key != "xyz"):
@@ -268,7 +272,8 @@ def checked(path: Path, columns: dict[str, Any], allow_empty: bool = False) -> P
         raise CloudError(f"{path}: point {far[0]} is {what}")
     for key, kind in FIELDS.items():
         if key != "xyz":
-            column, allowed = columns[key], np.iinfo(kind)
+            column = columns[key]
+            allowed = np.iinfo(kind)
             bad = np.flatnonzero((column < allowed.min) | (column > allowed.max))
             if len(bad):
                 what = f"point {bad[0]}: {key} is {column[bad[0]]}"

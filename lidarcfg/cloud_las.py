@@ -13,8 +13,17 @@ from lidarcfg.geometry import Array
 # Places in the header and in a VLR, by LAS 1.4 and the LASzip specification: the header's size, where the points begin,
 # the number of VLRs, the point format, with its highest bit set in LAZ, and a point's size; in a VLR its user, record
 # and length; in LASzip's VLR the number of items, each with two bytes of type, of size and of version.
-HEADER_AT, POINTS_AT, VLRS_AT, FORMAT_AT, SIZE_AT, COMPRESSED = 94, 96, 100, 104, 105, 0x80
-VLR_USER_AT, VLR_RECORD_AT, VLR_HEAD, LASZIP, LASZIP_ITEMS_AT = 2, 18, 54, b"laszip encoded", 32
+HEADER_AT = 94
+POINTS_AT = 96
+VLRS_AT = 100
+FORMAT_AT = 104
+SIZE_AT = 105
+COMPRESSED = 0x80
+VLR_USER_AT = 2
+VLR_RECORD_AT = 18
+VLR_HEAD = 54
+LASZIP = b"laszip encoded"
+LASZIP_ITEMS_AT = 32
 CHUNK_LEAST = 20  # bytes, fewer than any chunk has
 
 
@@ -46,7 +55,8 @@ def check_header(path: Path) -> None:
     """
     with open(path, "rb") as file:
         size = file.seek(0, os.SEEK_END)
-        vlrs, points_at = _unpacked(file, VLRS_AT, "<I")[0], _unpacked(file, POINTS_AT, "<I")[0]
+        vlrs = _unpacked(file, VLRS_AT, "<I")[0]
+        points_at = _unpacked(file, POINTS_AT, "<I")[0]
         if vlrs * VLR_HEAD > size:
             raise ValueError(f"{vlrs} VLRs are announced but missing")
         if not _unpacked(file, FORMAT_AT, "<B")[0] & COMPRESSED:

@@ -29,7 +29,9 @@ SECONDS_MAX = 2**63 // SECOND_NS  # whole seconds that, with the rest of one, ar
 NANOSECONDS_FROM = 1e11  # a float time beyond is in nanoseconds (Livox): in seconds it would be the year 5138
 WHOLE_MAX = 2.0**53  # of a float
 INTENSITY_MAX = 255
-HEADER_LINES_MAX, HEADER_LINE_MAX, VALUES_MAX = 1000, 4096, 1000  # of a PCD file; values a point
+HEADER_LINES_MAX = 1000  # of a PCD file
+HEADER_LINE_MAX = 4096
+VALUES_MAX = 1000  # a point
 # What pypcd4 raises for damaged files: pydantic's and numpy's ValueError, IndexError and KeyError for lists of unlike
 # lengths, RuntimeError and TypeError for compressed data that do not unpack, and the last two for absurd counts.
 PCD_ERRORS = (ValueError, IndexError, KeyError, RuntimeError, TypeError, struct.error, MemoryError, OverflowError)
@@ -45,14 +47,16 @@ def read_columns(path: Path, on_warning: Callable[[str], None]) -> dict[str, Any
     """
     rows, comments = read_rows(path)
     fields = {_plain(name): rows[name] for name in rows.dtype.names or () if rows.dtype[name].kind in "iuf"}
-    names, objects = _listed(path, comments, "sensor"), _listed(path, comments, "object")
+    names = _listed(path, comments, "sensor")
+    objects = _listed(path, comments, "object")
     if absent := [name for name in "xyz" if name not in fields]:
         raise CloudError(f"{path}: missing: {', '.join(absent)}")
     xyz = np.stack([fields.pop(name) for name in "xyz"], axis=1, dtype=np.float64)
     remarks = []
     if names is None and not (finite := np.isfinite(xyz).all(axis=1)).all():
         remarks.append(f"{(~finite).sum()} points without coordinates are dropped")
-        xyz, fields = xyz[finite], {name: field[finite] for name, field in fields.items()}
+        xyz = xyz[finite]
+        fields = {name: field[finite] for name, field in fields.items()}
     if fields.keys() >= set(TIME_PARTS):
         fields["time_ns"] = _joined_ns(path, *(fields.pop(name) for name in TIME_PARTS))
 
@@ -123,7 +127,8 @@ def _read_pcd(path: Path) -> tuple[Column, list[str]]:
                 cloud = PointCloud.from_fileobj(stream)
         except PCD_ERRORS as error:
             raise CloudError.damaged(path, error) from None
-    rows, points = np.atleast_1d(cloud.pc_data), cloud.metadata.points
+    rows = np.atleast_1d(cloud.pc_data)
+    points = cloud.metadata.points
     if len(rows) != points:
         raise CloudError(f"{path}: {points} points are announced, {len(rows)} are there")
     return rows, [line[1:].decode("ascii", "replace").strip() for line in lines if line.startswith(b"#")]
@@ -174,7 +179,8 @@ def _intensity(path: Path, name: str, column: Column, remarks: list[str]) -> Col
     values: Array = column.astype(np.float64)
     if not np.isfinite(values).all():
         raise CloudError(f"{path}: {name} is not finite")
-    low, high = float(values.min(initial=0)), float(values.max(initial=0))
+    low = float(values.min(initial=0))
+    high = float(values.max(initial=0))
     fractions = bool((values % 1).any())
     if low < 0 or high > INTENSITY_MAX or (fractions and high <= 1):
         high = max(high, 1.0)

@@ -60,7 +60,7 @@ def with_defaults(values: dict[str, Any], defaults: Mapping[str, Any]) -> dict[s
     return values | {key: default for key, default in defaults.items() if values.get(key) is None}
 
 
-SENTENCES = {  # by pydantic's error type, with the limits of its context
+ERROR_MESSAGES = {  # by pydantic's error type, with the limits of its context
     "missing": "missing",
     "string_type": "{got} is not a text",
     "string_unicode": "{got} is not a text",
@@ -82,9 +82,12 @@ SENTENCES = {  # by pydantic's error type, with the limits of its context
 }
 
 
-def fault(what: str, *at: str | int) -> PydanticCustomError:
+def validation_error(what: str, *at: str | int) -> PydanticCustomError:
     """The error that a model's validator raises: `what`, at the key `at` below the model."""
     return PydanticCustomError("fault", "{what}", {"what": what, "at": at})
+
+
+fault = validation_error
 
 
 def check_names(names: Iterable[str], what: str, *at: str | int) -> None:
@@ -92,7 +95,7 @@ def check_names(names: Iterable[str], what: str, *at: str | int) -> None:
     seen: set[str] = set()
     for i, name in enumerate(names):
         if name in seen:
-            raise fault(f"{name!r} is {what} already; each name may be given once", *at, i, "name")
+            raise validation_error(f"{name!r} is {what} already; each name may be given once", *at, i, "name")
         seen.add(name)
 
 
@@ -207,17 +210,19 @@ def _key(item: Any) -> Key:
 
 
 def _message(item: Any, model: type[Model]) -> str:
-    kind, context = item["type"], item.get("ctx", {})
+    kind = item["type"]
+    context = item.get("ctx", {})
     if kind == "fault":
         return str(context["what"])
     if kind == "extra_forbidden":
         return unknown_key(str(item["loc"][-1]), _model_at(model, item["loc"][:-1]))
     if kind in ("too_short", "too_long"):
-        least, most = context.get("min_length"), context.get("max_length")
+        least = context.get("min_length")
+        most = context.get("max_length")
         allowed = f"exactly {least}" if least == most else f"at least {least}" if least else f"at most {most}"
         return f"has {context['actual_length']} values; allowed: {allowed}"
     limits = {key: _shown(value) for key, value in context.items() if key != "expected"}
-    return SENTENCES.get(kind, "{got} is not allowed").format_map(
+    return ERROR_MESSAGES.get(kind, "{got} is not allowed").format_map(
         limits | {"expected": context.get("expected"), "got": _shown(item["input"])}
     )
 

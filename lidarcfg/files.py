@@ -1,22 +1,23 @@
-"""The files that come with the package, and output files: written aside, then renamed into place."""
+"""The files that come with the package, and output files: each is written beside its place, flushed, then renamed.
+
+So an output is there whole, old or new, whenever the process is killed.
+"""
 
 import errno
-import math
 import os
 import shutil
 import stat
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from contextvars import ContextVar
-from dataclasses import dataclass
-from itertools import chain
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from lidarcfg.aside import exchange, hold, locked, name_beside, remove_leftovers
-from lidarcfg.errors import LidarcfgError
+from lidarcfg.errors import ConversionError
 
 T = TypeVar("T")
+
+_TEMPORARY: set[Path] = set()  # the temporary files and folders of this process
 
 
 def shipped(folder: str) -> Path:
@@ -37,160 +38,124 @@ def example(path: str | Path) -> Path:
 
 
 def loaded(given: T | str | Path, load: Callable[[str | Path], T]) -> T:
-    """What is given; where that is the path of a file, what is in it."""
+    """The argument; where it is the path of a file, its contents."""
     return load(given) if isinstance(given, str | Path) else given
-
-
-@dataclass(frozen=True)
-class Whole:
-    """A finished file under its temporary name, ready to be moved into place."""
-
-    temporary: Path
-    path: Path
-    rest: ExitStack  # cleans up afterwards, whether it was moved or not
-    inode: int  # identifies the file under either name
-
-    def check(self) -> None:
-        """Raises OSError unless `path` may be replaced."""
-        check_replaceable(self.path)
-
-    def take_place(self) -> None:
-        """Swap places with the old file, if there is one. Calling it again does nothing."""
-        there = self.path.exists()
-        if there and self.path.stat().st_ino == self.inode:
-            return
-        if not (there and exchange(self.temporary, self.path)):
-            self.move()
-
-    def move(self) -> None:
-        """Rename into place, where the system cannot swap or there is no old file."""
-        os.replace(self.temporary, self.path)
-
-
-@dataclass(frozen=True)
-class _Old:
-    """A file to remove: it is first moved aside, which is quick."""
-
-    temporary: Path
-    path: Path
-
-    def take_place(self) -> None:
-        with suppress(FileNotFoundError):
-            os.replace(self.path, self.temporary)
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Files that are moved into place together, and files that are removed before that."""
-
-    waiting: list[Whole]
-    gone: list[Iterable[Path]]
-
-
-_TOGETHER: ContextVar[_Group | None] = ContextVar("together", default=None)
-
-
-def place(whole: Whole) -> None:
-    """Move the file into place: now, or, within `together`, at the end of that block. Raises OSError."""
-    if group := _TOGETHER.get():
-        group.waiting.append(whole)
-        return
-    with whole.rest:
-        whole.take_place()
-
-
-@contextmanager
-def alone() -> Iterator[None]:
-    """Files written inside are moved into place at once, even within a `together` block."""
-    token = _TOGETHER.set(None)
-    try:
-        yield
-    finally:
-        _TOGETHER.reset(token)
 
 
 @contextmanager
 def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """Open a temporary file that replaces `path` when the block ends without error; a killed run leaves the old file.
+    """Open a temporary file that replaces `path` when the block ends without error.
 
-    Missing parent folders are made. If `path` is a symbolic link, its target is replaced. Temporary files that killed
-    runs have left for the same output are removed. Within `together` the file is moved into place at the end of that
-    block. Raises OSError, also for a read-only file.
+    Missing parent folders are made. If `path` is a symbolic link, its target is replaced. Raises OSError, also for a
+    read-only file.
     """
-    path = target(Path(path))
-    check_replaceable(path)
-    make_parent(path)
-    remove_leftovers(path)
-    temporary = name_beside(path)
-    try:  # begins before the file exists, as an interrupt may come at any time
-        with ExitStack() as rest:
-            file, held = _created(temporary, mode)
-            rest.callback(os.close, held)
-            rest.callback(_remove, temporary)
-            with file:
-                yield file
-            place(Whole(temporary, path, rest.pop_all(), temporary.stat().st_ino))
-    except BaseException as error:
-        _remove(temporary)
-        if isinstance(error, OSError) and error.filename in (None, str(temporary)):  # a full disk names no file
-            raise OSError(error.errno, error.strerror, str(path)) from None
-        raise
-
-
-def _remove(path: Path) -> None:
-    with suppress(OSError):
-        path.unlink()
-
-
-def _created(temporary: Path, mode: str) -> tuple[IO[Any], int]:
-    """The new file, and the handle that keeps it locked."""
+    place = resolve(Path(path))
+    check_replaceable(place)
+    make_parent(place)
     encoding, errors = (None, None) if "b" in mode else ("utf-8", "backslashreplace")  # of paths that are no UTF-8
-    while True:
-        file = open(temporary, mode.replace("w", "x"), encoding=encoding, errors=errors)  # noqa: SIM115
-        held = hold(file.fileno())
-        if held is not None:
-            return file, held
-        file.close()
+    with _temporary(place) as temporary:
+        with open(temporary, mode.replace("w", "x"), encoding=encoding, errors=errors) as file:
+            yield file
+        commit(temporary, place)
 
 
 @contextmanager
-def together(gone: Iterable[Path] = ()) -> Iterator[None]:
-    """Move all files written inside into place together, when the block ends; after an error, none of them.
+def replacing_folder(path: Path, *contents: str) -> Iterator[Path]:
+    """A path at which to make the folder that will replace `path`; after an error nothing of it remains.
 
-    This holds for `replacing` and `replacing_folder`. Files are moved in the order of writing, so write last what
-    readers open first. The files in `gone` are removed before that. A lock on the folder keeps two runs from mixing
-    their files. A block within another one is finished at the end of the outer one. Raises OSError.
+    An existing folder is replaced if the names of all items in it match `contents` and all may be written; otherwise
+    ConversionError or OSError is raised. For a moment, between two renames, there is no folder.
     """
-    if larger := _TOGETHER.get():
-        larger.gone.append(gone)
-        yield
-        return
-    group = _Group([], [gone])
-    waiting, token = group.waiting, _TOGETHER.set(group)
+    place = Path(os.path.realpath(resolve(path)))
+    if place.exists() and not place.is_dir():
+        raise ConversionError(f"{path}: is not a folder; give the name of a new one")
+    for item in place.iterdir() if place.exists() else ():
+        if not any(fnmatch(item.name, pattern) for pattern in contents):
+            raise ConversionError(f"{path}: holds {item.name!r}; only a folder of {', '.join(contents)} is replaced")
+        for each in (item, *item.rglob("*")):
+            check_not_read_only(each)
+    with temporary_folder(path) as folder:
+        new = folder / place.name
+        yield new
+        for file in new.rglob("*"):
+            if file.is_file():
+                _flush(file)
+        old = temp_path(place)  # kept if this process ends between the renames
+        try:
+            if place.exists():
+                place.rename(old)
+            new.rename(place)
+        except BaseException:  # an interrupt too
+            if old.exists() and not place.exists():
+                old.rename(place)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """A folder beside `path`, for libraries that write files by name. The system's errors in it are those of `path`."""
+    place = Path(os.path.realpath(resolve(path)))
+    make_parent(place)
+    with _temporary(place) as folder:
+        folder.mkdir(0o700)
+        yield folder
+
+
+def commit(temporary: Path, place: Path) -> None:
+    """Flush a finished file to the disk and rename it. Raises OSError."""
+    _flush(temporary)
+    os.replace(temporary, place)
+
+
+def _flush(path: Path) -> None:
+    handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
-        yield
-        for whole in waiting:
-            whole.check()
-        with locked(whole.path.parent for whole in waiting):
-            old = [_Old(name_beside(path), path) for path in chain.from_iterable(group.gone)]
-            for one in old:
-                check_replaceable(one.path)
-                remove_leftovers(one.path)
-            steps: list[_Old | Whole] = [*old, *waiting]
-            try:
-                for step in steps:
-                    step.take_place()
-            except KeyboardInterrupt:  # not between two files
-                for step in steps:
-                    step.take_place()
-                raise
-            finally:
-                for one in old:
-                    _remove(one.temporary)
+        os.fsync(handle)
     finally:
-        _TOGETHER.reset(token)
-        for whole in waiting:
-            whole.rest.close()
+        os.close(handle)
+
+
+def temp_path(path: Path) -> Path:
+    """A new hidden name in the folder of `path`."""
+    return path.with_name(f".{path.name}.{os.urandom(4).hex()}.part")
+
+
+@contextmanager
+def _temporary(place: Path) -> Iterator[Path]:
+    """A temporary path beside `place`; what is there at the end is removed. Errors of the system name `place`."""
+    temporary = temp_path(place)
+    _TEMPORARY.add(temporary)  # before it exists, as an interrupt may come at any time
+    try:
+        yield temporary
+    except OSError as error:
+        if error.filename is None or str(error.filename).startswith(str(temporary)):  # a full disk names no file
+            raise OSError(error.errno, error.strerror or str(error), str(place)) from None
+        raise
+    finally:
+        _remove(temporary)
+
+
+def _remove(temporary: Path) -> None:
+    with suppress(OSError):
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            temporary.unlink()
+    _TEMPORARY.discard(temporary)
+
+
+def remove_temporary() -> None:
+    """Remove the temporary files of this process, which ends before its `with` blocks could."""
+    for temporary in list(_TEMPORARY):
+        _remove(temporary)
+
+
+def remove_outdated(paths: Iterable[Path]) -> None:
+    """Remove the files of an earlier run, where they are. Raises OSError for what may not be removed."""
+    for path in paths:
+        check_replaceable(path)
+        path.unlink(missing_ok=True)
 
 
 def check_replaceable(path: Path) -> None:
@@ -224,30 +189,7 @@ def make_parent(path: Path) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
-def size_in_words(octets: float) -> str:
-    """Bytes, to a tenth of the unit."""
-    return f"{octets / 1e9:,.1f} GB" if octets >= 1e9 else f"{octets / 1e6:,.1f} MB"
-
-
-def free_bytes(path: str | Path) -> float:
-    """The room on the disk where a file would be written; infinite where that is not known."""
-    folder = target(Path(path)).absolute().parent
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return math.inf
-
-
-def check_room(path: str | Path, needed: float, advice: str) -> None:
-    """Raises LidarcfgError if a file of so many bytes does not fit on its disk."""
-    if needed > (free := free_bytes(path)):
-        sizes = f"needs {size_in_words(needed)} on the disk; {size_in_words(free)} are free"
-        raise LidarcfgError(f"{path}: {sizes}; {advice}")
-
-
-def target(path: Path) -> Path:
+def resolve(path: Path) -> Path:
     """The target of symbolic links, whether it exists or not; else the path. Raises OSError for a circle of links."""
     if not path.is_symlink():
         return path

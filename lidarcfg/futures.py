@@ -8,7 +8,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def in_order(jobs: Iterator["Future[T]"], ahead: int) -> Iterator[T]:
+def ordered_results(jobs: Iterator["Future[T]"], ahead: int) -> Iterator[T]:
     """The results of jobs in the order in which the iterator starts them, at most `ahead` before their turn."""
     waiting: deque[Future[T]] = deque()
     for job in jobs:
@@ -18,3 +18,6 @@ def in_order(jobs: Iterator["Future[T]"], ahead: int) -> Iterator[T]:
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
+
+
+in_order = ordered_results

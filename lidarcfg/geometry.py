@@ -16,9 +16,12 @@ UPRIGHT = 1e-9  # horizontal part of the x axis, below which a frame has no yaw 
 def rotation(rpy_rad: Sequence[float] | Array) -> Array:
     """R (3, 3) = Rz(yaw) Ry(pitch) Rx(roll) from roll, pitch, yaw in radians."""
     roll, pitch, yaw = (float(angle) for angle in rpy_rad)
-    cr, sr = np.cos(roll), np.sin(roll)
-    cp, sp = np.cos(pitch), np.sin(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
+    cr = np.cos(roll)
+    sr = np.sin(roll)
+    cp = np.cos(pitch)
+    sp = np.sin(pitch)
+    cy = np.cos(yaw)
+    sy = np.sin(yaw)
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -31,9 +34,14 @@ def rotation(rpy_rad: Sequence[float] | Array) -> Array:
 def level(rpy_rad: ArrayLike) -> Array:
     """(…, 3, 2) the x and y axes of a frame with roll, pitch, yaw (…, 3): the first two columns of R."""
     roll, pitch, yaw = np.moveaxis(np.asarray(rpy_rad, np.float64), -1, 0)
-    cr, sr, sp, cp = np.cos(roll), np.sin(roll), np.sin(pitch), np.cos(pitch)
-    cy, sy = np.cos(yaw), np.sin(yaw)
-    x, y = [cy * cp, sy * cp, -sp], [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr]
+    cr = np.cos(roll)
+    sr = np.sin(roll)
+    sp = np.sin(pitch)
+    cp = np.cos(pitch)
+    cy = np.cos(yaw)
+    sy = np.sin(yaw)
+    x = [cy * cp, sy * cp, -sp]
+    y = [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr]
     return np.stack([np.stack(x, axis=-1), np.stack(y, axis=-1)], axis=-1)
 
 
@@ -42,19 +50,27 @@ def up(rpy_rad: ArrayLike) -> Array:
     angles = np.asarray(rpy_rad, np.float64)
     (cr, cp, cy), (sr, sp, sy) = ([of(angles[..., axis]) for axis in range(3)] for of in (np.cos, np.sin))
     out = np.empty(angles.shape)
-    out[..., 0], out[..., 1], out[..., 2] = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
+    out[..., 0] = cy * sp * cr + sy * sr
+    out[..., 1] = sy * sp * cr - cy * sr
+    out[..., 2] = cp * cr
     return out
 
 
 def leaning(axis: Array, yaw_rad: Array) -> Array:
     """(…, 3) roll, pitch, yaw of frames rotated by yaw (…), then by the shortest rotation of their z to axis (…, 3)."""
     x, y, z = np.moveaxis(axis, -1, 0)
-    c, s, k = np.cos(yaw_rad), np.sin(yaw_rad), 1 / np.maximum(1 + z, 1e-12)
-    x_z, y_z = -(c * x + s * y), s * x - c * y  # how high x and y of the frames point
-    y_x, y_y = k * x * y_z - s, k * y * y_z + c
+    c = np.cos(yaw_rad)
+    s = np.sin(yaw_rad)
+    k = 1 / np.maximum(1 + z, 1e-12)
+    x_z = -(c * x + s * y)  # how high x and y of the frames point
+    y_z = s * x - c * y
+    y_x = k * x * y_z - s
+    y_y = k * y * y_z + c
     roll = np.arctan2(y_z, z)
-    cr, sr = np.cos(roll), np.sin(roll)
-    pitch, yaw = np.arctan2(-x_z, np.hypot(y_z, z)), np.arctan2(x * sr - y_x * cr, y_y * cr - y * sr)
+    cr = np.cos(roll)
+    sr = np.sin(roll)
+    pitch = np.arctan2(-x_z, np.hypot(y_z, z))
+    yaw = np.arctan2(x * sr - y_x * cr, y_y * cr - y * sr)
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
@@ -76,11 +92,19 @@ def angles(R: Array) -> Array:
 
 def quaternions(R: Array) -> Array:
     """(…, 4) the unit quaternions x, y, z, w of R (…, 3, 3), from whichever of the four is largest (Shepperd 1978)."""
-    x, y, z = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    xy, xz, yz = R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1]
-    xw, yw, zw = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
-    times_x, times_y = [1 + x - y - z, xy, xz, xw], [xy, 1 - x + y - z, yz, yw]  # four times each product
-    times_z, times_w = [xz, yz, 1 - x - y + z, zw], [xw, yw, zw, 1 + x + y + z]
+    x = R[..., 0, 0]
+    y = R[..., 1, 1]
+    z = R[..., 2, 2]
+    xy = R[..., 0, 1] + R[..., 1, 0]
+    xz = R[..., 0, 2] + R[..., 2, 0]
+    yz = R[..., 1, 2] + R[..., 2, 1]
+    xw = R[..., 2, 1] - R[..., 1, 2]
+    yw = R[..., 0, 2] - R[..., 2, 0]
+    zw = R[..., 1, 0] - R[..., 0, 1]
+    times_x = [1 + x - y - z, xy, xz, xw]  # four times each product
+    times_y = [xy, 1 - x + y - z, yz, yw]
+    times_z = [xz, yz, 1 - x - y + z, zw]
+    times_w = [xw, yw, zw, 1 + x + y + z]
     products = np.stack([np.stack(row, axis=-1) for row in (times_x, times_y, times_z, times_w)], axis=-2)
     largest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
     found = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
@@ -112,6 +136,7 @@ def transform(T: Array, points: ArrayLike) -> Array:
 
 def directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Array:
     """Unit vectors (N, 3) in the sensor frame; the maker's azimuth turns clockwise seen from above."""
-    azimuth, elevation = np.asarray(azimuth_rad), np.asarray(elevation_rad)
+    azimuth = np.asarray(azimuth_rad)
+    elevation = np.asarray(elevation_rad)
     flat = np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], axis=-1)

@@ -1,16 +1,19 @@
-"""Files that are read: regular ones, of a size that memory holds. What is not is refused before it is read."""
+"""Limits: of the files that are read, and of the memory and disk that must be free. Checked before the work."""
 
 import errno
 import math
 import os
+import shutil
 import stat
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from lidarcfg.errors import LidarcfgError
+from lidarcfg.files import resolve
 
-WRITER_S, AGAIN_S = 3.0, 0.02  # a pipe that nobody opens to write is waited for
+WRITER_S = 3.0  # how long a pipe that nobody opens to write is waited for
+AGAIN_S = 0.02
 PIPE_BYTES = 1 << 16
 CGROUP = Path("/sys/fs/cgroup")
 NO_MEMORY = ("can't start new thread", "failed to map segment", "annot allocate memory")  # what libraries say
@@ -37,7 +40,7 @@ def read_regular(path: str | Path, most: int) -> bytes:
 
 
 def too_large(most: int) -> str:
-    """What is said of a file that is larger than the bytes that are read of one."""
+    """The error message for an oversized file."""
     return f"larger than the {most // 10**6} million bytes that are read of such a file"
 
 
@@ -59,7 +62,8 @@ def _without_waiting(path: str, flags: int) -> int:
 
 def _first(pipe: int, path: str | Path) -> bytes:
     """What a pipe has, once there is a writer: before, a read gives nothing; then it gives something, or would wait."""
-    until, first = time.monotonic() + WRITER_S, b""
+    until = time.monotonic() + WRITER_S
+    first = b""
     with suppress(BlockingIOError):
         while not (first := os.read(pipe, PIPE_BYTES)):
             if time.monotonic() > until:
@@ -93,7 +97,7 @@ def memory_bytes() -> float:
 
 
 def check_memory(what: str, needed: float, advice: str = "", reserved: float = 0.0) -> None:
-    """Raises LidarcfgError if what needs so many bytes of memory cannot have them, or cannot reserve so many."""
+    """Raises LidarcfgError unless `needed` bytes of memory are free and `reserved` can be reserved for `what`."""
     sizes = ""
     if reserved > (left := address_bytes()):
         sizes = f"to reserve {reserved / 1e9:,.1f} GB of memory; ulimit -v leaves {max(left, 0) / 1e9:,.1f} GB"
@@ -101,6 +105,29 @@ def check_memory(what: str, needed: float, advice: str = "", reserved: float = 0
         sizes = f"{needed / 1e9:,.1f} GB of memory; {max(left, 0) / 1e9:,.1f} GB are free"
     if sizes:
         raise LidarcfgError(f"{what} needs {sizes}{'; ' * bool(advice)}{advice}")
+
+
+def format_bytes(count: float) -> str:
+    """Bytes, to a tenth of the unit."""
+    return f"{count / 1e9:,.1f} GB" if count >= 1e9 else f"{count / 1e6:,.1f} MB"
+
+
+def free_bytes(path: str | Path) -> float:
+    """The room on the disk where a file would be written; infinite where that is not known."""
+    folder = resolve(Path(path)).absolute().parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return math.inf
+
+
+def check_room(path: str | Path, needed: float, advice: str) -> None:
+    """Raises LidarcfgError if a file of this many bytes does not fit on its disk."""
+    if needed > (free := free_bytes(path)):
+        sizes = f"needs {format_bytes(needed)} on the disk; {format_bytes(free)} are free"
+        raise LidarcfgError(f"{path}: {sizes}; {advice}")
 
 
 def is_out_of_memory(error: BaseException) -> bool:
@@ -114,8 +141,9 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def out_of_memory(error: BaseException, doing: str) -> LidarcfgError:
-    """What is said then: what was being done, and, where that is known, how much was asked for."""
-    shape, dtype = getattr(error, "shape", None), getattr(error, "dtype", None)  # of numpy's
+    """The error for a lack of memory: what was being done and, where known, how much was asked for."""
+    shape = getattr(error, "shape", None)  # of numpy's error
+    dtype = getattr(error, "dtype", None)
     asked = f"{math.prod(shape) * dtype.itemsize / 1e6:,.1f} MB more were asked for, " if shape and dtype else ""
     left = f"{max(memory_bytes(), 0) / 1e6:,.0f} MB are free"
     return LidarcfgError(f"out of memory at: {doing}; {asked}{left}; {LESS}")

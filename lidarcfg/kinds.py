@@ -5,9 +5,9 @@ from typing import Any
 
 OBJECTS = {"boxes", "spheres", "cylinders", "planes", "meshes"}
 MOTIONS = {"velocity_m_s", "arc", "poses"}
-MARKS = {  # keys that only one kind has; the first kind that matches counts
+DISCRIMINATING_KEYS = {  # keys that only one kind has; the first kind that matches counts
     "sensor": {"beams"},
-    "record of a capture": {"rig", "scene", "duration_s"},
+    "capture manifest": {"rig", "scene", "duration_s"},
     "plan": {"vary", "together"},
     "study": {"region"},
     "trajectory": MOTIONS,
@@ -31,7 +31,7 @@ def kind_of(values: object) -> str | None:
     """The kind of a file with these values; None if no kind fits."""
     if not isinstance(values, Mapping):
         return None
-    for kind, marks in MARKS.items():
+    for kind, marks in DISCRIMINATING_KEYS.items():
         if marks & values.keys():
             return kind
     if "sensors" in values:

@@ -4,7 +4,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
-from lidarcfg.config import Model, Positive, fault
+from lidarcfg.config import Model, Positive, validation_error
 
 Sigma = Annotated[float, Field(ge=0, le=10)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -39,7 +39,7 @@ def _named(value: Any) -> Any:
     if value == PRESET:
         return {"preset": PRESET}
     if isinstance(value, str):
-        raise fault(f"{value!r} is not allowed; allowed: {PRESET}, or keys and values")
+        raise validation_error(f"{value!r} is not allowed; allowed: {PRESET}, or keys and values")
     return value
 
 

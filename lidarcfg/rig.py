@@ -23,9 +23,9 @@ from lidarcfg.config import (
     check_names,
     error_at,
     errors_at,
-    fault,
     load,
     unknown_key,
+    validation_error,
 )
 from lidarcfg.files import example, replacing
 from lidarcfg.geometry import Array, pose
@@ -39,15 +39,18 @@ MOUNT_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # it becomes part of file names
 MountName = Annotated[str, Field(pattern=MOUNT_NAME, max_length=NAME_MAX)]
 ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
 SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
-FIRST_HOST, LAST_HOST = ipaddress.IPv4Address("192.168.1.201"), ipaddress.IPv4Address("192.168.1.254")
+FIRST_HOST = ipaddress.IPv4Address("192.168.1.201")
+LAST_HOST = ipaddress.IPv4Address("192.168.1.254")
 HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
-DATA_PORT, TELEMETRY_PORT, RPM = 2368, 8308, 600.0  # defaults if neither rig nor sensor gives others
+DATA_PORT = 2368  # the defaults where neither rig nor sensor gives others
+TELEMETRY_PORT = 8308
+RPM = 600.0
 RETURN_MODE: ReturnMode = "strongest"
 
 
 def _check_range(value: tuple[float, float]) -> tuple[float, float]:
     if not value[0] < value[1]:
-        raise fault(f"{value[0]:g} is not below {value[1]:g}", 0)
+        raise validation_error(f"{value[0]:g} is not below {value[1]:g}", 0)
     return value
 
 
@@ -81,21 +84,23 @@ class MountFile(Model):
         if isinstance(data, dict):
             for key, value in data.items():
                 if key not in cls.model_fields and (key in cls.renamed or not isinstance(value, dict)):
-                    raise fault(unknown_key(str(key), cls), str(key))
+                    raise validation_error(unknown_key(str(key), cls), str(key))
         return data
 
     @model_validator(mode="after")
     def _check(self) -> "MountFile":
         one_of(self, "model", "elevation_deg")
         if self.phase_deg is not None and self.rpm % 60:
-            raise fault(f"needs whole revolutions a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg")
+            raise validation_error(
+                f"needs whole revolutions a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg"
+            )
         if self.rpy_rad is not None and self.rpy_deg is not None:
-            raise fault("conflicts with rpy_rad; give only one of them", "rpy_deg")
+            raise validation_error("conflicts with rpy_rad; give only one of them", "rpy_deg")
         if self.host is not None:
             try:
                 ipaddress.IPv4Address(self.host)
             except ValueError:
-                raise fault(f"{self.host!r} is not an IPv4 address such as {FIRST_HOST}", "host") from None
+                raise validation_error(f"{self.host!r} is not an IPv4 address such as {FIRST_HOST}", "host") from None
         return self
 
 
@@ -117,9 +122,9 @@ def one_of(model: Model, *keys: str) -> None:
     """A model's validator: exactly one of some keys is given."""
     given = [k for k in keys if getattr(model, k) is not None]
     if len(given) > 1:
-        raise fault(f"conflicts with {given[0]}; give only one of them", given[1])
+        raise validation_error(f"conflicts with {given[0]}; give only one of them", given[1])
     if not given:
-        raise fault(f"missing; give {', '.join(keys[:-1])} or {keys[-1]}")
+        raise validation_error(f"missing; give {', '.join(keys[:-1])} or {keys[-1]}")
 
 
 def angles_rad(rpy_rad: Vec3 | None, rpy_deg: Vec3 | None) -> Vec3:
@@ -253,11 +258,12 @@ def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str 
 
 def _check_endpoints(path: Path, index: int, mount: Mount, other: Mount) -> None:
     """Raises ConfigError if two mounts, of which this is entry `index` of the file, share an address and a port."""
-    host, data_port = mount.host, mount.data_port
+    host = mount.host
+    data_port = mount.data_port
     if host != other.host:
         return
     if data_port == other.data_port:
-        what = f"{host}:{data_port} is {other.name!r}'s; give each sensor its own"
+        what = f"{host}:{data_port} is already used by {other.name!r}; give each sensor its own address and port"
         raise error_at(path, ("sensors", index), what)
     if data_port == other.telemetry_port or mount.telemetry_port == other.data_port:
         shared = data_port if data_port == other.telemetry_port else mount.telemetry_port

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Name, Positive, Section, fault, load, unknown_key
+from lidarcfg.config import COORDINATE_MAX_M, Angle, Model, Name, Positive, Section, load, unknown_key, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import shipped
 from lidarcfg.geometry import Array
@@ -29,7 +29,7 @@ BEAMS_MAX = 10_000
 
 def _check_fov(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] == value[1]:
-        raise fault(f"{value[0]:g} to {value[1]:g} is empty")
+        raise validation_error(f"{value[0]:g} to {value[1]:g} is empty")
     return value
 
 
@@ -41,9 +41,9 @@ def _check_elevations(value: tuple[float, ...]) -> tuple[float, ...]:
     beams: dict[float, int] = {}
     for i, angle in enumerate(value):
         if not -90 <= angle <= 90:
-            raise fault(f"{angle:g} is outside the allowed -90 to 90", i)
+            raise validation_error(f"{angle:g} is outside the allowed -90 to 90", i)
         if (same := beams.setdefault(angle, i)) != i:
-            raise fault(f"{angle:g} is beam {same} already; each may be given once", i)
+            raise validation_error(f"{angle:g} is beam {same} already; each may be given once", i)
     return value
 
 
@@ -78,7 +78,7 @@ def check_lengths(tables: Model, count: int) -> None:
     for key in type(tables).model_fields:
         value = getattr(tables, key)
         if isinstance(value, tuple) and len(value) not in (0, count):
-            raise fault(f"has {len(value)} values; allowed: {count}, one a beam", key)
+            raise validation_error(f"has {len(value)} values; allowed: {count}, one a beam", key)
 
 
 class Rotation(Model):
@@ -150,7 +150,7 @@ class Firing(Model):
     @model_validator(mode="after")
     def _check(self) -> "Firing":
         if (self.step_deg is None) == (self.sequence_ns is None):
-            raise fault("give step_deg or sequence_ns, one of them")
+            raise validation_error("give step_deg or sequence_ns, one of them")
         return self
 
 
@@ -196,25 +196,27 @@ class Sensor(Model):
         if isinstance(data, dict):
             for key in data:
                 if key not in cls.model_fields and key != data.get("codec"):
-                    raise fault(unknown_key(str(key), cls), str(key))
+                    raise validation_error(unknown_key(str(key), cls), str(key))
         return data
 
     @model_validator(mode="after")
     def _check(self) -> "Sensor":
         if self.range and self.range.min_m >= self.range.max_m:
-            raise fault(f"{self.range.min_m} is not below max_m", "range", "min_m")
+            raise validation_error(f"{self.range.min_m} is not below max_m", "range", "min_m")
         if self.range and not self.range.reported_m[0] < self.range.reported_m[1]:
-            raise fault(f"{self.range.reported_m[0]:g} is not below max_m", "range", "reported", "min_m")
+            raise validation_error(f"{self.range.reported_m[0]:g} is not below max_m", "range", "reported", "min_m")
         if self.range and self.range.at_10_percent_m and self.range.at_10_percent_m > self.range.max_m:
             what = f"{self.range.at_10_percent_m:g} is above max_m, {self.range.max_m:g}"
-            raise fault(what, "range", "at_10_percent_m")
+            raise validation_error(what, "range", "at_10_percent_m")
         if self.firing and self.codec:
-            raise fault(f"belongs under {self.codec}: with a codec, that says when lasers fire", "firing")
+            raise validation_error(f"belongs under {self.codec}: with a codec, that says when lasers fire", "firing")
         if self.firing and len(self.firing.offset_ns) not in (0, self.count):
             what = f"has {len(self.firing.offset_ns)} values; allowed: {self.count}, one a beam"
-            raise fault(what, "firing", "offset_ns")
+            raise validation_error(what, "firing", "offset_ns")
         if self.rotation and self.rotation.rpm_min > self.rotation.rpm_max:
-            raise fault(f"{self.rotation.rpm_min:g} is above rpm_max, {self.rotation.rpm_max:g}", "rotation", "rpm_min")
+            raise validation_error(
+                f"{self.rotation.rpm_min:g} is above rpm_max, {self.rotation.rpm_max:g}", "rotation", "rpm_min"
+            )
         return self
 
     def field_of_view_deg(self, given: tuple[float, float] | None) -> tuple[float, float] | None:

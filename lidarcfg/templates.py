@@ -7,7 +7,7 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 
 from lidarcfg.errors import ConfigError, SceneError
-from lidarcfg.files import replacing, shipped, together
+from lidarcfg.files import replacing, shipped
 from lidarcfg.yaml_document import inline
 
 KINDS = ("study", "rig", "scene", "sensor")
@@ -39,12 +39,11 @@ def write_template(kind: str, path: Path, vehicle: str | None = None) -> list[Pa
     for file in (path, copied):
         if file and file.exists() and not (file == copied and body and file.read_bytes() == body.read_bytes()):
             raise ConfigError(f"{file}: exists already; name another file, or remove it")
-    with together():
-        if copied and body and not copied.exists():
-            with replacing(copied, "wb") as mesh:
-                mesh.write(body.read_bytes())
-        with replacing(path) as out:
-            out.write(text)
+    if copied and body and not copied.exists():
+        with replacing(copied, "wb") as mesh:
+            mesh.write(body.read_bytes())
+    with replacing(path) as out:
+        out.write(text)
     return [path, copied] if copied else [path]
 
 
@@ -68,8 +67,11 @@ def _study(low: tuple[float, ...], high: tuple[float, ...]) -> dict[str, list[fl
     """A study's region and the bounds of its sensors, around a vehicle's bounds."""
     x = 10 * math.ceil((25 + max(abs(low[0]), abs(high[0]))) / 10)
     y = 5 * math.ceil((8 + max(abs(low[1]), abs(high[1]))) / 5)
-    side, length = (high[1] - low[1]) / 2, high[0] - low[0]
-    middle_m, floor_m, top_m = (low[0] + high[0]) / 2, min(math.floor(low[2]), 0), max(math.ceil(high[2]), 4)
+    side = (high[1] - low[1]) / 2
+    length = high[0] - low[0]
+    middle_m = (low[0] + high[0]) / 2
+    floor_m = min(math.floor(low[2]), 0)
+    top_m = max(math.ceil(high[2]), 4)
     boxes = {
         "low": (-x, -y, floor_m),
         "high": (x, y, top_m),

@@ -75,14 +75,9 @@ class _Loader(Reader, Scanner, Parser, Composer, _Resolver):
 
 _QuickLoader: type[Any] = _Loader
 if yaml.__with_libyaml__:
-    from yaml._yaml import CParser
 
-    class _LibraryLoader(CParser, _Resolver):
+    class _LibraryLoader(_Resolver, yaml.CBaseLoader):
         """The same with libyaml: several times as fast, but it does not limit nesting and words errors differently."""
-
-        def __init__(self, text: str) -> None:
-            CParser.__init__(self, text)
-            _Resolver.__init__(self)
 
     _QuickLoader = _LibraryLoader
 
@@ -203,7 +198,8 @@ class Document:
         return out
 
     def _scalar(self, node: yaml.ScalarNode, key: Key) -> Any:
-        text, kind = node.value, node.tag.removeprefix(_TAG)
+        text = node.value
+        kind = node.tag.removeprefix(_TAG)
         if kind in ("int", "float") and len(text) > NUMBER_MAX:
             raise self.error(key, f"{text[:40]!r}… has {len(text)} characters; a number has {NUMBER_MAX} at most")
         try:
@@ -229,7 +225,8 @@ def _with(values: Any, key: Key, value: Any) -> Any:
     """A copy of the values with `value` at `key`; None removes the key."""
     if not key:
         return value
-    first, below = key[0], key[1:]
+    first = key[0]
+    below = key[1:]
     if isinstance(first, str) and isinstance(values, dict):
         if value is None and (not below or values.get(first) is None):
             return {name: kept for name, kept in values.items() if name != first}

@@ -6,6 +6,12 @@ from pathlib import Path
 import pytest
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--nightly", action="store_true", help="the long form of tests/reliability: every command, many times"
+    )
+
+
 @pytest.fixture
 def tool(monkeypatch):
     """A module of tools/ by its name."""

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 import open3d as o3d
-from numba import njit
 from scipy.spatial import ConvexHull
 
 from lidarcfg.world.scene import Scene, SceneFile
@@ -117,26 +116,21 @@ def half_spaces(corners):
     return planes[np.unique(planes.round(9), axis=0, return_index=True)[1]]
 
 
-@njit(cache=True, nogil=True)
 def through(planes, start, way):
     """Where rays (N, 3) enter and leave the half-spaces' common body, and how deep in it they are halfway."""
-    out = np.empty((3, len(way)))
-    room = np.array([d - x * start[0] - y * start[1] - z * start[2] for x, y, z, d in planes])
-    for n in range(len(way)):
-        x, y, z = way[n]
-        enter, leave, depth = -np.inf, np.inf, np.inf
-        for k in range(len(planes)):
-            rise = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z
-            if rise < 0:
-                enter = max(enter, room[k] / rise)  # the last way in
-            elif rise > 0:
-                leave = min(leave, room[k] / rise)  # the first way out
-        half = (max(enter, 0.0) + leave) / 2
-        for k in range(len(planes)):
-            rise = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z
-            depth = min(depth, room[k] - rise * half)
-        out[0, n], out[1, n], out[2, n] = enter, leave, depth
-    return out
+    x, y, z = np.ascontiguousarray(way.T)
+    enter, leave, depth = np.full(len(way), -np.inf), np.full(len(way), np.inf), np.full(len(way), np.inf)
+    room = [d - a * start[0] - b * start[1] - c * start[2] for a, b, c, d in planes]
+    for (a, b, c, _), left in zip(planes, room, strict=True):
+        rise = a * x + b * y + c * z
+        with np.errstate(divide="ignore", invalid="ignore"):
+            met = left / rise
+        enter = np.where(rise < 0, np.maximum(enter, met), enter)  # the last way in
+        leave = np.where(rise > 0, np.minimum(leave, met), leave)  # the first way out
+    half = (np.maximum(enter, 0.0) + leave) / 2
+    for (a, b, c, _), left in zip(planes, room, strict=True):
+        depth = np.minimum(depth, left - (a * x + b * y + c * z) * half)
+    return np.array([enter, leave, depth])
 
 
 def cast_aimed(aimed_rays):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, ValidationError
 
-from lidarcfg.config import SENTENCES, Model, Section, load, loads, nested_models
+from lidarcfg.config import ERROR_MESSAGES, Model, Section, load, loads, nested_models
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.placement.study_file import StudyFile
@@ -177,8 +177,8 @@ def test_every_error_of_pydantic_has_a_sentence_of_ours():
                 model.model_validate({key: value})
             except ValidationError as error:
                 kinds |= {item["type"] for item in error.errors()}
-    assert kinds - SENTENCES.keys() == {"fault", "extra_forbidden", "too_short", "too_long"}
-    assert SENTENCES.keys() <= kinds
+    assert kinds - ERROR_MESSAGES.keys() == {"fault", "extra_forbidden", "too_short", "too_long"}
+    assert ERROR_MESSAGES.keys() <= kinds
 
 
 class Inner(Model):

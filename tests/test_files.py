@@ -3,18 +3,13 @@
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 import lidarcfg
-from lidarcfg import files
-from lidarcfg.aside import remove_own
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import example, replacing, shipped, together
-from lidarcfg.formats.folder import replacing_folder
+from lidarcfg.files import example, remove_outdated, remove_temporary, replacing, replacing_folder, shipped
 from lidarcfg.simulate.ground_truth import TruthFile
 
 ROOT = Path(__file__).parents[1]
@@ -128,19 +123,32 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_what_a_killed_run_has_left_is_removed_by_the_next_of_the_same_output(tmp_path):
-    for path in (tmp_path / "a.txt", tmp_path / "b.txt"):
-        process = writer(path)
-        process.kill()
-        process.communicate()
-    keep = [".a.txt.0123456.part", ".a.txt.0123456g.part", ".xa.txt.01234567.part", "a.txt.01234567.part"]
-    for name in keep:
-        (tmp_path / name).touch()
-    os.mkfifo(tmp_path / ".a.txt.01234567.part")  # is not waited for
-    (left,) = tmp_path.glob(".b.txt.*.part")
-    with replacing(tmp_path / "a.txt") as file:
+@pytest.mark.parametrize("old", [None, "old"])
+def test_a_killed_run_leaves_the_old_file(tmp_path, old):
+    """And what it wrote, under a hidden name; the next run writes as if nothing had been."""
+    path = tmp_path / "a.txt"
+    if old:
+        path.write_text(old)
+    process = writer(path)
+    process.kill()
+    process.communicate()
+    (left,) = tmp_path.glob(".a.txt.*.part")
+    assert names(tmp_path) == [left.name, *["a.txt"] * bool(old)]
+    assert not old or path.read_text() == old
+    with replacing(path) as file:
         file.write("new")
-    assert names(tmp_path) == sorted([*keep, left.name, "a.txt"])
+    assert path.read_text() == "new"
+
+
+def test_a_file_is_on_the_disk_before_it_is_renamed(tmp_path, monkeypatch):
+    done = []
+    flush = os.fsync
+    rename = os.replace
+    monkeypatch.setattr(os, "fsync", lambda handle: done.append(os.fstat(handle).st_ino) or flush(handle))
+    monkeypatch.setattr(os, "replace", lambda one, other: done.append("renamed") or rename(one, other))
+    with replacing(tmp_path / "a.txt") as file:
+        file.write("whole")
+    assert done == [(tmp_path / "a.txt").stat().st_ino, "renamed"]
 
 
 def test_two_writers_at_once_both_end_well(tmp_path):
@@ -155,29 +163,22 @@ def test_two_writers_at_once_both_end_well(tmp_path):
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_a_folder_of_a_killed_run_is_removed_and_one_that_it_was_replacing_comes_back(tmp_path):
-    left = tmp_path / ".bag.01234567.part"
-    (left / "bag.old").mkdir(parents=True)
-    (left / "bag.old/metadata.yaml").write_text("old")
-    with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "bag", "*.yaml"):
-        assert (tmp_path / "bag/metadata.yaml").read_text() == "old"
-        1 / 0  # noqa: B018
-    assert names(tmp_path) == ["bag"]
-
-
-@pytest.mark.parametrize("swaps", [True, False])
-def test_a_folder_is_replaced_whole(tmp_path, monkeypatch, swaps):
-    """In one step, or in two where the system has no such step."""
-    if not swaps:
-        monkeypatch.setattr("lidarcfg.files.exchange", lambda one, other: False)
-    for text in ("old", "new"):
+def test_a_folder_is_replaced_whole(tmp_path):
+    """After an error, also in the second of the two renames, the old one stays."""
+    for text, error in (("old", False), ("new", True), ("new", False)):
+        before = sorted(tmp_path.rglob("*"))
+        if error:
+            with pytest.raises(ZeroDivisionError), replacing_folder(tmp_path / "bag", "*.yaml") as folder:
+                folder.mkdir()
+                1 / 0  # noqa: B018
+            with pytest.raises(OSError, match="bag"), replacing_folder(tmp_path / "bag", "*.yaml"):
+                pass
+            assert sorted(tmp_path.rglob("*")) == before
+            continue
         with replacing_folder(tmp_path / "bag", "*.yaml") as folder:
             folder.mkdir()
             (folder / f"{text}.yaml").touch()
-        assert [path.relative_to(tmp_path).as_posix() for path in sorted(tmp_path.rglob("*"))] == [
-            "bag",
-            f"bag/{text}.yaml",
-        ]
+        assert sorted(tmp_path.rglob("*")) == [tmp_path / "bag", tmp_path / f"bag/{text}.yaml"]
 
 
 def test_a_folder_with_a_read_only_file_stays(tmp_path):
@@ -193,95 +194,15 @@ def test_a_folder_with_a_read_only_file_stays(tmp_path):
     assert (names(tmp_path), deep.read_text()) == (["a"], "old")
 
 
-def test_files_that_belong_together_take_their_places_together(tmp_path):
-    for name in ("a", "b", "gone"):
-        (tmp_path / name).write_text("old")
-    with pytest.raises(ZeroDivisionError), together(gone=[tmp_path / "gone"]):
-        for name in ("a", "b"):
-            with replacing(tmp_path / name) as file:
-                file.write("new")
-        1 / 0  # noqa: B018
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "old", "b": "old", "gone": "old"}
-    with together(gone=[tmp_path / "gone"]):
-        for name in ("a", "b"):
-            with replacing(tmp_path / name) as file:
-                file.write("new")
-        assert (tmp_path / "a").read_text() == (tmp_path / "b").read_text() == "old"
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new"}
-
-
-def test_what_belongs_together_within_what_does(tmp_path):
-    """All of it at the end of the outer one, removals too; an error in the outer one undoes the inner."""
-    for name in ("a", "b", "gone"):
-        (tmp_path / name).write_text("old")
-    for error in (True, False):
-        with suppress(ZeroDivisionError), together():
-            with together(gone=[tmp_path / "gone"]), replacing(tmp_path / "a") as file:
-                file.write("new")
-            with replacing(tmp_path / "b") as file:
-                file.write("new")
-            assert {path.name: path.read_text() for path in tmp_path.glob("[!.]*")} == dict.fromkeys(
-                ("a", "b", "gone"), "old"
-            )
-            assert 1 / (not error)
-        left = {path.name: path.read_text() for path in tmp_path.iterdir()}
-        assert left == (dict.fromkeys(("a", "b", "gone"), "old") if error else {"a": "new", "b": "new"})
-
-
-@pytest.mark.parametrize("swaps", [True, False])
-def test_a_folder_and_a_file_take_their_places_together(tmp_path, monkeypatch, swaps):
-    """A drive in a folder and the record beside it: on an error neither; an interrupt between the two waits."""
-    if not swaps:
-        monkeypatch.setattr("lidarcfg.files.exchange", lambda one, other: False)
-
-    def write(text, error):
-        with together():
-            with replacing_folder(tmp_path / "bag", "data") as folder:
-                folder.mkdir()
-                with replacing(folder / "data") as file:
-                    file.write(text)
-                assert names(folder) == ["data"]
-            with replacing(tmp_path / "bag.yaml") as file:
-                file.write(text)
-            assert 1 / (not error)
-
-    for text, error in (("old", False), ("new", True), ("new", False)):
-        before = [path.read_text() for path in (tmp_path / "bag/data", tmp_path / "bag.yaml") if path.exists()]
-        with suppress(ZeroDivisionError):
-            write(text, error)
-        assert [path.read_text() for path in (tmp_path / "bag/data", tmp_path / "bag.yaml")] == (
-            before if error else [text] * 2
-        )
-        assert names(tmp_path) == ["bag", "bag.yaml"]
-
-    def interrupted(one, other):
-        if other.name == "bag.yaml":
-            monkeypatch.setattr("lidarcfg.files.exchange", swap)
-            raise KeyboardInterrupt
-        return swap(one, other)
-
-    swap = files.exchange
-    monkeypatch.setattr("lidarcfg.files.exchange", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write("newest", False)
-    assert (tmp_path / "bag/data").read_text() == (tmp_path / "bag.yaml").read_text() == "newest"
-    assert names(tmp_path) == ["bag", "bag.yaml"]
-
-
-def test_an_interrupt_between_two_files_waits_for_the_second(tmp_path, monkeypatch):
-    rename = os.replace
-
-    def interrupted(one, other):
-        monkeypatch.setattr(os, "replace", rename)
-        rename(one, other)
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt), together():
-        for name in ("a", "b"):
-            with replacing(tmp_path / name) as file:
-                file.write("new")
-        monkeypatch.setattr(os, "replace", interrupted)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "new", "b": "new"}
+def test_files_of_an_earlier_run_are_removed(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).touch()
+    remove_outdated([tmp_path / "a", tmp_path / "none"])
+    assert names(tmp_path) == ["b"]
+    (tmp_path / "b").chmod(0o444)
+    with pytest.raises(PermissionError, match="read-only"):
+        remove_outdated([tmp_path / "b"])
+    assert names(tmp_path) == ["b"]
 
 
 def test_what_an_interrupt_leaves_is_removed_as_the_command_ends(tmp_path):
@@ -291,36 +212,8 @@ def test_what_an_interrupt_leaves_is_removed_as_the_command_ends(tmp_path):
     for one in unfinished:
         one.__enter__()
     assert len(names(tmp_path)) == 3
-    remove_own()
+    remove_temporary()
     assert names(tmp_path) == ["b"]
-
-
-def test_a_run_does_not_wait_for_itself(tmp_path, monkeypatch):
-    """A folder by two names, here and by its whole path and through a link, is locked once."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("lidarcfg.aside.AGAIN_S", "no wait is expected")
-    (tmp_path / "link").symlink_to(tmp_path)
-    with together():
-        for path in ("a", tmp_path / "b", "link/c"):
-            with replacing(path) as file:
-                file.write("new")
-    assert names(tmp_path) == ["a", "b", "c", "link"]
-
-
-def test_of_two_runs_with_several_files_one_waits(tmp_path):
-    """So that what is there in the end is all of one of them: four threads, twenty times each."""
-
-    def one(text):
-        for _ in range(20):
-            with together():
-                for name in "abc":
-                    with replacing(tmp_path / name) as file:
-                        file.write(text)
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(one, "abcd"))
-    assert len({(tmp_path / name).read_text() for name in "abc"}) == 1
-    assert names(tmp_path) == ["a", "b", "c"]
 
 
 def test_nothing_is_written_by_what_a_full_disk_does_not_stop():

@@ -19,7 +19,7 @@ from lidarcfg.config import load
 from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.formats.kitti import load_kitti
 from lidarcfg.formats.las import load_las
-from lidarcfg.placement import rows
+from lidarcfg.placement import evaluator
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.region import Region
@@ -152,7 +152,7 @@ def test_a_search_that_numbers_cuboids(tmp_path, monkeypatch):
     """For the largest sphere, as for detection, each thread has a number for every cuboid, and for every LiDAR lost."""
     (tmp_path / "study.yaml").write_text(SMALL_STUDY + "objective: {inscribed_radius: 1}\n")
     study = load_study(tmp_path / "study.yaml")
-    monkeypatch.setattr(rows, "check_room", lambda *_: None)
+    monkeypatch.setattr(evaluator, "check_grid", lambda *_: None)
     monkeypatch.setattr(inputs, "memory_bytes", lambda: 6 * 32 * 3 - 1.0)
     with pytest.raises(LidarcfgError, match="numbering 32 cuboids on 3 threads needs"):
         Evaluator(study.region, study.lidars(study.lower), 3, criterion=study.criterion())

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lidarcfg as library
-from lidarcfg.capture.record import Part, Record
+from lidarcfg.capture.manifest import CaptureManifest, FileDigest
 from lidarcfg.config import load, loads, whole_values
 from lidarcfg.errors import ConfigError
 from lidarcfg.kinds import kind_of
@@ -297,6 +297,8 @@ def test_motions(text):
 
 @pytest.mark.parametrize("name", ["1e3", "0o17", "é, b"])
 def test_records(name):
-    part = Part(file=name, sha256="1" * 64)
-    file = Record.model_validate({"rig": part.model_dump(), "at": "1e3", "start": "2026-01-01", "duration_s": 1})
-    assert loads(yaml_text(file.model_dump(mode="json", exclude_none=True)), Record, "again") == file
+    part = FileDigest(file=name, sha256="1" * 64)
+    file = CaptureManifest.model_validate(
+        {"rig": part.model_dump(), "at": "1e3", "start": "2026-01-01", "duration_s": 1}
+    )
+    assert loads(yaml_text(file.model_dump(mode="json", exclude_none=True)), CaptureManifest, "again") == file

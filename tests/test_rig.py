@@ -68,7 +68,7 @@ def test_defaults(tmp_path):
         ),
         (
             MINIMAL + "  - {name: b, model: vlp-16, position_m: [0, 0, 0], host: 192.168.1.201}\n",
-            "rig.yaml:4:5: sensors[1]: 192.168.1.201:2368 is 'a''s; give each sensor its own",
+            "rig.yaml:4:5: sensors[1]: 192.168.1.201:2368 is already used by 'a'; give each sensor its own address and port",
         ),
         (
             MINIMAL + "  - {name: b, model: vlp-16, position_m: [0, 0, 0], host: 192.168.1.201, data_port: 8308}\n",

@@ -8,7 +8,7 @@ import pytest
 
 from lidarcfg.config import load
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.velodyne.facts import unit
+from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.report.sensors import print_sensor
 from lidarcfg.sensor import Sensor, catalogue, custom_sensor, load_sensor
 from tests.capture_fixtures import datagrams_of, recording

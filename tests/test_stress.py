@@ -475,8 +475,8 @@ def test_what_is_decoded_far_from_the_origin(tmp_path, vehicle, position):
 
 
 def test_the_long_run_in_small(tool, capsys):
-    """It runs, fails nothing, and leaves the docs alone unless all of it is run."""
-    stress, page = tool("stress"), (ROOT / "docs/accuracy.md").read_text()
+    """It runs, and fails nothing."""
+    stress = tool("stress")
     with pytest.raises(SystemExit) as ended:
         stress.main(["--quick", "poses", "random", "cuboids", "rays"])
     assert not ended.value.code
@@ -484,7 +484,6 @@ def test_the_long_run_in_small(tool, capsys):
     assert "| pairs of sensors in odd places, turned by odd angles | 166,656 | 0 |" in told
     assert "| a ray and a triangle in exact arithmetic: grazing | 200 | 0 |" in told
     assert told.count("\n| ") == 20
-    assert (ROOT / "docs/accuracy.md").read_text() == page
     with pytest.raises(SystemExit, match="2"):
         stress.main(["pose"])
     assert "no case is called pose; allowed: random, poses, near" in capsys.readouterr().err

@@ -10,7 +10,7 @@ TEXTS = sorted(
     path
     for pattern in (
         "lidarcfg/**/*",
-        "docs/*.md",
+        "docs/**/*.md",
         "docs/examples/*",
         "sensors/*",
         "data/**/*.yaml",

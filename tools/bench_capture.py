@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""How fast captures are written, as medians of several runs, beside the bare ray caster and in the same run.
+"""How fast rays are traced and captures are written, as medians of several runs, beside Open3D in the same run.
 
-    .venv/bin/python tools/bench_capture.py            # prints the tables of docs/benchmarks.md
+    .venv/bin/python tools/bench_capture.py            # prints the tables of docs/evidence/benchmarks.md
     .venv/bin/python tools/bench_capture.py --long 600 # and the memory of ten minutes, in a file of 2.5 GB
 
 Four VLP-16 stand in data/scenes/street.yaml, whose road is paved here with a mesh of 200,000 triangles; or they are
@@ -33,6 +33,7 @@ from lidarcfg.simulate.tasks import CHUNK_RAYS, START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.tracer import Tracer
 
 RUNS = 5
 RIG = """
@@ -46,6 +47,9 @@ sensors:
 COLUMNS, ROWS = 500, 200  # cells of the paving, two triangles each
 LENGTH_M, WIDTH_M = 60.0, 13.0
 SPEED_M_S = 10.0  # along the paving, to and fro
+BODY, MILLION = (50, 50), (708, 708)  # quads of closed bodies of 4,900 and of a million triangles
+CUBOIDS = (-30.0, -10.0, -0.75), (30.0, 10.0, 3.25), (60, 40, 20)  # of the paper's region around a body
+BODY_SCENE = "name: body\nmeshes: [{name: body, file: body.ply, position_m: [0, 0, 0], reflectivity: 20}]\n"
 
 
 def pave(folder: Path) -> Path:
@@ -87,12 +91,80 @@ def rays_of(mount: Mount, duration_ns: int) -> Iterator[tuple[Firings, Array, Ar
         yield fired, transform(T, origins), axes @ T[:3, :3].T
 
 
+def body(folder: Path, columns: int, rows: int) -> Scene:
+    """A scene of one closed wavy body around the origin."""
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, columns), np.linspace(0.02, np.pi - 0.02, rows), indexing="ij")
+    size = 1 + 0.03 * np.sin(9 * u) * np.sin(7 * v)
+    vertices = np.stack(
+        [2.2 * size * np.cos(u) * np.sin(v), 0.9 * size * np.sin(u) * np.sin(v), 0.7 * size * np.cos(v)], axis=-1
+    )
+    number = np.arange(columns * rows).reshape(columns, rows)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(vertices.reshape(-1, 3)), o3d.utility.Vector3iVector(triangles)
+    )
+    o3d.io.write_triangle_mesh(str(folder / "body.ply"), mesh)
+    (folder / "body.yaml").write_text(BODY_SCENE)
+    return load_scene(folder / "body.yaml")
+
+
+def raycasting(scene: Scene) -> o3d.t.geometry.RaycastingScene:
+    """Open3D's, of the same triangles."""
+    theirs, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor.from_numpy
+    vertices, triangles = scene.mesh(0.001)
+    theirs.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
+    return theirs
+
+
+def tracing(folder: Path) -> None:
+    """The table of rays, one thread each: first hits of four VLP-16, any hits around a body, building."""
+    scene, rig = load_scene(pave(folder)), load_rig(folder / "rig.yaml")
+    chunks = [chunk for mount in rig.mounts for chunk in rays_of(mount, 2 * SECOND_NS)]
+    orders = [np.argsort(fired.laser, kind="stable") for fired, _, _ in chunks]  # laser by laser, as exports do
+    origins, along = (
+        np.concatenate([chunk[k][order] for chunk, order in zip(chunks, orders, strict=True)]) for k in (1, 2)
+    )
+    ours, theirs = Tracer(scene, np.zeros(3)), raycasting(scene)
+    rays = o3d.core.Tensor.from_numpy(np.concatenate([origins, along], axis=1).astype(np.float32))
+    print(f"\n| one thread; Open3D {o3d.__version__} | million rays/s | Open3D's | ratio | spread |")
+    print("|---|---|---|---|---|")
+    beside(
+        f"first hit, four VLP-16, {len(scene.triangles):,} triangles",
+        len(origins),
+        lambda: ours.cast(origins, along),
+        lambda: theirs.cast_rays(rays, nthreads=1),
+    )
+    stage = body(folder, *BODY)
+    axes = [low + (np.arange(n) + 0.5) * (high - low) / n for low, high, n in zip(*CUBOIDS, strict=True)]
+    targets, origin = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), np.array([0.4, 0.3, 0.95])
+    tracer, others = Tracer(stage, np.zeros(3)), raycasting(stage)
+    segments = np.concatenate([np.broadcast_to(origin, targets.shape), targets - origin], axis=1)
+    given = o3d.core.Tensor.from_numpy(segments.astype(np.float32))
+    agree = (tracer.blocked(origin, targets) == others.test_occlusions(given, 0.0, 1.0).numpy()).mean()
+    beside(
+        f"any hit, {len(targets):,} cuboids around {len(stage.triangles):,} triangles ({agree:.3%} agree)",
+        len(targets),
+        lambda: tracer.blocked(origin, targets),
+        lambda: others.test_occlusions(given, 0.0, 1.0, nthreads=1),
+    )
+    million = body(folder, *MILLION)
+    built = np.array([seconds(lambda: Tracer(million, np.zeros(3)))[1] for _ in range(3)])
+    what, spread = f"build, {len(million.triangles):,} triangles, s", f"{built.min():.2f} to {built.max():.2f}"
+    print(f"| {what} | {np.median(built):.2f} | | | {spread} |")
+
+
+def beside(what: str, count: int, ours: Callable[[], object], theirs: Callable[[], object]) -> None:
+    """A row: rates by the processor's time, in turns, and how many times as fast."""
+    spent = np.array([[seconds(one)[1] for one in (ours, theirs)] for _ in range(RUNS + 1)])[1:]
+    rates, ratio = count / np.median(spent, axis=0) / 1e6, spent[:, 1] / spent[:, 0]
+    spread = f"{ratio.min():.2f} to {ratio.max():.2f}"
+    print(f"| {what} | {rates[0]:.1f} | {rates[1]:.1f} | {np.median(ratio):.2f} | {spread} |")
+
+
 def bare(rig: Rig, scene: Scene, duration_ns: int) -> tuple[Callable[[], None], int]:
     """What casts the capture's rays, chunk by chunk, by Open3D alone; and how many they are."""
-    caster = o3d.t.geometry.RaycastingScene()
-    tensor = o3d.core.Tensor.from_numpy
-    vertices, triangles = scene.mesh(0.001)
-    caster.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
+    caster, tensor = raycasting(scene), o3d.core.Tensor.from_numpy
     chunks = [
         tensor(np.concatenate([origins, axes], axis=1).astype(np.float32))
         for mount in rig.mounts
@@ -227,6 +299,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"{machine()}, medians of {RUNS} runs of {arguments.seconds:g} s")
     with tempfile.TemporaryDirectory() as folder:
+        tracing(Path(folder))
         writing(Path(folder), arguments.seconds)
         if arguments.long:
             long(Path(folder), arguments.long)

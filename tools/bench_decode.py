@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
-"""How fast captures are decoded, as medians of several runs, beside velodyne-decoder in the same run.
+"""How fast captures are decoded, as medians of several runs, beside velodyne-decoder and ouster-sdk in the same run.
 
-    .venv/bin/python tools/bench_decode.py              # prints the tables of docs/benchmarks.md
+    .venv/bin/python tools/bench_decode.py              # prints the tables of docs/evidence/benchmarks.md
     .venv/bin/python tools/bench_decode.py --long 600   # and those of ten minutes of four sensors, a file of 2.3 GB
 
-Nine returns of ten are there, at random ranges. The arrays that come are let go one after another, as a driver would;
-what each decoder takes to start is measured with few packets, and taken off.
+Velodyne: nine returns of ten are there, at random ranges. The arrays that come are let go one after another, as a
+driver would; what each decoder takes to start is measured with few packets, and taken off. Ouster: an OS1-128 in the
+street. A file is read as one cloud, beside ouster-sdk's frames and their points, all of which are kept; ouster-sdk has
+one thread, lidarcfg all cores.
 """
 
 import argparse
@@ -19,15 +21,17 @@ from pathlib import Path
 
 import numpy as np
 import velodyne_decoder as vd
-from page import machine
+from ouster.sdk import core, open_source
+from page import ROOT, machine
 
+import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
 from lidarcfg.capture.pcap import FILE_HEADER
+from lidarcfg.packets.rotating import firings
 from lidarcfg.packets.velodyne.encode import encode
-from lidarcfg.packets.velodyne.facts import unit
 from lidarcfg.packets.velodyne.layout import PACKET
-from lidarcfg.packets.velodyne.schedule import firings, stamps_ns
+from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.sensor import load_sensor
 
 RUNS, PACKETS = 7, 40_000
@@ -46,7 +50,7 @@ def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> 
     """A capture of sensors that send together; every thousand packets their ranges are the same again."""
     sensor, dual = unit(load_sensor(model)), mode == "dual"
     rng = np.random.default_rng(1)
-    fired = firings(sensor, 600.0, START_NS, range(1000), dual)
+    fired = firings(sensor.firing_schedule(dual), 600.0, START_NS, range(1000))
     shape = len(fired.time_ns), 1 + dual
     per_packet = len(fired.time_ns) // 1000
     range_m = np.where(rng.random(shape) < 0.1, np.inf, rng.uniform(2, 100, shape))
@@ -66,10 +70,10 @@ def write(path: Path, model: str, mode: str, packets: int, sensors: int = 1) -> 
         file.write(FILE_HEADER)
         for first in range(0, packets, 1000):
             count = min(packets - first, 1000)
-            fired = firings(sensor, 600.0, START_NS, range(first, first + count), dual)
+            fired = firings(sensor.firing_schedule(dual), 600.0, START_NS, range(first, first + count))
             some = slice(count * per_packet)
             frames["packet"][:count] = encode(sensor, mode, fired, range_m[some], reflectivity[some])[:, None]
-            us = stamps_ns(sensor, fired, dual)[1][:, None] // 1000 + np.arange(sensors)
+            us = sensor.firing_schedule(dual).stamps_ns(fired)[1][:, None] // 1000 + np.arange(sensors)
             frames["record"]["seconds"][:count], frames["record"]["microseconds"][:count] = np.divmod(us, 10**6)
             file.write(frames[:count].tobytes())
 
@@ -114,10 +118,67 @@ def timed(function, *arguments) -> tuple[int, float, float]:
     return count, time.perf_counter() - began, time.process_time() - began_cpu
 
 
+PROFILES = {
+    "RNG19_RFL8_SIG16_NIR16": "strongest",
+    "RNG19_RFL8_SIG16_NIR16_DUAL": "dual",
+    "RNG15_RFL8_NIR8": "strongest",
+    "FUSA_RNG15_RFL8_NIR8_DUAL": "dual",
+    "LEGACY": "strongest",
+}
+OUSTER_RIG = """
+name: one
+sensors:
+  - name: left
+    model: os1-128
+    position_m: [0.5, 0.6, 1.9]
+    rpy_deg: [-5, 3, 0]
+    return_mode: {mode}
+    ouster: {{profile: {profile}, firmware: "3.2", imu: false}}
+"""
+
+
+def ouster(folder: Path) -> None:
+    """The table of Ouster's profiles: 40 revolutions from a file, everything kept."""
+    print("\n| OS1-128, 40 revolutions | lidarcfg, ms | ouster-sdk | times as fast | by CPU time |")
+    print("|---|---|---|---|---|")
+    path = folder / "os1.pcap"
+    for profile, mode in PROFILES.items():
+        (folder / "os1.yaml").write_text(OUSTER_RIG.format(profile=profile, mode=mode))
+        lidarcfg.export(folder / "os1.yaml", ROOT / "data/scenes/street.yaml", path, duration_s=4.0)
+        rows = []
+        for run in range(RUNS + 1):
+            _, sdk_s, sdk_cpu = timed(kept_by_sdk, path, mode == "dual")
+            _, our_s, our_cpu = timed(kept_by_us, path)
+            rows += [[our_s, sdk_s, our_cpu, sdk_cpu]] * (run > 0)  # the first is not counted
+        ours_s, sdk_s, our_cpu, sdk_cpu = (statistics.median(column) for column in zip(*rows, strict=True))
+        ratios = [row[1] / row[0] for row in rows]
+        spread = f"{statistics.median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})"
+        cells = f"{1e3 * ours_s:.0f} | {1e3 * sdk_s:.0f} | {spread} | {sdk_cpu / our_cpu:.1f}"
+        print(f"| {profile} | {cells} |", flush=True)
+
+
+def kept_by_us(path: Path) -> int:
+    """The points of one cloud."""
+    return len(lidarcfg.decode(path).xyz)
+
+
+def kept_by_sdk(path: Path, dual: bool) -> int:
+    """The frames of ouster-sdk, each with the points of its returns."""
+    metadata = path.with_suffix(".json")
+    lut = core.XYZLut(core.SensorInfo(metadata.read_text()))
+    kept = [
+        (frame, lut(frame), lut(frame.field("RANGE2")) if dual else None)
+        for found in open_source(str(path), meta=[str(metadata)])
+        for frame in found.valid_frames()
+    ]
+    return len(kept)
+
+
 LONG = """
 import resource, sys, time
 began = time.perf_counter()
 from lidarcfg.capture.selection import Selection
+import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
 loaded_s = time.perf_counter() - began
 began, count = time.perf_counter(), 0
@@ -159,9 +220,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--long", type=float, metavar="S", help="also a capture of so many seconds")
     args = parser.parse_args()
-    print(f"{machine()}, velodyne-decoder {version('velodyne-decoder')}")
+    print(f"{machine()}, velodyne-decoder {version('velodyne-decoder')}, ouster-sdk {version('ouster-sdk')}")
     with tempfile.TemporaryDirectory() as name:
         against(Path(name))
+        ouster(Path(name))
         if args.long:
             long(Path(name), args.long)
 

@@ -6,10 +6,10 @@
     .venv/bin/python tools/bench_search.py --busy                 one thread, until it has used as much of the processor
     .venv/bin/python tools/bench_search.py --best-known 3600      an hour a study, in searches of ten minutes
 
-Writes the table of docs/benchmarks.md. What is finished stands in data/reference/search.jsonl and is not run again, so
-a run may be stopped at any time and started anew. A rig better than the best known takes its place in
-data/reference/best_known.json and docs/paper.md. `--best-known` only searches for such: seeds from 1000 on, until
-the runs of a study come to that many seconds.
+Prints the table of docs/evidence/benchmarks.md. What is finished stands in data/reference/search.jsonl and is not run
+again, so a run may be stopped at any time and started anew. A rig better than the best known takes its place in
+data/reference/best_known.json and docs/evidence/paper.md. `--best-known` only searches for such: seeds from 1000 on,
+until the runs of a study come to that many seconds.
 """
 
 import argparse
@@ -60,7 +60,6 @@ def code() -> str:
 def search(study: str, method: str, seed: int, seconds: float, threads: int, busy: bool = False) -> Run:
     """One search. On a machine that is busy it has one thread, and as much of the processor as all would have had."""
     loaded = load_study(ROOT / f"data/studies/liu2018-{study}.yaml")
-    optimize(with_solver(loaded, method=method, evaluations=300), threads)  # loads what is compiled
     solver = {"method": method, "seed": seed}
     if busy:
         signal.signal(signal.SIGPROF, signal.default_int_handler)
@@ -110,7 +109,7 @@ def record(run: Run) -> None:
 
 
 def best_known() -> None:
-    """The table of docs/paper.md, and its picture."""
+    """The table of docs/evidence/paper.md, and its picture."""
     known = json.loads(KNOWN.read_text())
     figure = new_figure(7, 4.2)
     axes = figure.subplots()
@@ -124,17 +123,17 @@ def best_known() -> None:
     axes.set_ylim(bottom=0)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
-    save_figure(figure, ROOT / "docs/paper/best-known.png")
+    save_figure(figure, ROOT / "docs/evidence/paper/best-known.png")
     lines = ["| LiDARs × beams | best known (m) | found by | longer searches (min) |", "|---|---|---|---|"]
     for study in STUDIES:
         one = known[study]
         title = study.replace("x", " × ")
         lines.append(f"| {title} | {one['max_vsr_m']:.4f} | {one['found_by']} | {one['searched_s'] / 60:.0f} |")
-    write_section("best known", lines, ROOT / "docs/paper.md")
+    write_section("best known", lines, ROOT / "docs/evidence/paper.md")
 
 
 def compared(runs: list[Run], methods: list[str], known: dict[str, Any]) -> list[str]:
-    """The table of docs/benchmarks.md, and how many studies keep the targets."""
+    """The table of docs/evidence/benchmarks.md, and how many studies keep the targets."""
     cells = ("best, median, worst (m)", "median and worst over the best known", "seeds", "evaluations")
     head = " | ".join(f"{METHODS[method]}: {cells[0]} | {' | '.join(cells[1:])}" for method in methods)
     lines = [f"| LiDARs × beams | best known (m) | {head} |", "|---" * (2 + len(cells) * len(methods)) + "|"]
@@ -180,7 +179,7 @@ def hunt(studies: list[str], seconds: float, threads: int, busy: bool) -> None:
 
 
 def compare(given: argparse.Namespace) -> None:
-    """Run what is not finished, seed by seed, and write the table."""
+    """Run what is not finished, seed by seed, and print the table."""
     digest = code()
     for seed in given.seeds:
         for study in given.studies:
@@ -205,7 +204,6 @@ def compare(given: argparse.Namespace) -> None:
         "",
         *compared(runs, given.methods, json.loads(KNOWN.read_text())),
     ]
-    write_section("search", lines, ROOT / "docs/benchmarks.md")
     best_known()
     print("\n".join(lines))
 

@@ -7,16 +7,8 @@ scene=data/scenes/street.yaml
 
 rm -rf "$out"
 mkdir -p "$out"
-# What the next steps compile, once, is compiled on another processor meanwhile.
-{
-  "$bin/lidarcfg" export data/rigs/roof.yaml --scene "$scene" --duration 0.1 -o "$out/first.pcap" --quiet
-  "$bin/lidarcfg" decode "$out/first.pcap" --rig data/rigs/roof.yaml -o "$out/first.ply" --quiet
-} &
-meanwhile=$!
 say "1/4 placing four VLP-16 on a saloon whose body blocks their beams, for a short budget"
 "$bin/lidarcfg" optimize "$study" -o "$out" --evaluations 4000 >"$out/optimize.txt"
-wait "$meanwhile"
-rm -f "$out"/first.*
 say "2/4 one second of what they send, the body with them, standing in $scene"
 "$bin/lidarcfg" export "$out/rig.yaml" --scene "$scene" --at=0,-1.8,0 --duration 1 -o "$out/capture.pcap"
 say "3/4 decoding it and merging the clouds by the rig's poses"

@@ -1,7 +1,4 @@
-"""Draw the pictures of scenes on the pages: rays of our own tracer, shaded by how surfaces lie to the light.
-
-Usage: .venv/bin/python tools/draw_scenes.py
-"""
+"""Pictures of scenes for tools/draw.py: rays of the tracer, shaded by how surfaces lie to the light."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -10,10 +7,9 @@ import numpy as np
 from PIL import Image
 
 from lidarcfg.geometry import Array
-from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.scene import Scene
 from lidarcfg.world.tracer import Tracer
 
-ROOT = Path(__file__).parent.parent
 LIGHT = np.array([0.45, -0.65, 0.6]) / np.linalg.norm([0.45, -0.65, 0.6])
 SKY, COLOURS = (221, 230, 240), 96  # of a palette: flat shades need no more
 SOFT = 2  # rays a pixel along each side
@@ -118,16 +114,3 @@ def save(image: Image.Image, path: Path) -> None:
     """Write a PNG of few colours, which is small."""
     image.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
     print(f"{path}: {path.stat().st_size:,} bytes")
-
-
-def main() -> None:
-    """The suburb from above and from the driver's seat."""
-    from suburb_road import road
-
-    suburb, middle = load_scene(ROOT / "data/scenes/suburb.yaml"), road().points_m
-    above = Camera((38, -40, 24), (82, 14, 0), 62, (900, 480))
-    save(picture(suburb, above, middle), ROOT / "docs/suburb.png")
-
-
-if __name__ == "__main__":
-    main()

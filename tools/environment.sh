@@ -70,14 +70,64 @@ install_packages() {
   DEBIAN_FRONTEND=noninteractive "${as_root[@]}" apt-get install -y -qq "$@" >/dev/null 2>&1 || true
 }
 
+# Run a command and show the last line that it prints; all that it printed, if it fails.
+show_last_line() {
+  local log status=0 last="" line pid
+  log=$(mktemp)
+  "$@" >"$log" 2>&1 &
+  pid=$!
+  while kill -0 "$pid" 2>/dev/null; do
+    sleep 1
+    line=$(tail -n 1 "$log" | tr -d '\r' | cut -c 1-90)
+    if [ -t 2 ]; then
+      printf '\r\033[K  %4d s  %s' "$SECONDS" "$line" >&2
+    elif [ "$line" != "$last" ]; then
+      say "  $SECONDS s  $line"
+    fi
+    last=$line
+  done
+  [ ! -t 2 ] || printf '\r\033[K' >&2
+  wait "$pid" || status=$?
+  [ "$status" = 0 ] || cat "$log" >&2
+  rm -f "$log"
+  return "$status"
+}
+
 pip_install() {
-  .venv/bin/python -m pip install --quiet --quiet --disable-pip-version-check "$@" >&2
+  show_last_line .venv/bin/python -m pip --disable-pip-version-check --no-input install --progress-bar off "$@"
+}
+
+# Where the package's own build finds its tools, so that what is compiled once stays compiled.
+build_requirements() {
+  .venv/bin/python - <<'PYTHON'
+import tomllib
+
+with open("pyproject.toml", "rb") as file:
+    print(*tomllib.load(file)["build-system"]["requires"], sep="\n")
+PYTHON
+}
+
+more_build_requirements() {
+  PYTHONPATH=tools .venv/bin/python -c 'import build_backend; print(*build_backend.get_requires_for_build_editable(), sep="\n")'
+}
+
+install_package() {
+  local wanted
+  mapfile -t wanted < <(build_requirements)
+  pip_install "${wanted[@]}"
+  mapfile -t wanted < <(more_build_requirements)
+  [ -z "${wanted[*]}" ] || pip_install "${wanted[@]}"
+  pip_install --verbose --no-build-isolation --editable ".${1:+[$1]}"
+}
+
+compiled_sources() {
+  find lidarcfg/core -name '*.cpp' -o -name '*.h' -o -name CMakeLists.txt | sort
 }
 
 prepare() {
   local extra=$1 stamp python missing wanted
   stamp=.venv/installed${extra:+-$extra}
-  wanted=$(cat pyproject.toml tools/environment.sh)
+  wanted=$(cat pyproject.toml tools/environment.sh tools/build_backend.py && compiled_sources | xargs cat | cksum)
   python=$(find_python)
   missing=$(missing_packages "$python" "$extra" | tr '\n' ' ')
   if [ -n "$missing" ]; then
@@ -89,7 +139,7 @@ prepare() {
   if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && .venv/bin/python -c '' 2>/dev/null; then
     return
   fi
-  say "making the environment in .venv (about a minute, once)"
+  say "making the environment in .venv and compiling (about three minutes, once)"
   if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
     if ! "$python" -m venv --clear .venv >/dev/null 2>&1; then
       rm -rf .venv
@@ -97,13 +147,13 @@ prepare() {
       exit 2
     fi
   fi
-  pip_install --editable ".${extra:+[$extra]}"
+  install_package "$extra"
   if [ "$extra" = test ]; then
     pip_install --no-deps --target .venv/oldest-click --upgrade "${oldest_click[@]}"
-    pip_install --no-deps --only-binary :all: "$ouster_sdk" 2>/dev/null ||
+    pip_install --no-deps --only-binary :all: "$ouster_sdk" ||
       say "no wheel of $ouster_sdk for this Python and system: its tests are skipped"
-    pip_install --no-deps "${data_sets[@]}" 2>/dev/null || say "no ${data_sets[*]}: their tests are skipped"
-    pip_install --only-binary kiss-icp "$kiss_icp" 2>/dev/null ||
+    pip_install --no-deps "${data_sets[@]}" || say "no ${data_sets[*]}: their tests are skipped"
+    pip_install --only-binary kiss-icp "$kiss_icp" ||
       say "no wheel of $kiss_icp for this Python and system: its tests are skipped"
   fi
   printf '%s\n' "$wanted" >"$stamp"

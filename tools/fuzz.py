@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
 """Captures made odd, millions of packets of them, through the decoder: nothing may crash, hang, grow or be nonsense.
 
-    .venv/bin/python tools/fuzz.py --packets 10000000     # the table of docs/capture.md
+    .venv/bin/python tools/fuzz.py --packets 10000000     # the table of docs/evidence/reliability.md
     .venv/bin/python tools/fuzz.py --case HEX              # one case again
 
 A case is a string of bytes that says which capture is made and what is changed in it: packets of every model and mode
 (and recordings, where LIDARCFG_CAPTURES names a folder of them), their fields, their order, headers, fragments, files
 beside the capture, the file around them, and what the decoder is asked for. --makers takes the other makers' only, not
-Velodyne's. With atheris from the package index, cases that reach new branches of the
-decoder are kept and varied, and all is done on one thread, as atheris sees no other; without it, or with --random, they
-are random. Kernels are compiled with checks of their bounds.
+Velodyne's. With atheris from the package index, cases that reach new branches of the decoder are kept and varied, and
+all is done on one thread, as atheris sees no other; without it, or with --random, they are random. tools/test
+--sanitize tests/test_fuzz.py has a short run on a core that finds reads and writes beyond arrays.
 """
 
 import argparse
@@ -30,8 +30,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-if os.environ.setdefault("NUMBA_BOUNDSCHECK", "1") == "1":
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(tempfile.gettempdir()) / "lidarcfg-fuzz"))  # kernels of its own
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 try:
@@ -44,8 +42,6 @@ if "--random" in sys.argv:
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.packets.velodyne import decode_kernels, encode_kernels  # noqa: F401 - compiled as they are
-
 with (
     atheris.instrument_imports(include=["lidarcfg.capture", "lidarcfg.packets"])
     if atheris
@@ -55,10 +51,10 @@ with (
     from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
     from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
+    from lidarcfg.packets.rotating import firings
     from lidarcfg.packets.velodyne.encode import encode
-    from lidarcfg.packets.velodyne.facts import unit
     from lidarcfg.packets.velodyne.layout import PACKET, packets_of
-    from lidarcfg.packets.velodyne.schedule import firings
+    from lidarcfg.packets.velodyne.model import unit
     from tools import fuzz_makers
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import LidarcfgError
@@ -129,7 +125,7 @@ def seed_packets(number: int) -> NDArray[Any]:
         if len(packets):
             return packets[:400]
     sensor, mode = unit(load_sensor(MODELS[number % len(MODELS)])), MODES[number % len(MODES)]
-    fired = firings(sensor, 600.0, START_NS, range(400), mode == "dual")
+    fired = firings(sensor.firing_schedule(mode == "dual"), 600.0, START_NS, range(400))
     rng = np.random.default_rng(number)
     shape = len(fired.time_ns), 1 + (mode == "dual")
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 100, shape), np.inf)

@@ -100,7 +100,7 @@ def seed(number: int) -> Seed | None:
     range_m = np.where(rng.random(shape) < 0.8, rng.uniform(1, 45, shape), np.inf)
     returns = maker.encode(of, batch, range_m, rng.integers(0, 256, shape, np.uint8))
     besides = maker.housekeeping(of, standing(np.eye(4)), GeoOrigin(), START_NS, SECOND_NS // 10)
-    return Seed(of.model, (*besides, returns), of.host, dict(maker.companions(of)))
+    return Seed(of.model, (*besides, returns), of.host, dict(maker.sidecar_files(of)))
 
 
 def _recorded(number: int) -> Seed | None:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write docs/api.md from the docstrings and signatures of the public modules.
+"""Write docs/api.md from the docstrings and signatures of the public names: what the package and its packages export.
 
 .venv/bin/python tools/make_api.py          # writes it
 .venv/bin/python tools/make_api.py --check  # exits with 1 if the file is out of date
@@ -7,69 +7,94 @@
 
 import ast
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "api.md"
-MODULES = {
-    "The ground": ("errors", "geometry", "units"),
-    "Sensors and rigs": ("sensor", "rig", "realism"),
-    "World": ("world.scene", "world.vehicle", "world.motion"),
-    "Placement": (
-        "placement.region",
-        "placement.study_file",
-        "placement.study",
-        "placement.slots",
-        "placement.surfaces",
-        "placement.evaluation",
-        "placement.visibility",
-        "placement.optimize",
-        "placement.subspace",
-        "placement.metric",
-        "studies",
-    ),
-    "Simulation": ("simulate.export", "simulate.ground_truth"),
-    "Packets and captures": ("packets.codec", "packets.families", "capture.pcap", "capture.decode", "capture.replay"),
-    "Clouds, reports, pictures": ("cloud", "report", "view.stage", "view.still", "view.page"),
-    "Other tools' formats": (
-        "formats.exports",
-        "formats.urdf",
-        "formats.launch",
-        "formats.carla",
-        "formats.nuscenes",
-        "formats.las",
-    ),
-}
 HEAD = """# API reference
 
-Made from the docstrings by `tools/make_api.py`; a test keeps it up to date. [From Python](python.md) shows how the
-names work together. Lengths are metres, angles radians and times integer nanoseconds unless a name says otherwise.
+Made from the docstrings by `tools/make_api.py`; a test keeps it up to date. It has the names that the package and its
+packages export, and the types that they return. [From Python](python.md) shows how they work together. Lengths are
+metres, angles radians and times integer nanoseconds unless a name says otherwise.
 """
+Definition = ast.FunctionDef | ast.ClassDef
+
+
+class Module:
+    """A module's source: what it defines, and what it imports from the package under which name."""
+
+    def __init__(self, name: str) -> None:
+        path = ROOT / Path(*name.split("."))
+        is_package = path.is_dir()
+        path = path / "__init__.py" if is_package else path.with_suffix(".py")
+        stub = path.with_suffix(".pyi")
+        self.doc = ast.get_docstring(ast.parse(path.read_text())) or ""
+        self.lines = (stub if is_package and stub.exists() else path).read_text().splitlines()
+        body = ast.parse("\n".join(self.lines)).body
+        self.definitions = {node.name: node for node in body if isinstance(node, Definition)}
+        self.imports: dict[str, tuple[str, str]] = {}
+        for node in body:
+            if isinstance(node, ast.ImportFrom) and (node.level or (node.module or "").startswith("lidarcfg")):
+                parent = name if is_package else name.rpartition(".")[0]
+                source = f"{parent}.{node.module}" if node.level else str(node.module)
+                self.imports |= {one.asname or one.name: (source, one.name) for one in node.names}
+
+
+MODULES: dict[str, Module] = {}
+
+
+def module(name: str) -> Module:
+    """A module, read once."""
+    return MODULES.setdefault(name, MODULES.get(name) or Module(name))
+
+
+def found(source: str, name: str) -> tuple[str, Definition] | None:
+    """The module that defines a name, and its definition; None for constants and aliases."""
+    try:
+        there = module(source)
+    except FileNotFoundError:
+        return None
+    if name in there.definitions:
+        return source, there.definitions[name]
+    return found(*there.imports[name]) if name in there.imports else None
+
+
+def exported(face: str) -> Iterator[tuple[str, Definition]]:
+    """What a package exports, in order of its names, and what its functions return."""
+    names = {name: source for name, source in module(face).imports.items() if not name.startswith("_")}
+    for name in sorted(names, key=str.lower):
+        if one := found(*names[name]):
+            yield one
+            if isinstance(one[1], ast.FunctionDef) and one[1].returns:
+                said = ast.unparse(one[1].returns).strip("'\"").partition(" ")[0]
+                if (returned := found(one[0], said)) and isinstance(returned[1], ast.ClassDef):
+                    yield returned
+
+
+def faces() -> list[str]:
+    """The package and those of its packages that export something."""
+    packages = [path.parent.name for path in sorted((ROOT / "lidarcfg").glob("*/__init__.py"))]
+    return ["lidarcfg", *(f"lidarcfg.{name}" for name in packages if name != "core")]
 
 
 def reference() -> str:
-    """The whole page."""
-    parts = [HEAD]
-    for title, names in MODULES.items():
-        parts.append(f"## {title}\n")
-        parts += [module(name) for name in names]
+    """The whole page; a name that several packages export is with the first."""
+    parts, seen = [HEAD], set()
+    for face in faces():
+        some = []
+        for source, node in exported(face):
+            if (source, node.name) not in seen:
+                seen.add((source, node.name))
+                some.append(definition(node, module(source).lines))
+        if some:
+            parts += [f"## `{face}`\n", f"{module(face).doc}\n", *some]
     return "\n".join(parts)
 
 
-def module(name: str) -> str:
-    """A section for one module: its docstring, then its public classes and functions in the order of the file."""
-    path = ROOT / "lidarcfg" / Path(*name.split("."))
-    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    source = path.read_text()
-    tree = ast.parse(source)
-    parts = [f"### `lidarcfg.{name}`\n", f"{ast.get_docstring(tree)}\n"]
-    public = [n for n in tree.body if isinstance(n, ast.FunctionDef | ast.ClassDef) and not n.name.startswith("_")]
-    return "\n".join(parts + [definition(node, source.splitlines()) for node in public])
-
-
-def definition(node: ast.FunctionDef | ast.ClassDef, lines: list[str]) -> str:
+def definition(node: Definition, lines: list[str]) -> str:
     """A class with its fields, comments included, and its public methods; or a function's signature; docstrings."""
-    parts = [f"#### `{node.name}`", "", "```py", *header(node, lines)]
+    parts = [f"### `{node.name}`", "", "```py", *lines[node.lineno - 1 : node.body[0].lineno - 1]]
     if isinstance(node, ast.ClassDef):
         for field in node.body:
             if isinstance(field, ast.AnnAssign):
@@ -85,11 +110,6 @@ def definition(node: ast.FunctionDef | ast.ClassDef, lines: list[str]) -> str:
                 parts.append(f"- `{name}`{returns(method)}: {text}")
         parts.append("")
     return "\n".join(parts)
-
-
-def header(node: ast.FunctionDef | ast.ClassDef, lines: list[str]) -> list[str]:
-    """The lines of the definition, from `class` or `def` to its colon."""
-    return lines[node.lineno - 1 : node.body[0].lineno - 1]
 
 
 def returns(method: ast.FunctionDef) -> str:

@@ -1,4 +1,4 @@
-"""Pages of results in docs/: the sections that tools write into them, their tables, and where they were measured."""
+"""What tools print above and in their tables: where and when it was measured, and rows of Markdown."""
 
 import argparse
 import os
@@ -12,7 +12,6 @@ import lidarcfg
 from lidarcfg.files import replacing
 
 ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs/accuracy.md"
 T = TypeVar("T")
 
 
@@ -30,24 +29,15 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
 
 
 def machine() -> str:
-    """The line above a benchmark: date, versions, machine and load."""
+    """The line above a table: date, versions, machine and load."""
     return (
         f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, Python {platform.python_version()}, "
         f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
     )
 
 
-def heading(seconds: float) -> str:
-    """The line above a section of the accuracy benchmark, which took this long."""
-    load = os.getloadavg()[0]
-    return (
-        f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}, {seconds:.0f} s on {os.cpu_count()} cores "
-        f"(load average {load:.1f} at the end, our own included)."
-    )
-
-
-def write_section(name: str, lines: Sequence[str], page: Path = PAGE) -> None:
-    """Replace the lines between the markers of a section in a page, by default docs/accuracy.md."""
+def write_section(name: str, lines: Sequence[str], page: Path) -> None:
+    """Replace the lines between the markers of a section in a page."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     before, rest = page.read_text().split(begin)
     after = rest.split(end)[1]

@@ -4,7 +4,7 @@
     .venv/bin/python tools/reproduce_paper.py            full size: 200 bees × 800 cycles a run
     .venv/bin/python tools/reproduce_paper.py --cycles 20    a quick look; says so in what it writes
 
-Writes docs/paper.md's tables between its markers and the plots in docs/paper/.
+Writes docs/evidence/paper.md's tables between its markers and the plots in docs/evidence/paper/.
 """
 
 import argparse
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, default=800)
     parser.add_argument("--rigs", type=int, default=300, help="random rigs for the relation of VSR and detection")
     arguments = parser.parse_args()
-    plots = ROOT / "docs/paper"
+    plots = ROOT / "docs/evidence/paper"
     plots.mkdir(exist_ok=True)
     found: dict[tuple[int, int], Placement] = {}
     with Progress() as progress:
@@ -119,7 +119,7 @@ def main() -> None:
         f"Rank correlation (Spearman) of max VSR and the detection rate over {len(cloud)} rigs drawn at random from "
         f"the paper's bounds: {rank.statistic:.3f} (p = {rank.pvalue:.1e}).",
     ]
-    page = ROOT / "docs/paper.md"
+    page = ROOT / "docs/evidence/paper.md"
     write_section("reproduced", lines, page)
     print("\n".join(lines))
 

@@ -2,15 +2,14 @@
 """The long run of the stress tests: cases, failures and worst error of each.
 
     .venv/bin/python tools/stress.py                  all, about a quarter of an hour on two cores
-    .venv/bin/python tools/stress.py rays files       some of them: prints, leaves docs/ alone
-    .venv/bin/python tools/stress.py --quick          a hundredth of the cases: prints, leaves docs/ alone
+    .venv/bin/python tools/stress.py rays files       some of them
+    .venv/bin/python tools/stress.py --quick          a hundredth of the cases
 
-Writes the table of docs/accuracy.md between its markers. The short run is part of the tests (tests/test_stress.py and
+Prints the table of docs/evidence/accuracy.md. A short run is part of the tests (tests/test_stress.py and
 tests/test_documents.py), which have smaller cases besides. Exits with 1 if anything failed.
 """
 
 import argparse
-import platform
 import sys
 import tempfile
 import time
@@ -19,21 +18,32 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from bench_capture import pave
 from hypothesis import HealthCheck, given, settings
-from page import heading, table, write_section
-from stress_rays import SEED, Row, rays
-from stress_sight import visibility
+from page import ROOT, machine, table
 
-ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
+from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import gaps_at
 from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.grid import beam_gaps
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
-from tests import documents
+from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.tracer import Tracer
+from tests import documents, ray_cases, visibility_cases
 from tests.oracle import ANGLES, BAND, FANS, PLACES, Line, Tally, along_a_cone, angles, points_of, sensor
+
+Row = tuple[str, int, int, str]  # what, cases, failures, worst error and what else was seen
+SEED = 1
+BATCHES, BATCH = 8, 100_000  # of aimed rays, of a body at a place; and rays of a random batch
+# Rays of a batch; the half-spaces of the spheres are thousands.
+AIMED = {"cube": 30_000, "box": 30_000, "cylinder": 24_000, "mesh": 12_000, "sphere": 1000, "large sphere": 10}
+RANDOM, SOUP_M, SOUP = 2_500_000, (0.02, 0.3, 2.0), 20_000  # rays a scene; sizes of a soup's triangles, their number
+EXACT = 20_000  # cases of a kind
+NEAR_M = 1e-3  # a shorter range counts as so long: the loop itself rounds it by 1e-15 m
+PAIRS = 10_000_000  # of cuboids and sensors beside bodies
 
 
 def said(what: str, tally: Tally, differ: int = 0) -> Row:
@@ -143,6 +153,93 @@ def fifty_million(size: float) -> Iterator[Row]:
     yield "cuboids of one region, four LiDARs, each against its neighbours", region.included.size, differ, seen
 
 
+def rays(size: float) -> Iterator[Row]:
+    """All of them; `size` is a fraction of the long run's cases."""
+    yield from closed_bodies(size)
+    yield from beside_open3d(size)
+    yield from exactly(size)
+
+
+def closed_bodies(size: float) -> Iterator[Row]:
+    """Rays aimed at the very vertices and edges of closed meshes, from inside and outside, against half-spaces."""
+    with tempfile.TemporaryDirectory() as folder:
+        for place in ray_cases.BODIES_PLACES:
+            rng, cases, slipped, off, worst = np.random.default_rng(SEED), 0, 0, 0, 0.0
+            for name, count in AIMED.items():
+                body = ray_cases.body_at(Path(folder), name, place)
+                batches = max(int(BATCHES * size), 1)
+                each = max(int(2 * count * BATCHES * size / batches), 10)
+                for _ in range(batches):
+                    for inside in (True, False):
+                        error = ray_cases.cast_aimed(ray_cases.aimed(body, inside, rng, each))
+                        hit = np.isfinite(error)
+                        cases, slipped = cases + len(error), slipped + int((~hit).sum())
+                        off += int((error[hit] > ray_cases.off_m(place)).sum())
+                        worst = max(worst, float(error[hit].max()))
+            away = f"{np.abs(place).max():g} m from the origin"
+            what = f"rays aimed at vertices and edges of closed meshes, {away}"
+            yield what, cases, slipped + off, f"{slipped} slip through; range off by {worst:.1e} m at most"
+
+
+def beside_open3d(size: float) -> Iterator[Row]:
+    """Random rays in the paved street and in soups of triangles: every difference above 1 mm is Open3D's error."""
+    rng = np.random.default_rng(SEED)
+    for name, stage, low, high in _stages(rng):
+        tracer, theirs = Tracer(stage, np.zeros(3)), ray_cases.open3d_scene(stage.vertices_m, stage.triangles)
+        cases, differ, wrong, worst = max(int(RANDOM * size), 1), 0, 0, 0.0
+        for first in range(0, cases, BATCH):
+            count = min(BATCH, cases - first)
+            origins, along = rng.uniform(low, high, (count, 3)), ray_cases.unit(rng.normal(size=(count, 3)))
+            found = ray_cases.differences(tracer, theirs, origins, along)
+            hit = np.isfinite(found.truth)
+            relative = abs(found.mine[hit] - found.truth[hit]) / np.maximum(found.truth[hit], NEAR_M)
+            differ += len(found.rays)
+            wrong += int((relative > 1e-9).sum() + np.isfinite(found.mine[~hit]).sum())
+            worst = max(worst, float(relative.max(initial=0.0)))
+        seen = f"{differ:,} differ by more than 1 mm; there ours is within {worst:.1e} of the loop over all triangles"
+        yield f"random rays beside Open3D's, {name}", cases, wrong, seen
+
+
+def _stages(rng: np.random.Generator) -> Iterator[tuple[str, Scene, Array, Array]]:
+    """Scenes of triangles, and the corners of the box that rays start in."""
+    with tempfile.TemporaryDirectory() as folder:
+        street = load_scene(pave(Path(folder)))
+    stage = ray_cases.mesh_scene(street.vertices_m, street.triangles)
+    yield (
+        f"paved street, {len(street.triangles):,} triangles",
+        stage,
+        np.array([-40.0, -20, 0.1]),
+        np.array([40.0, 20, 9]),
+    )
+    for edge in SOUP_M:
+        vertices, triangles = ray_cases.soup(rng, SOUP, edge)
+        name = f"{SOUP:,} random triangles of {edge:g} m"
+        yield name, ray_cases.mesh_scene(vertices, triangles), np.full(3, -8.0), np.full(3, 8.0)
+
+
+def exactly(size: float) -> Iterator[Row]:
+    """One ray and one triangle, of every difficult kind, up to 1e8 m from the origin, in exact arithmetic."""
+    for kind in ray_cases.KINDS:
+        rng = np.random.default_rng(SEED)
+        found = [ray_cases.settled(ray_cases.case(rng, kind)) for _ in range(max(int(EXACT * size), 1))]
+        plane, edge = max(one.plane for one in found), max(one.edge for one in found)
+        steep = max((one.range for one in found if one.sine > ray_cases.GRAZING), default=0.0)
+        text = f"plane {plane:.1e}, range {steep:.1e}, edge {edge:.1e} of the distance"
+        if kind == "grazing":
+            text += f"; below 1e-5 rad, range {max(one.range for one in found):.1e}"
+        failures = sum(map(ray_cases.wrong, found))
+        yield f"a ray and a triangle in exact arithmetic: {kind}", len(found), failures, text
+
+
+def visibility(size: float) -> Iterator[Row]:
+    """What is hidden by bodies of 12 to 50,000 triangles, from outside, on, under and inside them."""
+    rng = np.random.default_rng(SEED)
+    for triangles, share in visibility_cases.SHARE.items():
+        found = visibility_cases.compared(triangles, int(PAIRS * size * share), rng)
+        what = f"cuboids and sensors beside a body of {triangles:,} triangles, hidden or not"
+        yield what, found.pairs, found.wrong, f"{found.differ} differ, all within 1e-9 m of an edge"
+
+
 def files(size: float) -> Iterator[Row]:
     """Studies, rigs, scenes and sensors made odd: each an error in one line, or an answer without NaN."""
     tried: list[str] = []  # what else came of each; empty where nothing did
@@ -186,7 +283,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run what is asked for, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="name", help=f"of {', '.join(CASES)}; all without any")
-    parser.add_argument("--quick", action="store_true", help="a hundredth of the cases; prints only")
+    parser.add_argument("--quick", action="store_true", help="a hundredth of the cases")
     given = parser.parse_args(arguments)
     if unknown := set(given.names) - set(CASES):
         parser.error(f"no case is called {', '.join(sorted(unknown))}; allowed: {', '.join(CASES)}")
@@ -198,8 +295,7 @@ def main(arguments: list[str] | None = None) -> None:
             print(f"{name}: {row[1]:,} cases, {row[2]:,} failures; {row[3]}", file=sys.stderr, flush=True)
             started = time.perf_counter()
     lines = [
-        f"{heading(time.perf_counter() - began)} {platform.machine()}, Python {platform.python_version()}, "
-        f"NumPy {np.__version__}, seed {SEED}.",
+        f"{machine()}, NumPy {np.__version__}, seed {SEED}, {time.perf_counter() - began:.0f} s",
         "",
         *table(
             ("what", "cases", "failures", "worst error", "seconds"),
@@ -207,8 +303,6 @@ def main(arguments: list[str] | None = None) -> None:
         ),
     ]
     print(*lines, sep="\n")
-    if not given.quick and not given.names:
-        write_section("stress", lines)
     sys.exit(any(bad for _, _, bad, _, _ in found))
 
 

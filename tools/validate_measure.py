@@ -2,7 +2,8 @@
 
 For each study: rigs at random and the best of short searches; what each measure says of them; and how often objects
 around the vehicle give too few returns in one revolution, by the sensors' real firing pattern, past the vehicle's body.
-Rank correlations of the two, with intervals by bootstrap over the rigs, go to docs/validation.md, plots beside it.
+Rank correlations of the two, with intervals by bootstrap over the rigs, go to docs/evidence/validation.md
+with their plots.
 """
 
 import argparse
@@ -48,7 +49,7 @@ SEARCHED = 0.4  # of the rigs; the others are at random
 BUDGETS = (30, 250)  # evaluations of the shortest and the longest search
 RESAMPLES = 2000
 SPREAD = 0.01  # of undetected places between rigs; below it there is nothing to rank
-PAGE = ROOT / "docs/validation.md"
+PAGE = ROOT / "docs/evidence/validation.md"
 MEASURES = {  # as result.json would call them; all the better, the smaller
     "max_vsr": "max VSR (the paper's)",
     "analytic": "analytic max VSR",
@@ -238,18 +239,6 @@ def picked(rigs: Rigs, key: str) -> tuple[str, str]:
     return f"{missed[order[:10]].mean():.1%}", f"{missed[order[0]]:.1%}"
 
 
-def by_part(rigs: Rigs) -> list[str]:
-    """Rank correlations by object, and by distance."""
-    parts: list[tuple[str, int | None, int | None]] = [(name, n, None) for n, name in enumerate(OBJECTS)]
-    parts += [(name, None, n) for n, name in enumerate(RINGS)]
-    keys = [key for key in MEASURES if key in rigs.measures]
-    rows = []
-    for name, item, ring in parts:
-        low, high = np.quantile(outcome(rigs.undetected, item, ring), (0.1, 0.9))
-        rows.append((name, f"{low:.1%} to {high:.1%}", *(ranked(rigs, key, item, ring) for key in keys)))
-    return table(("", "undetected", *(MEASURES[key] for key in keys)), rows)
-
-
 def draw(rigs: Rigs, path: Path) -> None:
     """Each measure against what goes undetected; and the rank correlations by object and distance."""
     keys = [key for key in MEASURES if key in rigs.measures]
@@ -311,14 +300,14 @@ def saved(path: Path, study: Path, asked: dict[str, int]) -> Rigs:
 
 
 def main() -> None:
-    """Validates, and writes docs/validation.md and its plots, unless they are to go elsewhere."""
+    """Validates, and writes docs/evidence/validation.md and its plots, unless they are to go elsewhere."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("studies", nargs="*", type=Path, default=STUDIES)
     parser.add_argument("--rigs", type=int, default=100, help="of each study")
     parser.add_argument("--places", type=int, default=48, help="of each object in each ring")
     parser.add_argument("--least", type=int, default=10, help="returns that make an object detected")
     parser.add_argument("--results", type=Path, default=ROOT / "out/validation", help="studies found here are not run")
-    parser.add_argument("--plots", type=Path, default=ROOT / "docs/validation")
+    parser.add_argument("--plots", type=Path, default=ROOT / "docs/evidence/validation")
     parser.add_argument("--page", type=Path, default=PAGE, help="with the sections' markers")
     given = parser.parse_args()
     asked = {"rigs": given.rigs, "places": given.places, "least": given.least}
@@ -331,8 +320,6 @@ def main() -> None:
     )
     when = f"{time.strftime('%Y-%m-%d')}, lidarcfg {lidarcfg.__version__}."
     write_section("studies", [when, how, "", *by_study(all_rigs)], given.page)
-    lines = [line for rigs in all_rigs for line in (f"**{rigs.study}**", "", *by_part(rigs), "")]
-    write_section("parts", lines, given.page)
 
 
 if __name__ == "__main__":

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.frames import Datagrams
+from lidarcfg.capture.manifest import load_manifest, manifest_path, rig_file
 from lidarcfg.capture.pcap import read_batches
-from lidarcfg.capture.record import load_record, record_path, rig_file
 from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window_ns
 from lidarcfg.capture.stream import ENOUGH, OnHeads, Place, SourceStats, Stream
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
-from lidarcfg.futures import in_order
+from lidarcfg.futures import ordered_results
 from lidarcfg.inputs import read_regular
 from lidarcfg.packets.codec import Codec, Decoder, Known, Octets, Source, Times
 from lidarcfg.packets.families import FAMILIES, codec, family
@@ -30,8 +30,7 @@ from lidarcfg.sensor import Sensor, catalogue, load_sensor
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets
-RETURNED_BYTES = (1 << 25) - (1 << 13)  # of memory: the largest block that raises glibc's thresholds
-COMPANION_MAX = 64_000_000  # bytes of a file beside a capture
+SIDECAR_MAX = 64_000_000  # bytes of a file beside a capture
 CLAIMED_BY = 3  # packets of a source, at most, that are examined to find its family
 
 Job = Callable[[], PointCloud]
@@ -50,8 +49,8 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Details:
-    """What a reader wants of a capture besides its points."""
+class DecodeMetadata:
+    """What a reader gets of a capture besides its points."""
 
     on_heads: OnHeads | None = None  # called before each cloud with the heads' directions
     on_source: OnSource | None = None  # called with name and family of each source before its first cloud
@@ -88,13 +87,13 @@ def decode(
     on_warning: Callable[[str], None] = print,
     deskew: bool = False,
 ) -> PointCloud:
-    """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its record in the world frame.
+    """All points of a capture as one cloud: in the rig's vehicle frame, or deskewed by its manifest in the world frame.
 
-    Without a rig, that of the capture's record is used; without a record, or with the rig "none", each point is in its
+    Without a rig, that of the capture's manifest is used; without one, or with the rig "none", each point is in its
     sensor's own frame. Raises PacketError, also for a capture without points, and ConfigError.
     """
     path = Path(path)
-    motion = load_record(path).motion(record_path(path)) if deskew else None
+    motion = load_manifest(path).motion(manifest_path(path)) if deskew else None
     if not isinstance(rig, Rig):
         file = rig_file(path, rig)
         rig = load_rig(file) if file else None
@@ -104,20 +103,11 @@ def decode(
     return replace(cloud, xyz=motion.world(cloud.xyz, cloud.time_ns)) if motion else cloud
 
 
-def _keep_memory() -> None:
-    """Make glibc keep the memory of finished chunks for the next ones, instead of returning it to the system.
-
-    Freeing a block of 32 MB raises glibc's thresholds (mallopt(3): M_MMAP_THRESHOLD, M_TRIM_THRESHOLD), so that it
-    keeps up to 64 MB. Otherwise the page faults of new memory take as long as decoding.
-    """
-    np.empty(RETURNED_BYTES, np.uint8)
-
-
 def _ahead(jobs: Iterator[Job]) -> Iterator[PointCloud]:
     """The results of the jobs in their order, computed on all cores."""
     threads = os.cpu_count() or 1
     with ThreadPoolExecutor(threads) as pool:
-        yield from in_order(map(pool.submit, jobs), threads)
+        yield from ordered_results(map(pool.submit, jobs), threads)
 
 
 class Capture:
@@ -130,11 +120,14 @@ class Capture:
         rig: Rig | None = None,
         model: str | None = None,
         selection: Selection = ALL,
-        details: Details | None = None,
+        details: DecodeMetadata | None = None,
     ) -> None:
-        self._path, self._on_warning, self._selection = Path(path), on_warning, selection
-        self._details = details or Details()
-        self._rig, self._override = rig, load_sensor(model) if model else None
+        self._path = Path(path)
+        self._on_warning = on_warning
+        self._selection = selection
+        self._details = details or DecodeMetadata()
+        self._rig = rig
+        self._override = load_sensor(model) if model else None
         self._names = tuple(mount.name for mount in rig.mounts) if rig else ()
         self._catalogue = cache(_catalogued)
         self._window_ns = window_ns(path, selection)
@@ -154,7 +147,6 @@ class Capture:
 
     def clouds(self, chunk_packets: int = CHUNK_PACKETS) -> Iterator[PointCloud]:
         """The points of at most about `chunk_packets` packets at a time; of fewer, if they are large."""
-        _keep_memory()
         return _ahead(self._jobs(chunk_packets))
 
     def sources(self) -> list[Recorded]:
@@ -174,28 +166,32 @@ class Capture:
     def _recorded(self, key: int, some: list[Datagrams]) -> Recorded:
         packets = np.concatenate([one.payloads(int(one.size[0])) for one in some])
         host_ns = np.concatenate([one.time_ns for one in some])
-        (sensor, index), found, source = self._given(key), self._families[key], self._source(key)
+        sensor, index = self._given(key)
+        found = self._families[key]
+        source = self._source(key)
         assert found
         if sensor is None:
             known = partial(self._catalogue, next(one for one in FAMILIES if family(one) is found))
-            sensor = found.recognise(source, packets[:ENOUGH], known)
+            sensor = found.identify(source, packets[:ENOUGH], known)
         return Recorded(_name(key) if index is None else self._names[index], source, sensor, packets, host_ns)
 
     def _jobs(self, chunk_packets: int) -> Iterator[Job]:
         """What is to be done of each so many packets. An error is raised in the place of its job, as the last."""
         try:
-            waiting = octets = 0
+            waiting = waiting_bytes = 0
             for batch in around(self._path, self._on_warning, self._window_ns):
                 left, keys = self._claimed(batch)
                 while len(left.size):
-                    enough = int(np.searchsorted(np.cumsum(left.size), CHUNK_BYTES - octets)) + 1
+                    enough = int(np.searchsorted(np.cumsum(left.size), CHUNK_BYTES - waiting_bytes)) + 1
                     count = min(chunk_packets - waiting, enough)
                     self._add(left[:count], keys[:count])
-                    waiting, octets = waiting + len(keys[:count]), octets + int(left.size[:count].sum())
-                    left, keys = left[count:], keys[count:]
-                    if waiting == chunk_packets or octets >= CHUNK_BYTES:
+                    waiting += len(keys[:count])
+                    waiting_bytes += int(left.size[:count].sum())
+                    left = left[count:]
+                    keys = keys[count:]
+                    if waiting == chunk_packets or waiting_bytes >= CHUNK_BYTES:
                         yield self._job(last=False)
-                        waiting = octets = 0
+                        waiting = waiting_bytes = 0
             job = self._job(last=True)
             self._check_found()
             for damaged in filter(None, (stream.damaged for stream in self.streams)):
@@ -210,7 +206,8 @@ class Capture:
         keys = np.asarray(host << 32 | port << 16 | size, np.uint64)
         kinds, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
         if not self._families.keys() >= set(kinds.tolist()):
-            order, ends = np.argsort(inverse, kind="stable"), np.cumsum(counts)
+            order = np.argsort(inverse, kind="stable")
+            ends = np.cumsum(counts)
             for key, count, end in zip(kinds.tolist(), counts.tolist(), ends.tolist(), strict=True):
                 if key not in self._families:
                     rows = order[end - count : end][:CLAIMED_BY].tolist()  # the first may be damaged
@@ -225,7 +222,7 @@ class Capture:
         given = self._given(key)[0]
         families = [type(codec(given))] if given else map(family, FAMILIES)  # each loaded when it is its turn
         source = self._source(key)
-        return next((one for one in families if one.claims(source, len(payload), payload)), None)
+        return next((one for one in families if one.matches(source, len(payload), payload)), None)
 
     def _add(self, some: Datagrams, keys: NDArray[np.uint64]) -> None:
         """Hand the packets to their streams."""
@@ -253,14 +250,15 @@ class Capture:
             where=f"{self._path}: {_name(key)}",
             host=host,
             port=port,
-            companions=partial(_companions, self._path),
+            sidecar_files=partial(_sidecar_files, self._path),
             payloads=partial(_payloads, self._path, host),
             on_warning=self._on_warning,
         )
 
     def _stream(self, key: int) -> Stream | None:
         """The stream of a new source: with a rig, of the mount at its address; None if the source is not selected."""
-        name, mounts = _name(key), self._rig.mounts if self._rig else ()
+        name = _name(key)
+        mounts = self._rig.mounts if self._rig else ()
         sensor, index = self._given(key)
         if self._rig and index is None and not self._selection.sensors:
             has = ", ".join(f"{mount.host}:{mount.data_port}" for mount in mounts)
@@ -312,7 +310,7 @@ def _decoder(
     source: Source, found: type[Codec], sensor: Sensor | None, known: Known, trusted: bool, packets: Octets
 ) -> Decoder:
     """The decoder for a source that begins with these packets. Raises PacketError, ConfigError."""
-    return codec(sensor or found.recognise(source, packets, known)).decoder(source, packets, known, trusted)
+    return codec(sensor or found.identify(source, packets, known)).decoder(source, packets, known, trusted)
 
 
 def _fail(error: LidarcfgError) -> PointCloud:
@@ -338,12 +336,13 @@ def _name(key: int) -> str:
     return f"{host}:{port}"
 
 
-def _companions(path: Path, suffix: str) -> Mapping[str, bytes]:
+def _sidecar_files(path: Path, suffix: str) -> Mapping[str, bytes]:
     """The files beside a capture NAME.pcap that match NAME, NAME-* or NAME.*, followed by `suffix`."""
-    stem, end = escape(path.stem), escape(suffix)
+    stem = escape(path.stem)
+    end = escape(suffix)
     found = {file for between in ("", "-*", ".*") for file in path.parent.glob(stem + between + end)}
     try:
-        return {str(one): read_regular(one, COMPANION_MAX) for one in sorted(found)}
+        return {str(one): read_regular(one, SIDECAR_MAX) for one in sorted(found)}
     except OSError as error:
         raise PacketError.from_os(error.filename, error) from None
 

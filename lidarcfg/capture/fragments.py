@@ -42,7 +42,8 @@ class Reassembly:
     def __init__(self, from_ns: int = 0) -> None:
         self._pending: dict[bytes, _Datagram] = {}  # the oldest first
         self._settled: dict[bytes, dict[int, bytes] | None] = {}  # the latest, oldest first: their parts; None: damaged
-        self._dropped, self._from_ns = 0, from_ns
+        self._dropped = 0
+        self._from_ns = from_ns
         self.cut = 0  # datagrams of which the capture has only the beginning
 
     @property
@@ -89,7 +90,8 @@ class Reassembly:
         return parts is None or parts.get(fragment.offset) == fragment.data
 
     def _fits(self, datagram: _Datagram, fragment: Fragment) -> bool:
-        start, stop = fragment.offset, fragment.offset + len(fragment.data)
+        start = fragment.offset
+        stop = fragment.offset + len(fragment.data)
         if stop > DATAGRAM_MAX or (not fragment.last and stop % 8):
             return False
         end = max((at + len(data) for at, data in datagram.parts.items()), default=0)

@@ -21,13 +21,16 @@ LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # tcpdump.org's link types:
     0: (4, None),  # a BSD's loopback
     108: (4, None),
 }
-VLAN, IPV4 = (0x8100, 0x88A8, 0x9100), 0x0800
+VLAN = (0x8100, 0x88A8, 0x9100)
+IPV4 = 0x0800
 TAGS_MAX = 4  # VLAN tags in a frame: two are in use
 MTU = 1500  # bytes of an IP packet that Ethernet carries
 IP_MAX = 65535  # bytes of an IP packet that its header can state
 ROWS = 256  # pieces of datagrams that are copied together
 WORD = np.dtype(">u2")
-DONT_FRAGMENT, MORE_FRAGMENTS, FRAGMENT_OFFSET = 0x4000, 0x2000, 0x1FFF
+DONT_FRAGMENT = 0x4000
+MORE_FRAGMENTS = 0x2000
+FRAGMENT_OFFSET = 0x1FFF
 RECORD = np.dtype([(key, "<u4") for key in ("seconds", "microseconds", "captured", "length")])
 ETHERNET_HEADER = np.dtype([("destination", "u1", (6,)), ("source", "u1", (6,)), ("kind", ">u2")])
 IP = np.dtype(
@@ -87,7 +90,8 @@ def frames(host: str, payloads: Payloads) -> Frames:
     count, size = payloads.data.shape
     header = payloads.header
     udp = np.zeros(count, UDP)
-    udp["source_port"], udp["port"] = header.source_port or payloads.port, payloads.port
+    udp["source_port"] = header.source_port or payloads.port
+    udp["port"] = payloads.port
     udp["length"] = UDP.itemsize + size
     if header.checksum:
         hosts = [
@@ -112,13 +116,14 @@ def frames(host: str, payloads: Payloads) -> Frames:
 
 
 def _records(
-    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], octets: Octets
+    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Octets
 ) -> list[bytes]:
-    """The octets (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
-    count, size = octets.shape
+    """Bytes (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
+    count, size = content.shape
     parts = [("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP, udp.shape[1:])]
-    out = np.zeros(count, [*parts, ("octets", "u1", (size,))])
-    out["udp"], out["octets"] = udp, octets
+    out = np.zeros(count, [*parts, ("content", "u1", (size,))])
+    out["udp"] = udp
+    out["content"] = content
     record, ethernet, ip = (out[key] for key in ("record", "ethernet", "ip"))
     record["seconds"], record["microseconds"] = np.divmod(payloads.time_ns // 1000, 10**6)
     record["captured"] = record["length"] = out.itemsize - RECORD.itemsize
@@ -126,10 +131,14 @@ def _records(
     ethernet["destination"] = _octets(payloads.network.destination_mac)
     ethernet["source"] = _octets(payloads.network.mac_prefix) + list(address[1:])
     ethernet["kind"] = IPV4
-    ip["version"], ip["ttl"], ip["protocol"] = 0x45, payloads.header.ttl, socket.IPPROTO_UDP
-    ip["flags"], ip["id"] = flags, ids
+    ip["version"] = 0x45
+    ip["ttl"] = payloads.header.ttl
+    ip["protocol"] = socket.IPPROTO_UDP
+    ip["flags"] = flags
+    ip["id"] = ids
     ip["length"] = out.itemsize - RECORD.itemsize - ETHERNET_HEADER.itemsize
-    ip["source"], ip["destination"] = list(address), list(socket.inet_aton(payloads.network.destination_ip))
+    ip["source"] = list(address)
+    ip["destination"] = list(socket.inet_aton(payloads.network.destination_ip))
     ip["checksum"] = _checksum(_sum(ip))
     return list(out.view(f"V{out.itemsize}").tolist())
 
@@ -140,10 +149,10 @@ def _octets(mac: str) -> list[int]:
 
 def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
     """(n,): the sum of the 16-bit words of each part (n, …); an odd octet at the end is a word's upper half."""
-    octets = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
-    if octets.shape[1] % 2:
-        octets = np.pad(octets, ((0, 0), (0, 1)))
-    total = octets.view("<u2").sum(axis=1, dtype=np.uint64)  # octets in the wrong order, which commutes with folding
+    content = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
+    if content.shape[1] % 2:
+        content = np.pad(content, ((0, 0), (0, 1)))
+    total = content.view("<u2").sum(axis=1, dtype=np.uint64)  # bytes in the wrong order, which commutes with folding
     folded = (total % 0xFFFF + 0xFFFF * (total > 0) * (total % 0xFFFF == 0)).astype(np.uint32)
     return np.asarray((folded & 255) << 8 | folded >> 8)
 
@@ -178,13 +187,16 @@ class IpPackets(NamedTuple):
 def ip_packets(piece: Piece) -> IpPackets:
     """The IPv4 packets behind the frames' link headers and VLAN tags."""
     at, kind = LINK_HEADERS[piece.link]
-    data, which = piece.data, np.arange(len(piece.size))
+    data = piece.data
+    which = np.arange(len(piece.size))
     ip = piece.start + at
     left = piece.size - at
 
     def keep(good: NDArray[np.bool_]) -> None:
         nonlocal which, ip, left
-        which, ip, left = which[good], ip[good], left[good]
+        which = which[good]
+        ip = ip[good]
+        left = left[good]
 
     keep(left >= IP.itemsize)
     if kind is not None:
@@ -192,7 +204,8 @@ def ip_packets(piece: Piece) -> IpPackets:
             tagged = np.isin(gathered(data, ip - (at - kind), WORD), VLAN)
             if not tagged.any():
                 break
-            ip, left = ip + 4 * tagged, left - 4 * tagged
+            ip = ip + 4 * tagged
+            left = left - 4 * tagged
             keep(left >= IP.itemsize)
         keep(gathered(data, ip - (at - kind), WORD) == IPV4)
     head = gathered(data, ip, IP)
@@ -254,8 +267,8 @@ def _with_fragments(
     alone[in_runs] = False
     late: dict[int, bytes] = {}  # by the last fragment that came
     for row in np.flatnonzero(alone).tolist():
-        octets = piece.data[start[row] : start[row] + size[row]].tobytes()
-        datagram = reassembly.add(fragment(int(piece.time_ns[frame[row]]), head[row], octets))
+        content = piece.data[start[row] : start[row] + size[row]].tobytes()
+        datagram = reassembly.add(fragment(int(piece.time_ns[frame[row]]), head[row], content))
         if datagram is not None and len(datagram) >= UDP.itemsize:
             late[row] = datagram
     if not len(first) and not late:
@@ -286,7 +299,8 @@ def _joined(begin: bytes, data: Octets, start: NDArray[np.int64], size: NDArray[
     out = np.empty(len(begin) + int(size.sum()), np.uint8)
     out[: len(begin)] = np.frombuffer(begin, np.uint8)
     for one in np.unique(size).tolist():
-        rows, kind = np.flatnonzero(size == one), np.dtype((np.void, one))
+        rows = np.flatnonzero(size == one)
+        kind = np.dtype((np.void, one))
         everywhere = np.ndarray(len(out) - one + 1, kind, out, strides=(1,))
         for first in range(0, len(rows), ROWS):  # few enough to stay in the core's cache
             some = rows[first : first + ROWS]
@@ -302,11 +316,14 @@ def _runs(
     Datagrams with other fragments here or in the reassembly are not among them; the reassembly deals with those.
     """
     flags = head["flags"].astype(np.int64)
-    number, more, offset = head["id"].astype(np.uint64), (flags & MORE_FRAGMENTS) > 0, (flags & FRAGMENT_OFFSET) * 8
+    number = head["id"].astype(np.uint64)
+    more = (flags & MORE_FRAGMENTS) > 0
+    offset = (flags & FRAGMENT_OFFSET) * 8
     follows = (key[1:] == key[:-1]) & (number[1:] == number[:-1]) & more[:-1]
     follows &= offset[1:] == offset[:-1] + size[:-1]
     edges = np.flatnonzero(~follows) + 1
-    first, last = np.append(0, edges), np.append(edges, len(key)) - 1
+    first = np.append(0, edges)
+    last = np.append(edges, len(key)) - 1
     mixed = (key * np.uint64(65537) + number)[first]  # nearly unique: if two are equal, the reassembly handles both
     _, inverse, count = np.unique(mixed, return_inverse=True, return_counts=True)
     good = (count[inverse] == 1) & (offset[first] == 0) & ~more[last]

@@ -12,7 +12,8 @@ from lidarcfg.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
 LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
-LAST, SECOND = 1, 2  # types of returns
+LAST = 1  # types of returns
+SECOND = 2
 NAMES = ("sensor_names", "object_names")
 COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
 OTHER = "rain, fog or unknown"
@@ -76,7 +77,8 @@ class GroundTruth:
         since_ns = np.clip(cloud.time_ns - self.start_ns, 0, 2 * LATEST_NS - 2 * AWAY_NS)
         by_strength = self.by_strength[sensor[cloud.sensor]]
         second = (cloud.return_type == LAST) | ((cloud.return_type == SECOND) & by_strength)
-        asked, known = _key(sensor[cloud.sensor], cloud.ring, second, since_ns), self.known
+        asked = _key(sensor[cloud.sensor], cloud.ring, second, since_ns)
+        known = self.known
         after = np.searchsorted(known, asked).clip(1, len(known) - 1) if len(known) > 1 else np.zeros_like(asked)
         near = np.where(asked - known[after - 1] < known[after] - asked, after - 1, after)
         found = abs(known[near] - asked) <= AWAY_NS

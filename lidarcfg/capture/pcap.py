@@ -123,7 +123,8 @@ def _pcap_pieces(
     order, unit_ns = PCAP_MAGIC[header[:4]]
     link = _checked_link(struct.unpack_from(order + "I", header, 20)[0] & 0xFFFF, name)  # the rest says of checksums
     record = RECORD if order == "<" else RECORD.newbyteorder()
-    count, left = 0, np.empty(0, np.uint8)
+    count = 0
+    left = np.empty(0, np.uint8)
     if from_ns is not None:
         place, count = _place(name, record, unit_ns, from_ns)
         file.seek(place)
@@ -140,7 +141,8 @@ def _pcap_pieces(
             break
         yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), data)
         _check_size(size, name)
-        count, left = count + len(start), data[at:]
+        count = count + len(start)
+        left = data[at:]
     if len(left) or read:
         on_warning(f"{name}: cut off or damaged after {count} records; the whole records were read")
 
@@ -151,7 +153,9 @@ def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tupl
     Only the records' headers are read, from the file mapped to memory.
     """
     data = np.memmap(name, np.uint8, "r")
-    at, count, last = HEADER, 0, (HEADER, 0)
+    at = HEADER
+    count = 0
+    last = (HEADER, 0)
     while at < len(data):
         start, end, _ = _records(data[at : at + SCANNED], record)
         if not len(start):
@@ -162,7 +166,9 @@ def _place(name: str, record: np.dtype[Any], unit_ns: int, from_ns: int) -> tupl
         late = np.flatnonzero(_time_ns(heads, unit_ns) >= from_ns)
         if len(late):
             return at + int(start[late[0]]), count + int(late[0])
-        at, count, last = at + end, count + len(start), (at + int(start[-1]), count + len(start) - 1)
+        last = (at + int(start[-1]), count + len(start) - 1)
+        at += end
+        count += len(start)
     return last
 
 
@@ -173,11 +179,14 @@ def _records(data: NDArray[np.uint8], record: np.dtype[Any]) -> tuple[NDArray[np
     """
     captured = np.ndarray(max(len(data) - record.itemsize + 1, 0), record, data, strides=(1,))["captured"]
     read = captured.item
-    head, places, end = record.itemsize, len(captured), len(data)
+    head = record.itemsize
+    places = len(captured)
+    end = len(data)
     starts: list[int] = []
     at = size = alike = 0
     while at < places:
-        before, size = size, read(at)
+        before = size
+        size = read(at)
         stop = at + head + size
         if size > RECORD_MAX or stop > end:
             break
@@ -205,16 +214,16 @@ def _time_ns(heads: NDArray[Any], unit_ns: int) -> Times:
 
 def whole_capture(data: bytes, name: str) -> Iterator[Piece]:
     """All frames of a capture that is in memory, in the order of the file. Raises PacketError."""
-    octets = np.frombuffer(data, np.uint8)
+    content = np.frombuffer(data, np.uint8)
     if data[:4] not in PCAP_MAGIC or len(data) < HEADER:
-        yield from _pcapng_pieces(BytesIO(data), name, lambda warning: None, octets)
+        yield from _pcapng_pieces(BytesIO(data), name, lambda warning: None, content)
         return
     order, unit_ns = PCAP_MAGIC[data[:4]]
     link = _checked_link(struct.unpack_from(order + "I", data, 20)[0] & 0xFFFF, name)
     record = RECORD if order == "<" else RECORD.newbyteorder()
-    start = _records(octets[HEADER:], record)[0] + HEADER
-    heads = gathered(octets, start, record)
-    yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), octets)
+    start = _records(content[HEADER:], record)[0] + HEADER
+    heads = gathered(content, start, record)
+    yield Piece(link, _time_ns(heads, unit_ns), start + record.itemsize, heads["captured"].astype(np.int64), content)
 
 
 def _pcapng_pieces(
@@ -224,7 +233,8 @@ def _pcapng_pieces(
 
     Frames of unknown link types are skipped. Raises PacketError if all are unknown.
     """
-    frames, links = read_frames(file, name, on_warning), set[int]()
+    frames = read_frames(file, name, on_warning)
+    links = set[int]()
     while some := list(itertools.islice(frames, RECORDS)):
         for link, alike in itertools.groupby(some, lambda frame: frame.link):
             links.add(link)
@@ -235,9 +245,9 @@ def _pcapng_pieces(
 
 
 def _piece(link: int, frames: list[Frame], whole: Octets | None) -> Piece:
-    time_ns, start, size = np.array([(one.time_ns, one.at, len(one.octets)) for one in frames], np.int64).T
+    time_ns, start, size = np.array([(one.time_ns, one.at, len(one.content)) for one in frames], np.int64).T
     if whole is None:
-        whole = np.frombuffer(b"".join(one.octets for one in frames), np.uint8)
+        whole = np.frombuffer(b"".join(one.content for one in frames), np.uint8)
         start = np.cumsum(size) - size
     return Piece(link, time_ns, start, size, whole)
 

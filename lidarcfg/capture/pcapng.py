@@ -9,9 +9,16 @@ from lidarcfg.units import SECOND_NS
 
 SECTION = b"\x0a\x0d\x0d\x0a"  # the first block's type, the same in either byte order
 ORDERS = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}  # of bytes in a section, by its magic number
-INTERFACE, OLD_PACKET, SIMPLE_PACKET, PACKET = 1, 2, 3, 6  # types of blocks
-END, RESOLUTION, OFFSET = 0, 9, 14  # options of an interface
-HEAD, PACKET_HEAD, LENGTH = 8, 20, 4  # bytes before a block's body, in that before a frame, and after it
+INTERFACE = 1  # types of blocks
+OLD_PACKET = 2
+SIMPLE_PACKET = 3
+PACKET = 6
+END = 0  # options of an interface
+RESOLUTION = 9
+OFFSET = 14
+HEAD = 8  # bytes before a block's body
+PACKET_HEAD = 20  # bytes of a packet's body before its frame
+LENGTH = 4  # bytes after a block's body
 BLOCK_MAX = 16 << 20  # bytes; libpcap allows no longer block
 INTERFACES_MAX = 1 << 16  # of a section; more are damage, and memory
 LATEST_NS = 4_600_000_000 * SECOND_NS  # in 2115; beyond are damaged ones
@@ -22,8 +29,8 @@ class Frame(NamedTuple):
 
     link: int
     time_ns: int  # host time
-    at: int  # where in the file its octets are
-    octets: bytes
+    at: int  # where in the file its content is
+    content: bytes
 
 
 class _Block(NamedTuple):
@@ -53,7 +60,8 @@ class _Interface(NamedTuple):
 
 def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -> Iterator[Frame]:
     """The frames of a pcapng up to the first block that is not whole. Raises PacketError."""
-    count, interfaces = 0, list[_Interface]()
+    count = 0
+    interfaces = list[_Interface]()
     try:
         for block in _blocks(file, name):
             if block.kind == int.from_bytes(SECTION):
@@ -65,10 +73,11 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
             elif block.kind in (PACKET, OLD_PACKET):
                 (which,) = block.unpack("I" if block.kind == PACKET else "H")
                 high, low, size = block.unpack("III", 4)
-                link, octets = interfaces[which], block.body[PACKET_HEAD : PACKET_HEAD + size]
-                if len(octets) < size:
+                link = interfaces[which]
+                content = block.body[PACKET_HEAD : PACKET_HEAD + size]
+                if len(content) < size:
                     raise ValueError
-                yield Frame(link.link, link.time_ns(high, low), block.at + PACKET_HEAD, octets)
+                yield Frame(link.link, link.time_ns(high, low), block.at + PACKET_HEAD, content)
                 count += 1
             elif block.kind == SIMPLE_PACKET:
                 raise PacketError(f"{name}: has simple packet blocks, which have no times; allowed: enhanced ones")
@@ -78,7 +87,8 @@ def read_frames(file: IO[bytes], name: str, on_warning: Callable[[str], None]) -
 
 def _blocks(file: IO[bytes], name: str) -> Iterator[_Block]:
     """All blocks. Raises PacketError, and ValueError or struct.error at one that is not whole."""
-    order, at = "", 0
+    order = ""
+    at = 0
     while head := file.read(HEAD + LENGTH):
         if head[:4] == SECTION:
             order = ORDERS.get(head[HEAD:], "")
@@ -87,15 +97,16 @@ def _blocks(file: IO[bytes], name: str) -> Iterator[_Block]:
         kind, size = struct.unpack_from((order or "<") + "II", head)
         if size > BLOCK_MAX:
             raise PacketError(f"{name}: a block of {size} bytes; allowed: at most {BLOCK_MAX}")
-        octets = head + file.read(max(size - len(head), 0))
-        if not order or len(octets) != size or octets[-LENGTH:] != octets[4:HEAD]:
+        content = head + file.read(max(size - len(head), 0))
+        if not order or len(content) != size or content[-LENGTH:] != content[4:HEAD]:
             raise ValueError
-        yield _Block(order, kind, at + HEAD, octets[HEAD:-LENGTH])
+        yield _Block(order, kind, at + HEAD, content[HEAD:-LENGTH])
         at += size
 
 
 def _interface(block: _Block) -> _Interface:
-    found, at = _Interface(*block.unpack("H")), HEAD
+    found = _Interface(*block.unpack("H"))
+    at = HEAD
     while at < len(block.body):
         code, size = block.unpack("HH", at)
         value = block.body[at + 4 : at + 4 + size]

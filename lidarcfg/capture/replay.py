@@ -32,13 +32,18 @@ def selected(path: str | Path, on_warning: Callable[[str], None], selection: Sel
 
 def looped(read: Callable[[], Iterator[Datagram]]) -> Iterator[Datagram]:
     """Repeat the datagrams endlessly. Host times continue; passes are their mean interval apart."""
-    shift_ns, again = 0, True
+    shift_ns = 0
+    again = True
     while again:
-        count, first_ns, last_ns = 0, 0, 0
+        count = 0
+        first_ns = 0
+        last_ns = 0
         for count, datagram in enumerate(read(), 1):
-            first_ns, last_ns = first_ns if count > 1 else datagram.time_ns, datagram.time_ns
+            first_ns = first_ns if count > 1 else datagram.time_ns
+            last_ns = datagram.time_ns
             yield replace(datagram, time_ns=datagram.time_ns + shift_ns)
-        span_ns, again = last_ns - first_ns, count > 0
+        span_ns = last_ns - first_ns
+        again = count > 0
         shift_ns += span_ns + max(span_ns // max(count - 1, 1), LEAST_NS)
 
 
@@ -52,14 +57,18 @@ def replay(datagrams: Iterable[Datagram], host: str, port: int | None, speed: fl
         address = str(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
     except (OSError, UnicodeError):
         raise PacketError(f"{host!r} is not a known host") from None
-    count, latest_s, first_ns, began = 0, 0.0, 0, time.perf_counter()
+    count = 0
+    latest_s = 0.0
+    first_ns = 0
+    began = time.perf_counter()
     interrupted = False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         try:
             for datagram in datagrams:
                 if not count:
-                    first_ns, began = datagram.time_ns, time.perf_counter()
+                    first_ns = datagram.time_ns
+                    began = time.perf_counter()
                 due = began + (datagram.time_ns - first_ns) / 1e9 / speed
                 wait_s = due - time.perf_counter()
                 if wait_s > 0:

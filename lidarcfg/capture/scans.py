@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import CHUNK_PACKETS, Capture, Details, OnSource
+from lidarcfg.capture.decode import CHUNK_PACKETS, Capture, DecodeMetadata, OnSource
 from lidarcfg.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
@@ -34,7 +34,7 @@ def scans(
 
     A revolution begins with the first packet whose azimuth has passed 0, as velodyne_driver has it (a VLS-128's lasers
     that fire up to 8.7 us before the packet's stamp end the one before), and is no longer than a second.
-    `on_source` and `driver` are those of `Details`, errors those of `decode_pcap`.
+    `on_source` and `driver` are those of `DecodeMetadata`, errors those of `decode_pcap`.
     """
     if rig:
         own = tuple(replace(mount, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0)) for mount in rig.mounts)
@@ -46,7 +46,7 @@ def scans(
 
     begun: dict[int, list[PointCloud]] = {}
     numbers: dict[int, int] = {}
-    details = Details(on_heads, on_source, driver)
+    details = DecodeMetadata(on_heads, on_source, driver)
     for cloud in Capture(path, on_warning, rig, model, details=details).clouds(chunk_packets):
         for i in np.unique(cloud.sensor).tolist():
             mine = _rows(cloud, cloud.sensor == i, cloud.sensor_names[i])
@@ -72,7 +72,8 @@ class Head:
 
     def __init__(self) -> None:
         self.starts_ns: list[int] = []
-        self._azimuth_rad, self._time_ns = 0.0, -LATE_NS
+        self._azimuth_rad = 0.0
+        self._time_ns = -LATE_NS
 
     def add(self, time_ns: Times, azimuth_rad: Array) -> None:
         """Add the head's directions at the start of the next packets (n,)."""
@@ -82,4 +83,5 @@ class Head:
             begins = not self.starts_ns or at_rad < self._azimuth_rad - BACK_RAD
             if begins or not 0 <= at_ns - self.starts_ns[-1] < LONGEST_NS:
                 self.starts_ns.append(at_ns)
-            self._azimuth_rad, self._time_ns = at_rad, at_ns
+            self._azimuth_rad = at_rad
+            self._time_ns = at_ns

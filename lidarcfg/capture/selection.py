@@ -54,7 +54,8 @@ def around(path: str | Path, on_warning: Callable[[str], None], window: tuple[in
     if window == ALWAYS_NS:
         yield from read_batches(path, on_warning)
         return
-    low_ns, high_ns = window[0] - MARGIN_NS, window[1] + MARGIN_NS
+    low_ns = window[0] - MARGIN_NS
+    high_ns = window[1] + MARGIN_NS
     latest_ns = 0
     for batch in read_batches(path, on_warning, low_ns):
         if len(batch.time_ns):

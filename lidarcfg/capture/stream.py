@@ -62,7 +62,10 @@ class Stream:
         Clouds also have the columns `driver`, which the decoder gives.
         """
         self._driver = driver
-        self.name, self._place, self._open, self._on_heads = place.name, place, open_, on_heads
+        self.name = place.name
+        self._place = place
+        self._open = open_
+        self._on_heads = on_heads
         self._decoder: Decoder | None = None  # not known until enough packets have come
         self._packets: list[Octets] = []
         self._times_ns: list[Times] = []
@@ -79,8 +82,10 @@ class Stream:
 
         Raises PacketError, ConfigError; the function raises PacketError for invalid packets.
         """
-        packets, times_ns = np.concatenate(self._packets), np.concatenate(self._times_ns)
-        self._packets, self._times_ns = [packets], [times_ns]
+        packets = np.concatenate(self._packets)
+        times_ns = np.concatenate(self._times_ns)
+        self._packets = [packets]
+        self._times_ns = [times_ns]
         if self._decoder is None and len(packets) < ENOUGH and not last:
             return None
         decoder = self._decoder = self._decoder or self._open(packets)
@@ -94,7 +99,8 @@ class Stream:
         if self._on_heads:
             self._on_heads(self._place.index, device_ns[wanted], decoder.heading_rad(packets[wanted]))
         keep = max(stop - 1, 0)
-        self._packets, self._times_ns = [packets[keep:].copy()], [times_ns[keep:].copy()]
+        self._packets = [packets[keep:].copy()]
+        self._times_ns = [times_ns[keep:].copy()]
         self._decoded = min(stop, 1)
         return partial(self._cloud, decoder, packets, times_ns, wanted, names)
 
@@ -169,14 +175,14 @@ class Stream:
     def stats(self) -> SourceStats:
         """What has been decoded."""
         assert self._decoder is not None
-        tally = self._decoder.tally()
+        statistics = self._decoder.statistics()
         return SourceStats(
             name=self.name,
-            models=tally.models,
-            return_modes=tally.return_modes,
+            models=statistics.models,
+            return_modes=statistics.return_modes,
             packets=self.packets,
-            lost=tally.lost,
+            lost=statistics.lost,
             duplicates=self._count["duplicates"],
             reordered=self._count["reordered"],
-            rpm=tally.rpm,
+            rpm=statistics.rpm,
         )

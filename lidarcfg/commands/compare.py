@@ -41,7 +41,8 @@ def compare(
     from lidarcfg.studies import load_study
 
     report.check_count(len(rigs))
-    loaded, mounted = load_study(study), [load_rig(rig) for rig in rigs]
+    loaded = load_study(study)
+    mounted = [load_rig(rig) for rig in rigs]
     warn_of(loaded.vehicle)
     for path, rig in zip(rigs, mounted, strict=True):
         check_rig(loaded, path, rig)

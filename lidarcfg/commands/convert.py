@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; its suffix is the format.")
 @cloup.option("--to", "name", metavar="FORMAT", help="The format, if the suffix does not name it.")
 @cloup.option(
-    "--rig", type=FILE, help="The rig that names and places a capture's sensors.  [default: from the export's record]"
+    "--rig", type=FILE, help="The rig that names and places a capture's sensors.  [default: from the export's manifest]"
 )
 @cloup.option(
     "--truth",
@@ -41,7 +41,7 @@ def convert(
 ) -> None:
     """Convert a rig, a cloud or a capture for another tool.
 
-    Anything that the format cannot hold is a warning on stderr. If the record of an exported capture is beside it,
+    Anything that the format cannot hold is a warning on stderr. If the manifest of an exported capture is beside it,
     bags also hold the vehicle's poses and the boxes of objects.
 
     \b
@@ -75,14 +75,14 @@ def convert(
         raise click.UsageError("--rig and --truth are not for firings, which are of each sensor alone")
     if rig and (truth or form.name in formats.FOLDERS):
         what = "--truth goes" if truth else f"{form.name} goes"
-        raise click.UsageError(f"{what} by the record beside an exported capture, which names the rig; remove --rig")
+        raise click.UsageError(f"{what} by the manifest beside an exported capture, which names the rig; remove --rig")
     warnings: list[str] = []
     drive = None if rig or form.kind != "capture" or form.name == "firings" else _drive(source, form.name, truth)
     if drive:
-        from lidarcfg.formats.exported import recording
+        from lidarcfg.formats.load_drive import load_drive
 
-        made = recording(source, drive, truth, model, warnings.append)
-        found = formats.save_recording(output, form, made, False, warnings.append)
+        made = load_drive(source, drive, truth, model, warnings.append)
+        found = formats.save_dataset(output, form, made, False, warnings.append)
     else:
         found = formats.convert(source, output, form, rig, model, warnings.append)
     if not quiet:
@@ -93,7 +93,7 @@ def convert(
 
 def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
     """What an export noted of a capture, or none if it is a recording. Raises ConfigError, also where it is needed."""
-    from lidarcfg.capture.record import load_record, record_path
+    from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError
     from lidarcfg.formats.formats import FOLDERS
     from lidarcfg.rig import load_rig
@@ -102,24 +102,25 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
     from lidarcfg.world.scene import load_scene
     from lidarcfg.world.vehicle import carried
 
-    beside = record_path(capture)
+    beside = manifest_path(capture)
     if not beside.exists():
         if truth or name in FOLDERS:
-            raise ConfigError(f"{beside}: there is no record of the capture; --truth and {', '.join(FOLDERS)} need it")
+            raise ConfigError(f"{beside}: the capture has no manifest; --truth and {', '.join(FOLDERS)} need it")
         return None
     if name in FOLDERS and not truth:
         raise click.UsageError(
             f"{name} needs the objects of points; give the --truth that export wrote with the capture"
         )
-    record = load_record(capture)
+    manifest = load_manifest(capture)
     hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
     rig, scene, trajectory, vehicle = (
-        record.path(key, beside, hint) for key in ("rig", "scene", "trajectory", "vehicle")
+        manifest.path(key, beside, hint) for key in ("rig", "scene", "trajectory", "vehicle")
     )
     assert rig
     if not scene:
         raise ConfigError(f"{beside}: names no scene; export with the scene's file")
-    mounted, start_ns = load_rig(rig), nanoseconds(record.start)
-    moved = load_trajectory(trajectory, record.at, start_ns)
-    duration_ns = round(record.duration_s * SECOND_NS)
+    mounted = load_rig(rig)
+    start_ns = nanoseconds(manifest.start)
+    moved = load_trajectory(trajectory, manifest.at, start_ns)
+    duration_ns = round(manifest.duration_s * SECOND_NS)
     return Drive(mounted, load_scene(scene), moved, carried(mounted, vehicle), start_ns, duration_ns)

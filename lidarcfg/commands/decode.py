@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         type=FILE,
         metavar="FILE|none",
         help="Merge the sensors by this rig's poses, or (none) keep each sensor's own frame.  [default: the rig in the "
-        "export's record, or none]",
+        "export's manifest, or none]",
     ),
     model_option,
 )
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 @cloup.option_group(
     "Motion",
     cloup.option(
-        "--deskew", is_flag=True, help="Deskew by the export's record beside the pcap: rig, trajectory, start."
+        "--deskew", is_flag=True, help="Deskew by the export's manifest beside the pcap: rig, trajectory, start."
     ),
     cloup.option("--trajectory", type=FILE, help="Deskew by this motion of the vehicle; needs --rig."),
     cloup.option("--at", metavar="X,Y,YAW_DEG", help="Where the trajectory starts.  [default: 0,0,0]"),
@@ -85,15 +85,16 @@ def decode(
     from dataclasses import replace
 
     from lidarcfg.capture.decode import decode_pcap
-    from lidarcfg.capture.record import load_record, record_path, rig_file
+    from lidarcfg.capture.manifest import load_manifest, manifest_path, rig_file
     from lidarcfg.capture.selection import Selection
     from lidarcfg.cloud import concatenate, save_clouds
     from lidarcfg.rig import load_rig
 
     if deskew:
-        record = load_record(pcap)
-        trajectory = trajectory or record.path("trajectory", record_path(pcap))
-        at, start = at or record.at, start or record.start
+        manifest = load_manifest(pcap)
+        trajectory = trajectory or manifest.path("trajectory", manifest_path(pcap))
+        at = at or manifest.at
+        start = start or manifest.start
     rig = rig_file(pcap, rig)
     if deskew and not rig:
         raise click.UsageError("--deskew needs the rig, which says where the sensors are on the vehicle")

@@ -51,15 +51,14 @@ def evaluate(
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg import report
-        from lidarcfg.helpers import prepare
         from lidarcfg.placement.details import details
         from lidarcfg.placement.evaluation import evaluate as evaluation
         from lidarcfg.placement.sensitivity import robustness
         from lidarcfg.rig import load_rig
         from lidarcfg.studies import load_study
 
-        prepare("search")
-        loaded, mounted = load_study(study), load_rig(rig)
+        loaded = load_study(study)
+        mounted = load_rig(rig)
     warn_of(loaded.vehicle)
     check_rig(loaded, rig, mounted)
     if output:

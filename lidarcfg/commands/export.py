@@ -1,5 +1,6 @@
 """lidarcfg export: what a rig's sensors send or see in a scene."""
 
+import time
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,8 +100,8 @@ def export(
     """Simulate what a rig's sensors send or see in a scene.
 
     A pcap holds their packets; the other formats hold points with the ground truth. The vehicle stands, or moves
-    along a trajectory. The same input gives the same bytes. A YAML file beside the output records rig, scene and
-    trajectory, so that `decode --deskew` and `view` find them.
+    along a trajectory. The same input gives the same bytes. A YAML file beside the output, the manifest, names
+    rig, scene and trajectory, so that `decode --deskew` and `view` find them.
 
     \b
     OUTPUT      FORMAT
@@ -117,15 +118,14 @@ def export(
         raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
-        from lidarcfg.capture.record import save_record
-        from lidarcfg.helpers import prepare
+        from lidarcfg.capture.manifest import save_manifest
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
         from lidarcfg.world.vehicle import NONE, carried, check_outside
 
-        prepare("tracing")
-        mounted, world = _in_mode(load_rig(rig), return_mode), load_scene(scene)
+        mounted = _in_mode(load_rig(rig), return_mode)
+        world = load_scene(scene)
         bodies = carried(mounted, vehicle)
         if bodies:
             check_outside(bodies, mounted.mounts, rig)
@@ -139,7 +139,7 @@ def export(
     values |= {"vehicle": NONE} if vehicle and not bodies else {}
 
     def record(path: Path) -> None:
-        save_record(path, files, mounted, world, bodies, values)
+        save_manifest(path, files, mounted, world, bodies, values)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:
@@ -176,15 +176,14 @@ class Rays:
 @contextmanager
 def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[Run]":
     """A run with a progress bar, which says how large the files will be, and counts the rays."""
-    from lidarcfg.compiling import stopwatch
     from lidarcfg.simulate.tasks import Run
 
-    began = stopwatch()
+    began = time.perf_counter()
 
     with progress(quiet) as on_fraction:
 
         def on_progress(done_ns: int) -> None:
-            rate = done_ns / SECOND_NS / max(stopwatch() - began, 1e-9)
+            rate = done_ns / SECOND_NS / max(time.perf_counter() - began, 1e-9)
             done_s = done_ns / SECOND_NS
             said = f"{done_s:.1f} s simulated, {rate:.1f}× real time; {size(done_ns / duration_ns)} in all"
             on_fraction(done_ns / duration_ns, said)
@@ -206,7 +205,7 @@ def _export_packets(
     from contextlib import ExitStack
 
     from lidarcfg.capture.pcap import write_pcap
-    from lidarcfg.files import check_room, size_in_words, together
+    from lidarcfg.inputs import check_room, format_bytes
     from lidarcfg.simulate import export as capture
     from lidarcfg.simulate.ground_truth import TruthFile
     from lidarcfg.simulate.tasks import object_names
@@ -214,10 +213,10 @@ def _export_packets(
     if truth and truth.suffix != ".npz":
         raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
     mounts = drive.rig.mounts
-    names, size = [mount.name for mount in mounts], capture.data_bytes(drive)
+    names = [mount.name for mount in mounts]
+    size = capture.data_bytes(drive)
     check_room(output, size, LESS)
-    with _run(drive.duration_ns, lambda done: f"about {size_in_words(size)}", rays, quiet) as run, ExitStack() as stack:
-        stack.enter_context(together())
+    with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
         streams = capture.export(
@@ -232,12 +231,13 @@ def _export_packets(
         )
         if split:
             paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
+            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
             pairs = zip(paths, mounts, strict=True)
             companions = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
-            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
         else:
+            paths = [output]
+            counts = [write_pcap(output, capture.in_time_order(streams))]
             companions = capture.save_companions(output, mounts)
-            paths, counts = [output], [write_pcap(output, capture.in_time_order(streams))]
         records = beside.save() if beside else 0
         for path in paths:
             record(path)
@@ -253,9 +253,9 @@ def _export_points(
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.cloud import row_bytes
     from lidarcfg.errors import LidarcfgError
-    from lidarcfg.files import free_bytes, size_in_words, together
     from lidarcfg.formats import formats
-    from lidarcfg.formats.recording import Recording
+    from lidarcfg.formats.drive_dataset import DriveDataset
+    from lidarcfg.inputs import format_bytes, free_bytes
     from lidarcfg.sensor import FIRING
     from lidarcfg.simulate.scans import most_returns, simulated_scans
 
@@ -267,24 +267,26 @@ def _export_points(
         for mount in drive.rig.mounts
         if not (mount.sensor.codec or mount.sensor.firing)
     ]
-    most, free = most_returns(drive), free_bytes(output)
+    most = most_returns(drive)
+    free = free_bytes(output)
 
     def size(done: float) -> str:
-        known, points = done >= KNOWN, most * rays.fraction
+        known = done >= KNOWN
+        points = most * rays.fraction
         if form.name not in formats.CLOUDS:
             return f"about {points:,.0f} points" if known else f"at most {most:,} points"
-        octets = row_bytes(output) * (points if known else most)
-        if known and COPIES * octets > free:
-            sizes = f"needs {size_in_words(COPIES * octets)} on the disk while it is written"
-            raise LidarcfgError(f"{output}: {sizes}; {size_in_words(free)} are free; {LESS}")
-        return f"{'about' if known else 'at most'} {size_in_words(octets)}"
+        needed = row_bytes(output) * (points if known else most)
+        if known and COPIES * needed > free:
+            sizes = f"needs {format_bytes(COPIES * needed)} on the disk while it is written"
+            raise LidarcfgError(f"{output}: {sizes}; {format_bytes(free)} are free; {LESS}")
+        return f"{'about' if known else 'at most'} {format_bytes(needed)}"
 
     for text in [] if quiet else warnings:
         warn(text)
     warnings.clear()
-    with _run(drive.duration_ns, size, rays, quiet) as run, together():
-        recording = Recording(drive, simulated_scans(drive, run))
-        found = formats.save_recording(output, form, recording, deskew, warnings.append)
+    with _run(drive.duration_ns, size, rays, quiet) as run:
+        dataset = DriveDataset(drive, simulated_scans(drive, run))
+        found = formats.save_dataset(output, form, dataset, deskew, warnings.append)
         record(output)
     for text in [] if quiet else warnings:
         warn(text)

@@ -88,14 +88,10 @@ def optimize(
     with progress(quiet, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg import report
-        from lidarcfg.helpers import prepare
-        from lidarcfg.imports import load_cma
         from lidarcfg.placement.checks import study_warnings
         from lidarcfg.placement.study import with_solver
         from lidarcfg.studies import load_study
 
-        load_cma()
-        prepare("evaluation", meanwhile=("lines", "search"))
         budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
         loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
         messages = list(study_warnings(study, loaded))

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 import click
 
 from lidarcfg.commands.interrupts import Interrupts
-from lidarcfg.compiling import compiling
 from lidarcfg.errors import one_line
 
 LINE_S = 10.0  # between two lines of a log
@@ -46,13 +45,14 @@ def progress(
 def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
     from rich.markup import escape
 
-    screen, task, pace = interrupts.screen, None, Pace(mean_over_s)
+    screen = interrupts.screen
+    task = None
+    pace = Pace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal task
         interrupts.check(text)
         bar = screen.bar()
-        screen.work()
         if task is None:
             task = bar.add_task("", total=1.0, left="")
         left = _left(pace, fraction)
@@ -67,7 +67,7 @@ def _bar(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Cal
 
 
 class Pace:
-    """How fast work proceeds, by its updates of the last `mean_over_s` seconds, compiling aside."""
+    """How fast work proceeds, by its updates of the last `mean_over_s` seconds."""
 
     def __init__(self, mean_over_s: float) -> None:
         self._mean_over_s = mean_over_s
@@ -80,27 +80,32 @@ class Pace:
             updates.append((worked_s, fraction))
         while len(updates) > 1 and updates[1][0] <= worked_s - self._mean_over_s:
             updates.popleft()
-        took_s, done = worked_s - updates[0][0], fraction - updates[0][1]
+        took_s = worked_s - updates[0][0]
+        done = fraction - updates[0][1]
         return took_s * (1 - fraction) / done if took_s >= KNOWN_S and done > 0 and fraction < 1 else None
 
 
 def _left(pace: Pace, fraction: float) -> str:
     """The time left after an update, as far as it can be known."""
-    left_s = pace.left_s(time.monotonic() - compiling.seconds, fraction)
+    left_s = pace.left_s(time.monotonic(), fraction)
     return "" if left_s is None else f"about {duration(left_s)} left"
 
 
 def _lines(interrupts: Interrupts, mean_over_s: float, keep: bool) -> Iterator[Callable[[float, str], None]]:
-    last, told, pace = "", time.monotonic(), Pace(mean_over_s)
+    last = ""
+    told = time.monotonic()
+    pace = Pace(mean_over_s)
 
     def on_progress(fraction: float, text: str) -> None:
         nonlocal last, told
         interrupts.check(text)
-        last, now = f"{fraction:4.0%}  {one_line(text)}", time.monotonic()
+        last = f"{fraction:4.0%}  {one_line(text)}"
+        now = time.monotonic()
         left = _left(pace, fraction)
         if now - told > LINE_S:
             click.echo(f"{last}  {left}".rstrip(), err=True)
-            last, told = "", now
+            last = ""
+            told = now
 
     yield on_progress
     if last and keep:

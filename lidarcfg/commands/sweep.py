@@ -99,9 +99,10 @@ def _processors() -> int:
 
 def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quiet: bool) -> int:
     """Do the runs, and keep what comes of them; returns how many have no rig."""
-    from lidarcfg.placement.sweep import kind, sweep, warm
+    from lidarcfg.placement.sweep import sweep
 
-    failed, finished = 0, len(plan.runs) - len(runs)
+    failed = 0
+    finished = len(plan.runs) - len(runs)
     with progress(quiet, mean_over_s=math.inf) as on_progress:
 
         def show() -> None:
@@ -111,13 +112,11 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
         def done(run: "Run", outcome: "Outcome") -> None:
             nonlocal failed, finished
             kept.save(run, outcome)
-            failed, finished = failed + (outcome.rig is None), finished + 1
+            failed += outcome.rig is None
+            finished += 1
             show()
 
         show()
-        if not where.scheduler:
-            for run in {kind(run.file): run for run in runs}.values():
-                warm(plan.studies.of(run.file))
         workers = where.workers()
         try:
             sweep(plan, runs, workers, done)

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 # as lidarcfg.view.colours and placement.evaluation have them, which take a second to load
 COLOURS = ("sensor", "intensity", "ring", "height", "time", "object")
-SIDE_MIN, SIDE_MAX, PIXELS_MAX = 16, 8192, 36_000_000
+SIDE_MIN = 16
+SIDE_MAX = 8192
+PIXELS_MAX = 36_000_000
 WORST_MAX = 10
 
 
@@ -71,7 +73,7 @@ def camera_numbers(text: str) -> tuple[float, ...]:
 )
 @cloup.option_group(
     "Captures",
-    cloup.option("--rig", type=FILE, help="The rig that recorded the captures.  [default: from the export's record]"),
+    cloup.option("--rig", type=FILE, help="The rig that recorded the captures.  [default: from the export's manifest]"),
     model_option,
     from_option,
     to_option,
@@ -80,13 +82,13 @@ def camera_numbers(text: str) -> tuple[float, ...]:
 @cloup.option_group(
     "Motion",
     cloup.option(
-        "--trajectory", type=FILE, help="The vehicle's motion; deskews the points.  [default: from the record]"
+        "--trajectory", type=FILE, help="The vehicle's motion; deskews the points.  [default: from the manifest]"
     ),
     cloup.option(
-        "--at", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: from the record, or 0,0,0]"
+        "--at", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scenes.  [default: from the manifest, or 0,0,0]"
     ),
     cloup.option(
-        "--start", metavar="TIME", help=f"When the motion starts; ISO 8601.  [default: from the record, or {START}]"
+        "--start", metavar="TIME", help=f"When the motion starts; ISO 8601.  [default: from the manifest, or {START}]"
     ),
 )
 @cloup.option_group(
@@ -160,15 +162,15 @@ def view(
 
     from lidarcfg.capture.selection import Selection
     from lidarcfg.view.camera import Camera
+    from lidarcfg.view.manifests import DriveInputs, complete_inputs
     from lidarcfg.view.page import page_of, save_html
-    from lidarcfg.view.recorded import Recorded, recorded
     from lidarcfg.view.stage import load_stage
     from lidarcfg.view.still import save_still
     from lidarcfg.view.window import show_window
 
     seen_from = Camera(np.array(camera[:3]), np.array(camera[3:6]), *camera[6:]) if camera else None
-    given = Recorded(rig, trajectory=trajectory, at=at, start=start)
-    paths, known = recorded(files, given, warn)
+    given = DriveInputs(rig, trajectory=trajectory, at=at, start=start)
+    paths, known = complete_inputs(files, given, warn)
     drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
     stage = load_stage(paths, known.rig, model, drive, warn, Selection(from_s, to_s, sensors), known.vehicle)
     if start and stage.trajectory.path.is_static and not stage.scenes:

@@ -15,16 +15,17 @@ from types import ModuleType
 
 def _load() -> ModuleType:
     if platform.machine().lower() not in ("x86_64", "amd64"):
-        return import_module("lidarcfg.core._core_any")
+        return import_module(f"{__name__}._core_any")
     asked = os.environ.get("LIDARCFG_CORE")
     if asked:
-        return import_module(f"lidarcfg.core._core_{asked}")
-    module = import_module("lidarcfg.core._core_v2")
-    return import_module("lidarcfg.core._core_v3") if module.has_v3() else module
+        return import_module(f"{__name__}._core_{asked}")
+    module = import_module(f"{__name__}._core_v2")
+    return import_module(f"{__name__}._core_v3") if module.has_v3() else module
 
 
 compiled = _load()
 analytic = compiled.analytic
+maths = compiled.maths
 ouster = compiled.ouster
 packets = compiled.packets
 placement = compiled.placement

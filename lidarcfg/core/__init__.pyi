@@ -1,6 +1,7 @@
 from types import ModuleType
 
 from lidarcfg.core import analytic as analytic
+from lidarcfg.core import maths as maths
 from lidarcfg.core import ouster as ouster
 from lidarcfg.core import packets as packets
 from lidarcfg.core import placement as placement

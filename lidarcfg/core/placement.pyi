@@ -69,4 +69,7 @@ def label_components(grid: Grid, links: Words, label: Labels) -> tuple[Counts, C
     """
 
 def promote_certificates(certificates: Counts, source: Counts, refuted_by: Counts) -> None:
-    """Move what refuted trials (n,), in their order, to the front of their sources' certificates (sources, c)."""
+    """Move what refuted trials (n,), in their order, to the front of their sources' certificates (sources, c).
+
+    Where refuted_by is −1, no certificate has, and source does not matter.
+    """

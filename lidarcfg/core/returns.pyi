@@ -25,7 +25,7 @@ class Scanner:
         range_m: Sequence[float] | Array,
         fov_rad: Sequence[float] | Array,
     ) -> None:
-        """Heads (H,) at the start of cycles; angles and start_m (F, 3) of firings; ranges; a field of view and its width."""
+        """Heads (H,) when cycles start; angles and start_m (F, 3) of firings; ranges; field of view."""
     @property
     def phases(self) -> int:
         """Head n is of phase n % phases."""

@@ -1,6 +1,7 @@
 /// Vectors of the compiler's vector extensions, exactly as wide as a register: wider ones are taken apart lane by lane.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <cstring>
 
@@ -151,6 +152,53 @@ bool any(Mask mask) {
   return __builtin_ia32_movmskpd(reinterpret_cast<Doubles>(mask)) != 0;
 #else
   return (mask[0] | mask[1]) != 0;
+#endif
+}
+
+/// One half of a register of integers as doubles: the lower, part 0, or the upper, part 1. None is above 2^31 − 1.
+inline Doubles half_to_doubles(Vector<std::uint32_t> values, int part) {
+  constexpr int half = lanes<double>;
+  typename VectorOf<std::int32_t, half>::type integers;
+  std::memcpy(&integers, reinterpret_cast<const char*>(&values) + part * sizeof integers, sizeof integers);
+  return __builtin_convertvector(integers, Doubles);
+}
+
+/// The lanes that have a bit in a mask, moved to the front; what comes after them is of no use.
+inline Doubles compress(Doubles value, unsigned mask) {
+#if defined(__AVX2__)
+  static constexpr auto order = [] {
+    std::array<std::array<std::int32_t, 8>, 16> out{};
+    for (unsigned one = 0; one < 16; ++one) {
+      for (int lane = 0, n = 0; lane < 4; ++lane) {
+        if (one >> lane & 1) {
+          out[one][n++] = 2 * lane;
+          out[one][n++] = 2 * lane + 1;
+        }
+      }
+    }
+    return out;
+  }();
+  using Order = Vector<std::int32_t>;
+  return reinterpret_cast<Doubles>(
+      __builtin_ia32_permvarsf256(reinterpret_cast<Floats>(value), load<Order>(order[mask].data())));
+#else
+  return mask == 2 ? __builtin_shufflevector(value, value, 1, 1) : value;
+#endif
+}
+
+/// Write x, y, z, x, y, z … of a register of points.
+inline void interleave(Doubles x, Doubles y, Doubles z, double* to) {
+#if defined(__AVX__)
+  const Doubles xy = __builtin_shufflevector(x, y, 0, 4, 2, 6);
+  const Doubles zx = __builtin_shufflevector(z, x, 0, 5, 2, 7);
+  const Doubles yz = __builtin_shufflevector(y, z, 1, 5, 3, 7);
+  store(to, __builtin_shufflevector(xy, zx, 0, 1, 4, 5));
+  store(to + 4, __builtin_shufflevector(yz, xy, 0, 1, 6, 7));
+  store(to + 8, __builtin_shufflevector(zx, yz, 2, 3, 6, 7));
+#else
+  store(to, __builtin_shufflevector(x, y, 0, 2));
+  store(to + 2, __builtin_shufflevector(z, x, 0, 3));
+  store(to + 4, __builtin_shufflevector(y, z, 1, 3));
 #endif
 }
 

@@ -7,7 +7,6 @@ fields. The message's stamp is the time of the scan's first point.
 import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,11 +15,10 @@ import numpy as np
 from lidarcfg.capture.scans import scans
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError, PacketError, missing
-from lidarcfg.files import Whole, check_replaceable, place, target
-from lidarcfg.formats.folder import beside, replacing_folder
+from lidarcfg.files import check_replaceable, commit, replacing_folder, resolve, temporary_folder
+from lidarcfg.formats.drive_dataset import DriveDataset, stamp_ns
 from lidarcfg.formats.frames import BASE_LINK, MAP, ros_name, ros_names
 from lidarcfg.formats.messages import Messages, ros_store
-from lidarcfg.formats.recording import Recording, stamp_ns
 from lidarcfg.geometry import inverse
 from lidarcfg.packets.families import family
 from lidarcfg.packets.point_fields import OBJECT, PLAIN, PointField
@@ -29,7 +27,8 @@ from lidarcfg.units import SECOND_NS
 
 TIME_END_NS = 2**31 * SECOND_NS  # builtin_interfaces/Time counts its seconds in an int32
 BAG_VERSION: Final = 8  # of metadata.yaml: with QoS as text, as in rosbag2 before Jazzy
-TF, TF_STATIC = "/tf", "/tf_static"
+TF = "/tf"
+TF_STATIC = "/tf_static"
 TF_STEP_NS = 10_000_000  # from one pose of the vehicle to the next
 FOREVER = 9223372036, 854775807  # seconds and ns: rmw's infinite time
 BAG_FILES = ("metadata.yaml", "*.db3", "*.mcap")
@@ -57,7 +56,7 @@ def write_bag(path: Path, storage: str, made: Made) -> int:
     """Write messages as a bag, whole or not at all, and return their number."""
     if storage == "ros1":
         return _file(path, lambda aside: (_write(aside / path.name, storage, made), aside / path.name))
-    whole = Path(os.path.realpath(target(path)))
+    whole = Path(os.path.realpath(resolve(path)))
     if storage == "sqlite3" and (signs := set(URI_SIGNS) & set(str(whole))):
         raise ConversionError(f"{whole}: rosbags cannot write a bag to a path with {' '.join(sorted(signs))}")
     with replacing_folder(path, *BAG_FILES) as folder:
@@ -79,9 +78,9 @@ def _file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
     if path.exists() and not path.is_file():
         raise ConversionError(f"{path}: is not a file; give the name of a new one")
     check_replaceable(path)
-    with ExitStack() as rest:
-        count, written = write(rest.enter_context(beside(path)))
-        place(Whole(written, Path(os.path.realpath(target(path))), rest.pop_all(), written.stat().st_ino))
+    with temporary_folder(path) as folder:
+        count, written = write(folder)
+        commit(written, resolve(path))
     return count
 
 
@@ -99,7 +98,8 @@ def _write(path: Path, storage: str, made: Made) -> int:
     count = 0
     writer: Any
     if version == 1:
-        writer, serialize = Writer1(path), store.serialize_ros1
+        writer = Writer1(path)
+        serialize = store.serialize_ros1
     else:
         writer = Writer2(path, version=BAG_VERSION, storage_plugin=StoragePlugin[storage.upper()])
         serialize = store.serialize_cdr
@@ -145,29 +145,31 @@ def _of_capture(source: Path, rig: Rig | None, model: str | None, on_warning: On
     return made
 
 
-def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Made:
+def of_dataset(dataset: DriveDataset, where: Path, on_warning: OnWarning) -> Made:
     """The messages of a drive: poses of the vehicle and its sensors, points with their objects, boxes of objects.
 
     If the points' objects are not known, there are boxes of all objects that have one.
     """
-    rig = recording.drive.rig
+    rig = dataset.drive.rig
 
     def made(messages: Messages) -> Timed:
-        names, start_ns = ros_names(rig, on_warning), recording.drive.start_ns
-        _check_time(start_ns + recording.drive.duration_ns, where)
+        names = ros_names(rig, on_warning)
+        start_ns = dataset.drive.start_ns
+        _check_time(start_ns + dataset.drive.duration_ns, where)
         yield TF_STATIC, _mounted(messages, rig, names, start_ns), start_ns
         pose_ns = start_ns
-        for scan in recording.scans:
-            name, last_ns = names[scan.sensor_names[0]], int(scan.time_ns.max())
+        for scan in dataset.scans:
+            name = names[scan.sensor_names[0]]
+            last_ns = int(scan.time_ns.max())
             while pose_ns <= last_ns:
-                vehicle = {BASE_LINK: recording.T_world_vehicle(pose_ns)}
+                vehicle = {BASE_LINK: dataset.T_world_vehicle(pose_ns)}
                 yield TF, messages.transforms(vehicle, MAP, pose_ns), pose_ns
                 pose_ns += TF_STEP_NS
-            yield _points(messages, scan, _fields(recording, scan), name)
-            boxes = recording.boxes(scan)
+            yield _points(messages, scan, _fields(dataset, scan), name)
+            boxes = dataset.boxes(scan)
             boxes = boxes if scan.object is None else boxes.with_returns()
             poses = [
-                inverse(recording.T_world_sensor(scan, time_ns)) @ T
+                inverse(dataset.T_world_sensor(scan, time_ns)) @ T
                 for time_ns, T in zip(boxes.time_ns.tolist(), boxes.T_world_box, strict=True)
             ]
             found = messages.detections(boxes, np.array(poses).reshape(-1, 4, 4), name, stamp_ns(scan))
@@ -176,11 +178,11 @@ def of_recording(recording: Recording, where: Path, on_warning: OnWarning) -> Ma
     return made
 
 
-def _fields(recording: Recording, scan: PointCloud) -> tuple[PointField, ...]:
+def _fields(dataset: DriveDataset, scan: PointCloud) -> tuple[PointField, ...]:
     """The fields of a scan's points; of packets, as the sensor's driver has them, and the object."""
-    if not recording.packets:
+    if not dataset.packets:
         return PLAIN
-    fields = family(recording.mount(scan).sensor.codec or "").point_fields
+    fields = family(dataset.mount(scan).sensor.codec or "").point_fields
     return fields if scan.object is None else (*fields, OBJECT)
 
 

@@ -38,7 +38,8 @@ def carla(rig: Rig, on_warning: Callable[[str], None]) -> str:
 
 def _attributes(mount: Mount, on_warning: Callable[[str], None]) -> dict[str, float]:
     """The blueprint's attributes; for what is unknown of the sensor, CARLA's defaults hold."""
-    sensor, realism = mount.sensor, mount.realism
+    sensor = mount.sensor
+    realism = mount.realism
     elevation_deg = np.sort(sensor.beams.elevation_deg)
     attributes = {
         "channels": sensor.count,

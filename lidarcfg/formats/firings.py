@@ -19,7 +19,7 @@ from lidarcfg.cloud import read_arrays
 from lidarcfg.config import COORDINATE_MAX_M, loads
 from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
 from lidarcfg.files import replacing
-from lidarcfg.formats.records import CUTS, pieces, read_records
+from lidarcfg.formats.repack import CUTS, pieces, read_records
 from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets
 from lidarcfg.packets.families import codec
 from lidarcfg.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount
@@ -86,11 +86,14 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
     What a sensor sends in several return modes are as many sources. Packets whose family has no way back to firings, or
     of modes that it does not have, are kept as they are, with a warning.
     """
-    records, sources, kept = read_records(capture), list[dict[str, Any]](), list[str]()
+    records = read_records(capture)
+    sources = list[dict[str, Any]]()
+    kept = list[str]()
     arrays: dict[str, NDArray[Any]] = {}
     counted = Counted(0, 0, 0)
     for recorded in Capture(capture, on_warning, model=model).sources():
-        mine, maker = records.of(recorded.name, recorded.packets.shape[1]), codec(recorded.sensor)
+        mine = records.of(recorded.name, recorded.packets.shape[1])
+        maker = codec(recorded.sensor)
         modes = maker.return_modes(recorded.source, mine.packets)
         for mode in dict.fromkeys(modes.tolist()):
             rows = np.flatnonzero(modes == mode)
@@ -149,7 +152,8 @@ def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
     """The columns of a source, and what of its packets (P, size) they do not say."""
     made = one.packets().ravel()
     rest_at = np.flatnonzero(made != recorded.ravel())
-    fired, batch = one.found.batch.firings, one.found.batch
+    fired = one.found.batch.firings
+    batch = one.found.batch
     more = {f"more/{key}": value for key, value in one.found.more.items()}
     return more | {
         "time_ns": fired.time_ns,
@@ -198,7 +202,8 @@ def _checked(path: Path, columns: Mapping[str, NDArray[Any]], key: str, kind: st
     """A column of the file, of the right type."""
     if key not in columns:
         raise CloudError(f"{path}: {key}: missing")
-    found, sides = columns[key], 2 if key.split("/")[-1] in ("range_m", "reflectivity") else 1
+    found = columns[key]
+    sides = 2 if key.split("/")[-1] in ("range_m", "reflectivity") else 1
     if found.dtype != np.dtype(kind) or found.ndim != sides:
         what = f"{found.dtype} of {found.ndim} dimensions"
         raise CloudError(f"{path}: {key}: {what}; allowed: {np.dtype(kind)} of {sides}")

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Literal
 
 from lidarcfg.cloud import PointCloud, load_cloud, save_clouds
 from lidarcfg.errors import ConversionError
-from lidarcfg.files import replacing
+from lidarcfg.files import replacing, replacing_folder
 from lidarcfg.rig import load_rig
 
 if TYPE_CHECKING:
-    from lidarcfg.formats.recording import Recording
+    from lidarcfg.formats.drive_dataset import DriveDataset
 
 Kind = Literal["rig", "cloud", "capture", "firings", "drive"]
 OnWarning = Callable[[str], None]
@@ -82,7 +82,7 @@ def chosen(source: Path, output: Path, name: str | None) -> Format:
 
 
 def format_of(kind: Kind, output: Path, name: str | None) -> Format:
-    """The same for an input of a known kind."""
+    """The format for an input of a known kind."""
     formats = [form for form in FORMATS if form.kind == kind]
     if name:
         for form in formats:
@@ -98,7 +98,8 @@ def format_of(kind: Kind, output: Path, name: str | None) -> Format:
     folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
     hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
     if kind == "drive":
-        allowed, hint = f".pcap, {allowed}", ""
+        allowed = f".pcap, {allowed}"
+        hint = ""
     what = f"{_failed(kind)} {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
     raise ConversionError(what)
 
@@ -145,38 +146,36 @@ def convert(
     return f"{count:,} messages"
 
 
-def save_recording(output: Path, form: Format, recording: "Recording", deskew: bool, on_warning: OnWarning) -> str:
+def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bool, on_warning: OnWarning) -> str:
     """Write a drive in a format, whole or not at all, and return what it holds. Raises LidarcfgError."""
     if form.lacks:
         on_warning(f"{output}: {form.name} has no {form.lacks}")
     if form.name in CLOUDS:
         from lidarcfg.formats.points import save_points
 
-        return f"{save_points(output, recording, deskew):,} points"
+        return f"{save_points(output, dataset, deskew):,} points"
     if form.name in FOLDERS:
-        return f"{_save_folder(output, form.name, recording):,} scans"
-    from lidarcfg.formats.bag import of_recording, write_bag, write_mcap
+        return f"{_save_folder(output, form.name, dataset):,} scans"
+    from lidarcfg.formats.bag import of_dataset, write_bag, write_mcap
 
-    made = of_recording(recording, output, on_warning)
+    made = of_dataset(dataset, output, on_warning)
     if form.name == "mcap":
         return f"{write_mcap(output, made):,} messages"
     return f"{write_bag(output, STORAGES[form.name], made):,} messages"
 
 
-def _save_folder(output: Path, name: str, recording: "Recording") -> int:
-    from lidarcfg.formats.folder import replacing_folder
+def _save_folder(output: Path, name: str, dataset: "DriveDataset") -> int:
     from lidarcfg.formats.kitti_folders import save_objects, save_odometry
     from lidarcfg.formats.nuscenes_tables import save_tables
 
     save = {"kitti-odometry": save_odometry, "kitti-object": save_objects, "nuscenes": save_tables}[name]
     with replacing_folder(output, *FOLDERS[name]) as folder:
         folder.mkdir()
-        return save(folder, recording)
+        return save(folder, dataset)
 
 
 def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
     from lidarcfg.formats.carla import carla
-    from lidarcfg.formats.folder import replacing_folder
     from lidarcfg.formats.launch import launch
     from lidarcfg.formats.nuscenes import nuscenes
     from lidarcfg.formats.urdf import urdf

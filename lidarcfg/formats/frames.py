@@ -7,7 +7,8 @@ from lidarcfg.errors import ConversionError
 from lidarcfg.geometry import Array
 from lidarcfg.rig import Rig
 
-BASE_LINK, MAP = "base_link", "map"  # ROS REP-105's names for the vehicle frame and the world frame
+BASE_LINK = "base_link"  # ROS REP-105's name for the vehicle frame
+MAP = "map"  # and for the world frame
 
 
 def ros_name(name: str) -> str:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError
+from lidarcfg.formats.drive_dataset import DriveDataset, hits, stamp_ns
 from lidarcfg.formats.kitti import FULL
-from lidarcfg.formats.recording import Recording, hits, stamp_ns
 from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import Boxes
@@ -22,33 +22,37 @@ from lidarcfg.world.scene import Scene
 
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # T_camera_lidar: x right, y down
 K = np.array([[721.5377, 0, 609.5593], [0, 721.5377, 172.854], [0, 0, 1]])  # of KITTI's image_2, 2011-09-26
-WIDTH, HEIGHT = 1242, 375
+WIDTH = 1242
+HEIGHT = 375
 NEAR_M = 0.1  # corners nearer to the camera have no place in its image
-OCCLUSION_UNKNOWN, NO_ALPHA, NO_BOX = 3, -10.0, (-1.0, -1.0, -1.0, -1.0)
+OCCLUSION_UNKNOWN = 3
+NO_ALPHA = -10.0
+NO_BOX = (-1.0, -1.0, -1.0, -1.0)
 INSTANCE_MAX = 2**16 - 1
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
-def save_odometry(folder: Path, recording: Recording) -> int:
+def save_odometry(folder: Path, dataset: DriveDataset) -> int:
     """Write a sequence for each sensor, and return the number of scans. Raises ConversionError."""
     poses: dict[str, list[Array]] = defaultdict(list)
     stamps: dict[str, list[int]] = defaultdict(list)
-    numbers = {mount.name: i for i, mount in enumerate(recording.drive.rig.mounts)}
-    labels = _labels(recording.drive.scene, recording)
+    numbers = {mount.name: i for i, mount in enumerate(dataset.drive.rig.mounts)}
+    labels = _labels(dataset.drive.scene, dataset)
     for name, number in numbers.items():
         sequence = folder / "sequences" / f"{number:02}"
         for part in ("velodyne", "labels"):
             (sequence / part).mkdir(parents=True)
         (sequence / "sensor.txt").write_text(f"{name}\n", "utf-8")
     (folder / "poses").mkdir()
-    for scan in recording.scans:
+    for scan in dataset.scans:
         (name,) = scan.sensor_names
-        sequence, frame = folder / "sequences" / f"{numbers[name]:02}", f"{len(stamps[name]):06}"
-        points = _rows(recording.deskewed(scan), scan)
+        sequence = folder / "sequences" / f"{numbers[name]:02}"
+        frame = f"{len(stamps[name]):06}"
+        points = _rows(dataset.deskewed(scan), scan)
         (sequence / "velodyne" / f"{frame}.bin").write_bytes(points.tobytes())  # tofile is silent on a full disk
         (sequence / "labels" / f"{frame}.label").write_bytes(labels[hits(scan)].tobytes())
         stamps[name].append(stamp_ns(scan))
-        poses[name].append(recording.T_world_sensor(scan, stamps[name][-1]))
+        poses[name].append(dataset.T_world_sensor(scan, stamps[name][-1]))
     for name, number in numbers.items():
         sequence = folder / "sequences" / f"{number:02}"
         first = inverse(poses[name][0]) if poses[name] else np.eye(4)
@@ -61,20 +65,21 @@ def save_odometry(folder: Path, recording: Recording) -> int:
     return sum(map(len, stamps.values()))
 
 
-def save_objects(folder: Path, recording: Recording) -> int:
+def save_objects(folder: Path, dataset: DriveDataset) -> int:
     """Write the scans of all sensors as frames of the object benchmark, and return how many there are."""
     training = folder / "training"
     for part in ("velodyne", "label_2", "calib"):
         (training / part).mkdir(parents=True)
     frames: list[str] = []
-    for scan in recording.scans:
-        frame, T_vehicle_sensor = f"{len(frames):06}", recording.mount(scan).T_vehicle_sensor
+    for scan in dataset.scans:
+        frame = f"{len(frames):06}"
+        T_vehicle_sensor = dataset.mount(scan).T_vehicle_sensor
         level = np.eye(4)
         level[:3, :3] = T_vehicle_sensor[:3, :3]  # points with the vehicle's axes: KITTI's boxes stand upright
-        points = _rows(transform(level, recording.deskewed(scan)), scan)
+        points = _rows(transform(level, dataset.deskewed(scan)), scan)
         (training / "velodyne" / f"{frame}.bin").write_bytes(points.tobytes())
-        T_world_lidar = recording.T_world_sensor(scan, stamp_ns(scan)) @ inverse(level)
-        boxes = recording.boxes(scan).with_returns()
+        T_world_lidar = dataset.T_world_sensor(scan, stamp_ns(scan)) @ inverse(level)
+        boxes = dataset.boxes(scan).with_returns()
         lines = _object_lines(boxes, CAMERA @ inverse(T_world_lidar))
         (training / "label_2" / f"{frame}.txt").write_text("".join(f"{line}\n" for line in lines))
         (training / "calib" / f"{frame}.txt").write_text(
@@ -90,19 +95,17 @@ def _rows(xyz: Array, scan: PointCloud) -> NDArray[np.float32]:
     return np.column_stack([xyz, scan.intensity / FULL]).astype("<f4")
 
 
-def _labels(scene: Scene, recording: Recording) -> NDArray[np.uint32]:
+def _labels(scene: Scene, dataset: DriveDataset) -> NDArray[np.uint32]:
     """The label of points on each object, by its number: the category's below, the instance's above; last, of rain."""
-    own = len(recording.drive.vehicle.scene.names) if recording.drive.vehicle else 0
+    own = len(dataset.drive.vehicle.scene.names) if dataset.drive.vehicle else 0
     found = np.zeros(len(scene.names) + own + 1, np.uint32)
     found[-1] = OUTLIER
     for i, (item, motion) in enumerate(zip(scene.items, scene.motions, strict=True)):
         names = NAMES[item.category]
         found[i] = names.moving if motion else names.label
-    if len(recording.objects) > INSTANCE_MAX:
-        raise ConversionError(
-            f"{len(recording.objects)} objects have boxes; SemanticKITTI has {INSTANCE_MAX} instances"
-        )
-    for number, one in enumerate(recording.objects, 1):
+    if len(dataset.objects) > INSTANCE_MAX:
+        raise ConversionError(f"{len(dataset.objects)} objects have boxes; SemanticKITTI has {INSTANCE_MAX} instances")
+    for number, one in enumerate(dataset.objects, 1):
         found[one.index] |= number << 16
     return found
 
@@ -129,7 +132,8 @@ def _in_image(corners: Array) -> tuple[float, tuple[float, ...]]:
     if corners[:, 2].min() < NEAR_M:
         return 0.0, NO_BOX
     seen = corners @ K.T
-    u, v = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
+    u = seen[:, 0] / seen[:, 2]
+    v = seen[:, 1] / seen[:, 2]
     left, right = (float(np.clip(end, 0, WIDTH - 1)) for end in (u.min(), u.max()))
     top, bottom = (float(np.clip(end, 0, HEIGHT - 1)) for end in (v.min(), v.max()))
     if left == right or top == bottom:

@@ -22,7 +22,9 @@ from lidarcfg.inputs import check_memory, check_regular
 STEP_M = 1e-4  # a coordinate is an int32 of these steps from the file's offset
 RANGE_M = STEP_M * (2**31 - 2)
 INTENSITY_STEP = 256  # LAS 1.4: intensity is normalised to 16 bits, by 65,536 over the sensor's range of 256
-VLR_USER, VLR_RECORD, VLR_MAX = "lidarcfg", 1, 65_535
+VLR_USER = "lidarcfg"
+VLR_RECORD = 1
+VLR_MAX = 65_535
 EXTRA = {
     "ring": (np.uint8, "0 is the lowest beam"),
     "sensor": (np.uint16, "index into the names in the VLR"),
@@ -44,13 +46,15 @@ def save_las(path: str | Path, cloud: PointCloud, chunk: int = CHUNK) -> None:
     path = Path(path)
     laspy, lazrs = libraries()
     header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, STEP_M), _offsets(path, cloud.xyz)
+    header.scales = np.full(3, STEP_M)
+    header.offsets = _offsets(path, cloud.xyz)
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name, type=kind, description=what) for name, (kind, what) in EXTRA.items()]
     )
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.global_encoding.wkt = True  # point formats from 6 on must say so
-    header.system_identifier, header.generating_software = "lidarcfg", f"lidarcfg {lidarcfg.__version__}"
+    header.system_identifier = "lidarcfg"
+    header.generating_software = f"lidarcfg {lidarcfg.__version__}"
     newest_ns = int(cloud.time_ns.max(initial=0))
     header.creation_date = date(1970, 1, 1) + timedelta(days=newest_ns // DAY_NS)  # the same cloud, the same bytes
     names = json.dumps(cloud.sensor_names).encode()
@@ -82,7 +86,8 @@ def _offsets(path: Path, xyz: Array) -> Array:
     """(3,) whole metres at the midpoint of the bounds."""
     if not len(xyz):
         return np.zeros(3)
-    low, high = xyz.min(axis=0), xyz.max(axis=0)
+    low = xyz.min(axis=0)
+    high = xyz.max(axis=0)
     if not np.isfinite(high - low).all():
         raise CloudError(f"{path}: a point is not finite")
     midpoint = np.rint((low + high) / 2)
@@ -103,7 +108,8 @@ def load_las(path: str | Path, on_warning: Callable[[str], None]) -> PointCloud:
         check_regular(path)
         check_header(path)
         with laspy.open(path, read_evlrs=False, laz_backend=laspy.LazBackend.Lazrs) as reader:
-            columns, header = _read(laspy, reader), reader.header
+            columns = _read(laspy, reader)
+            header = reader.header
         given = [vlr for vlr in header.vlrs if (vlr.user_id, vlr.record_id) == (VLR_USER, VLR_RECORD)]
         names = json.loads(given[0].record_data) if given else None
         week = header.global_encoding.gps_time_type == laspy.header.GpsTimeType.WEEK_TIME

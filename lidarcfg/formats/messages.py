@@ -116,7 +116,8 @@ class Messages:
         return array(header=self.header(frame, stamp_ns), detections=found)
 
     def _detection(self, name: str, category: str, size_m: Array, T: Array, header: Any, number: int) -> Any:
-        types, (x, y, z, w) = self.types, quaternion_xyzw(T)
+        types = self.types
+        x, y, z, w = quaternion_xyzw(T)
         pose = types["geometry_msgs/msg/Pose"](
             position=types["geometry_msgs/msg/Point"](*T[:3, 3].tolist()),
             orientation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),

@@ -11,7 +11,8 @@ TOKENS = uuid.UUID("4d0e4bd4-9c4e-5b7c-8a55-0d6c2f9b7a11")  # ours; the same rig
 
 def nuscenes(rig: Rig) -> dict[str, str]:
     """The two tables by file name: translation in metres, rotation as w x y z, sensor to ego vehicle."""
-    sensors, calibrated = [], []
+    sensors = []
+    calibrated = []
     for mount in rig.mounts:
         key = json.dumps([rig.name, mount.name])
         token, sensor_token = (uuid.uuid5(TOKENS, f"{table} {key}").hex for table in ("calibrated_sensor", "sensor"))

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.cloud import PointCloud
 from lidarcfg.errors import ConversionError
+from lidarcfg.formats.drive_dataset import DriveDataset, stamp_ns
 from lidarcfg.formats.frames import quaternion_xyzw
 from lidarcfg.formats.nuscenes import TOKENS, nuscenes
-from lidarcfg.formats.recording import Recording, stamp_ns
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import Boxed, Boxes, boxes_at
@@ -56,14 +56,14 @@ class _Sample:
         return self.scans[0].stamp_ns
 
 
-def save_tables(folder: Path, recording: Recording) -> int:
+def save_tables(folder: Path, dataset: DriveDataset) -> int:
     """Write tables and scans, and return how many scans there are. Raises ConversionError."""
     root = folder / VERSION
     for part in (root, folder / "maps"):
         part.mkdir(parents=True)
-    scans = [_save(folder, scan, recording) for scan in recording.scans]
-    tables = _Tables(recording, scans).rows()
-    for name, text in nuscenes(recording.drive.rig).items():
+    scans = [_save(folder, scan, dataset) for scan in dataset.scans]
+    tables = _Tables(dataset, scans).rows()
+    for name, text in nuscenes(dataset.drive.rig).items():
         (root / name).write_text(text, "utf-8")
     for table, rows in tables.items():
         (root / f"{table}.json").write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
@@ -73,23 +73,26 @@ def save_tables(folder: Path, recording: Recording) -> int:
     return len(scans)
 
 
-def _save(folder: Path, scan: PointCloud, recording: Recording) -> _Scan:
+def _save(folder: Path, scan: PointCloud, dataset: DriveDataset) -> _Scan:
     """Write a scan as x, y, z, intensity and ring, five float32 a point."""
-    (name,), at_ns = scan.sensor_names, stamp_ns(scan)
+    (name,) = scan.sensor_names
+    at_ns = stamp_ns(scan)
     filename = f"samples/{name}/{name}__{at_ns // 1000}.pcd.bin"
     (folder / filename).parent.mkdir(parents=True, exist_ok=True)
-    rows = np.column_stack([recording.deskewed(scan), scan.intensity, scan.ring])
+    rows = np.column_stack([dataset.deskewed(scan), scan.intensity, scan.ring])
     (folder / filename).write_bytes(rows.astype("<f4").tobytes())  # tofile is silent on a full disk
     assert scan.object is not None
-    on = np.isin(scan.object, [one.index for one in recording.objects])
+    on = np.isin(scan.object, [one.index for one in dataset.objects])
     return _Scan(name, at_ns, filename, scan.object[on], scan.time_ns[on])
 
 
 class _Tables:
     """The rows of a drive's tables, but for those that a rig alone has."""
 
-    def __init__(self, recording: Recording, scans: list[_Scan]) -> None:
-        self._recording, self._scans, drive = recording, scans, recording.drive
+    def __init__(self, dataset: DriveDataset, scans: list[_Scan]) -> None:
+        self._dataset = dataset
+        self._scans = scans
+        drive = dataset.drive
         self._key = json.dumps([drive.rig.name, drive.scene.file.name, drive.start_ns])
         self._samples = self._sampled()
         self._of_scan = {scan: sample for sample in self._samples for scan in map(id, sample.scans)}
@@ -99,7 +102,7 @@ class _Tables:
         return uuid.uuid5(TOKENS, f"{json.dumps([str(word) for word in words])} {self._key}").hex
 
     def _sampled(self) -> list[_Sample]:
-        mounts = self._recording.drive.rig.mounts
+        mounts = self._dataset.drive.rig.mounts
         first = [scan for scan in self._scans if scan.sensor == mounts[0].name]
         if not first:
             raise ConversionError(
@@ -122,13 +125,14 @@ class _Tables:
 
     def rows(self) -> dict[str, list[Row]]:
         """By table."""
-        drive, samples = self._recording.drive, self._samples
+        drive = self._dataset.drive
+        samples = self._samples
         log, scene, map_token = (self._token(table) for table in ("log", "scene", "map"))
         day = datetime.fromtimestamp(samples[0].stamp_ns // SECOND_NS, UTC)
         places = f"{drive.scene.file.geo_origin.latitude_deg:g}, {drive.scene.file.geo_origin.longitude_deg:g}"
         annotations, instances = self._annotated()
         scenes = {"scene_token": scene, "next": "", "prev": ""}
-        categories = sorted({one.category or "" for one in self._recording.objects})
+        categories = sorted({one.category or "" for one in self._dataset.objects})
         return {
             "category": [
                 {"token": self._token("category", one), "name": _category(one or None), "description": ""}
@@ -178,18 +182,19 @@ class _Tables:
         }
 
     def _ego(self, scan: _Scan) -> Row:
-        T = self._recording.T_world_vehicle(scan.stamp_ns)
+        T = self._dataset.T_world_vehicle(scan.stamp_ns)
         token = self._token("sample_data", scan.sensor, scan.stamp_ns)
         return {"token": token, "timestamp": scan.stamp_ns // 1000} | _pose(T)
 
     def _data(self) -> list[Row]:
-        rig = self._recording.drive.rig
+        rig = self._dataset.drive.rig
         calibrated = json.loads(nuscenes(rig)["calibrated_sensor.json"])
         of_sensor = {mount.name: row["token"] for mount, row in zip(rig.mounts, calibrated, strict=True)}
         stamps_ns = np.array([sample.stamp_ns for sample in self._samples])
         rows: dict[str, list[Row]] = {name: [] for name in of_sensor}
         for scan in self._scans:
-            token, sample = self._token("sample_data", scan.sensor, scan.stamp_ns), self._of_scan.get(id(scan))
+            token = self._token("sample_data", scan.sensor, scan.stamp_ns)
+            sample = self._of_scan.get(id(scan))
             nearest = self._samples[int(abs(stamps_ns - scan.stamp_ns).argmin())]
             rows[scan.sensor].append(
                 {
@@ -212,8 +217,9 @@ class _Tables:
     def _annotated(self) -> tuple[list[Row], list[Row]]:
         """The annotations of all samples, and the instances."""
         boxes = [self._boxes(sample) for sample in self._samples]
-        annotations, instances = [], []
-        for k, one in enumerate(self._recording.objects):
+        annotations = []
+        instances = []
+        for k, one in enumerate(self._dataset.objects):
             rows = _linked([self._annotation(k, sample, boxes[i]) for i, sample in enumerate(self._samples)])
             annotations += rows
             instances.append(
@@ -229,10 +235,11 @@ class _Tables:
 
     def _boxes(self, sample: _Sample) -> Boxes:
         hits = [(scan.hit, scan.time_ns) for scan in sample.scans]
-        return boxes_at(self._recording.objects, hits, self._recording.drive.start_ns, sample.stamp_ns)
+        return boxes_at(self._dataset.objects, hits, self._dataset.drive.start_ns, sample.stamp_ns)
 
     def _annotation(self, k: int, sample: _Sample, boxes: Boxes) -> Row:
-        one, (length_m, width_m, height_m) = boxes.objects[k], boxes.objects[k].size_m.tolist()
+        one = boxes.objects[k]
+        length_m, width_m, height_m = boxes.objects[k].size_m.tolist()
         return {
             "token": self._token("annotation", sample.token, one.name),
             "sample_token": sample.token,

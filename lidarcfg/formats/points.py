@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.cloud import BOX, BOX_SIZES, PointCloud, save_clouds
+from lidarcfg.formats.drive_dataset import DriveDataset
 from lidarcfg.formats.frames import quaternion_xyzw
-from lidarcfg.formats.recording import Recording
 from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.world.boxes import Boxes
 
 
-def save_points(path: Path, recording: Recording, deskew: bool) -> int:
+def save_points(path: Path, dataset: DriveDataset, deskew: bool) -> int:
     """Write the points of all scans as .ply, .pcd or .npz, and return how many there are.
 
     They are in the vehicle frame of the moment when they were measured, as boxes are; deskewed, in the world frame.
@@ -22,14 +22,15 @@ def save_points(path: Path, recording: Recording, deskew: bool) -> int:
     boxes: list[NDArray[np.void]] = []
 
     def clouds() -> Iterator[PointCloud]:
-        for scan in recording.scans:
-            mount, found = recording.mount(scan), recording.boxes(scan).with_returns()
+        for scan in dataset.scans:
+            mount = dataset.mount(scan)
+            found = dataset.boxes(scan).with_returns()
             xyz = transform(mount.T_vehicle_sensor, scan.xyz)
             T = found.T_world_box
             if deskew:
-                xyz = recording.drive.trajectory.world(xyz, scan.time_ns)
+                xyz = dataset.drive.trajectory.world(xyz, scan.time_ns)
             elif len(T):
-                T = np.array([inverse(recording.T_world_vehicle(t)) for t in found.time_ns.tolist()]) @ T
+                T = np.array([inverse(dataset.T_world_vehicle(t)) for t in found.time_ns.tolist()]) @ T
             boxes.append(_rows(found, T))
             yield replace(scan, xyz=xyz)
 

@@ -128,13 +128,13 @@ class Source:
     where: str  # file and endpoint, for errors
     host: str  # its address
     port: int  # the destination's
-    companions: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
+    sidecar_files: Callable[[str], Mapping[str, bytes]]  # the files beside the capture with this suffix
     payloads: Callable[[int | None, int], Iterator[Octets]]  # of one size, of the host to a port or to any
     on_warning: Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Tally:
+class DecodeStatistics:
     """The figures of a source, from the packets decoded so far."""
 
     models: tuple[str, ...]  # whose packets these may be
@@ -181,7 +181,7 @@ class Decoder(Protocol):
     def count(self, packets: Octets, wanted: Flags) -> None:
         """Count the wanted ones (P,) of successive packets, and the packets lost before each."""
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """The counts so far."""
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
@@ -251,18 +251,18 @@ class Codec(Timing, Protocol):
         """The sensor's other packets: position, state, calibration, inertial measurements."""
         return iter(())
 
-    def companions(self, mount: "Mount") -> Mapping[str, bytes]:
+    def sidecar_files(self, mount: "Mount") -> Mapping[str, bytes]:
         """The files that a reader needs beside the capture, by the suffixes of their names."""
         return {}
 
     # reading
 
     @classmethod
-    def claims(cls, source: Source, size: int, payload: bytes) -> bool:
+    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
         """Whether a payload holds returns in this family's packets, by its size, its first bytes, its port."""
 
     @classmethod
-    def recognise(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
         """Which of the family's known sensors sends these packets (P, size). Raises PacketError."""
 
     def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:

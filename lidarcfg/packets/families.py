@@ -5,18 +5,18 @@ from typing import TYPE_CHECKING
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.firing import Pattern
-from lidarcfg.packets.bare import Bare
 from lidarcfg.packets.codec import Codec, Timing
+from lidarcfg.packets.generic import GenericTiming
 from lidarcfg.sensor import Sensor
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
 
 FAMILIES = {  # module and class, loaded when they are needed
-    "velodyne": "lidarcfg.packets.velodyne.codec:Velodyne",
-    "hesai": "lidarcfg.packets.hesai.codec:Hesai",
-    "robosense": "lidarcfg.packets.robosense.codec:Robosense",
-    "ouster": "lidarcfg.packets.ouster.codec:Ouster",
+    "velodyne": "lidarcfg.packets.velodyne:Velodyne",
+    "hesai": "lidarcfg.packets.hesai:Hesai",
+    "robosense": "lidarcfg.packets.robosense:Robosense",
+    "ouster": "lidarcfg.packets.ouster:Ouster",
 }
 
 
@@ -38,7 +38,7 @@ def codec(sensor: Sensor) -> Codec:
 
 def timing(sensor: Sensor) -> Timing:
     """The timing of the sensor's lasers, by its codec or without one. Raises ConfigError."""
-    return codec(sensor) if sensor.codec else Bare(sensor)
+    return codec(sensor) if sensor.codec else GenericTiming(sensor)
 
 
 def pattern(mount: "Mount") -> Pattern:

@@ -1,4 +1,4 @@
-"""Shared by the families: a sensor with its facts, the firing sequence of a rotating head, read-only arrays."""
+"""Shared by the families: a sensor with its facts, the firing sequence of a rotating head."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, TypeVar
@@ -13,6 +13,7 @@ from lidarcfg.sensor import Range, Sensor
 
 Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
 F = TypeVar("F", bound=Model)
+D = TypeVar("D", bound=np.generic)
 
 
 class Firing(Model):
@@ -24,7 +25,7 @@ class Firing(Model):
 
 
 @dataclass(frozen=True)
-class AnyUnit(Generic[F]):
+class SensorInstance(Generic[F]):
     """A sensor with the facts of its packets."""
 
     sensor: Sensor
@@ -64,13 +65,6 @@ def check_firing(section: Section, firing: Firing, sensor: Sensor) -> None:
         raise section.error(key, f"a firing lies beyond the sequence's {firing.sequence_ns} ns")
 
 
-def matrix(values: NDArray[Any], rows: int) -> NDArray[Any]:
-    """The values as a contiguous, read-only matrix (rows, …)."""
-    return read_only(np.ascontiguousarray(values).reshape(rows, -1))
-
-
-def read_only(values: NDArray[Any]) -> NDArray[Any]:
-    """A read-only view: kernels are compiled for each kind of array, and this makes all arguments of one kind."""
-    view = values.view()
-    view.flags.writeable = False
-    return view
+def matrix(values: NDArray[Any], rows: int, dtype: type[D]) -> NDArray[D]:
+    """The values as a contiguous matrix (rows, …)."""
+    return np.ascontiguousarray(values, dtype).reshape(rows, -1)

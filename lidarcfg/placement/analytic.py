@@ -1,7 +1,7 @@
 """The analytic measure: volume to surface of the subspaces themselves, and not of their cuboids.
 
-Straight lines run through the region along x, y and z, LINES² of them to a cuboid's face. Where a line crosses a
-cone is known in closed form, and so is the cone's normal n there. What lies between two crossings has the same digits
+Straight lines run through the region along x, y and z, LINES_PER_EDGE² of them to a cuboid's face. Where a line crosses
+a cone is known in closed form, and so is the cone's normal n there. What lies between two crossings has the same digits
 all along; it hands its length to its subspace's volume, and at either end |n·e|, e the line's direction, to its
 surface; the walls of the region and of exclusions count 1. The three directions' lines add up to the area, for
 |n_x|² + |n_y|² + |n_z|² = 1 and an area's projection along e is |n·e| of it. Every crossing counts, so it makes no odds
@@ -22,13 +22,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidarcfg.core import analytic as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory, memory_bytes
-from lidarcfg.placement.analytic_kernels import LINES, Counts, Sheaf, Sums, sweep
-from lidarcfg.placement.boundaries import Boundaries, axes_from
-from lidarcfg.placement.boundary_kernels import Lattice
+from lidarcfg.placement.boundaries import Boundaries, Counts, Flags, Lattice, axes_from
 from lidarcfg.placement.cones import Lidar, cone_rows
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
@@ -37,6 +37,26 @@ from lidarcfg.placement.visibility import Visibility
 
 CUBOIDS_MAX = 50_000_000  # in the finest grid tried
 CUBOID_BYTES = 30  # of memory for one of it
+
+
+class Sheaf(NamedTuple):
+    """A grid as lines along one axis see it: arrays with that axis first, then the other two in cyclic order."""
+
+    axis: int
+    label: NDArray[np.int32]
+    within: Flags  # of the region, or cut by a body that is not
+    low: Array  # (3,)
+    edge: Array  # (3,)
+    cones: Array  # (lidars, 6 + beams) position, axis and sines; NaN where a LiDAR has fewer beams
+
+
+class Sums(NamedTuple):
+    """What lines along one axis add up, by subspace."""
+
+    volume: Array  # (n,)
+    shadow: Array  # (n,)
+    surface: Array  # (n,)
+    parent: Counts  # (n,) the union-find of subspaces that are one
 
 
 class Seen(NamedTuple):
@@ -94,15 +114,15 @@ def integrate(
             for m, lidar in enumerate(lidars):
                 cones[m, :3], cones[m, 3:6] = lidar.position_m[order], lidar.axis[order]
                 cones[m, 6 : 6 + beams[m]] = lidar.sin_elevation
-            label = np.ascontiguousarray(subspaces.label.transpose(order))  # one type on all axes: `sweep` is
-            within = np.ascontiguousarray(uncut.transpose(order))  # compiled once
+            label = np.ascontiguousarray(subspaces.label.transpose(order))
+            within = np.ascontiguousarray(uncut.transpose(order))
             lattice = Lattice(axis, region.min_m[order], region.cuboid_m[order], label.shape)
             flips = boundaries.flips(lattice, pool)
             sheaf = Sheaf(axis, label, within, lattice.low, lattice.edge, cones)
             sums = Sums(volume[axis], shadow[axis], surface, whole)
             for one in sweeps:  # they add to the same surfaces
                 one.result()
-            sweeps.append(pool.submit(sweep, sheaf, subspaces.gap, cone_rows(lidars), flips, sums))
+            sweeps.append(pool.submit(core.sweep_lines, sheaf, subspaces.gap, cone_rows(lidars), flips, sums))
         sweeps[-1].result()
     for j in range(n):  # a part's number is above its whole's
         whole[j] = whole[whole[j]]
@@ -130,7 +150,7 @@ def level(
     counts = (seen.surface > 0.0) & (faces > 0.5 * faces.max())
     vsr = np.divide(seen.volume_m3, seen.surface_m2, out=np.zeros(faces.size), where=counts)
     worst = int(vsr.argmax())
-    area = region.cuboid_m.prod() / region.cuboid_m / LINES**2  # of a line along each axis
+    area = region.cuboid_m.prod() / region.cuboid_m / core.LINES_PER_EDGE**2  # of a line along each axis
     return Level(float(vsr[worst]), float((seen.shadow[:, worst] / area).sum()))
 
 

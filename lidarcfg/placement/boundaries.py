@@ -5,28 +5,15 @@ Between two such places a LiDAR sees all of the line or nothing, and one ray say
 as the shadow of an edge that is in shadow itself, does no harm.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidarcfg.core import analytic as core
 from lidarcfg.geometry import Array
-from lidarcfg.placement.analytic_kernels import Counts, Flips, lines_across
-from lidarcfg.placement.boundary_kernels import (
-    BINS,
-    FULL,
-    Bounds,
-    Crossings,
-    Flipped,
-    Lattice,
-    candidates,
-    flipped,
-    middles,
-    round_crossings,
-    solid_flips,
-    triangle_crossings,
-)
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.outline import Quadrics, outline, quadrics, silhouette
 from lidarcfg.placement.region import Region
@@ -37,6 +24,62 @@ from lidarcfg.world.vehicle import Vehicle, mesh_of
 
 WIDER = 1e-9  # rad, by which directions are widened before sorting
 CHUNK = 8192  # lines
+BINS = core.DIRECTION_BINS
+FULL = 2.0 * np.pi
+
+Counts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class Lattice(NamedTuple):
+    """The lines along one axis: all by that axis first, then the other two in cyclic order."""
+
+    axis: int
+    low: Array  # (3,) the region's corner
+    edge: Array  # (3,) of a cuboid
+    shape: tuple[int, int, int]  # cuboids
+
+    @property
+    def lines(self) -> int:
+        """How many there are."""
+        return core.LINES_PER_EDGE**2 * self.shape[1] * self.shape[2]
+
+
+class Crossings(NamedTuple):
+    """What lines cross, one line after the other."""
+
+    first: Counts  # (L + 1,) the first crossing of each line
+    at: Array  # (C,) ascending on each line
+    weight: Array  # (C,) |n·e|, n the normal of the surface crossed, e the line's direction
+
+
+class Flipped(NamedTuple):
+    """Where a state changes along lines."""
+
+    start: Flags  # (L,) the state that each line starts with
+    crossed: Crossings  # where it changes
+
+
+class Flips(NamedTuple):
+    """Where R states change along L lines: what each LiDAR sees of them; last, what of them no body fills."""
+
+    start: Flags  # (R, L) the state at the region's lower wall
+    first: Counts  # (R L + 1,) the first flip of each state and line
+    at: Array  # (F,) ascending for each
+    weight: Array  # (F,) |n·e|, n the normal of the surface crossed there
+
+
+class Bounds(NamedTuple):
+    """What may bound what a LiDAR sees, as lines along one axis meet it; all relative to the LiDAR.
+
+    Beyond an edge lies part of the plane through the LiDAR and the edge. Quadrics are xᵀ M x + 2 b·x + c = 0.
+    """
+
+    foot: Array  # (3,) the LiDAR
+    edges: Array  # (E, 7) ends, and |n·e| of the plane
+    quadrics: Array  # (Q, 10) M by its rows from the diagonal on, b, c
+    first: Counts  # (BINS + 1,) the first item in each bin of directions across the lines
+    item: Counts  # (I,) edges, and E + quadrics
 
 
 def bounds(edges: Array, surfaces: Quadrics, position_m: Array, axis: int) -> Bounds:
@@ -51,7 +94,7 @@ def bounds(edges: Array, surfaces: Quadrics, position_m: Array, axis: int) -> Bo
     table = np.concatenate([upper, surfaces.b[:, order], surfaces.c[:, None]], axis=1)
     middle, half = np.concatenate([_edge_spans(edges), _round_spans(centre, surfaces.radius)], axis=1)
     first, item = _binned(middle, half)
-    return Bounds(position_m[order], rows, table, first, item)
+    return Bounds(position_m[order], np.ascontiguousarray(rows), np.ascontiguousarray(table), first, item)
 
 
 def axes_from(axis: int) -> list[int]:
@@ -98,25 +141,14 @@ class Surfaces(NamedTuple):
         order = axes_from(lattice.axis)
         triangles = np.ascontiguousarray(self.triangles[:, :, order])
         rounds = np.ascontiguousarray(self.rounds[:, [*order, 3, 4]])
-        flat, curved = _rows(triangle_crossings, lattice, triangles), _rows(round_crossings, lattice, rounds)
+        flat = core.cross_triangles(lattice, triangles)
+        curved = core.cross_rounds(lattice, rounds)
         curved[:, 3] += len(triangles)
         found = np.concatenate([flat, curved])
         found = found[np.lexsort((found[:, 1], found[:, 0]))]
-        first = np.searchsorted(found[:, 0], np.arange(lines_across(*lattice.shape[1:]) + 1))
+        first = np.searchsorted(found[:, 0], np.arange(lattice.lines + 1))
         at, weight = np.ascontiguousarray(found[:, 1]), np.ascontiguousarray(found[:, 2])
         return Crossings(first, at, weight), self.part[found[:, 3].astype(np.int64)]
-
-
-def _rows(kernel: Callable[[Lattice, Array, Array], int], lattice: Lattice, shapes: Array) -> Array:
-    """The rows (N, 4) that a kernel writes; it need not be compiled where there is nothing to write."""
-    if not len(shapes):
-        return np.empty((0, 4))
-    out = np.empty((16 * len(shapes) + 1024, 4))
-    count = kernel(lattice, shapes, out)
-    if count > len(out):
-        out = np.empty((count, 4))
-        kernel(lattice, shapes, out)
-    return out[:count]
 
 
 def solids(bodies: Vehicle) -> Surfaces:
@@ -155,7 +187,7 @@ class Boundaries:
 
     def flips(self, lattice: Lattice, pool: ThreadPoolExecutor) -> Flips:
         """Where what LiDARs see of the lines along an axis changes, and where the lines enter and leave bodies."""
-        count = lines_across(*lattice.shape[1:])
+        count = lattice.lines
         chunks = [(begin, min(begin + CHUNK, count)) for begin in range(0, count, CHUNK)]
         always = Flipped(np.ones(count, np.bool_), Crossings(np.zeros(count + 1, np.int64), np.empty(0), np.empty(0)))
         rows = [always] * len(self.lidars)
@@ -169,7 +201,9 @@ class Boundaries:
             rows = list(pool.map(lambda job: _changes(*job), jobs))
         if self.solids:
             surfaces, part = self.solids.crossings(lattice)
-            rows.append(solid_flips(lattice, surfaces, part, int(part.max(initial=-1)) + 1))
+            start = np.empty(count, np.bool_)
+            found = core.find_solid_flips(lattice, surfaces, part, int(part.max(initial=-1)) + 1, start)
+            rows.append(Flipped(start, Crossings(*found)))
         else:
             rows.append(always)
         first = np.cumsum(np.concatenate([[0], *(np.diff(row.crossed.first) for row in rows)]))
@@ -181,5 +215,7 @@ def _changes(
     lattice: Lattice, lines: tuple[int, int], limits: Bounds, surfaces: Crossings, lidar: Lidar, visibility: Visibility
 ) -> Flipped:
     """Where it changes whether a LiDAR sees lines [lines[0], lines[1])."""
-    found = candidates(lattice, lines, limits, surfaces)
-    return flipped(found, visibility.seen_points(middles(lattice, lines, found), lidar))
+    found = Crossings(*core.find_candidates(lattice, lines, limits, surfaces))
+    seen = visibility.seen_points(core.find_middles(lattice, lines, found), lidar)
+    start = np.empty(lines[1] - lines[0], np.bool_)
+    return Flipped(start, Crossings(*core.find_flips(found, seen, start)))

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.compiling import compiling
 from lidarcfg.config import all_errors_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
@@ -34,7 +33,6 @@ FEW_S = 0.01  # an evaluation this quick is never called slow
 LONG_S = 20.0  # of processor time, to evaluate one rig
 SAMPLES = (64, 512, 4096)  # of places of objects, by which that time is estimated
 SURE_S = 0.5  # of them that took so long, no more are needed
-ONCE_S = 2.0  # what takes so long is not done twice to take its time
 STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
 
@@ -158,10 +156,8 @@ def _slow(study: Study) -> Iterator[Suspect]:
             criterion.of(Trial(study.region, lidars, study.visibility))
         return time.perf_counter() - began
 
-    seconds("max VSR")  # compiles
-    compiled, first = compiling.seconds, seconds("objective")
-    first -= compiling.seconds - compiled
-    usual, own = seconds("max VSR"), (first if first > ONCE_S else seconds("objective")) * study.rigs[0]
+    usual = seconds("max VSR")
+    own = seconds("objective") * study.rigs[0]
     if own > FEW_S and own > SLOW * usual:
         takes_s = f"{own:.2g}" if own < 10 else f"{own:,.0f}"
         what = f"one evaluation takes {takes_s} s, {own / usual:.0f} times that of max_vsr"
@@ -184,7 +180,6 @@ def _many_returns(study: Study) -> Iterator[Suspect]:
         return_counts(objects, scanners, lidars, study.obstacles)
         return time.process_time() - began
 
-    seconds([_thinned(one, len(one.places)) for one in unlike][:1])  # compiles
     for count in SAMPLES:
         some = [_thinned(one, -(-total // count)) for one in unlike]
         took_s = seconds(some)

@@ -5,11 +5,10 @@ is compared are the signed squares, h |h| >= u_k |p − t|² with h = a·(p − 
 the apex both sides are 0, so it is at or above every beam, as is every point within 1e-162 m, whose squares vanish.
 
 A point on a cone counts as above it. Rounding decides for points nearer to a cone than 8·2⁻⁵² in the sine, and for no
-others (docs/accuracy.md). It decides alike everywhere, because everything that asks for a beam gap compares what
-`signed_squares` returns.
+others (docs/evidence/accuracy.md). It decides alike everywhere, because everything that asks for a beam gap compares
+what `signed_squares` returns.
 """
 
-# mypy: disallow-untyped-decorators=False
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +18,6 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
-from lidarcfg.jit import inner
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import Sensor
 
@@ -81,7 +79,6 @@ def cone_rows(lidars: Sequence[Lidar]) -> Array:
     return out
 
 
-@inner(forceinline=True)
 def signed_squares(dx: float, dy: float, dz: float, ax: float, ay: float, az: float) -> tuple[float, float]:
     """h |h| and |d|² of a point at d from the apex, h = a·d: on or above beam k if h |h| >= u_k |d|²."""
     height = (dx * ax + dy * ay) + dz * az

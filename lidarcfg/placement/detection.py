@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from lidarcfg import core
 from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, fault, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement import detection_kernels as kernels
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.rig import one_of
@@ -23,6 +23,7 @@ Heading = Annotated[float, Field(ge=0, le=360)]
 
 THRESHOLD = 1  # unless the study says otherwise
 REPLICATES = 16  # independent scramblings, whose spread gives the confidence interval
+NOBODY = np.empty(0, np.bool_)  # asks which subspaces hold an object
 ALL = 2**63 - 1  # no end to the places where an object may go undetected
 
 
@@ -178,7 +179,7 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> Counted:
 def boxes_counted(subspaces: Subspaces, size: tuple[int, int, int], layers: int, threshold: int = 1) -> Counted:
     """The same for a box of this many cuboids, whose lowest layer is one of the first `layers`."""
     held = np.zeros(len(subspaces), np.bool_)
-    detected, places = kernels.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
+    detected, places = core.analytic.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
     return Counted(detected, places, held)
 
 
@@ -212,7 +213,7 @@ def undetected(subspaces: Subspaces, item: DetectionObject, free: list[int], lim
         layers = 1 if item.on_ground else subspaces.region.shape[2]
         label = subspaces.label
         most = max(enough, 1)
-        detected, seen = kernels.detected_positions(label, size, item.most_touched, layers, most, kernels.NOBODY)
+        detected, seen = core.analytic.detected_positions(label, size, item.most_touched, layers, most, NOBODY)
         misses = int(seen.sum() - detected.sum())
         return 1.0 - (places - misses) / places
     rates = np.ones(len(free))
@@ -312,4 +313,6 @@ def drawn_boxes(region: Region, size_m: tuple[float, float, float], on_ground: b
 def _detected_boxes(subspaces: Subspaces, item: DetectionObject, box: Array) -> tuple[int, int]:
     """How many of the boxes (n, 4) are detected, and how many are free of exclusions."""
     region = subspaces.region
-    return kernels.detected_boxes(subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched)
+    return core.analytic.detected_boxes(
+        subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched
+    )

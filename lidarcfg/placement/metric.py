@@ -1,21 +1,18 @@
 """How large a subspace is: the paper's volume-to-surface ratio, and the largest sphere inside."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core
 from lidarcfg.geometry import Array
-from lidarcfg.placement.bits import Words
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sphere_kernels import Search, clearance, largest
 from lidarcfg.placement.subspace import Subspaces
 
-RECENT = 8  # columns of cuboids that are tried first, see Search
 Counts = NDArray[np.int64]
 Lines = NDArray[np.int32]
 Node = tuple[int, int, int]  # a point of the lattice of half cuboids, whose origin is the region's lower corner
@@ -65,54 +62,27 @@ class Spheres:
     """
 
     def __init__(self, subspaces: Subspaces) -> None:
-        self._region, self._label = subspaces.region, subspaces.label
-        self._ends = _ends(subspaces.label)
+        self._region = subspaces.region
+        self._label = subspaces.label
+        self._ends = core.analytic.find_ends(subspaces.label)
 
     def largest(self) -> tuple[float, Node]:
         """Radius in metres and centre of the largest sphere in any subspace; of equal ones, the lattice's first."""
-        found = self._search(-1, [0, 0, 0], self._region.shape)
-        i, j, k = found.node[:3].tolist()
-        return float(np.sqrt(found.best[0])), (i, j, k)
+        square, node = self._search(-1, (0, 0, 0), self._region.shape)
+        return math.sqrt(square), node
 
     def radius_m(self, number: int, extent: "Extent") -> float:
         """The radius of the largest sphere in one subspace."""
-        return float(np.sqrt(self._search(number, extent.low, extent.high).best[0]))
+        square, _ = self._search(number, extent.low, extent.high)
+        return math.sqrt(square)
 
-    def _search(self, number: int, low: Any, high: Any) -> Search:
-        low, high = np.array(low, np.int64), np.array(high, np.int64)
-        half = self._region.cuboid_m / 2
-        radius = float(((high - low) * half).min())
-        columns = int(np.prod(2 * np.ceil(radius / half[:2] / 2).astype(np.int64) + 5))
-        search = Search(
-            self._label,
-            self._ends,
-            half,
-            np.zeros(1),
-            np.zeros(4, np.int64),
-            np.empty((4, columns, 3), np.int64),
-            np.zeros(4, np.int64),
-            np.full(4, -1.0),
-            np.zeros((4, RECENT, 3), np.int64),
-        )
-        largest(search, number, low, high)
-        return search
-
-
-def _ends(label: NDArray[np.int32]) -> Words:
-    """(nx, ny, words) a bit for each cuboid, in columns along z: set where the next cuboid is in another subspace."""
-    nx, ny, nz = label.shape
-    out = np.zeros((nx, ny, -(-nz // 64) * 8), np.uint8)
-    for octets, layer in zip(out, label, strict=True):
-        ends = np.ones((ny, nz), np.bool_)
-        np.not_equal(layer[:, 1:], layer[:, :-1], out=ends[:, :-1])
-        octets[:, : -(-nz // 8)] = np.packbits(ends, axis=-1, bitorder="little")
-    words: Words = out.view("<u8").astype(np.uint64, copy=False)
-    return words
+    def _search(self, number: int, low: Node | Counts, high: Node | Counts) -> tuple[float, Node]:
+        return core.analytic.largest_sphere(self._label, self._ends, self._region.cuboid_m / 2, number, low, high)
 
 
 def clearance_m(subspaces: Subspaces, centre: Node) -> float:
     """The radius of the largest sphere around a node of the half cuboids' lattice that no face cuts; 0 on a face."""
-    return float(np.sqrt(clearance(subspaces.label, subspaces.region.cuboid_m / 2, *centre)))
+    return math.sqrt(core.analytic.clearance(subspaces.label, subspaces.region.cuboid_m / 2, centre))
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,13 @@
 """The search for the best rig of a study: asks a solver for trials, evaluates them, and tells it their costs."""
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
-from lidarcfg.compiling import clock
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import Evaluation, evaluate
@@ -115,19 +115,19 @@ class Budget:
     def of(cls, solver: Solver) -> "Budget":
         """The budget of a study's solver, starting now."""
         seconds = math.inf if solver.seconds is None else solver.seconds
-        return cls(solver.evaluations, solver.cycles, seconds, clock() + seconds)
+        return cls(solver.evaluations, solver.cycles, seconds, time.perf_counter() + seconds)
 
     def fraction(self, evaluations: int, cycles: int) -> float:
         """The fraction that is spent, of the limit that will be reached first."""
-        time = 1.0 - (self.deadline - clock()) / self.seconds if self.seconds < math.inf else 0.0
-        return max(time, evaluations / (self.evaluations or math.inf), cycles / (self.cycles or math.inf))
+        spent = 1.0 - (self.deadline - time.perf_counter()) / self.seconds if self.seconds < math.inf else 0.0
+        return max(spent, evaluations / (self.evaluations or math.inf), cycles / (self.cycles or math.inf))
 
     def spent(self, evaluations: int, cycles: int) -> bool:
         """Whether any of the limits is reached."""
         return (
             (self.cycles is not None and cycles >= self.cycles)
             or (self.evaluations is not None and evaluations >= self.evaluations)
-            or clock() >= self.deadline
+            or time.perf_counter() >= self.deadline
         )
 
 
@@ -180,7 +180,7 @@ class Run:
     @property
     def seconds(self) -> float:
         """Spent so far, without pauses."""
-        return self._spent + max(clock() - self._since, 0.0)
+        return self._spent + max(time.perf_counter() - self._since, 0.0)
 
     def rig(self) -> Rig:
         """The best rig so far."""
@@ -195,7 +195,7 @@ class Run:
         self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
     ) -> Iterator[StudyEvaluator]:
         """An evaluator for one part of the run."""
-        self._since = clock()
+        self._since = time.perf_counter()
         with StudyEvaluator(self.study, threads, skip, on_evaluations) as one:
             try:
                 yield one
@@ -285,6 +285,6 @@ def costs(
         asked = poses[allowed], source[allowed], source_poses, upper_bound[allowed]
         cost[allowed] = evaluator.costs(*asked, trials.smoothing)
         slices.append(cost)
-        if clock() > deadline:
+        if time.perf_counter() > deadline:
             break
     return checked(np.concatenate(slices))

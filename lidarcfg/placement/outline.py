@@ -18,8 +18,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.sight import Obstacles
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.world.bvh import CYLINDER, SPHERE, TRIANGLE
 from lidarcfg.world.solids import places
+from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE
 
 FLAT = 1e-12  # of the lengths that span a tetrahedron: with less volume it may have either sign
 

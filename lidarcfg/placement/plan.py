@@ -185,7 +185,7 @@ class Studies:
 
 def versions() -> dict[str, str]:
     """The versions of everything that a result depends on, to the last bit."""
-    packages = {name: version(name) for name in ("numba", "numpy", "scipy", "cma")}
+    packages = {name: version(name) for name in ("numpy", "scipy", "cma")}
     return {"lidarcfg": lidarcfg.__version__, "Python": ".".join(python_version_tuple()[:2]), **packages}
 
 

@@ -11,7 +11,6 @@ from lidarcfg import core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
-from lidarcfg.placement import detection_kernels
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.detection import (
     Counts,
@@ -145,7 +144,7 @@ def detection_target(region: Region, item: DetectionObject, target: Target) -> D
         inside = _inside(region, places, target.size_m)
         places, part = places[inside], part[inside]
     label, cuboid_m = np.where(region.included, np.int32(0), np.int32(-1)), region.cuboid_m
-    free = [detection_kernels.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
+    free = [core.analytic.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
     which = np.array(free, bool)
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
         raise ConfigError(f"{item.name}: has no free place in the region")
@@ -203,7 +202,7 @@ class MissCounter:
         ends = np.append(_ends(target) if target.item.samples else [], len(target.places)).astype(np.int64)
         self.obstacles = obstacles
         self._drawn = target.item.samples is not None
-        self._counts = np.diff(ends, prepend=0).tolist()  # of places in each replicate
+        self._counts: list[int] = np.diff(ends, prepend=0).tolist()  # of places in each replicate
         self._counter = core.returns.ReturnCounter(
             scanners, target.target.shape, target.places, ends, obstacles, target.enough
         )

@@ -1,21 +1,14 @@
 """A sweep: the runs of a plan on many workers, each a search of one thread."""
 
-import json
 import pickle
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from lidarcfg.errors import ConfigError, LidarcfgError
-from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement.optimize import Placement, optimize
 from lidarcfg.placement.plan import Plan, Run, versions
 from lidarcfg.placement.study import Study, with_solver
@@ -26,7 +19,6 @@ from lidarcfg.rig import Rig
 ATTEMPTS = 5  # of a run whose workers are killed
 LOOK_S = 2.0  # between two checks of the workers
 TRIALS, TRIAL_S = 300, 3.0  # evaluations, or seconds, by which the time of a search is estimated
-DRAWS = 100  # of poses, for one that meets the constraints
 
 
 @dataclass(frozen=True)
@@ -113,21 +105,6 @@ def _outcome(future: "Future[Outcome]") -> Outcome | None:
     return None if error else future.result()
 
 
-def warm(study: Study) -> None:
-    """Compile the loops that a search of the study needs, before several processes would."""
-    rng = np.random.default_rng(1)
-    lidars = [slot.lidar for slot in study.slots]
-    poses = study.poses(rng.random((DRAWS, int(study.free.sum()))))
-    poses = poses[study.violation(poses) == 0.0][:2]
-    source, nothing = np.zeros(1, np.int64), np.full(1, np.inf)
-    with Evaluator(study.region, lidars, 1, criterion=study.criterion(), visibility=study.visibility) as evaluator:
-        for row in poses[:, None]:
-            nothing = evaluator.costs(row, source, poses[:1], nothing)
-    for row in poses[:1]:
-        with suppress(ConfigError):
-            evaluate(study, study.rig(row))
-
-
 @dataclass(frozen=True)
 class Pace:
     """The speed of a study's searches."""
@@ -151,22 +128,6 @@ def pace(study: Study) -> Pace:
     return Pace(trial.seconds / count, trial.seconds / max(trial.history[-1].cycle, 1), rest)
 
 
-def kind(file: StudyFile) -> str:
-    """A key of the compiled loops that a search needs: equal keys, equal loops."""
-    return " ".join([file.solver.method, *sorted(set(_names(file.model_dump(exclude_unset=True))))])
-
-
 def size(file: StudyFile) -> str:
     """A key of everything that a search's pace depends on."""
-    sensors = [(group.model, group.elevation_deg, group.count) for group in file.sensors]
-    return json.dumps([kind(file), sensors, file.region.model_dump_json()])
-
-
-def _names(values: Any) -> Iterator[str]:
-    """All keys of nested maps and lists."""
-    if isinstance(values, dict):
-        yield from values
-        values = values.values()
-    if not isinstance(values, str | float | int | None):
-        for value in values:
-            yield from _names(value)
+    return file.model_copy(update={"name": "", "solver": Solver(method=file.solver.method)}).model_dump_json()

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidarcfg.names import short
+from lidarcfg.names import truncate
 from lidarcfg.packets.families import codec
 from lidarcfg.report.plots import COLOURS, new_figure
 from lidarcfg.sensor import Sensor
@@ -32,13 +32,13 @@ def draw_sensor(sensor: Sensor) -> "Figure":
     if sensor.codec:
         firing_ns = codec(sensor).firing_ns()
         _mark(by_time, (firing_ns - firing_ns.min()) / MICROSECOND_NS, elevation, numbered=sensor.count <= NUMBERED)
-        by_time.set(xlabel="fires so many µs after the first laser")
+        by_time.set(xlabel="firing time after the first laser (µs)")
     else:
         by_time.set_axis_off()
         by_time.text(
             0.5, 0.5, "exported as points:\nits packets are not known", transform=by_time.transAxes, ha="center"
         )
-    figure.suptitle(f"{short(sensor.name)}  {short(sensor.maker)}\n{_summary(sensor)}", parse_math=False)
+    figure.suptitle(f"{truncate(sensor.name)}  {truncate(sensor.maker)}\n{_summary(sensor)}", parse_math=False)
     return figure
 
 

@@ -11,8 +11,8 @@ from lidarcfg.placement.blind_spots import AZIMUTHS, BlindSpots, Contour, Direct
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.report.canvas import (
-    EM_IN,
     EXCLUDED,
+    LABELS_IN,
     WIDTH_IN,
     colour,
     dashes,
@@ -21,21 +21,21 @@ from lidarcfg.report.canvas import (
     height_in,
     label,
     panels,
+    panels_in,
     sensor_dots,
     thinned,
 )
 from lidarcfg.report.html import Table
-from lidarcfg.report.layout import ABOVE, EDGE, LEFT, color_bar, spaces
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 SIDES = {"ahead": 0, "left": 90, "behind": 180, "right": 270}  # azimuths in degrees
 MAP = "magma_r"
 MARGIN_M = 0.5  # shown around the largest contour
-LEGEND = 12.0  # ems beside the contours
+LEGEND_IN = 1.4  # beside the contours
 
 
 def volumes_table(blind: BlindSpots) -> Table:
@@ -57,7 +57,7 @@ def contours_table(blind: BlindSpots) -> Table:
         for contour in blind.contours
     ]
     head = ("above the ground", "largest (m)", *(f"{side} (m)" for side in SIDES), "area (m²)")
-    return Table("How far from the body something stays unseen", head, rows)
+    return Table("Blind spot: how far from the body something stays unseen", head, rows)
 
 
 def _distance(contour: Contour, azimuth: int) -> str:
@@ -99,7 +99,8 @@ def window(contours: Sequence[Contour], rigs: Sequence[Rig]) -> tuple[Array, Arr
     rings = [np.stack(_ring(c.directions, np.nan_to_num(c.distance_m)), axis=1) for c in contours]
     sensors = np.array([mount.position_m[:2] for rig in rigs for mount in rig.mounts])
     points = np.concatenate([*rings, sensors])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     return low - MARGIN_M, high + MARGIN_M
 
 
@@ -109,24 +110,26 @@ def draw_blind_spots(subspaces: Subspaces, rig: Rig, blind: BlindSpots) -> Marku
     low, high = window(blind.contours, [rig])
     width, height = high - low
     size = region.max_m - region.min_m
-    wide = WIDTH_IN - (LEFT + LEGEND) * EM_IN
+    wide = WIDTH_IN - LABELS_IN - LEGEND_IN
     tall = float(np.clip(wide * height / width, 2.2, 5.5))
     flat = float(np.clip(wide * size[1] / size[0], 1.4, 3.5))
 
     def draw(figure: "Figure") -> None:
-        grid = figure.add_gridspec(2, 1, **spaces(figure, heights=(tall, flat), right=LEGEND, above=ABOVE))
-        axes = figure.add_subplot(grid[0])
+        heights = (tall + LABELS_IN, flat + LABELS_IN)
+        (above,), (below,) = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)
+        axes = above.subplots()
         contours_view(axes, region, rig, blind.contours)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), title="beyond the line, some LiDAR sees everything")
         axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), title="above the ground")
-        _draw_heights(figure, figure.add_subplot(grid[1]), subspaces, rig)
+        _draw_heights(below, subspaces, rig)
 
     alt = "the blind-spot contours around the vehicle from above, and a map of how much is blind above each position"
     return drawing("blind", height_in(tall, flat), alt, draw)
 
 
-def _draw_heights(figure: "Figure", axes: "Axes", subspaces: Subspaces, rig: Rig) -> None:
-    """A map of the metres of each upright line of cuboids that no LiDAR sees."""
+def _draw_heights(figure: "SubFigure", subspaces: Subspaces, rig: Rig) -> None:
+    """A map of the unseen height: the metres of each upright line of cuboids that no LiDAR sees."""
+    axes = figure.subplots()
     region = subspaces.region
     blind = (subspaces.seen_by == 0) & region.included
     metres = np.where(region.included.any(axis=2), blind.sum(axis=2) * region.cuboid_m[2], np.nan)
@@ -135,8 +138,8 @@ def _draw_heights(figure: "Figure", axes: "Axes", subspaces: Subspaces, rig: Rig
     image = axes.imshow(thinned(metres).T, extent=around, origin="lower", aspect="auto", **look)
     sensor_dots(axes, rig, "top", 4)
     axes.set(xlim=around[:2], ylim=around[2:], facecolor=(*EXCLUDED, 0.4), xlabel="x (m)", ylabel="y (m)")
-    axes.set_title("metres of each upright line that no LiDAR sees")
-    color_bar(figure, image, [axes], "m")
+    axes.set_title("unseen height (m)")
+    figure.colorbar(image, label="m")
 
 
 def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]]) -> Markup:
@@ -145,6 +148,7 @@ def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]
     width, height = high - low
 
     def draw(figure: "Figure") -> None:
+        figure.set_layout_engine("compressed")
         grid = panels(figure, len(named))
         for n, ((name, rig, blind), axes) in enumerate(zip(named, grid, strict=True)):
             contours_view(axes, region, rig, blind.contours)
@@ -153,7 +157,6 @@ def compare_contours(region: Region, named: Sequence[tuple[str, Rig, BlindSpots]
             axes.set_ylabel("y (m)" if n % 2 == 0 else "")
         grid[0].legend(fontsize=7, title="above the ground", title_fontsize=7)
 
-    wide = WIDTH_IN - (LEFT + 3 * EDGE) * EM_IN
+    wide = WIDTH_IN - LABELS_IN
     each = float(np.clip(wide / 2 * height / width, 1.5, 4.5))
-    rows = [each] * -(-len(named) // 2)
-    return drawing("blind", height_in(*rows, down=ABOVE + EDGE), "the blind-spot contours of each rig", draw)
+    return drawing("blind", panels_in(each, -(-len(named) // 2)), "the blind-spot contours of each rig", draw)

@@ -11,10 +11,9 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.names import DRAWN, short
+from lidarcfg.names import DRAWN, truncate
 from lidarcfg.placement.region import Region
 from lidarcfg.report.html import printable
-from lidarcfg.report.layout import ABOVE, BELOW, EDGE, place_labels, spaces
 from lidarcfg.report.plots import COLOURS, new_figure
 from lidarcfg.rig import Rig
 
@@ -25,7 +24,8 @@ if TYPE_CHECKING:
 WIDTH_IN = 7.4
 VIEWS = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # the axes they show, across and up
 MARKERS = "osD^vPX*"
-NUMBER_PT, REACH = 7, 8  # of numbers in a drawing: their size, and how many half sizes away they may be written
+NUMBER_PT = 7  # the size of numbers in a drawing
+REACH = 8  # how many half sizes from its place a number may be written
 EXCLUDED = (0.55, 0.57, 0.6)
 PIXELS_MAX = 700  # a side of a map; larger ones are drawn as means of several cells
 STYLE: dict[Any, Any] = {
@@ -35,7 +35,6 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 8.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.titley": 1.0,  # not looked for
     "axes.labelsize": 8.5,
     "axes.edgecolor": "#57606a",
     "axes.linewidth": 0.7,
@@ -56,7 +55,9 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "lidarcfg",
 }
-EM_IN: float = STYLE["font.size"] / 72
+LABELS_IN = 0.65  # beside axes or below them: ticks, their labels, and what they count; also their title
+TITLE_IN = 0.3
+BAR_IN = 0.9  # a colour bar with its labels
 
 
 def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], None]) -> Markup:
@@ -68,8 +69,6 @@ def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], No
         warnings.filterwarnings("ignore", "(?s)Glyph .* missing")  # the browser has more fonts
         figure = new_figure(WIDTH_IN, height_in)
         draw(figure)
-        if figure.get_layout_engine() is None:
-            place_labels(figure)
         file = io.StringIO()
         canvas: Any = FigureCanvasSVG(figure)  # matplotlib has no types here
         canvas.print_svg(file, metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
@@ -83,14 +82,25 @@ def drawing(name: str, height_in: float, alt: str, draw: Callable[["Figure"], No
     return Markup(re.sub(r'(url\(|href=")#', rf"\g<1>#{name}-", svg))  # matplotlib escapes the texts
 
 
-def height_in(*rows: float, above: float = ABOVE, down: float = BELOW + ABOVE) -> float:
-    """The height of a drawing with rows of axes of these heights, and `spaces` as in its layout."""
-    return sum(rows) + (above + BELOW + down * (len(rows) - 1)) * EM_IN
+def height_in(*rows: float) -> float:
+    """The height of a drawing with rows of axes of these heights."""
+    return sum(rows) + LABELS_IN * len(rows)
+
+
+def panels_in(row: float, rows: int) -> float:
+    """The height of a drawing with rows of `panels` of this height."""
+    return (row + TITLE_IN) * rows + LABELS_IN - TITLE_IN
+
+
+def lay_out(figure: "Figure") -> None:
+    """Give the axes their final places; what is drawn from then on does not move them."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
 
 
 def label(name: str, most: int = DRAWN) -> str:
     """A name, shortened to fit beside a line."""
-    return short(printable(name).replace("\n", " "), most)
+    return truncate(printable(name).replace("\n", " "), most)
 
 
 def colour(i: int) -> str:
@@ -124,7 +134,8 @@ def name_axes(axes: "Axes", view: str, more: str = "") -> None:
 def extent(region: Region, view: str) -> tuple[float, float, float, float]:
     """Left, right, bottom, top."""
     across, up = VIEWS[view]
-    low, high = region.min_m, region.max_m
+    low = region.min_m
+    high = region.max_m
     return float(low[across]), float(high[across]), float(low[up]), float(high[up])
 
 
@@ -162,7 +173,8 @@ def outline(axes: "Axes", region: Region, mask: NDArray[np.bool_], view: str, **
     from matplotlib.path import Path
 
     shown = list(VIEWS[view])
-    low, edge = region.min_m[shown], region.cuboid_m[shown]
+    low = region.min_m[shown]
+    edge = region.cuboid_m[shown]
     lines = np.empty((0, 2, 2))
     for swapped in (False, True):  # edges across the first axis, then across the second
         cells = mask.T if swapped else mask
@@ -193,7 +205,7 @@ def spread(places: Array, sizes: Array, low: Array, high: Array) -> Array:
 
 
 def number_places(axes: "Axes", places: Array, texts: Sequence[str], colours: Sequence[str]) -> None:
-    """Write a short text at each place (n, 2) of axes whose limits are set; beside it, with a line, in a crowd."""
+    """Write a short text at each place (n, 2) of axes that are laid out; beside it, with a line, in a crowd."""
     per_point = axes.figure.dpi / 72
     sizes = per_point * np.array([(NUMBER_PT * (0.75 * len(text) + 0.3), 1.35 * NUMBER_PT) for text in texts])
     wanted = axes.transData.transform(places)
@@ -210,15 +222,14 @@ def sensor_dots(axes: "Axes", rig: Rig, view: str, size: float) -> None:
     """Mark the sensors."""
     across, up = VIEWS[view]
     for i, mount in enumerate(rig.mounts):
-        at, marker = mount.position_m, MARKERS[i // len(COLOURS) % len(MARKERS)]
+        at = mount.position_m
+        marker = MARKERS[i // len(COLOURS) % len(MARKERS)]
         axes.plot(at[across], at[up], marker, color=colour(i), mec="w", mew=0.6, ms=size)
 
 
-def panels(figure: "Figure", count: int, columns: int = 2, right: float = EDGE) -> list["Axes"]:
+def panels(figure: "Figure", count: int, columns: int = 2) -> list["Axes"]:
     """Axes in rows of two that share their scales; y is labelled on the left, x at the bottom."""
-    rows = -(-count // columns)
-    places = spaces(figure, [1] * columns, [1] * rows, right=right, above=ABOVE, across=2 * EDGE, down=ABOVE + EDGE)
-    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True, gridspec_kw=places).ravel().tolist()
+    grid = figure.subplots(-(-count // columns), columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
     for axes in grid[count:]:
         axes.set_visible(False)
     for axes in grid[max(count - columns, 0) : count]:

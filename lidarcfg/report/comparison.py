@@ -9,8 +9,8 @@ from typing import Any
 
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
-from lidarcfg.files import replacing, together
-from lidarcfg.names import DRAWN, HEAD, short
+from lidarcfg.files import replacing
+from lidarcfg.names import DRAWN, HEAD, truncate
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
@@ -25,11 +25,11 @@ from lidarcfg.report.words import (
     beams,
     counted,
     date,
-    limits_in_words,
+    describe_limits,
+    describe_object,
+    describe_rig,
     mounts_table,
-    object_in_words,
     region_rows,
-    rig_in_words,
     versions,
 )
 from lidarcfg.rig import Rig
@@ -57,7 +57,7 @@ class Contender:
     @property
     def title(self) -> str:
         """Its letter and name."""
-        return f"{self.letter} {short(self.rig.name, HEAD)}"
+        return f"{self.letter} {truncate(self.rig.name, HEAD)}"
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
     if bars := _analytic_row(rigs):
         out.append(bars)
     for i, zone in enumerate(rigs[0].found.zones):
-        out.append(row(f"max VSR in {short(zone.name, DRAWN)} (m)", ".6f", partial(_zone, i), -1))
+        out.append(row(f"max VSR in {truncate(zone.name, DRAWN)} (m)", ".6f", partial(_zone, i), -1))
     out += _robust_rows(rigs, row)
     out += [
         row("subspaces", ",", lambda rig: len(rig.found.subspaces)),
@@ -115,7 +115,7 @@ def rows(study: Study, rigs: Sequence[Contender]) -> list[Row]:
         row("largest inner radius of any (m)", ".3f", lambda rig: rig.details.sphere_m, -1),
     ]
     for item in study.detection:
-        out.append(row(f"detection of {short(item.name, DRAWN)}", ".4f", partial(_rate, item.name), 1))
+        out.append(row(f"detection of {truncate(item.name, DRAWN)}", ".4f", partial(_rate, item.name), 1))
     out += _blind_rows(rigs, row)
     out += [
         row("beams across an upright pole, median", "g", lambda rig: rig.details.coverage.median_beams, 1),
@@ -217,10 +217,9 @@ def save_comparison(study: Study, rigs: Sequence[Contender], folder: Path, comma
     """Write compare.json and compare.html into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = to_json(comparison_dict(study, rigs)) + "\n", comparison(study, rigs, commands)
-    with together():
-        for name, text in zip(COMPARED, texts, strict=True):
-            with replacing(folder / name) as file:
-                file.write(text)
+    for name, text in zip(COMPARED, texts, strict=True):
+        with replacing(folder / name) as file:
+            file.write(text)
 
 
 def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> str:
@@ -239,11 +238,11 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         files=Table(
             "The rigs",
             ("rig", "what it is", "file"),
-            [[r.title, rig_in_words(r.rig), r.file] for r in rigs],
+            [[r.title, describe_rig(r.rig), r.file] for r in rigs],
             texts=(1, 2),
         ),
         tables=[_table(lines, rigs, first) for first in range(0, len(rigs), COLUMNS_MAX)],
-        objects=[(short(item.name), object_in_words(item)) for item in study.detection],
+        objects=[(truncate(item.name), describe_object(item)) for item in study.detection],
         region=region_rows(study.region),
         mounts=[(rig.title, mounts_table(rig.rig)) for rig in rigs],
         commands=commands,
@@ -258,7 +257,7 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
         drawn_objects=len(study.detection) > len(shown) and len(shown),
         rings=drawings.draw_rings(rings) if rings else None,
         blind=compare_contours(study.region, blind) if blind[0][2].contours else None,
-        limits=limits_in_words(study),
+        limits=describe_limits(study),
         coverage=drawings.compare_coverage(study.region, coverage),
     )
 

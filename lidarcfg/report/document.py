@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lidarcfg import __version__
-from lidarcfg.names import first_of, short
+from lidarcfg.names import summarize, truncate
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.detection import Rings
@@ -22,19 +22,19 @@ from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table,
 from lidarcfg.report.surfaces import draw_surfaces
 from lidarcfg.report.words import (
     bounds_table,
-    constraints_in_words,
     counted,
     date,
-    hiding_in_words,
-    limits_in_words,
+    describe_constraints,
+    describe_hiding,
+    describe_limits,
+    describe_object,
+    describe_objective,
+    describe_returns,
+    describe_rig,
+    describe_skips,
+    describe_solver,
     mounts_table,
-    object_in_words,
-    objective_in_words,
     region_rows,
-    returns_in_words,
-    rig_in_words,
-    skips_in_words,
-    solver_in_words,
     vector,
     versions,
 )
@@ -73,7 +73,7 @@ def report(
     return render(
         "report.html",
         title=f"Report: {rig.name}",
-        about=f"{rig_in_words(rig)}; {what} by lidarcfg {__version__} on {date()}",
+        about=f"{describe_rig(rig)}; {what} by lidarcfg {__version__} on {date()}",
         summary=figures_beside(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
         baseline=baseline,
         baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,
@@ -88,14 +88,14 @@ def report(
         worst_is_blind=all(pair == [None, None] for pair in found.worst[0].between_deg),
         quantiles=[f"{value:.4f}" for value in np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0))],
         vehicle=[f"{value:.2f}" for value in details.vehicle_m],
-        limits=limits_in_words(study),
+        limits=describe_limits(study),
         coverage=_coverage(details, rig),
-        hides=hiding_in_words(details.hiding),
+        hides=describe_hiding(details.hiding),
         analytic=_analytic(found, found.analytic, baseline) if found.analytic else None,
         exact_rates=any(not item.samples for item in study.detection),
         drawn_rates=any(item.samples for item in study.detection),
         skipped=_skipped(study, values, placement),
-        skips=skips_in_words(study),
+        skips=describe_skips(study),
         repeat=_repeat(values),
         drawn_objects=len(study.detection) > drawings.OBJECTS_MAX and drawings.OBJECTS_MAX,
         drawings=_drawings(study, rig, details, placement, baseline),
@@ -105,7 +105,8 @@ def report(
 
 def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]:
     """The tables of a rig by their names in the template."""
-    found, robust = details.evaluation, details.evaluation.robustness
+    found = details.evaluation
+    robust = details.evaluation.robustness
     return {
         "mounts": mounts_table(rig),
         "worst": _worst(found),
@@ -124,7 +125,8 @@ def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]
 def _drawings(
     study: Study, rig: Rig, details: Details, placement: Placement | None, baseline: Baseline | None
 ) -> dict[str, Any]:
-    found, region = details.evaluation, study.region
+    found = details.evaluation
+    region = study.region
     both = [("this rig", details), ("baseline", baseline.details)] if baseline else [("", details)]
     robust = [(name, one.evaluation.robustness) for name, one in both if one.evaluation.robustness]
     shown = drawings.least_detected([one.evaluation for _, one in both])
@@ -152,14 +154,16 @@ def _of_baseline(baseline: Baseline) -> list[Figure]:
 
 
 def _summary(details: Details) -> list[Figure]:
-    found, midpoint = details.evaluation, details.midpoint_max_vsr_m
-    worst, at = found.worst[0], f"at {vector(found.worst[0].centroid_m, '.1f')} m"
+    found = details.evaluation
+    midpoint = details.midpoint_max_vsr_m
+    worst = found.worst[0]
+    at = f"at {vector(worst.centroid_m, '.1f')} m"
     largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
     figures = [Figure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
     if midpoint is not None:
         more = found.max_vsr_m / midpoint - 1
-        than = f"this rig's is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
-        figures.append(Figure("… at the midpoint of the study's bounds", f"{midpoint:.6f} m", than))
+        than = f"this rig's max VSR is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
+        figures.append(Figure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
     if bar := found.analytic:
         value = f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m"
         figures.append(
@@ -177,7 +181,7 @@ def _summary(details: Details) -> list[Figure]:
         figures.append(Figure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
     for name, rate in found.detection.items():
         how = f"± {rate.half_width:.2%}, of {rate.places:,} drawn positions" if rate.half_width else "of all positions"
-        figures.append(Figure(f"Detection of {short(name)}", f"{rate.rate:.2%}", how))
+        figures.append(Figure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", how))
     return figures
 
 
@@ -185,11 +189,11 @@ def _task(study: Study, placement: Placement | None) -> Facts:
     rows: Facts = [("study", study.name), *region_rows(study.region)]
     if placement:
         rows += [
-            ("objective", objective_in_words(study)),
-            ("constraints", constraints_in_words(study)),
-            ("solver", solver_in_words(study)),
+            ("objective", describe_objective(study)),
+            ("constraints", describe_constraints(study)),
+            ("solver", describe_solver(study)),
         ]
-    return rows + [(f"object: {short(item.name)}", object_in_words(item)) for item in study.detection]
+    return rows + [(f"object: {truncate(item.name)}", describe_object(item)) for item in study.detection]
 
 
 def _search(placement: Placement | None) -> Facts:
@@ -197,10 +201,11 @@ def _search(placement: Placement | None) -> Facts:
         return []
     return [
         ("evaluations", f"{placement.evaluations:,}"),
-        ("besides: first rigs and scouts", f"{placement.first_evaluations:,} and {placement.scout_evaluations:,}"),
+        ("more evaluations, of first rigs", f"{placement.first_evaluations:,}"),
+        ("more evaluations, of scouts", f"{placement.scout_evaluations:,}"),
         ("cycles", f"{placement.history[-1].cycle:,}"),
         ("seconds", f"{placement.seconds:.1f}"),
-        ("objective of the best", f"{placement.objective:.6f}"),
+        ("objective value of the best rig", f"{placement.objective:.6f}"),
         ("ended by", "an interrupt" if placement.interrupted else "its budget"),
     ]
 
@@ -214,7 +219,7 @@ def _worst(found: Evaluation) -> Table:
             f"{worst.surface_m2:.2f}",
             f"{worst.inscribed_radius_m:.3f}",
             vector(worst.centroid_m, ".1f"),
-            "; ".join(first_of([f"{n}: {_between(*pair)}" for n, pair in enumerate(worst.between_deg, 1)])),
+            "; ".join(summarize([f"{n}: {_between(*pair)}" for n, pair in enumerate(worst.between_deg, 1)])),
         ]
         for i, worst in enumerate(found.worst, 1)
     ]
@@ -227,19 +232,28 @@ def _hiding(details: Details) -> Table:
     """Which objects fit into a subspace."""
     rows = []
     for name, found in details.hiding.items():
-        row = [short(name), "yes" if found.in_worst else "no", f"{found.subspaces:,}"]
+        row = [truncate(name), "yes" if found.in_worst else "no", f"{found.subspaces:,}"]
         if found.nearest_at_m is None:
             rows.append([*row, "–", "–", "–"])
             continue
         row += [f"{found.largest_vsr_m:.4f}", f"{found.nearest_m:.2f}", vector(found.nearest_at_m, ".1f")]
         rows.append(row)
-    head = ("object", "fits into the worst", "into so many", "their largest VSR (m)", "nearest (m)", "at x, y (m)")
-    return Table("Which objects fit wholly into a subspace, parallel to the axes", head, rows, texts=(1, 5))
+    head = (
+        "object",
+        "fits into the worst gap",
+        "gaps it fits into",
+        "largest of these, VSR (m)",
+        "nearest (m)",
+        "at x, y (m)",
+    )
+    caption = "Objects that fit wholly into a gap, that is a subspace, with their edges parallel to the axes"
+    return Table(caption, head, rows, texts=(1, 5))
 
 
 def _shape(details: Details) -> Table:
     """Sizes of the subspaces, and beams across poles."""
-    found, known = details.evaluation, details.coverage
+    found = details.evaluation
+    known = details.coverage
     parts = zip(("half", "90 %", "99 %", "all"), np.quantile(found.vsr_m, (0.5, 0.9, 0.99, 1.0)).tolist(), strict=True)
     rows = [
         ["subspaces", f"{len(found.subspaces):,}"],
@@ -269,11 +283,11 @@ def _between(low: float | None, high: float | None) -> str:
 def _detection(study: Study, found: Evaluation) -> Table | None:
     rows = [
         [
-            short(item.name),
+            truncate(item.name),
             f"{rate.rate:.4f}",
             f"± {rate.half_width:.4f}" if rate.half_width else "exact",
             f"{rate.places:,}",
-            object_in_words(item) + (f"; {returns_in_words(rate.returns)}" if rate.returns else ""),
+            describe_object(item) + (f"; {describe_returns(rate.returns)}" if rate.returns else ""),
         ]
         for item, rate in ((item, found.detection[item.name]) for item in study.detection)
     ]
@@ -325,7 +339,8 @@ def _analytic(found: Evaluation, bar: Analytic, baseline: Baseline | None) -> di
 def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> Facts:
     if placement is None:
         return []
-    skipped, trials = values["skipped"], placement.evaluated
+    skipped = values["skipped"]
+    trials = placement.evaluated
     all_trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
     what = "rigs" if study.rigs[0] > 1 else "trials"
     facts: Facts = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
@@ -333,7 +348,7 @@ def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) 
         facts.append(("rigs that these stand for", f"{skipped['rigs']:,}, {study.rigs[0]:,} a trial"))
     facts.append((f"{what} settled without a full evaluation", _of(skipped["full_evaluations"], skipped["rigs"])))
     if not study.objective_cuts:
-        return [*facts, ("cuboids that were not evaluated", "all: the objective does not need the subspaces")]
+        return [*facts, ("cuboids that were not evaluated", "all, as the objective does not need the subspaces")]
     cuboids = skipped["rigs"] * study.region.included.size
     facts.append(("cuboids that were not evaluated", _of(skipped["cuboids"], cuboids)))
     if segments := trials * study.segments:

@@ -17,8 +17,9 @@ from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import (
-    EM_IN,
+    BAR_IN,
     EXCLUDED,
+    LABELS_IN,
     MARKERS,
     VIEWS,
     WIDTH_IN,
@@ -30,16 +31,17 @@ from lidarcfg.report.canvas import (
     height_in,
     hidden,
     label,
+    lay_out,
     name_axes,
     number_places,
     outline,
     panels,
+    panels_in,
     sensor_dots,
     shade,
     shade_excluded,
     thinned,
 )
-from lidarcfg.report.layout import ABOVE, BESIDE, EDGE, LEFT, color_bar, spaces
 from lidarcfg.report.plots import COLOURS, history_top
 from lidarcfg.rig import Rig
 
@@ -71,37 +73,39 @@ def draw_mounts(study: Study, rig: Rig) -> Markup:
     size = high - low
 
     def draw(figure: "Figure") -> None:
-        widths, heights = fractions(size[0], size[1]), fractions(size[1], size[2])
-        grid = figure.add_gridspec(2, 2, **spaces(figure, widths, heights, above=ABOVE))
-        for view, place in zip(VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True):
+        widths = fractions(size[0], size[1])
+        heights = fractions(size[1], size[2])
+        grid = figure.add_gridspec(2, 2, width_ratios=widths, height_ratios=heights)
+        views = dict(zip(VIEWS, (grid[0, 0], grid[1, 0], grid[1, 1]), strict=True))
+        drawn = {view: figure.add_subplot(place) for view, place in views.items()}
+        for view, axes in drawn.items():
             across, up = VIEWS[view]
-            axes = figure.add_subplot(place)
             shade_excluded(axes, study.region, view)
-            axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]))
-            axes.set_aspect("equal")
-            axes.apply_aspect()
-            below = [
-                _draw_mount(axes, view, i, bounds.get(mount.name), at[i], tips[i]) for i, mount in enumerate(rig.mounts)
-            ]
+            axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal")
+            for i, mount in enumerate(rig.mounts):
+                _draw_mount(axes, view, i, bounds.get(mount.name), at[i], tips[i])
             sensor_dots(axes, rig, view, 7)
-            number_places(
-                axes, np.array(below), [str(i + 1) for i in range(len(below))], [colour(i) for i in range(len(below))]
-            )
             axes.grid(True)
             name_axes(axes, view)
-        top = figure.axes[0]
+        top = drawn["top"]
         names = [f"{i} {label(mount.name)}" for i, mount in enumerate(rig.mounts[:NAMES_MAX], 1)]
         legend = top.legend(top.lines[-len(lidars) :][:NAMES_MAX], names, loc="upper left", bbox_to_anchor=(1.03, 1.0))
         legend.set_in_layout(False)  # the corner beside the front is free
+        lay_out(figure)
+        for view, axes in drawn.items():
+            beside = [_beside(axes, view, *ends) for ends in zip(at, tips, strict=True)]
+            ranks = range(len(beside))
+            number_places(axes, np.array(beside), [str(i + 1) for i in ranks], [colour(i) for i in ranks])
 
-    scale = (WIDTH_IN - 2 * (LEFT + EDGE) * EM_IN) / (size[0] + size[1])
+    scale = (WIDTH_IN - 2 * LABELS_IN) / (size[0] + size[1])
     height = float(np.clip(height_in(scale * size[1], scale * size[2]), 3.0, 7.5))
     return drawing("mounts", height, f"{len(lidars)} sensors from top, side and front, with axes and bounds", draw)
 
 
 def _frame(points: Array, span: float, floor_m: float) -> tuple[Array, Array]:
     """A box around points (n, 3): down to the floor if that is near, and nowhere a sliver."""
-    low, high = points.min(axis=0) - 0.15 * span, points.max(axis=0) + 0.15 * span
+    low = points.min(axis=0) - 0.15 * span
+    high = points.max(axis=0) + 0.15 * span
     floor = floor_m - 0.02 * span
     if 0 < low[2] - floor < 2 * span:
         low[2] = floor
@@ -109,15 +113,23 @@ def _frame(points: Array, span: float, floor_m: float) -> tuple[Array, Array]:
     return low - wider, high + wider
 
 
-def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | None, at: Array, tip: Array) -> Array:
-    """Draw the i-th sensor's bounds and its axis from `at` to `tip`; returns (2,) where its number belongs."""
+def _draw_mount(axes: "Axes", view: str, i: int, bounds: tuple[Array, Array] | None, at: Array, tip: Array) -> None:
+    """Draw the i-th sensor's bounds and its axis from `at` to `tip`."""
     across, up = VIEWS[view]
     if bounds:
         (left, right), (bottom, top) = ((bounds[0][axis], bounds[1][axis]) for axis in (across, up))
         axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "--", color=colour(i), lw=0.8)
-    start, end = at[[across, up]], tip[[across, up]]
+    start = at[[across, up]]
+    end = tip[[across, up]]
     arrow = {"arrowstyle": "-|>", "color": colour(i), "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (end[0], end[1]), (start[0], start[1]), arrowprops=arrow)
+
+
+def _beside(axes: "Axes", view: str, at: Array, tip: Array) -> Array:
+    """(2,) where the number of a sensor at `at` belongs: behind its axis, or below it if that points at the viewer."""
+    across, up = VIEWS[view]
+    start = at[[across, up]]
+    end = tip[[across, up]]
     length = float(np.hypot(*(end - start)))
     away = (start - end) / length if length > 0.08 * float(np.linalg.norm(tip - at)) else np.array([0.0, -1.0])
     beside = axes.transData.transform(start) + BESIDE_PT * axes.figure.dpi / 72 * away
@@ -129,7 +141,7 @@ def draw_history(study: Study, found: Placement) -> Markup:
     """Best and mean over the evaluations."""
 
     def draw(figure: "Figure") -> None:
-        axes = figure.subplots(gridspec_kw=spaces(figure))
+        axes = figure.subplots()
         evaluations = [cycle.evaluations for cycle in found.history]
         dot = "o" if len(evaluations) < 3 else ""
         axes.plot(evaluations, [cycle.mean for cycle in found.history], marker=dot, color=COLOURS[5], label="mean")
@@ -146,8 +158,8 @@ def draw_history(study: Study, found: Placement) -> Markup:
 
 
 def worst_view(axes: "Axes", view: str, rig: Rig, found: Evaluation, count: int) -> None:
-    """The worst subspaces from one side: outlined and numbered, the first one filled."""
-    region, (across, up) = found.subspaces.region, VIEWS[view]
+    """The worst subspaces from one side: outlined, the first one filled."""
+    region = found.subspaces.region
     shade_excluded(axes, region, view)
     for rank, one in reversed(list(enumerate(found.extents[:count]))):
         mask = one.lines[hidden(view)] > 0
@@ -157,8 +169,12 @@ def worst_view(axes: "Axes", view: str, rig: Rig, found: Evaluation, count: int)
     sensor_dots(axes, rig, view, 4)
     left, right, bottom, top = extent(region, view)
     axes.set(xlim=(left, right), ylim=(bottom, top))
+
+
+def _number_worst(axes: "Axes", view: str, found: Evaluation, count: int) -> None:
+    """The numbers of the worst subspaces, at their centroids."""
     ranks = range(min(count, len(found.worst)))
-    middles = np.array([[found.worst[rank].centroid_m[axis] for axis in (across, up)] for rank in ranks])
+    middles = np.array([[found.worst[rank].centroid_m[axis] for axis in VIEWS[view]] for rank in ranks])
     number_places(axes, middles, [str(rank + 1) for rank in ranks], [_tint(rank) for rank in ranks])
 
 
@@ -181,12 +197,16 @@ def draw_worst(study: Study, rig: Rig, found: Evaluation) -> Markup:
     size = found.subspaces.region.max_m - found.subspaces.region.min_m
 
     def draw(figure: "Figure") -> None:
-        grid = figure.add_gridspec(2, 2, **spaces(figure, fractions(size[0], size[1]), (1.9, 1), above=ABOVE))
-        for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
-            axes = figure.add_subplot(place)
+        grid = figure.add_gridspec(2, 2, width_ratios=fractions(size[0], size[1]), height_ratios=(1.9, 1))
+        views = dict(zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True))
+        drawn = {view: figure.add_subplot(place) for view, place in views.items()}
+        for view, axes in drawn.items():
             worst_view(axes, view, rig, found, len(found.worst))
             _draw_zones(axes, view, study)
             name_axes(axes, view, "" if view == "top" else " (height stretched)")
+        lay_out(figure)
+        for view, axes in drawn.items():
+            _number_worst(axes, view, found, len(found.worst))
 
     alt = f"the {len(found.worst)} worst subspaces in the region, from top, side and front"
     return drawing("worst", 4.6, alt, draw)
@@ -201,15 +221,18 @@ def draw_sizes(named: Sequence[tuple[str, Details]]) -> Markup:
     def draw(figure: "Figure") -> None:
         from matplotlib.ticker import LogLocator, NullFormatter
 
-        counts, volumes = figure.subplots(2, 1, sharex=True, gridspec_kw=spaces(figure, heights=(1, 1), down=EDGE))
+        counts, volumes = figure.subplots(2, 1, sharex=True)
         for i, (name, rig) in enumerate(named):
-            vsr_m, volume = rig.evaluation.vsr_m, rig.volume_m3
+            vsr_m = rig.evaluation.vsr_m
+            volume = rig.volume_m3
             style: dict[str, Any] = {"color": colour(i), "label": label(name)}
-            filled, line = {"histtype": "stepfilled", "alpha": 0.75}, {"histtype": "step", "lw": 1.5, "ls": dashes(i)}
+            filled = {"histtype": "stepfilled", "alpha": 0.75}
+            line = {"histtype": "step", "lw": 1.5, "ls": dashes(i)}
             style |= filled if len(named) == 1 else line
             counts.hist(vsr_m, edges, **style)
             volumes.hist(vsr_m, edges, weights=100 * volume / volume.sum(), **style)
-            worst, code = [one.vsr_m for one in rig.evaluation.worst], WORST if len(named) == 1 else colour(i)
+            worst = [one.vsr_m for one in rig.evaluation.worst]
+            code = WORST if len(named) == 1 else colour(i)
             for axes in (counts, volumes):
                 axes.vlines(worst, 0, 0.06, color=code, lw=1, transform=axes.get_xaxis_transform())
         counts.set(xscale="log", yscale="log", ylabel="subspaces")
@@ -233,7 +256,8 @@ def draw_rings(titled: Sequence[tuple[str, Mapping[str, Rings]]]) -> Markup:
         grid = panels(figure, len(titled), min(len(titled), 2))
         for n, ((title, lines), axes) in enumerate(zip(titled, grid, strict=True)):
             for i, (name, rings) in enumerate(lines.items()):
-                distance, rate = (rings.edges_m[:-1] + rings.edges_m[1:]) / 2, 100 * rings.rate
+                distance = (rings.edges_m[:-1] + rings.edges_m[1:]) / 2
+                rate = 100 * rings.rate
                 style: dict[str, Any] = {"color": colour(i), "ls": dashes(i), "marker": MARKERS[i % len(MARKERS)]}
                 axes.plot(distance, rate, ms=4, label=label(name), **style)
                 axes.set(ylim=(-3, 103), xlim=(0, rings.edges_m[-1]))
@@ -259,10 +283,12 @@ def least_detected(found: Sequence[Evaluation]) -> list[str]:
 
 def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Markup:
     """Where each object is detected, from above."""
-    size, columns = region.max_m - region.min_m, min(len(places), 2)
+    size = region.max_m - region.min_m
+    columns = min(len(places), 2)
 
     def draw(figure: "Figure") -> None:
-        grid = panels(figure, len(places), columns, BESIDE)
+        figure.set_layout_engine("compressed")
+        grid = panels(figure, len(places), columns)
         for axes, (name, place) in zip(grid, places.items(), strict=True):
             rate = 100 * place.rate
             around = (place.low_m[0], place.high_m[0], place.low_m[1], place.high_m[1])
@@ -273,11 +299,11 @@ def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Marku
             sensor_dots(axes, rig, "top", 3.5)
             _finish_map(axes, region, label(name))
         _name_outer(grid)
-        color_bar(figure, image, grid, "detected (%)")
+        figure.colorbar(image, ax=grid, label="detected (%)")
 
-    wide = WIDTH_IN - (LEFT + BESIDE + 2 * EDGE * (columns - 1)) * EM_IN
+    wide = WIDTH_IN - LABELS_IN - BAR_IN
     each = float(np.clip(wide / columns * size[1] / size[0], 0.8, 4.0))
-    height = height_in(*[each] * -(-len(places) // columns), down=ABOVE + EDGE)
+    height = panels_in(each, -(-len(places) // columns))
     return drawing("places", height, "where each object is detected, from above", draw)
 
 
@@ -315,25 +341,26 @@ def draw_coverage(region: Region, rig: Rig, coverage: Coverage) -> Markup:
     """Beams across each line of cuboids, from top, side and front; and from above how many sensors have one there."""
     upright = coverage.beams[2]
     sensors = np.where(upright[0] < 0, -1, (upright > 0).sum(axis=0))
-    size, levels = region.max_m - region.min_m, len(rig.mounts) + 1
+    size = region.max_m - region.min_m
+    levels = len(rig.mounts) + 1
 
     def draw(figure: "Figure") -> None:
         import matplotlib as mpl
 
-        widths, around = fractions(size[0], size[1]), {"right": BESIDE, "across": BESIDE + LEFT, "above": ABOVE}
-        grid = figure.add_gridspec(3, 2, **spaces(figure, widths, (1.9, 1, 1.9), **around))
+        grid = figure.add_gridspec(3, 2, width_ratios=fractions(size[0], size[1]), height_ratios=(1.9, 1, 1.9))
         for view, place in zip(VIEWS, (grid[0, :], grid[1, 0], grid[1, 1]), strict=True):
-            axes, beams = figure.add_subplot(place), all_beams(coverage, view)
+            axes = figure.add_subplot(place)
+            beams = all_beams(coverage, view)
             image = coverage_view(axes, view, region, beams, float(beams.max()))
             sensor_dots(axes, rig, view, 4)
             name_axes(axes, view, f": beams along {'xyz'[hidden(view)]}")
-            color_bar(figure, image, [axes], "beams")
+            figure.colorbar(image, label="beams")
         axes = figure.add_subplot(grid[2, :])
         image = coverage_view(axes, "top", region, sensors, levels - 1)
         image.set(cmap=mpl.colormaps[MAP].resampled(levels), clim=(-0.5, levels - 0.5))
         sensor_dots(axes, rig, "top", 4)
         name_axes(axes, "top", ": sensors with a beam along z")
-        bar = color_bar(figure, image, [axes], "sensors")
+        bar = figure.colorbar(image, label="sensors")
         bar.set_ticks([int(n) for n in np.unique(np.linspace(0, levels - 1, min(levels, 6)).round())])
 
     return drawing("coverage", 6.3, "maps of how many beams cross the region, from top, side and front", draw)
@@ -343,8 +370,7 @@ def compare_worst(key: str, named: Sequence[tuple[str, Rig, Evaluation]]) -> Mar
     """The worst subspaces of each rig, a row per rig, from top and side; `key` names this drawing among several."""
 
     def draw(figure: "Figure") -> None:
-        rows = spaces(figure, (1, 1), [1] * len(named), above=ABOVE, down=ABOVE + EDGE)
-        grid = figure.subplots(len(named), 2, sharex=True, sharey="col", squeeze=False, gridspec_kw=rows)
+        grid = figure.subplots(len(named), 2, sharex=True, sharey="col", squeeze=False)
         for n, (row, (name, rig, found)) in enumerate(zip(grid, named, strict=True), 1):
             for view, axes in zip(("top", "side"), row, strict=True):
                 worst_view(axes, view, rig, found, 5)
@@ -352,6 +378,10 @@ def compare_worst(key: str, named: Sequence[tuple[str, Rig, Evaluation]]) -> Mar
                 axes.set_title(label(name, 40) if view == "top" else "")
                 if n < len(named):
                     axes.set_xlabel("")
+        lay_out(figure)
+        for row, (_, _, found) in zip(grid, named, strict=True):
+            for view, axes in zip(("top", "side"), row, strict=True):
+                _number_worst(axes, view, found, 5)
 
     return drawing(key, 0.5 + 1.7 * len(named), "the worst subspaces of each rig, from top and side", draw)
 
@@ -362,12 +392,12 @@ def compare_coverage(region: Region, named: Sequence[tuple[str, Rig, Coverage]])
     most = max(float(beams.max()) for beams in maps)
 
     def draw(figure: "Figure") -> None:
-        grid = panels(figure, len(named), right=BESIDE)
+        grid = panels(figure, len(named))
         for (name, rig, _), beams, axes in zip(named, maps, grid, strict=True):
             image = coverage_view(axes, "top", region, beams, most)
             sensor_dots(axes, rig, "top", 3.5)
             axes.set_title(label(name, 40))
         _name_outer(grid)
-        color_bar(figure, image, grid, "beams")
+        figure.colorbar(image, ax=grid, label="beams")
 
     return drawing("coverage", 0.5 + 1.6 * -(-len(named) // 2), "beams across upright poles, for each rig", draw)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lidarcfg import __version__
 from lidarcfg.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
-from lidarcfg.files import replacing, together
+from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.placement.details import details
 from lidarcfg.placement.front import Candidate, Front, Point
 from lidarcfg.placement.optimize import Log
@@ -25,7 +25,7 @@ from lidarcfg.report.front_plot import draw_front, front_svg
 from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
-from lidarcfg.report.words import counted, date, objective_in_words, price, solver_in_words, versions
+from lidarcfg.report.words import counted, date, describe_objective, describe_solver, price, versions
 from lidarcfg.yaml_document import yaml_text
 
 STUDY = "study.yaml"
@@ -38,7 +38,7 @@ def front_dict(study: Study, found: Front) -> dict[str, Any]:
     """What `optimize` writes as front.json where there are sensors to choose."""
     points = {point.combination.name: point for point in found.points}
     return {
-        "objective": objective_in_words(study),
+        "objective": describe_objective(study),
         "points": [_point(point) for point in found.points],
         "combinations": [
             {
@@ -84,15 +84,16 @@ def save_front(
     `on_point` is called before each point's folder is written.
     """
     save_front_log(study, found.logs, folder)
-    values, names = front_dict(study, found), {point.combination.name for point in found.points}
-    with together(gone=(path for path in _points(folder) if path.parent.name not in names)):
-        for number, point in enumerate(found.points):
-            on_point(number, point)
-            _save_point(point, folder / "points" / point.combination.name, commands)
-        write_text(to_json(values) + "\n", folder / "front.json")
-        write_history(found.history, folder)
-        save_figure(draw_front(study, found), folder / "front.png")
-        write_text(front_page(study, found, values, commands), folder / "front.html")
+    values = front_dict(study, found)
+    names = {point.combination.name for point in found.points}
+    remove_outdated(path for path in _points(folder) if path.parent.name not in names)
+    for number, point in enumerate(found.points):
+        on_point(number, point)
+        _save_point(point, folder / "points" / point.combination.name, commands)
+    write_text(to_json(values) + "\n", folder / "front.json")
+    write_history(found.history, folder)
+    save_figure(draw_front(study, found), folder / "front.png")
+    write_text(front_page(study, found, values, commands), folder / "front.html")
     for other in (folder / "points").glob("*"):
         with suppress(OSError):  # one that holds files stays
             other.rmdir()
@@ -100,7 +101,8 @@ def save_front(
 
 def _save_point(point: Point, folder: Path, commands: Commands) -> None:
     """Write the study of a combination, and the results of its search as `optimize` writes them."""
-    study, found = point.combination.study, point.placement
+    study = point.combination.study
+    found = point.placement
     shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
     write_text(yaml_text(study.file), folder / STUDY)
     save_placement(study, found, shown, folder, commands)
@@ -117,10 +119,8 @@ def save_front_log(study: Study, logs: Sequence[Sequence[Log]], folder: Path) ->
     The other results of an earlier search are removed: a folder holds those of one search.
     """
     every = [(owner, log) for owner, of_one in enumerate(logs) for log in of_one]
-    with (
-        together(gone=chain((folder / name for name in {*FRONT, *RESULTS} if name != "search.npz"), _points(folder))),
-        replacing(folder / "search.npz", "wb") as file,
-    ):
+    remove_outdated(chain((folder / name for name in {*FRONT, *RESULTS} if name != "search.npz"), _points(folder)))
+    with replacing(folder / "search.npz", "wb") as file:
         np.savez_compressed(
             file,
             cost=np.concatenate([log.cost for _, log in every]),
@@ -163,7 +163,8 @@ def _is_log(arrays: Mapping[str, NDArray[Any]]) -> bool:
 
 def front_page(study: Study, found: Front, values: dict[str, Any], commands: Commands) -> str:
     """The front as one HTML file beside the folder points/. Raises ConfigError if SOURCE_DATE_EPOCH is not a time."""
-    cheapest, best = found.points[0], found.points[-1]
+    cheapest = found.points[0]
+    best = found.points[-1]
     tried = [one for one in found.candidates if one.evaluations]
     return render(
         "front.html",
@@ -175,13 +176,13 @@ def front_page(study: Study, found: Front, values: dict[str, Any], commands: Com
             Figure("The best rig", price(best.combination.price), _what(best)),
             Figure("Evaluations", f"{found.evaluations:,}", f"{_spent(found)} on the front's combinations"),
         ],
-        objective=objective_in_words(study),
+        objective=describe_objective(study),
         plot=front_svg(study, found),
         points=_points_table(study, found),
         candidates=_candidates_table(found),
         untried=len(found.candidates) - len(tried),
         search=[
-            ("solver", solver_in_words(study)),
+            ("solver", describe_solver(study)),
             ("evaluations", f"{found.evaluations:,}"),
             ("… of combinations that are not on the front", f"{found.dominated_evaluations:,}"),
         ],
@@ -208,7 +209,8 @@ def _spent(found: Front) -> str:
 def _points_table(study: Study, found: Front) -> Table:
     rows = []
     for point in found.points:
-        name, evaluation = point.combination.name, point.placement.evaluation
+        name = point.combination.name
+        evaluation = point.placement.evaluation
         link = Markup('<a href="points/{}/report.html">{}</a>').format(quote(name), name)
         rows.append(
             [

@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from lidarcfg.geometry import Array
-from lidarcfg.names import DRAWN, short
+from lidarcfg.names import DRAWN, truncate
 from lidarcfg.placement.front import Front, Point
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
@@ -33,7 +33,7 @@ def front_svg(study: Study, found: Front) -> Markup:
 
 
 def draw_front(study: Study, found: Front) -> "Figure":
-    """The same as a figure of its own."""
+    """The plot as a figure of its own."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -110,7 +110,7 @@ def _name_models(axes: "Axes", models: list[str]) -> None:
     handles, names = axes.get_legend_handles_labels()
     for i, name in enumerate(models):
         handles += axes.plot([], [], _marker(i), color=colour(i + 1), mec="w", mew=0.4, ms=6)
-        names.append(short(name, DRAWN))
+        names.append(truncate(name, DRAWN))
     axes.legend(handles, names, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=LEGEND_COLUMNS)  # below
 
 
@@ -122,7 +122,8 @@ def _extent(study: Study, found: Front) -> tuple[Array, Array]:
     """The corners of all pictures: the extent of the vehicle and the sensors."""
     at = [mount.position_m[:2] for point in found.points for mount in point.placement.rig.mounts]
     points = np.array([*at, *_outline(study)])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     size = max(float((high - low).max()), 0.5)
     more = np.maximum(0.5 * size - (high - low), 0.0) / 2 + MARGIN * size
     return low - more, high + more

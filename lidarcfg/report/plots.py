@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
-from lidarcfg.names import DRAWN, first_of, short
+from lidarcfg.names import DRAWN, summarize, truncate
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.report.layout import ABOVE, place_labels, spaces
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -29,8 +28,6 @@ def save_figure(figure: "Figure", path: str | Path) -> None:
     """Write a PNG, whole or not at all."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    if figure.get_layout_engine() is None:
-        place_labels(figure)
     figure.set_dpi(DPI)
     canvas: Any = FigureCanvasAgg(figure)  # matplotlib has no types here
     with replacing(path, "wb") as file, warnings.catch_warnings():
@@ -55,7 +52,7 @@ def history_top(study: Study, found: Placement) -> float | None:
 def draw_convergence(study: Study, found: Placement) -> "Figure":
     """Best and mean max VSR of the food sources over the evaluations (the paper's figure 4)."""
     figure = new_figure(7, 4)
-    axes = figure.subplots(gridspec_kw=spaces(figure, above=ABOVE))
+    axes = figure.subplots()
     evaluations = [cycle.evaluations for cycle in found.history]
     axes.plot(evaluations, [cycle.best for cycle in found.history], color=COLOURS[0], label="best")
     axes.plot(evaluations, [cycle.mean for cycle in found.history], color=COLOURS[5], label="mean of the swarm")
@@ -67,9 +64,8 @@ def draw_convergence(study: Study, found: Placement) -> "Figure":
     label = "max VSR (m)" if study.is_max_vsr else "objective"
     axes.set(xlabel="evaluations", ylabel=label, ylim=(0, top))
     axes.set_title(
-        f"{short(study.name)}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
+        f"{truncate(study.name)}: {found.evaluation.max_vsr_m:.4f} m, {study.solver.method}, seed {study.solver.seed}",
         parse_math=False,
-        y=1.0,
     )
     axes.grid(alpha=0.3)
     axes.legend()
@@ -82,13 +78,15 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
 
     region = study.region
     figure = new_figure(11, 7)
-    grid = figure.add_gridspec(2, 2, **spaces(figure, (3, 1), (1, 1), above=2.5 * ABOVE))
+    grid = figure.add_gridspec(2, 2, width_ratios=(3, 1))
     views = ((0, 1, grid[0, :]), (0, 2, grid[1, 0]), (1, 2, grid[1, 1]))
     for across, up, place in views:
         axes = figure.add_subplot(place)
         hidden = ({0, 1, 2} - {across, up}).pop()
-        left, right = float(region.min_m[across]), float(region.max_m[across])
-        bottom, top = float(region.min_m[up]), float(region.max_m[up])
+        left = float(region.min_m[across])
+        right = float(region.max_m[across])
+        bottom = float(region.min_m[up])
+        top = float(region.max_m[up])
         for mask, colour in (
             (region.excluded_lines[hidden], (0.6, 0.6, 0.6)),
             (found.extents[0].lines[hidden] > 0, (0.84, 0.37, 0.0)),
@@ -105,21 +103,20 @@ def draw_rig(study: Study, rig: Rig, found: Evaluation) -> "Figure":
             )
         _draw_sensors(axes, rig, across, up, 0.12 * (top - bottom))
         axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
-        axes.set_title(
-            {2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"), y=1.0
-        )
+        axes.set_title({2: "top", 1: "side", 0: "front"}[hidden] + ("" if hidden == 2 else " (height stretched)"))
     dots = figure.axes[0].lines[: len(rig.mounts)]
-    named = first_of([short(mount.name, DRAWN) for mount in rig.mounts])
+    named = summarize([truncate(mount.name, DRAWN) for mount in rig.mounts])
     rest = [Line2D([], [], ls="")] * (len(named) < len(dots))
     figure.axes[0].legend([*dots[: len(named) - len(rest)], *rest], named, loc="upper right")
-    title = f"{short(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
+    title = f"{truncate(rig.name)}: max VSR {found.max_vsr_m:.4f} m; the worst subspace orange, excluded grey"
     figure.suptitle(title, parse_math=False)
     return figure
 
 
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
     for i, cones in enumerate(rig_lidars(rig)):
-        colour, at = COLOURS[i % len(COLOURS)], cones.position_m
+        colour = COLOURS[i % len(COLOURS)]
+        at = cones.position_m
         axes.plot(at[across], at[up], "o", color=colour, ms=5, zorder=3)
         tip = at + cones.axis * length
         arrow = {"arrowstyle": "->", "color": colour, "lw": 1.5}

@@ -15,7 +15,7 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
-from lidarcfg.files import check_replaceable, replacing, together
+from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
@@ -90,7 +90,8 @@ def _contour(contour: Contour) -> dict[str, Any]:
 
 def placement_dict(study: Study, found: Placement, evaluation: Evaluation) -> dict[str, Any]:
     """The values of result.json that `optimize` writes."""
-    rigs, cut = found.evaluated * study.rigs[0], study.objective_cuts
+    rigs = found.evaluated * study.rigs[0]
+    cut = study.objective_cuts
     return evaluation_dict(study, found.rig, evaluation) | {
         "objective": found.objective,
         "midpoint_max_vsr_m": found.midpoint_max_vsr_m,
@@ -136,10 +137,11 @@ def save_evaluation(
     values = evaluation_dict(study, rig, found)
     if baseline:
         values["baseline"] = baseline_dict(study, baseline)
-    with together():
-        write_text(to_json(values) + "\n", folder / "result.json")
-        save_figure(draw_rig(study, rig, found), folder / "rig.png")
-        write_text(report(study, rig, details, values, None, commands, baseline), folder / "report.html")
+    figure = draw_rig(study, rig, found)
+    page = report(study, rig, details, values, None, commands, baseline)
+    write_text(to_json(values) + "\n", folder / "result.json")
+    save_figure(figure, folder / "rig.png")
+    write_text(page, folder / "report.html")
 
 
 def save_placement(
@@ -158,13 +160,15 @@ def save_placement(
     values = placement_dict(study, found, details.evaluation)
     if baseline:
         values["baseline"] = baseline_dict(study, baseline)
-    with together():
-        _write_progress(study, found.rig, found.log, folder)
-        write_text(to_json(values) + "\n", folder / "result.json")
-        write_history(found.history, folder)
-        save_figure(draw_convergence(study, found), folder / "convergence.png")
-        save_figure(draw_rig(study, found.rig, details.evaluation), folder / "rig.png")
-        write_text(report(study, found.rig, details, values, found, commands, baseline), folder / "report.html")
+    convergence = draw_convergence(study, found)
+    figure = draw_rig(study, found.rig, details.evaluation)
+    page = report(study, found.rig, details, values, found, commands, baseline)
+    _write_progress(study, found.rig, found.log, folder)
+    write_text(to_json(values) + "\n", folder / "result.json")
+    write_history(found.history, folder)
+    save_figure(convergence, folder / "convergence.png")
+    save_figure(figure, folder / "rig.png")
+    write_text(page, folder / "report.html")
 
 
 def write_history(history: Sequence[Any], folder: Path) -> None:
@@ -201,8 +205,8 @@ def save_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
 
     The other results of an earlier search are removed: a folder holds those of one search.
     """
-    with together(gone=(folder / name for name in {*RESULTS, *FRONT} if name not in PROGRESS)):
-        _write_progress(study, rig, log, folder)
+    remove_outdated(folder / name for name in {*RESULTS, *FRONT} if name not in PROGRESS)
+    _write_progress(study, rig, log, folder)
 
 
 def _write_progress(study: Study, rig: Rig, log: Log, folder: Path) -> None:
@@ -221,7 +225,8 @@ def load_log(study: Study, folder: Path) -> Log:
     shapes = {key: (array.dtype.kind, array.ndim) for key, array in arrays.items()}
     if shapes != LOG or np.isnan(arrays["cost"]).any() or not 0 <= arrays["seconds"] < np.inf:
         raise ConfigError(f"{path}: is not the log of a search")
-    log, asked = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"])), str(arrays["asked"])
+    log = Log(arrays["cost"].astype(np.float64), float(arrays["seconds"]))
+    asked = str(arrays["asked"])
     if asked != fingerprint(study):
         raise ConfigError(f"{path}: is of another search; study, solver and seed must be the same, but for the budget")
     return log

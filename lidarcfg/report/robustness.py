@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from lidarcfg.names import short
+from lidarcfg.names import truncate
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Left, Robustness, ZoneVsr
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
-from lidarcfg.report.layout import spaces
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -24,15 +23,15 @@ WHOLE = "none"
 UNITS = f"{100 * STEP_M:g} cm", f"{STEP_DEG:g}°"
 FAR = f"{100 * STEP_M * OFFSETS[-1]:g} cm", f"{STEP_DEG * OFFSETS[-1]:g}°"
 SENSITIVITY = (
-    f"How max VSR changes with one coordinate of one mount: in mm per {UNITS[0]} or {UNITS[1]}, by a line through what "
-    f"it is up to {FAR[0]} or {FAR[1]} off; in brackets, its largest increase on the way"
+    f"How max VSR changes when one coordinate of one mount is off: mm per {UNITS[0]} or {UNITS[1]}, fitted up to "
+    f"{FAR[0]} or {FAR[1]}. In brackets: the largest increase within that range (mm)."
 )
 
 
 def zones_table(zones: Sequence[ZoneVsr]) -> Table:
     """Max VSR of each zone."""
     rows = [
-        [short(zone.name), f"{zone.weight:g}", f"{zone.max_vsr_m:.6f}", f"{zone.weight * zone.max_vsr_m:.6f}"]
+        [truncate(zone.name), f"{zone.weight:g}", f"{zone.max_vsr_m:.6f}", f"{zone.weight * zone.max_vsr_m:.6f}"]
         for zone in zones
     ]
     return Table("Max VSR by zone", ("zone", "weight", "max VSR (m)", "weighted (m)"), rows)
@@ -46,10 +45,10 @@ def lost_table(found: Robustness, study: Study) -> Table:
         more = left.max_vsr_m / found.whole.max_vsr_m - 1
         values = [f"{left.max_vsr_m:.6f}", f"{more:+.1%}" if left.lost is not None else ""]
         values += [f"{zone.max_vsr_m:.6f}" for zone in left.zones]
-        return [short(left.lost or WHOLE), *values, *([f"{left.objective:.6f}"] if with_objective else [])]
+        return [truncate(left.lost or WHOLE), *values, *([f"{left.objective:.6f}"] if with_objective else [])]
 
-    zones = [f"in {short(zone.name)} (m)" for zone in found.whole.zones]
-    head = ("LiDAR that fails", "max VSR (m)", "more", *zones, *(["objective"] if with_objective else []))
+    zones = [f"in {truncate(zone.name)} (m)" for zone in found.whole.zones]
+    head = ("LiDAR that fails", "max VSR (m)", "change", *zones, *(["objective"] if with_objective else []))
     return Table("What is left if one LiDAR fails", head, [row(left) for left in (found.whole, *found.without)])
 
 
@@ -59,7 +58,7 @@ def sensitivity_table(rig: Rig, found: Robustness) -> Table:
     for mount, slopes, largest in zip(rig.mounts, 1e3 * found.slope_m, 1e3 * found.increase_m, strict=True):
         pairs = zip(slopes.tolist(), largest.tolist(), strict=True)
         rows.append(
-            [short(mount.name), *(f"{slope:+.2f} ({most:.1f})" if slope or most else "0" for slope, most in pairs)]
+            [truncate(mount.name), *(f"{slope:+.2f} ({most:.1f})" if slope or most else "0" for slope, most in pairs)]
         )
     head = [f"{name} (per {UNITS[axis > 2]})" for axis, name in enumerate(COORDINATES)]
     return Table(SENSITIVITY, ("mount", *head), rows)
@@ -90,7 +89,7 @@ def draw_lost(titled: Sequence[tuple[str, Robustness]]) -> Markup | None:
         return None
 
     def draw(figure: "Figure") -> None:
-        lost_view(figure.subplots(gridspec_kw=spaces(figure)), titled)
+        lost_view(figure.subplots(), titled)
 
     return drawing("lost", 2.8, "max VSR of the whole rig, and with each LiDAR lost", draw)
 
@@ -100,9 +99,8 @@ def robust_lines(found: Robustness) -> list[str]:
     lines = []
     if worst := found.worst:
         more = worst.max_vsr_m / found.whole.max_vsr_m - 1
-        lines.append(
-            f"max VSR if {short(worst.lost or WHOLE)} fails, the worst to lose: {worst.max_vsr_m:.6f} m ({more:+.1%})"
-        )
+        name = truncate(worst.lost or WHOLE)
+        lines.append(f"max VSR if {name} fails, the worst to lose: {worst.max_vsr_m:.6f} m ({more:+.1%})")
     growth = [1e3 * found.largest_m(angles) for angles in (False, True)]
     off = [f"{most:.1f} mm if it is off by {step}" for most, step in zip(growth, FAR, strict=True)]
     lines.append(f"max VSR grows with one coordinate of one mount by at most {', '.join(off)}")

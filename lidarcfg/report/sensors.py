@@ -18,7 +18,8 @@ def print_sensors(sensors: Sequence[Sensor]) -> None:
     """Print one line per model."""
     table = Table("name", "beams", "elevation (°)", "range (m)", "exported", "description", box=SIMPLE)
     for sensor in sensors:
-        low, high = min(sensor.beams.elevation_deg), max(sensor.beams.elevation_deg)
+        low = min(sensor.beams.elevation_deg)
+        high = max(sensor.beams.elevation_deg)
         table.add_row(
             sensor.name,
             str(sensor.count),

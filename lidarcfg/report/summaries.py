@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarcfg.capture.record import Record
+from lidarcfg.capture.manifest import CaptureManifest
 from lidarcfg.config import load, load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.kinds import MARKS, kind_of
+from lidarcfg.kinds import DISCRIMINATING_KEYS, kind_of
 from lidarcfg.packets.families import codec
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
@@ -36,14 +36,17 @@ def summary(path: str | Path) -> Summary:
     path = example(path)
     kind = "trajectory" if path.suffix == ".tum" else kind_of(load_keys(path))
     if kind is None:
-        raise ConfigError(f"{path}: is not one of lidarcfg's files; allowed: {', '.join(sorted({*MARKS, 'rig'}))}")
+        raise ConfigError(
+            f"{path}: is not one of lidarcfg's files; allowed: {', '.join(sorted({*DISCRIMINATING_KEYS, 'rig'}))}"
+        )
     text, warnings = SUMMARIES[kind](path)
     return Summary(kind, text, tuple(warnings))
 
 
 def _study(path: Path) -> tuple[str, Iterable[str]]:
     study = load_study(path)
-    free, solver = int(study.free.sum()), study.solver
+    free = int(study.free.sum())
+    solver = study.solver
     limits = {key: getattr(solver, key) for key in sorted(BUDGETS)}
     budget = ", ".join(f"{limit:,} {key}".replace(".0 ", " ") for key, limit in limits.items() if limit is not None)
     search = f"{solver.method} searches {free} free coordinates for {budget}" if free else "nothing is free to move"
@@ -122,10 +125,10 @@ def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _record(path: Path) -> tuple[str, Iterable[str]]:
-    record = load(path, Record)
+    manifest = load(path, CaptureManifest)
     for key in ("rig", "scene", "trajectory", "vehicle"):
-        record.path(key, path)
-    return f"{record.duration_s:g} s from {record.start} on, by version {record.version}", ()
+        manifest.path(key, path)
+    return f"{manifest.duration_s:g} s from {manifest.start} on, by version {manifest.version}", ()
 
 
 def _models(models: Iterable[str | None]) -> str:
@@ -155,5 +158,5 @@ SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "sensor": _sensor,
     "vehicle": _vehicle,
     "trajectory": _trajectory,
-    Record.kind: _record,
+    CaptureManifest.kind: _record,
 }

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from lidarcfg.geometry import Array
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.surfaces import Surface
-from lidarcfg.report.canvas import EM_IN, WIDTH_IN, colour, drawing, height_in
-from lidarcfg.report.layout import ABOVE, EDGE, LEFT, spaces
+from lidarcfg.report.canvas import LABELS_IN, WIDTH_IN, colour, drawing, height_in
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -35,14 +34,15 @@ def heights_in(study: Study) -> list[float]:
     """The heights of the sides' axes."""
     low, high = _frame(study)
     pairs = [seats[0][1].across for seats in _sides(study).values()]
-    scale = (WIDTH_IN - (LEFT + EDGE) * EM_IN) / max(high[across] - low[across] for across, _ in pairs)
+    scale = (WIDTH_IN - LABELS_IN) / max(high[across] - low[across] for across, _ in pairs)
     return [scale * float(high[up] - low[up]) for _, up in pairs]
 
 
 def fill_figure(figure: "Figure", study: Study, rig: Rig) -> None:
     """Draw them below each other."""
-    sides, (low, high) = _sides(study), _frame(study)
-    grid = figure.add_gridspec(len(sides), 1, **spaces(figure, heights=heights_in(study), above=ABOVE))
+    sides = _sides(study)
+    low, high = _frame(study)
+    grid = figure.add_gridspec(len(sides), 1, height_ratios=heights_in(study))
     for row, (side, seats) in enumerate(sides.items()):
         axes = figure.add_subplot(grid[row, 0])
         _draw_side(axes, seats, rig, study, low, high)
@@ -78,7 +78,8 @@ def _draw_side(axes: "Axes", seats: list[tuple[int, Surface]], rig: Rig, study: 
     for surface in dict.fromkeys(surface for _, surface in seats):
         cells = surface.patch.cells_m[..., shown]
         axes.add_collection(PolyCollection(list(cells), facecolor=FITS, edgecolor="none", alpha=0.6, rasterized=True))
-        (left, bottom), (right, top) = surface.low_m[shown], surface.high_m[shown]
+        left, bottom = surface.low_m[shown]
+        right, top = surface.high_m[shown]
         axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], "--", color="0.25", lw=0.7)
     for i, surface in seats:
         if study.slots[i].name not in names:
@@ -108,7 +109,8 @@ def _shades(surface: Surface, low: Array, high: Array) -> NDArray[np.float64]:
     pixel = max(high[a] - low[a], high[b] - low[b]) / PIXELS
     lines = [np.arange(low[axis] + pixel / 2, high[axis], pixel) for axis in (a, b)]
     points = np.zeros((len(lines[1]), len(lines[0]), 3))
-    points[..., a], points[..., b] = lines[0][None], lines[1][:, None]
+    points[..., a] = lines[0][None]
+    points[..., b] = lines[1][:, None]
     facing = surface.seen(points.reshape(-1, 3)).normal[:, surface.axis]
     bright: Array = np.where(facing == 0.0, np.nan, 0.45 + 0.5 * abs(facing)).reshape(points.shape[:2])
     return bright

@@ -16,7 +16,9 @@ from lidarcfg.report.sweep_plot import draw_sweep
 from lidarcfg.rig import save_rig
 
 Row = dict[str, Any]  # of the table, by column
-PLAN, TABLES, PLOT = "plan.json", ("table.csv", "table.parquet"), "sweep.png"
+PLAN = "plan.json"
+TABLES = ("table.csv", "table.parquet")
+PLOT = "sweep.png"
 LAST = ("rig", "version", "error", "seconds")  # columns at the end; only seconds differ between sweeps
 
 
@@ -25,7 +27,8 @@ class SweepFolder:
 
     def __init__(self, folder: Path, plan: Plan) -> None:
         """Raises ConfigError if it holds the runs of another plan."""
-        self.folder, self._plan = folder, plan
+        self.folder = folder
+        self._plan = plan
         self._failed: dict[int, Row] = {}  # of runs that another attempt may complete
         known = folder / PLAN
         self._about = to_json({"study": plan.study, "varied": sorted(plan.varied)}) + "\n"

@@ -26,7 +26,8 @@ def draw_sweep(plan: Plan, costs: Sequence[float | None], is_max_vsr: bool) -> "
     numbers = [path for path, found in values.items() if all(type(value) in (int, float) for value in found)]
     if not numbers or all(cost is None for cost in costs):
         return None
-    across, others = numbers[-1], [path for path in values if path != numbers[-1]]
+    across = numbers[-1]
+    others = [path for path in values if path != numbers[-1]]
     lines = list(product(*(values[path] for path in others)))
     if len(lines) > LINES_MAX:
         return None
@@ -40,7 +41,8 @@ def draw_sweep(plan: Plan, costs: Sequence[float | None], is_max_vsr: bool) -> "
                 at.setdefault(run.values[across], []).append(cost)
         x = sorted(at)
         place = [values[path].index(value) for path, value in zip(others, line, strict=True)]
-        colour, ls = COLOURS[place[-1] % len(COLOURS)] if place else COLOURS[0], dashes(sum(place[:-1]))
+        colour = COLOURS[place[-1] % len(COLOURS)] if place else COLOURS[0]
+        ls = dashes(sum(place[:-1]))
         name = ", ".join(_name(path, value, values[path]) for path, value in zip(others, line, strict=True))
         axes.plot(x, [median(at[v]) for v in x], marker="o", ms=4, color=colour, ls=ls, label=label(name, 40))
         axes.fill_between(x, [min(at[v]) for v in x], [max(at[v]) for v in x], color=colour, alpha=0.15, lw=0)

@@ -7,7 +7,7 @@ import numpy as np
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from lidarcfg.names import MANY, first_of, short
+from lidarcfg.names import MANY, summarize, truncate
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
@@ -15,7 +15,7 @@ from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.terminal import terminal
-from lidarcfg.report.words import counted, price, returns_in_words
+from lidarcfg.report.words import counted, describe_returns, price
 from lidarcfg.rig import Rig
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def print_placement(found: Placement, evaluation: Evaluation) -> None:
 def print_front(study: Study, found: "Front") -> None:
     """Print a line for each rig on the front, and what the search spent."""
     objects = [item.name for item in study.detection]
-    numbers = ("price", "objective", "max VSR (m)", *(f"detection of {short(name)}" for name in objects))
+    numbers = ("price", "objective", "max VSR (m)", *(f"detection of {truncate(name)}" for name in objects))
     table = Table(
         *(Column(name, justify="right") for name in numbers), "sensors", Column("folder", overflow="fold"), box=SIMPLE
     )
@@ -70,23 +70,23 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
     poses = Table("sensor", "x (m)", "y (m)", "z (m)", "roll (°)", "pitch (°)", "yaw (°)", box=SIMPLE)
     for mount in rig.mounts:
         angles = np.degrees(mount.rpy_rad)
-        poses.add_row(short(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
+        poses.add_row(truncate(mount.name), *(f"{v:z.3f}" for v in mount.position_m), *(f"{v:z.2f}" for v in angles))
     console.print(poses)
     console.print(f"max VSR {found.max_vsr_m:.6f} m in {len(found.subspaces):,} subspaces")
     if found.analytic:
         console.print(analytic_line(found.analytic))
     for zone in found.zones:
         weighted = f"; {zone.weight * zone.max_vsr_m:.6f} m with its weight of {zone.weight:g}"
-        console.print(f"max VSR in {short(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
+        console.print(f"max VSR in {truncate(zone.name)}: {zone.max_vsr_m:.6f} m{weighted}")
     for line in robust_lines(found.robustness) if found.robustness else ():
         console.print(line)
     for name, detection in found.detection.items():
         how = f"± {detection.half_width:.4f}, {detection.places:,} drawn positions"
         if not detection.half_width:
             how = f"all {detection.places:,} positions"
-        console.print(f"detection rate of {short(name)}: {detection.rate:.4f} ({how})")
+        console.print(f"detection rate of {truncate(name)}: {detection.rate:.4f} ({how})")
         if detection.returns:
-            console.print(f"  {returns_in_words(detection.returns)}")
+            console.print(f"  {describe_returns(detection.returns)}")
     for line in blind_lines(found.blind):
         console.print(line)
     worst = Table(
@@ -98,7 +98,7 @@ def print_evaluation(rig: Rig, found: Evaluation) -> None:
             f"{space.volume_m3:.2f}",
             f"{space.inscribed_radius_m:.3f}",
             ", ".join(f"{v:z.2f}" for v in space.centroid_m),
-            "  ".join(first_of([_between(low, high) for low, high in space.between_deg])),
+            "  ".join(summarize([_between(low, high) for low, high in space.between_deg])),
         )
     console.print("the worst subspaces:")
     console.print(worst)
@@ -110,7 +110,7 @@ def print_comparison(study: Study, rigs: "Sequence[Contender]") -> None:
 
     names = Table("rig", "name", "file", box=SIMPLE)
     for rig in rigs:
-        names.add_row(rig.letter, short(rig.rig.name), rig.file)
+        names.add_row(rig.letter, truncate(rig.rig.name), rig.file)
     lines = rows(study, rigs)
     console = terminal()
     console.print(names)
@@ -140,7 +140,8 @@ def blind_lines(blind: BlindSpots) -> list[str]:
     parts = [f"{n}: {volume:,.2f} m³ ({volume / total:.1%})" for n, volume in volumes.items()]
     lines = [f"volume by the number of LiDARs that see it: {', '.join(parts)}"]
     for contour in blind.contours:
-        height, least = contour.directions.height_m, "at least " if contour.largest_reaches_edge else ""
+        height = contour.directions.height_m
+        least = "at least " if contour.largest_reaches_edge else ""
         far = f"{least}{contour.largest_m:.2f} m from the body at {contour.largest_at_deg:.0f}°"
         lines.append(f"blind spot {height:g} m above the ground: up to {far}, {contour.area_m2:.2f} m² in all")
     return lines

@@ -12,7 +12,7 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.names import short
+from lidarcfg.names import truncate
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Returns
 from lidarcfg.placement.hiding import Hiding
@@ -23,7 +23,7 @@ from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
 from lidarcfg.rig import Rig
 
-PACKAGES = ("numpy", "scipy", "numba", "open3d", "matplotlib")
+PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
 
 
 def date() -> str:
@@ -70,7 +70,7 @@ def beams(rig: Rig) -> int:
     return sum(mount.sensor.count for mount in rig.mounts)
 
 
-def rig_in_words(rig: Rig) -> str:
+def describe_rig(rig: Rig) -> str:
     """The number of sensors of each model, and of beams."""
     models = [mount.sensor.name for mount in rig.mounts]
     kinds = ", ".join(f"{models.count(name)} × {name}" for name in dict.fromkeys(models))
@@ -87,7 +87,7 @@ def region_rows(region: Region) -> list[tuple[str, str]]:
     ]
 
 
-def object_in_words(item: DetectionObject) -> str:
+def describe_object(item: DetectionObject) -> str:
     """An object's size, where it may be, and when it counts as detected."""
     if item.returns:
         return _by_returns(item)
@@ -97,10 +97,10 @@ def object_in_words(item: DetectionObject) -> str:
     return f"{size} m, {where}, {how}; detected if in more than {counted(item.most_touched, 'subspace')}"
 
 
-def hiding_in_words(hiding: Mapping[str, Hiding]) -> list[str]:
+def describe_hiding(hiding: Mapping[str, Hiding]) -> list[str]:
     """A sentence for each object: whether it can be where no beam enters it, and where."""
     return [
-        f"{short(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()
+        f"{truncate(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()
     ]
 
 
@@ -114,16 +114,16 @@ def _heights(found: Hiding) -> str:
 
 def _fits(found: Hiding) -> str:
     if found.nearest_at_m is None:
-        return "fits into no subspace: wherever it is, a beam or the edge of what a sensor sees crosses it"
+        return "fits into no gap: wherever it is, a beam or the edge of a sensor's sight crosses it"
     at = vector(found.nearest_at_m, ".1f")
-    where = f"the nearest place is {found.nearest_m:.1f} m from the vehicle, at x, y = {at} m"
+    where = f"the nearest place is {found.nearest_m:.1f} m from the midpoint of the sensors' bounds, at x, y = {at} m"
     if found.in_worst:
-        others = f", and into {counted(found.subspaces - 1, 'other')}" if found.subspaces > 1 else ""
-        return f"fits into the worst subspace, unseen{others}; {where}"
-    return f"does not fit into the worst subspace, but fits, unseen, into {counted(found.subspaces, 'other')}; {where}"
+        others = f" and into {counted(found.subspaces - 1, 'other')}" if found.subspaces > 1 else ""
+        return f"fits unseen into the worst gap{others}; {where}"
+    return f"does not fit into the worst gap, but fits unseen into {counted(found.subspaces, 'other')}; {where}"
 
 
-def returns_in_words(found: Returns) -> str:
+def describe_returns(found: Returns) -> str:
     """The number of returns, on average and in the worst phase."""
     least = f"in the worst phase {found.mean_in_worst_phase:.1f}, rate {found.rate_in_worst_phase:.4f}"
     return f"{found.mean:.1f} returns on average; {least}"
@@ -138,14 +138,15 @@ def _by_returns(item: DetectionObject) -> str:
     return f"{what}, on the ground, {how}; detected by {counted(item.returns or 0, 'return')} or more in a revolution"
 
 
-def objective_in_words(study: Study) -> str:
-    """What the search minimises."""
-    return "; ".join([_terms_in_words(study), *_robust_in_words(study)])
+def describe_objective(study: Study) -> str:
+    """The quantity that the search minimises."""
+    return "; ".join([_describe_terms(study), *_describe_robust(study)])
 
 
-def _robust_in_words(study: Study) -> list[str]:
-    """What a rig has to withstand."""
-    robust, terms = study.robust, []
+def _describe_robust(study: Study) -> list[str]:
+    """The failures and errors that a rig must withstand."""
+    robust = study.robust
+    terms = []
     if robust is None:
         return []
     if robust.lost:
@@ -158,8 +159,8 @@ def _robust_in_words(study: Study) -> list[str]:
     return ["; or ".join(terms) + ("; the larger of both" if len(terms) > 1 else "")]
 
 
-def _terms_in_words(study: Study) -> str:
-    """The terms of what is minimised."""
+def _describe_terms(study: Study) -> str:
+    """The terms of the objective."""
     wanted = study.objective
     if wanted.is_max_vsr:
         weighted = ", times the weight of its zones" if study.zones else ""
@@ -174,11 +175,11 @@ def _terms_in_words(study: Study) -> str:
     if spot := wanted.blind_spot_m:
         what = f"the blind spot's largest distance from the body, {spot.height_m:g} m above the ground, in metres"
         terms.append(f"{spot.weight:g} × {what}")
-    terms += [f"{weight:g} × (1 − detection rate of {short(name)})" for name, weight in wanted.detection.items()]
+    terms += [f"{weight:g} × (1 − detection rate of {truncate(name)})" for name, weight in wanted.detection.items()]
     return "the weighted mean of " + ", ".join(terms)
 
 
-def skips_in_words(study: Study) -> str:
+def describe_skips(study: Study) -> str:
     """When a search stops evaluating a trial early."""
     wanted = study.objective
     if study.solver.method == "cmaes":
@@ -189,24 +190,24 @@ def skips_in_words(study: Study) -> str:
         ends = "as soon as the terms computed so far, with 0 for all others, reach the value it has to beat"
     if study.robust:
         ends += ", in as many of the rigs that it stands for as settle it"
-    some = " Random trials and those of CMA-ES, with which this solver begins, are ranked by their costs, so in full."
+    some = " This solver begins with random trials and CMA-ES, which rank trials by cost: these are evaluated in full."
     return f"A trial ends {ends}.{some if study.solver.method == 'auto' else ''}"
 
 
-def limits_in_words(study: Study) -> str:
+def describe_limits(study: Study) -> str:
     """The limits on the LiDARs' sight besides their beams; empty if there are none."""
     if study.visibility is None:
         return ""
     what = ["their ranges"] * study.visibility.range
     what += ["their horizontal fields of view"] * study.visibility.field_of_view
     if study.visibility.blocks:
-        what += [f"the vehicle ({', '.join(map(short, study.vehicle.scene.names))})"] if study.vehicle else []
-        what += [f"the surroundings ({short(study.surroundings.file.name)})"] if study.surroundings else []
+        what += [f"the vehicle ({', '.join(map(truncate, study.vehicle.scene.names))})"] if study.vehicle else []
+        what += [f"the surroundings ({truncate(study.surroundings.file.name)})"] if study.surroundings else []
     return ", ".join(what)
 
 
-def constraints_in_words(study: Study) -> str:
-    """What every rig must satisfy."""
+def describe_constraints(study: Study) -> str:
+    """The constraints on every rig."""
     limits = study.constraints
     terms = [] if limits.max_tilt_deg == 180 else [f"every sensor's tilt at most {limits.max_tilt_deg:g}°"]
     terms += [] if not limits.min_distance_m else [f"sensors at least {limits.min_distance_m:g} m apart"]
@@ -214,7 +215,7 @@ def constraints_in_words(study: Study) -> str:
     return "; ".join(["the bounds below", *terms])
 
 
-def solver_in_words(study: Study) -> str:
+def describe_solver(study: Study) -> str:
     """The method, its seed and its budget."""
     solver = study.solver
     budgets = [("cycles", solver.cycles), ("evaluations", solver.evaluations), ("seconds", solver.seconds)]
@@ -228,15 +229,15 @@ def bounds_table(study: Study) -> Table:
     rows = []
     for slot, low, high, mirror in zip(study.slots, study.lower, study.upper, study.mirror, strict=True):
         if not math.isnan(mirror):
-            rows.append([short(slot.name), slot.sensor.name, f"image in y = {mirror:g} m", *["–"] * 5])
+            rows.append([truncate(slot.name), slot.sensor.name, f"image in y = {mirror:g} m", *["–"] * 5])
             continue
         angles = np.degrees([low[3:], high[3:]])
         pairs = [*zip(low[:3], high[:3], strict=True), *zip(*angles, strict=True)]
         cells = [f"{a:.5g}" if a == b else f"{a:.5g} … {b:.5g}" for a, b in pairs]
         if slot.surface:
-            cells[slot.surface.axis] = f"on {short(slot.surface.body.name)}, from {slot.surface.side}"
+            cells[slot.surface.axis] = f"on {truncate(slot.surface.body.name)}, from {slot.surface.side}"
             cells[3:5] = cells[3:5] if slot.surface.upright else ["normal"] * 2
-        rows.append([short(slot.name), slot.sensor.name, *cells])
+        rows.append([truncate(slot.name), slot.sensor.name, *cells])
     head = ("sensor", "model", *(f"{c} ({'m' if i < 3 else '°'})" for i, c in enumerate(COORDINATES)))
     return Table("Bounds of each sensor; a single number is fixed", head, rows, texts=(1,))
 
@@ -247,10 +248,11 @@ def mounts_table(rig: Rig) -> Table:
     for i, (mount, lidar) in enumerate(zip(rig.mounts, rig_lidars(rig), strict=True)):
         tilt = math.degrees(math.acos(min(max(float(lidar.axis[2]), -1.0), 1.0)))
         angles = np.degrees(mount.rpy_rad)
-        low, high = min(mount.sensor.beams.elevation_deg), max(mount.sensor.beams.elevation_deg)
+        low = min(mount.sensor.beams.elevation_deg)
+        high = max(mount.sensor.beams.elevation_deg)
         rows.append(
             [
-                f"{i + 1} {short(mount.name)}",
+                f"{i + 1} {truncate(mount.name)}",
                 mount.sensor.name,
                 f"{mount.sensor.count}",
                 f"{low:g} … {high:g}",

@@ -6,15 +6,16 @@ A retro-reflector (byte above 100) reflects independently of the angle; its ρ i
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import Sensor
-from lidarcfg.simulate.echo_kernels import merged
 from lidarcfg.simulate.noise import CELL, lose, roughen, uniforms
 from lidarcfg.world.scene import Weather
 
@@ -28,14 +29,18 @@ DECIBEL = 10 / math.log(10)
 # A Gaussian beam by Gauss-Hermite quadrature with three nodes per direction; the divergence is the full angle at 1/e²
 # of the intensity (a guess, the makers do not say), which is four sigma.
 NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
-REPORTED = {  # the candidates that a return mode reports
-    "strongest": [0],
-    "last": [2],
-    "first": [3],
-    "dual": [1, 2],
-    "first-last": [3, 2],
-    "first-strongest": [3, 4],
-    "two-strongest": [0, 5],
+# What a return mode may report of a firing: the strongest echo; the strongest, or the second strongest if the strongest
+# is the last; the last; the first; the strongest, or the second strongest if the strongest is the first; the second
+# strongest, or the strongest if it is alone.
+STRONGEST, STRONGEST_BUT_LAST, LAST, FIRST, STRONGEST_BUT_FIRST, SECOND = CANDIDATES = tuple(range(6))
+REPORTED = {
+    "strongest": (STRONGEST,),
+    "last": (LAST,),
+    "first": (FIRST,),
+    "dual": (STRONGEST_BUT_LAST, LAST),
+    "first-last": (FIRST, LAST),
+    "first-strongest": (FIRST, STRONGEST_BUT_FIRST),
+    "two-strongest": (STRONGEST, SECOND),
 }
 
 
@@ -52,21 +57,12 @@ class SubRays:
 
 @dataclass(frozen=True)
 class Echoes:
-    """Echoes of N firings, (N, R): the reported ones, or the six candidates.
-
-    The candidates: the strongest; the strongest again, or the second strongest if the strongest is the last; the last;
-    the first; the strongest again, or the second strongest if the strongest is the first; the second strongest, or the
-    strongest again if it is alone.
-    """
+    """Echoes of N firings, (N, R)."""
 
     range_m: Array  # exact; inf: none
     noise_m: Array  # to be added
     reflectivity: NDArray[np.uint8]
     object: NDArray[np.int32]  # -1: none, or rain and fog
-
-    def reported(self, return_mode: str) -> "Echoes":
-        """The echoes that a return mode reports: (N, 1), or for dual returns (N, 2)."""
-        return Echoes(*(values[:, REPORTED[return_mode]] for values in vars(self).values()))
 
 
 def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
@@ -110,35 +106,33 @@ def echoes(
     first: int,
     weights: Array,
     hits: SubRays,
+    candidates: Sequence[int] = CANDIDATES,
 ) -> Echoes:
-    """All six candidates (N, 6) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
+    """Candidates (N, C) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
-    count, alpha = len(hits.range_m), extinction_per_m(weather)
+    count = len(hits.range_m)
+    alpha = extinction_per_m(weather)
+    others = 0 if candidates[0] == STRONGEST else 1  # noise is alike for the strongest and those at its range
+    which = np.array([*[STRONGEST] * others, *candidates], np.uint8)
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
-    drops, fade = np.empty((0, 2)), np.empty((0, 0))
+    droplets = np.empty((0, 2))
+    fade = np.empty((0, 0))
     if alpha:
-        drops = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
-        fade = np.exp(-2 * alpha * np.column_stack([hits.range_m, drops[:, :1]]))
+        droplets = np.stack(_droplets(sensor, realism, sensor_index, first, count, alpha), axis=1)
+        fade = np.exp(-2 * alpha * np.column_stack([hits.range_m, droplets[:, :1]]))
     found = Echoes(
-        range_m=np.empty((count, 6)),
-        noise_m=np.zeros((count, 6)),
-        reflectivity=np.empty((count, 6), np.uint8),
-        object=np.empty((count, 6), np.int32),
+        range_m=np.empty((count, len(which))),
+        noise_m=np.zeros((count, len(which))),
+        reflectivity=np.empty((count, len(which)), np.uint8),
+        object=np.empty((count, len(which)), np.int32),
     )
-    merged(
-        (hits.range_m, hits.reflectivity, hits.object, hits.cosine),
-        hits.laser,
-        weights,
-        (sensor.range.reported_m[1], _step_rad(sensor, realism), least),
-        drops,
-        fade,
-        (found.range_m, found.reflectivity, found.object),
-    )
+    range_max_m = sensor.range.reported_m[1]
+    simulate.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, which, found)
     lose(found, realism, sensor_index, first)
     roughen(found, realism, sensor_index, first)
-    return found
+    return Echoes(*(np.ascontiguousarray(values[:, others:]) for values in vars(found).values()))
 
 
 def _step_rad(sensor: Sensor, realism: Realism) -> float:

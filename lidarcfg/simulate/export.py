@@ -58,7 +58,7 @@ def save_companions(path: Path, mounts: Sequence[Mount]) -> list[Path]:
     written = []
     for mount in mounts:
         infix = f"-{mount.name}" if len(mounts) > 1 else ""
-        for suffix, content in codec(mount.sensor).companions(mount).items():
+        for suffix, content in codec(mount.sensor).sidecar_files(mount).items():
             written.append(path.with_name(f"{path.stem}{infix}{suffix}"))
             with replacing(written[-1], "wb") as file:
                 file.write(content)

@@ -1,6 +1,6 @@
 """Noise and dropouts: random numbers by firing and by laser, repeatable from a seed.
 
-The figures of real sensors stand in `sensors/*.yaml`; tools/measure_realism.py measures them.
+The figures of real sensors stand in `sensors/*.yaml`; tests/simulate/roughness.py measures them.
 """
 
 from typing import TYPE_CHECKING

@@ -5,23 +5,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Firings
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import Sensor
-from lidarcfg.simulate.aim_kernels import Frames, Lasers
-from lidarcfg.simulate.beam_kernels import trace_beams
-from lidarcfg.simulate.echoes import CELLS, Echoes, SubRays, beam, echoes, extinction_per_m, single
+from lidarcfg.simulate.echoes import CELLS, REPORTED, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import laser_errors_m, separate
-from lidarcfg.simulate.simulator_kernels import looked_up, new_work, trace_firings
-from lidarcfg.world.bvh import NO_TREE, Tree
 from lidarcfg.world.motion import Trajectory
-from lidarcfg.world.numba_trees import numba_world, packed
 from lidarcfg.world.scene import Weather
-from lidarcfg.world.tracer import Tracer
-from lidarcfg.world.world_kernels import NOTHING, Found
+from lidarcfg.world.tracer import NO_SHAPES, NO_SLOT, Tracer
 
 EXACT, CLEAR = Realism(), Weather()
 BEYOND_M = 1.0  # beyond a sensor's range nothing is reported; rays are traced this much farther
@@ -34,6 +29,36 @@ class Counts(NamedTuple):
     hits: int
 
 
+class Surfaces(NamedTuple):
+    """Which objects are hit, and how they reflect."""
+
+    object: NDArray[np.int32]  # by slot: of nothing, the ground, the world's shapes, then of the vehicle's bodies
+    reflectivity: NDArray[np.uint8]  # by object: of nothing, then of the others
+
+
+class Lasers(NamedTuple):
+    """The L lasers of a sensor, and the K rays of a beam of each."""
+
+    cos_elevation: Array  # (L,)
+    sin_elevation: Array
+    cos_offset: Array  # of the azimuth
+    sin_offset: Array
+    forward_m: Array
+    left_m: Array
+    up_m: Array
+    across: Array  # (K,) tangents of the angles by which the rays of a beam leave its axis
+    above: Array
+
+
+class Mounting(NamedTuple):
+    """Where a sensor is: mounted in a vehicle that moves along a path in the world, relative to its tracer's origin."""
+
+    T_world_start: Array  # (4, 4)
+    path: world.Path
+    zero_ns: int  # its time 0
+    T_vehicle_sensor: Array  # (4, 4)
+
+
 class Simulator:
     """Sensor number `index` of a rig on a vehicle in a tracer's scene, and among its bodies. Raises ConfigError.
 
@@ -43,19 +68,21 @@ class Simulator:
     def __init__(
         self, index: int, mount: Mount, tracer: Tracer, trajectory: Trajectory, bodies: Tracer | None = None
     ) -> None:
-        self._index, self._mount, self._tracer, self._trajectory = index, mount, tracer, trajectory
-        self._bodies = numba_world(bodies).static if bodies else NO_TREE
-        own = bodies.scene.reflectivity if bodies else np.empty(0, np.uint8)
-        self._objects = _objects(tracer, self._bodies)
-        self._reflectivity = np.concatenate([tracer.scene.reflectivity, own, np.zeros(1, np.uint8)])[self._objects]
-        self._realism, self._weather = mount.realism or EXACT, tracer.scene.file.weather
+        self._index = index
+        self._mount = mount
+        self._tracer = tracer
+        self._trajectory = trajectory
+        self._bodies = bodies.world.fixed if bodies else world.Bvh(*NO_SHAPES)
+        self._surfaces = _surfaces(tracer, bodies)
+        self._realism = mount.realism or EXACT
+        self._weather = tracer.scene.file.weather
         if self._realism.divergence is True and not mount.sensor.optics:
             raise ConfigError(f"{mount.name}: divergence: sensor {mount.sensor.name!r} has no optics facts")
         self._exact = self._realism.model_copy(update={"seed": 0}) == EXACT and self._weather == CLEAR
         across, above, self._weights = beam(mount.sensor, self._realism)
         self._errors_m = laser_errors_m(self._realism, index, mount.sensor.count)
         self._lasers = _lasers(mount.sensor, across, above)
-        self._frames = _frames(mount, trajectory, tracer.origin_m, self._bodies)
+        self._mounting = _mounting(mount, trajectory, tracer.origin_m)
         cells = CELLS if extinction_per_m(self._weather) else 0
         self.width = len(across) + cells  # rays and cells per firing
 
@@ -64,38 +91,45 @@ class Simulator:
 
         Has no side effects, so threads may call it concurrently. Raises ConfigError outside timed poses.
         """
-        sensor, mount = self._mount.sensor, self._mount
+        mount = self._mount
+        sensor = mount.sensor
         assert sensor.range
-        count, width, (_, most_m) = len(fired.time_ns), len(self._weights), sensor.range.reported_m
-        found = Found(
-            range_m=np.empty(count * width),
-            slot=np.empty(count * width, np.int32),
-            normal=np.empty((0, 3)),
-            cosine=np.empty(0 if self._exact else count * width),
-        )
-        if count:
-            self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
-            columns, limit_m = (fired.time_ns, fired.laser, fired.encoder_rad), most_m + BEYOND_M
-            world = numba_world(self._tracer)
-            work = new_work(self._frames, len(world.dynamic.roots))
-            told = world, self._lasers, self._frames, columns, self._tracer.zero_ns, limit_m, work
-            if width == 1:
-                trace_firings(*told, found)
-            else:
-                trace_beams(*told, found)
-        objects, reflectivity = np.empty((count, width), np.int32), np.empty((count, width), np.uint8)
-        tables = self._objects, self._reflectivity
-        hits = looked_up(found.range_m, found.slot, most_m, *tables, objects.ravel(), reflectivity.ravel())
-        counts, range_m = Counts(count * width, hits), found.range_m.reshape(count, width)
+        hits = self._trace(fired)
+        counts = Counts(hits.range_m.size, int(np.count_nonzero(hits.range_m <= sensor.range.reported_m[1])))
         if self._exact:
-            return single(range_m, reflectivity, objects, mount.return_mode), counts
-        sub_rays = SubRays(range_m, reflectivity, objects, found.cosine.reshape(count, width), fired.laser)
-        candidates = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, sub_rays)
-        reported = candidates.reported(mount.return_mode)
+            return single(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
+        candidates = REPORTED[mount.return_mode]
+        reported = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, hits, candidates)
         reported.noise_m[:] += self._errors_m[fired.laser][:, None]
         if mount.return_mode == "dual":
             separate(reported, self._realism, self._index, first)
         return reported, counts
+
+    def _trace(self, fired: Firings) -> SubRays:
+        """What the rays of firings hit; the cosines are left out where echoes do not depend on them."""
+        assert self._mount.sensor.range
+        shape = len(fired.time_ns), len(self._weights)
+        hits = SubRays(
+            range_m=np.empty(shape),
+            reflectivity=np.empty(shape, np.uint8),
+            object=np.empty(shape, np.int32),
+            cosine=np.empty((0, 0) if self._exact else shape),
+            laser=fired.laser,
+        )
+        if len(fired.time_ns):
+            self._check_span(int(fired.time_ns.min()), int(fired.time_ns.max()))
+        simulate.trace_firings(
+            self._tracer.world,
+            self._bodies,
+            self._surfaces,
+            self._lasers,
+            self._mounting,
+            fired,
+            self._tracer.zero_ns,
+            self._mount.sensor.range.reported_m[1] + BEYOND_M,
+            hits,
+        )
+        return hits
 
     def _check_span(self, first_ns: int, last_ns: int) -> None:
         """Raises ConfigError unless vehicle and dynamic objects have poses from the first time to the last."""
@@ -106,10 +140,14 @@ class Simulator:
             check((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9)
 
 
-def _objects(tracer: Tracer, bodies: Tree) -> NDArray[np.int32]:
-    """The objects by slot number, from NONE on: nothing, ground, static and dynamic objects, the vehicle's bodies."""
-    world, own = numba_world(tracer), len(tracer.scene.names) + bodies.object
-    return np.concatenate([[NOTHING, 0], world.static.object, world.dynamic.trees.object, own], dtype=np.int32)
+def _surfaces(tracer: Tracer, bodies: Tracer | None) -> Surfaces:
+    """What rays of a tracer may hit, and bodies."""
+    objects, _ = tracer.world.resolve(np.arange(NO_SLOT, len(tracer.world), dtype=np.int32))
+    reflectivity = [np.zeros(1, np.uint8), tracer.scene.reflectivity]
+    if bodies:
+        objects = np.concatenate([objects, len(tracer.scene.names) + bodies.world.fixed.object], dtype=np.int32)
+        reflectivity.append(bodies.scene.reflectivity)
+    return Surfaces(objects, np.concatenate(reflectivity))
 
 
 def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
@@ -126,14 +164,12 @@ def _lasers(sensor: Sensor, across: Array, above: Array) -> Lasers:
     )
 
 
-def _frames(mount: Mount, trajectory: Trajectory, origin_m: Array, bodies: Tree) -> Frames:
-    outer, inner = trajectory.T_world_start, mount.T_vehicle_sensor
-    return Frames(
-        R_world_start=np.ascontiguousarray(outer[:3, :3]),
-        t_world_start=outer[:3, 3] - origin_m,
-        paths=packed([trajectory.path]),
+def _mounting(mount: Mount, trajectory: Trajectory, origin_m: Array) -> Mounting:
+    T_world_start = np.array(trajectory.T_world_start)
+    T_world_start[:3, 3] -= origin_m
+    return Mounting(
+        T_world_start=T_world_start,
+        path=trajectory.path.compiled,
         zero_ns=trajectory.zero_ns,
-        R_vehicle_sensor=np.ascontiguousarray(inner[:3, :3]),
-        t_vehicle_sensor=np.ascontiguousarray(inner[:3, 3]),
-        bodies=bodies,
+        T_vehicle_sensor=np.ascontiguousarray(mount.T_vehicle_sensor),
     )

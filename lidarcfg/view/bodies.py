@@ -76,8 +76,9 @@ def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigS
 
 
 def scored(study: Study, spaces: Subspaces, worst: int) -> RigScore:
-    """The same of the rig's subspaces."""
-    vsr, volume = vsr_m(spaces), volume_m3(spaces)
+    """The score of a rig that is segmented already."""
+    vsr = vsr_m(spaces)
+    volume = volume_m3(spaces)
     numbers = np.argsort(-vsr, kind="stable")[:worst].tolist()
     bodies = [
         Body(
@@ -99,7 +100,8 @@ def _within(spaces: Subspaces, extent: Extent) -> NDArray[np.int32]:
 
 
 def _blind(spaces: Subspaces) -> Blind:
-    region, unseen = spaces.region, spaces.region.included & (spaces.seen_by == 0)
+    region = spaces.region
+    unseen = region.included & (spaces.seen_by == 0)
     volume = float(np.count_nonzero(unseen) * np.prod(region.cuboid_m))
     return Blind(volume, fraction_below(region, spaces.seen_by, 1), faces(region, unseen))
 
@@ -117,9 +119,12 @@ def faces(region: Region, inside: NDArray[np.bool_], first: ArrayLike = (0, 0, 0
             if not outer.any():
                 continue
             edge = np.diff(np.pad(outer, ((0, 0), (1, 1))).astype(np.int8), axis=-1)
-            start, end = np.argwhere(edge == 1), np.argwhere(edge == -1)  # in the same order: by row, then along it
+            start = np.argwhere(edge == 1)  # by row, then along it
+            end = np.argwhere(edge == -1)  # in the same order
             quad = np.empty((len(start), 4, 3), np.int64)
-            quad[..., layer], quad[..., row], quad[..., along] = number, start[:, :1], start[:, 1:]
+            quad[..., layer] = number
+            quad[..., row] = start[:, :1]
+            quad[..., along] = start[:, 1:]
             quad[:, 1:3, along] = end[:, 1:]
             quad[:, 2:4, 3 - axis - along] += 1
             found.append(quad)
@@ -233,7 +238,9 @@ def _outside(pose: Array, low: Array, high: Array) -> list[str]:
 def _beyond(pose: Array, low: Array, high: Array) -> list[str]:
     found = []
     for i, name in enumerate(COORDINATES):
-        value, least, most = pose[i], low[i], high[i]
+        value = pose[i]
+        least = low[i]
+        most = high[i]
         if i < 3:
             if not least - TOLERANCE <= value <= most + TOLERANCE:
                 found.append(f"{name} {value:.3f} m is outside {least:g} to {most:g} m")

@@ -39,7 +39,8 @@ MODULES = {"three": "vendor/three.js"} | {
     )
 }
 BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
-SURROUNDINGS_M, ALONE_M = 40.0, 4.0  # shown around the vehicle in a scene, and around sensors without anything else
+SURROUNDINGS_M = 40.0  # shown around the vehicle in a scene
+ALONE_M = 4.0  # shown around sensors without anything else
 SIDES = np.array(list(np.ndindex(3, 3, 3))) - 1.0  # to look for outermost places
 PIECE = 3 << 22  # bytes of an array in one script of a standalone file
 
@@ -146,8 +147,10 @@ def _points(stage: Stage, line: Timeline) -> tuple[dict[str, Any], dict[str, NDA
     order = order[np.argsort(bins[order], kind="stable")]
     origin = np.round(np.median(cloud.xyz[:: max(len(time) // 10_000, 1)], axis=0))
     fact = np.empty((len(time), 4), np.uint8)
-    fact[:, 0], fact[:, 1] = cloud.intensity, cloud.ring
-    fact[:, 2], fact[:, 3] = cloud.sensor & 255, cloud.sensor >> 8
+    fact[:, 0] = cloud.intensity
+    fact[:, 1] = cloud.ring
+    fact[:, 2] = cloud.sensor & 255
+    fact[:, 3] = cloud.sensor >> 8
     arrays: dict[str, NDArray[Any]] = {
         "position": (cloud.xyz - origin).astype("<f4")[order],
         "time": time.astype("<u4", copy=False)[order],
@@ -274,9 +277,12 @@ def _study(study: Study, rig: Rig) -> dict[str, Any]:
 
 def _scenes(stage: Stage) -> list[dict[str, Any]]:
     """The scenes: what is static in the page's frame, and dynamic objects in their own, each with its track."""
-    found, T, track = [], stage.T_vehicle_world, 0  # the first track is the vehicle's
+    found = []
+    T = stage.T_vehicle_world
+    track = 0  # the first track is the vehicle's
     for scene in stage.scenes:
-        static, dynamic = None, []
+        static = None
+        dynamic = []
         for part in parts(scene):
             if part.path:
                 track += 1

@@ -11,7 +11,6 @@ import numpy as np
 import yaml
 
 import lidarcfg
-from lidarcfg.aside import locked
 from lidarcfg.config import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
@@ -43,12 +42,11 @@ class RigSource:
         real = Path(os.path.realpath(self.path))
         if real.is_relative_to(Path(lidarcfg.__file__).parent):
             raise ConfigError(f"{self.path}: comes with lidarcfg and is not changed; {ELSE}")
-        with locked([real.parent]):  # another page may have the same file
-            if not self._is_there():
-                raise ConfigError(f"{self.path}: has changed on disk since it was opened; nothing is written; {ELSE}")
-            changed = replace(self, text=self._with(poses))
-            with replacing(self.path, "wb") as file:
-                file.write(changed.text.encode())
+        if not self._is_there():
+            raise ConfigError(f"{self.path}: has changed on disk since it was opened; nothing is written; {ELSE}")
+        changed = replace(self, text=self._with(poses))
+        with replacing(self.path, "wb") as file:
+            file.write(changed.text.encode())
         return changed
 
     def _is_there(self) -> bool:
@@ -60,7 +58,8 @@ class RigSource:
         """The text with other poses. Raises ConfigError."""
         before = _poses(self.text, self.path)
         root = yaml.compose(self.text, yaml.SafeLoader)
-        uses, edits = Counter(_uses(root)), list[Edit]()
+        uses = Counter(_uses(root))
+        edits = list[Edit]()
         for i, (old, new) in enumerate(zip(before, poses.tolist(), strict=True)):
             mapping = _value(root, "sensors").value[i]
             edits += self._edits(_value(mapping, "position_m"), old[:3], new[:3], uses)
@@ -96,7 +95,8 @@ class RigSource:
     def _inserted(self, mapping: Any, angles_deg: list[float]) -> Edit:
         """The edit that inserts angles before the position of a sensor without angles."""
         key = next(key for key, _ in mapping.value if key.value == "position_m")
-        at, quote = key.start_mark.index, '"' if key.style else ""
+        at = key.start_mark.index
+        quote = '"' if key.style else ""
         end = ", " if mapping.flow_style else ("\r\n" if "\r\n" in self.text else "\n") + " " * key.start_mark.column
         return at, at, f"{quote}rpy_deg{quote}: [{', '.join(map(repr, angles_deg))}]{end}"
 

@@ -30,14 +30,16 @@ class Part:
 
 def parts(scene: Scene) -> list[Part]:
     """What is static, and then each dynamic object; the ground is none of them."""
-    file, moves = scene.file, np.array([motion is not None for motion in scene.motions])
+    file = scene.file
+    moves = np.array([motion is not None for motion in scene.motions])
     rest = {"spheres": _static(file.spheres), "cylinders": _static(file.cylinders)}
     of_rest = scene.triangles[~moves[scene.triangle_object]]
     static = replace(scene, file=file.model_copy(update=rest), triangles=of_rest).mesh()
     found = [Part(_compact(static), np.zeros(3))] if len(static[1]) else []
     rounds = dict(scene.rounds)
     for i in np.flatnonzero(moves).tolist():
-        item, motion = rounds.get(i), scene.motions[i]
+        item = rounds.get(i)
+        motion = scene.motions[i]
         alone = {"spheres": (), "cylinders": ()} | ({f"{type(item).__name__.lower()}s": (item,)} if item else {})
         one = replace(scene, file=file.model_copy(update=alone), triangles=scene.triangles[scene.triangle_object == i])
         vertices, triangles = _compact(one.mesh())
@@ -48,7 +50,8 @@ def parts(scene: Scene) -> list[Part]:
 
 def mesh_at(scene: Scene, since_ns: int) -> Mesh:
     """All objects but the ground, where they are so long after the scene's start, in the world."""
-    seconds, found = np.array([since_ns / SECOND_NS]), [NO_MESH]
+    seconds = np.array([since_ns / SECOND_NS])
+    found = [NO_MESH]
     for part in parts(scene):
         R, t = part.poses(seconds)
         found.append((rotated(R[:1], part.mesh[0]) + t[0], part.mesh[1]))

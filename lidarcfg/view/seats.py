@@ -50,7 +50,8 @@ def seated(study: Study, poses: Array, number: int, wanted: Array, mirrors: bool
 def _farthest(study: Study, pair: list[int], number: int, start: Array, goal: Array) -> Array | None:
     """(pair, 6) the poses farthest on the way between coordinates (6,) where the bases fit; None if there are none."""
     surfaces = [study.slots[i].surface for i in pair]
-    first, last = 0.0, 1.0
+    first = 0.0
+    last = 1.0
     best: Array | None = None
     for _ in range(2):
         part = np.linspace(first, last, STEPS + 1)[:, None]
@@ -61,7 +62,8 @@ def _farthest(study: Study, pair: list[int], number: int, start: Array, goal: Ar
         best = poses[fits[-1]]
         if fits[-1] == STEPS:
             return best
-        first, last = part[fits[-1], 0], part[fits[-1] + 1, 0]
+        first = part[fits[-1], 0]
+        last = part[fits[-1] + 1, 0]
     return best
 
 
@@ -91,7 +93,8 @@ def _attitude(study: Study, number: int, rpy_rad: Array) -> Array:
         tilted = rotation(leaning(up(rpy_rad), np.zeros(())))
         turn = tilted.T @ rotation(rpy_rad)
         return np.array([0.0, 0.0, math.atan2(turn[1, 0], turn[0, 0])])
-    low, high = study.lower[number, 3:5], study.upper[number, 3:5]
+    low = study.lower[number, 3:5]
+    high = study.upper[number, 3:5]
     sides = np.array([-1.0 if surface.is_image else 1.0, 1.0])  # an image's roll is the other way round
     tilt = [
         _bounded(*bounds) for bounds in zip((sides * rpy_rad[:2]).tolist(), low.tolist(), high.tolist(), strict=True)

@@ -38,8 +38,13 @@ class Server(ThreadingHTTPServer):
     request_queue_size = 256  # connections that wait to be accepted
 
     def __init__(self, stage: Stage, page: Page, port: int = 0) -> None:
-        self.stage, self.page, self.source, self.token = stage, page, stage.source, secrets.token_urlsafe()
-        self.evaluating, self.counting, self.saving = threading.Lock(), threading.Lock(), threading.Lock()
+        self.stage = stage
+        self.page = page
+        self.source = stage.source
+        self.token = secrets.token_urlsafe()
+        self.evaluating = threading.Lock()
+        self.counting = threading.Lock()
+        self.saving = threading.Lock()
         about = page.about | {"live": True, "token": self.token, "file": stage.source and str(stage.source.path)}
         self.texts = {
             "/": ("text/html; charset=utf-8", html(None).encode()),
@@ -102,7 +107,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, request: dict[str, Any], poses: Array) -> tuple[str, bytes]:
         """The kind and the body of an answer; both empty if there is none. Raises ConfigError, OSError."""
-        server, study = self.server, self.server.stage.study
+        server = self.server
+        study = server.stage.study
         rig = moved(server.stage.rigs[0], poses)
         if self.path == "/rig.yaml":
             return "application/yaml", rig_text(rig).encode()

@@ -161,7 +161,8 @@ def load_stage(
     rigs = [load_rig(path) for path in rig_paths]
     study = _only(of("study"), "study")
     loaded = load_study(study) if study else None
-    captures, truth = of("capture"), _only(of("truth"), "truth")
+    captures = of("capture")
+    truth = _only(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? choose one with --rig")
     if selection != ALL and not captures:
@@ -212,7 +213,8 @@ def _first_pose(clouds: list[PointCloud], trajectory: Trajectory) -> Array:
                 f"allowed: at most {APART_S:g} s after it; give its start with --start"
             )
     R, t = trajectory.motion(np.array([min(times, default=first_ns(trajectory))]))
-    T[:3, :3], T[:3, 3] = R[0], t[0]
+    T[:3, :3] = R[0]
+    T[:3, 3] = t[0]
     return T
 
 
@@ -235,11 +237,10 @@ def _moved(T: Array, R: Array, t: Array, points: Array) -> Array:
 
 
 def _first_choices(study: Study) -> str:
-    """That a study with choices is shown with one of them."""
+    """The warning that a study with choices is shown with the first of them."""
     models = ", ".join(f"{slot.name} {slot.model}" for slot in study.slots if slot.choices)
-    return (
-        f"{study.name}: lets one choose models; shown are the first: {models}. optimize writes a study of each choice"
-    )
+    shown = f"the study lets models be chosen; the first of each are shown: {models}"
+    return f"{study.name}: {shown}. optimize writes a study of each choice"
 
 
 def _only(paths: list[Path], what: str) -> Path | None:

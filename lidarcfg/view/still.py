@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import view as core
 from lidarcfg.errors import CloudError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array, transform
 from lidarcfg.inputs import check_memory
-from lidarcfg.names import short
+from lidarcfg.names import truncate
 from lidarcfg.rig import Mount
 from lidarcfg.view.bodies import bases_m, faces, has_its_sensors, score, seats_m
 from lidarcfg.view.camera import Camera
@@ -30,7 +31,6 @@ from lidarcfg.view.colours import (
     rgb,
     scaled,
 )
-from lidarcfg.view.kernels import fill
 from lidarcfg.view.scenery import mesh_at
 from lidarcfg.view.shades import point_colours, span
 from lidarcfg.view.stage import Stage
@@ -86,7 +86,8 @@ def save_still(
         _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], stage, colours, camera, worst)
         left, bottom, wide, high = np.round(np.multiply(ABOVE, (width, height, width, height))).astype(int)
         more = min(max(round(LABELS_EM * _text_pt(height) * 100 / 72) - left, 0), wide // 2)
-        left, wide = left + more, wide - more
+        left += more
+        wide -= more
         above = pixels[height - bottom - high : height - bottom, left : left + wide]
         place = left / width, bottom / height, wide / width, high / height
         _draw_above(figure.add_axes(place), above, stage, colours, center, reach_m, height, worst)
@@ -146,7 +147,8 @@ def _draw_perspective(
         near = seen[depth[seen] < (np.inf, 60.0, 22.0)[side]]
         for step_row, step_column in np.ndindex(side + 1, side + 1):
             if max(step_row, step_column) == side:
-                r, c = row[near].astype(int) + step_row, column[near].astype(int) + step_column
+                r = row[near].astype(int) + step_row
+                c = column[near].astype(int) + step_column
                 fits = (r >= 0) & (r < height) & (c >= 0) & (c < width)
                 image[r[fits], c[fits]] = faded[near[fits]]
                 nearest_m[r[fits], c[fits]] = depth[near[fits]]
@@ -185,9 +187,8 @@ def _draw_bodies(
         light = 0.6 + 0.4 * abs(np.nan_to_num(sides[:, 2] / np.linalg.norm(sides, axis=1)))
     order = np.argsort(ahead_m - triangles[:, :, 2].mean(axis=1), kind="stable")
     focal_px = camera.focal_px(image.shape[1])
-    return int(
-        fill(image, nearest_m, triangles[order], (colours * light[:, None])[order], alpha[order], focal_px, NEAR_M)
-    )
+    shaded = (colours * light[:, None])[order]
+    return core.blend_triangles(image, nearest_m, triangles[order], shaded, alpha[order], focal_px, NEAR_M)
 
 
 def _shapes(stage: Stage, worst: int) -> list[Shape]:
@@ -228,14 +229,17 @@ def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height:
 
     view = camera.view(ends_m)
     ahead = view[..., 2] >= NEAR_M
-    view, ahead = view[ahead.any(axis=1)], ahead[ahead.any(axis=1)]
+    view = view[ahead.any(axis=1)]
+    ahead = ahead[ahead.any(axis=1)]
     for here, there in ((0, 1), (1, 0)):  # clip at the near plane
-        a, b = view[~ahead[:, here], here], view[~ahead[:, here], there]
+        a = view[~ahead[:, here], here]
+        b = view[~ahead[:, here], there]
         view[~ahead[:, here], here] = a + ((NEAR_M - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
     flat = view[..., :2] / view[..., 2:] * camera.focal_px(width)
     ends = np.stack([width / 2 + flat[..., 0], height / 2 - flat[..., 1]], axis=-1)
     axes.add_collection(LineCollection(list(ends), **look), autolim=False)
-    low, high = ends.min(axis=1), ends.max(axis=1)
+    low = ends.min(axis=1)
+    high = ends.max(axis=1)
     return int(((high >= 0) & (low <= (width, height))).all(axis=1).sum())
 
 
@@ -243,7 +247,8 @@ def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
     """The edges of the region and of its zones, and the zones' names."""
     if not stage.study:
         return 0
-    region, seen = stage.study.region, 0
+    region = stage.study.region
+    seen = 0
     boxes = [(region.min_m, region.max_m, EXCLUDED), *((*zone.box_m, ZONE) for zone in stage.study.zones)]
     for low, high, code in boxes:
         seen += _draw_lines(axes, _edges(low, high), camera, width, height, colors=code, linewidths=0.8)
@@ -252,7 +257,7 @@ def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
         x, y, depth = camera.project(top[None], width, height)
         if depth[0] >= NEAR_M and 0 <= x[0] <= width and 0 <= y[0] <= height:
             axes.annotate(
-                short(zone.name), (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False
+                truncate(zone.name), (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False
             )
     return seen
 
@@ -267,12 +272,15 @@ def _edges(low: Array, high: Array) -> Array:
 
 def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
     """Each sensor: its position, a line down to the ground, its axes and its name."""
-    mounts, seen = _mounts(stage), 0
+    mounts = _mounts(stage)
+    seen = 0
     if not mounts:
         return 0
-    ground_m, size = _center(stage)[0][2], height / 626
+    ground_m = _center(stage)[0][2]
+    size = height / 626
     for i, mount in enumerate(mounts):
-        at, T = np.array(mount.position_m), mount.T_vehicle_sensor
+        at = np.array(mount.position_m)
+        T = mount.T_vehicle_sensor
         lines = np.stack(
             [np.repeat(at[None], 4, axis=0), [*(at + AXIS_M * T[:3, :3].T), [at[0], at[1], ground_m]]], axis=1
         )
@@ -283,7 +291,7 @@ def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height:
         seen += 1
         axes.plot(x, y, "o", color=stage.colours[mount.name], ms=3 + 8 * size, mec="w", mew=0.8 + size)
         axes.annotate(
-            short(mount.name),
+            truncate(mount.name),
             (x[0], y[0]),
             (0, (26 + 22 * (i % 2)) * size),
             textcoords="offset points",
@@ -314,7 +322,8 @@ def _draw_above(
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Rectangle
 
-    xyz, (height, width) = stage.cloud.xyz, pixels.shape[:2]
+    xyz = stage.cloud.xyz
+    height, width = pixels.shape[:2]
     scale = width / (2 * reach_m)
     column = np.floor((xyz[:, 0] - center[0]) * scale + width / 2).astype(int)
     row = np.floor(height / 2 - (xyz[:, 1] - center[1]) * scale).astype(int)
@@ -328,7 +337,8 @@ def _draw_above(
         flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
         axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
     if stage.study:
-        low, edges = stage.study.region.min_m, stage.study.region.max_m - stage.study.region.min_m
+        low = stage.study.region.min_m
+        edges = stage.study.region.max_m - stage.study.region.min_m
         axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=EXCLUDED, lw=0.8))
     for mount in _mounts(stage):
         at = mount.position_m
@@ -349,15 +359,19 @@ def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None
     entries: list[tuple[str, str]] = []
     if by in ("sensor", "object") and len(stage.cloud.xyz):
         if by == "object" and stage.objects:
-            names, index = stage.objects.names, stage.objects.index
+            names = stage.objects.names
+            index = stage.objects.index
             shown = [*(colour(i) for i in range(len(names) - 1)), UNKNOWN]
         else:
-            names, index = stage.cloud.sensor_names, stage.cloud.sensor
+            names = stage.cloud.sensor_names
+            index = stage.cloud.sensor
             shown = [stage.colours[name] for name in names]
         counts = np.bincount(index, minlength=len(names))
         most = np.argsort(-counts, kind="stable")[:12] if by == "object" else np.arange(len(names))
         entries = [
-            (f"{short(names[i])}: {counts[i]:,} points", shown[i]) for i in most.tolist() if counts[i] or by == "sensor"
+            (f"{truncate(names[i])}: {counts[i]:,} points", shown[i])
+            for i in most.tolist()
+            if counts[i] or by == "sensor"
         ]
     elif len(stage.cloud.xyz):
         low, high = span(stage, by)

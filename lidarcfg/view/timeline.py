@@ -37,7 +37,8 @@ def timeline(stage: Stage) -> Timeline | None:
     length_ns = round(6e10 / min(mount.rpm for mount in stage.rigs[0].mounts)) if stage.rigs else FRAME_NS
     time_ns = stage.cloud.time_ns
     if len(time_ns):
-        start_ns, end_ns = int(time_ns.min()), int(time_ns.max())
+        start_ns = int(time_ns.min())
+        end_ns = int(time_ns.max())
         unit_ns = max(1000, -(-(end_ns - start_ns + 1) // 2**32))
         frame = max(round(length_ns / unit_ns), 1)
         frames = np.unique((time_ns - start_ns) // unit_ns // frame)

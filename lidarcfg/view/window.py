@@ -62,7 +62,8 @@ def parts(stage: Stage, by: By) -> list[Any]:
     if stage.study:
         bodies = [(body.faces_m, WORST) for body in score(stage.study, stage.rigs[0], 1).worst]
         for quads, code in (*bodies, (faces(stage.study.region, ~stage.study.region.included), EXCLUDED)):
-            corners, first = quads.reshape(-1, 3), 4 * np.arange(len(quads))[:, None]
+            corners = quads.reshape(-1, 3)
+            first = 4 * np.arange(len(quads))[:, None]
             ends = (first[:, :, None] + np.array([[0, 1], [1, 2], [2, 3], [3, 0]])).reshape(-1, 2)
             lines = o3d.geometry.LineSet(o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(ends))
             found.append(lines.paint_uniform_color(rgb([code])[0] / 255.0))

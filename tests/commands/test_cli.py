@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 
 from lidarcfg import __version__
-from lidarcfg.commands import interrupts as signals
 from lidarcfg.commands import progress as module
-from lidarcfg.commands.interrupts import AGAIN_S, Interrupts
+from lidarcfg.commands.interrupts import Interrupts
 from lidarcfg.commands.progress import progress
 from tests.command_line import lidarcfg, started
 
@@ -27,7 +26,7 @@ STUDY = str(ROOT / "data/studies/liu2018-2x16.yaml")
 SEDAN = str(ROOT / "data/studies/sedan.yaml")
 ROOF = str(ROOT / "data/rigs/roof.yaml")
 STREET = str(ROOT / "data/scenes/street.yaml")
-HEAVY = {"numba", "scipy", "open3d", "matplotlib"}
+HEAVY = {"scipy", "open3d", "matplotlib"}
 
 
 def run(*words, code=0, cwd=ROOT):
@@ -124,7 +123,7 @@ def test_export_repeats_byte_for_byte_and_splits(out, tmp_path):
 
 
 def test_a_picture_of_a_capture_and_of_a_cloud(out):
-    shutil.copy(out / "two.pcap", out / "alone.pcap")  # without the record, by which the scene would be shown too
+    shutil.copy(out / "two.pcap", out / "alone.pcap")  # without the manifest, by which the scene would be shown too
     for source, name in ((out / "alone.pcap", "a.png"), (out / "two.ply", "b.png")):
         run("view", source, "--rig", out / "two/rig.yaml", "--png", out / name)
     assert (out / "a.png").read_bytes() == (out / "b.png").read_bytes()
@@ -227,30 +226,8 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     run("evaluate", STUDY, tmp_path / "run/rig.yaml", "--quiet")
 
 
-def test_an_interrupt_waits_until_numba_is_done():
-    """In functions of its own and in what these call; then it comes by itself."""
-    done, until = (
-        [],
-        "\n".join(["def work(signal, number, wait, done):", " signal(number)", " wait()", " done.append(1)"]),
-    )
-    exec(until, inside := {"__name__": "numba.core.dispatcher"})
-    before = signal.signal(signal.SIGTERM, Interrupts().handle)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGTERM)
-        signal.signal(signal.SIGTERM, Interrupts().handle)
-        with pytest.raises(KeyboardInterrupt):
-            inside["work"](signal.raise_signal, signal.SIGTERM, lambda: time.sleep(5 * AGAIN_S), done)
-            deadline = time.monotonic() + 60
-            while time.monotonic() < deadline:
-                time.sleep(0.001)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert done == [1]
-
-
 @pytest.mark.parametrize("quiet", [False, True])
-def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet):
+def test_an_interrupt_that_a_callback_lost_comes_with_the_next_progress(quiet):
     interrupts = Interrupts()
     with progress(quiet, interrupts) as on_progress:
         on_progress(0.1, "")
@@ -260,19 +237,14 @@ def test_an_interrupt_that_a_compiler_lost_comes_with_the_next_progress(quiet):
             on_progress(0.2, "")
 
 
-def test_an_interrupt_that_was_raised_by_a_progress_does_not_come_again(monkeypatch):
-    """Not while numba would have had to finish first; a search goes on to write what it has."""
+def test_an_interrupt_that_was_raised_by_a_progress_does_not_come_again():
+    """A search goes on to write what it has."""
     interrupts = Interrupts()
-    monkeypatch.setattr(signals, "_within", lambda package, *_: package == "numba")
-    before = signal.signal(signal.SIGTERM, interrupts.handle)
-    try:
-        signal.raise_signal(signal.SIGTERM)
-        with pytest.raises(KeyboardInterrupt):
-            interrupts.check("")
-        interrupts.take()
-        time.sleep(5 * AGAIN_S)
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with suppress(KeyboardInterrupt):
+        interrupts.handle(signal.SIGTERM, None)
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.check("")
+    interrupts.take()
     interrupts.check("")
 
 
@@ -310,35 +282,15 @@ def test_what_an_interrupt_breaks_is_not_said_to_be_an_error(then):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
-def test_a_second_interrupt_does_not_come_between_two_files(tmp_path):
-    """Both files are of one run; no other is left."""
-    (tmp_path / "one").write_text("old")
-    then = f"""
-        os.chdir({str(tmp_path)!r})
-        from lidarcfg import files
-        take, swap = files.Whole.take_place, lambda one: (take(one), os.kill(os.getpid(), signal.SIGINT))
-        files.Whole.take_place = swap
-        with files.together():
-            for name in ("one", "other"):
-                with files.replacing(name) as file:
-                    file.write("new")
-        time.sleep(60)
-"""
-    done = subprocess.run([sys.executable, "-c", BROKEN.format(then)], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (130, "interrupted\n")
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "new", "other": "new"}
-
-
 @pytest.fixture
 def log(monkeypatch, capsys):
-    """What a log says of updates: seconds of work, of compiling so far, and the fraction done."""
+    """What a log says of updates: seconds of work, and the fraction done."""
 
     def lines(updates, **options):
-        now, compiled = [0.0], SimpleNamespace(seconds=0.0)
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0] + compiled.seconds))
-        monkeypatch.setattr(module, "compiling", compiled)
+        now = [0.0]
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
         with progress(False, Interrupts(), **options) as on_progress:
-            for now[0], compiled.seconds, fraction in updates:
+            for now[0], fraction in updates:
                 on_progress(fraction, "runs")
         return capsys.readouterr().err.splitlines()
 
@@ -346,19 +298,19 @@ def log(monkeypatch, capsys):
 
 
 def test_a_log_says_how_much_time_is_left(log):
-    """Two fifths were done before; a fifth more takes 100 s and no compiling, so the last two take 200 s more."""
-    updates = [(0, 0, 0.4), (5, 0, 0.4), (50, 0, 0.4), (100, 400, 0.6), (101, 400, 0.7), (300, 400, 1.0)]
+    """Two fifths were done before; a fifth more takes 100 s, so the last two take 200 s more."""
+    updates = [(0, 0.4), (5, 0.4), (50, 0.4), (100, 0.6), (101, 0.7), (300, 1.0)]
     assert log(updates, mean_over_s=math.inf) == [" 40%  runs", " 60%  runs  about 3 min left", "100%  runs"]
 
 
 def test_a_log_says_nothing_of_the_time_left_before_it_can_be_known(log):
-    """13 of 20,000 rigs in the 0.3 s that were not compiling say nothing of the rest."""
-    assert log([(0, 0, 0), (0.3, 10, 13 / 20000), (1, 10, 1.0)]) == ["  0%  runs", "100%  runs"]
+    """13 of 20,000 rigs in 0.3 s say nothing of the rest."""
+    assert log([(0, 0), (0.3, 13 / 20000), (11, 1.0)]) == ["100%  runs"]
 
 
 def test_the_time_left_is_by_recent_updates(log):
     """A hundredth in the first 20 s, then one each second: at 66 s, 53 hundredths take 53 s more."""
-    updates = [(float(s), 0, max(s / 2000, (s - 19) / 100)) for s in range(70)]
+    updates = [(float(s), max(s / 2000, (s - 19) / 100)) for s in range(70)]
     assert log(updates)[-2] == " 47%  runs  about 53 s left"
 
 
@@ -499,7 +451,7 @@ def test_a_picture_is_a_png(tmp_path):
     assert "a.jpg' does not end in .png" in one_line("sensors", "show", "vlp-16", "--png", tmp_path / "a.jpg")
 
 
-def test_odd_environments(monkeypatch):
+def test_odd_environments():
     """matplotlib refuses to load where it does not know the backend, as one of another program's may be."""
     load = "import sys; from lidarcfg.cli import main\ntry: main()\nexcept SystemExit: import matplotlib"
     words = [sys.executable, "-c", load, "completion", "bash"]
@@ -509,10 +461,6 @@ def test_odd_environments(monkeypatch):
         [sys.executable, "-c", "import matplotlib"], env=os.environ | {"MPLBACKEND": "foo"}, capture_output=True
     )
     assert alone.returncode == 1
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    assert "NUMBA_DISABLE_JIT: is set" in run("sensors", "list", code=2).stderr
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
-    assert run("sensors", "list").stdout
 
 
 def test_names_of_a_million_characters(tmp_path):

@@ -233,7 +233,7 @@ def test_a_cluster_finds_the_same(plan, serial, cluster, tmp_path, monkeypatch):
     assert rigs(tmp_path / "out") == rigs(serial)
     monkeypatch.setattr(plans, "version", lambda name: "9.9")
     line = one_line("sweep", plan, "-o", tmp_path / "none", "--scheduler", cluster)
-    assert re.search(r"worker tcp://\S+ has numba \S+, and this program 9.9; both must be the same", line)
+    assert re.search(r"worker tcp://\S+ has numpy \S+, and this program 9.9; both must be the same", line)
     assert not list((tmp_path / "none").glob("runs/*"))
     with Client(cluster, set_as_default=False) as ours:  # the command's own is closed
         assert ours.run_on_scheduler(_clients) == {ours.id, "fire-and-forget"}

@@ -32,7 +32,7 @@ VELODYNE = {
     "nebula_vlp32": set(),
     "nebula_vls128": set(),
 }
-HESAI = {  # the state of the sensor: docs/hesai.md
+HESAI = {  # the state of the sensor
     "hesai/nebula_xt32": {*range(1052, 1062), 1063},
     "hesai/nebula_xt16": {*range(540, 550), 551},
     "hesai/nebula_qt128": {1045, *range(1057, 1064), *range(1067, 1070), *range(1091, 1095)},

@@ -138,7 +138,7 @@ def inscribed_radius(cells, edges, shape):
 
 
 def released_max_vsr(roi, cuboid, exclude, poses, elevation_deg):
-    """What the authors' released program computes, which is not the paper's text (see docs/paper.md).
+    """What the authors' released program computes, which is not the paper's text (see docs/evidence/paper.md).
 
     Digits are added up instead of written as a base-n number; no connected components; the excluded box runs
     from int(min / edge) to int(max / edge), both included; a centre on a cone belongs to the gap below.

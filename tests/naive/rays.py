@@ -5,35 +5,31 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tests.naive.vectors import cross, dot, minus
 
 BESIDE = 1e-12  # of a triangle, by which a ray may pass beside it
 
 
-@njit(cache=True, nogil=True)
 def first_triangle(vertices, triangles, origins, rays):
     """Range to the first of triangles (T, 3) that each ray (N, 3) hits, inf for none, and which: Möller, Trumbore 1997."""
     ranges, which = np.full(len(rays), np.inf), np.full(len(rays), -1)
-    for t in range(len(triangles)):
-        a = vertices[triangles[t, 0]]
-        e, f = vertices[triangles[t, 1]] - a, vertices[triangles[t, 2]] - a
-        for n in range(len(rays)):
-            dx, dy, dz = rays[n]
-            px, py, pz = dy * f[2] - dz * f[1], dz * f[0] - dx * f[2], dx * f[1] - dy * f[0]
-            determinant = e[0] * px + e[1] * py + e[2] * pz
-            if determinant == 0:
-                continue
-            sx, sy, sz = origins[n, 0] - a[0], origins[n, 1] - a[1], origins[n, 2] - a[2]
+    dx, dy, dz = np.ascontiguousarray(rays.T)
+    for t, corners in enumerate(triangles):
+        a = vertices[corners[0]]
+        e, f = vertices[corners[1]] - a, vertices[corners[2]] - a
+        px, py, pz = dy * f[2] - dz * f[1], dz * f[0] - dx * f[2], dx * f[1] - dy * f[0]
+        determinant = e[0] * px + e[1] * py + e[2] * pz
+        sx, sy, sz = (origins - a).T
+        with np.errstate(divide="ignore", invalid="ignore"):
             u = (sx * px + sy * py + sz * pz) / determinant
-            if u < -BESIDE or u > 1 + BESIDE:
-                continue
             qx, qy, qz = sy * e[2] - sz * e[1], sz * e[0] - sx * e[2], sx * e[1] - sy * e[0]
             v = (dx * qx + dy * qy + dz * qz) / determinant
             distance = (f[0] * qx + f[1] * qy + f[2] * qz) / determinant
-            if v >= -BESIDE and u + v <= 1 + BESIDE and 0 < distance < ranges[n]:
-                ranges[n], which[n] = distance, t
+        hit = (determinant != 0) & (u >= -BESIDE) & (v >= -BESIDE) & (u + v <= 1 + BESIDE)
+        nearer = hit & (u <= 1 + BESIDE) & (0 < distance) & (distance < ranges)
+        ranges[nearer] = distance[nearer]
+        which[nearer] = t
     return ranges, which
 
 

@@ -3,27 +3,22 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from tests.naive.placement import base_n, breadth_first, centres, digit, local, vsr
 
 ENDS = 1e-9  # of a segment's length: a surface this near to either end is at the end
 
 
-@njit(cache=True, nogil=True)
 def hidden(corners, origin, targets, out):
     """Write to out (N,) whether any of triangles (T, 3, 3) is between a point and targets (N, 3).
 
     A segment crosses a triangle if its ends are on either side of the plane, and if the volumes of the tetrahedra that
     it makes with the three edges have one sign (Segura and Feito 2001).
     """
-    for n in range(len(targets)):
-        out[n] = False
-    ox, oy, oz = origin
-    for t in range(len(corners)):
-        ax, ay, az = corners[t, 0, 0] - ox, corners[t, 0, 1] - oy, corners[t, 0, 2] - oz
-        bx, by, bz = corners[t, 1, 0] - ox, corners[t, 1, 1] - oy, corners[t, 1, 2] - oz
-        cx, cy, cz = corners[t, 2, 0] - ox, corners[t, 2, 1] - oy, corners[t, 2, 2] - oz
+    out[:] = False
+    dx, dy, dz = np.ascontiguousarray((targets - origin).T)
+    for triangle in corners:
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangle - origin
         # normals of the planes through the point and each edge
         ux, uy, uz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         vx, vy, vz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
@@ -31,16 +26,12 @@ def hidden(corners, origin, targets, out):
         px, py, pz, qx, qy, qz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
         nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
         height = nx * ax + ny * ay + nz * az
-        for n in range(len(targets)):
-            if out[n]:
-                continue
-            dx, dy, dz = targets[n, 0] - ox, targets[n, 1] - oy, targets[n, 2] - oz
-            u, v, w = ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz, wx * dx + wy * dy + wz * dz
-            if (u < 0 or v < 0 or w < 0) and (u > 0 or v > 0 or w > 0):
-                continue
-            along = nx * dx + ny * dy + nz * dz
-            if along != 0 and ENDS < height / along < 1 - ENDS:
-                out[n] = True
+        u, v, w = ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz, wx * dx + wy * dy + wz * dz
+        beside = ((u < 0) | (v < 0) | (w < 0)) & ((u > 0) | (v > 0) | (w > 0))
+        along = nx * dx + ny * dy + nz * dz
+        with np.errstate(divide="ignore", invalid="ignore"):
+            where = height / along
+        out |= ~beside & (along != 0) & (where > ENDS) & (where < 1 - ENDS)
 
 
 def between(p, q, r, s):

@@ -4,9 +4,9 @@ import numpy as np
 
 from lidarcfg.config import Model, loads
 from lidarcfg.geometry import directions
-from lidarcfg.packets.codec import Decoder, Payloads, Returns, Tally
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Payloads, Returns
 from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.spin import Spin, Spinning
+from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
 from lidarcfg.sensor import Sensor
 
 RETURN = np.dtype([("time_ns", "<i8"), ("azimuth", "<f8"), ("range_mm", "<u4"), ("laser", "u1"), ("strength", "u1")])
@@ -20,7 +20,7 @@ class Facts(Model):
     columns: int  # in a packet
 
 
-class Toy(Spinning):
+class Toy(RotatingSensorCodec):
     """The packets of one sensor."""
 
     facts_model = Facts
@@ -29,8 +29,8 @@ class Toy(Spinning):
         self.sensor, self.columns = sensor, sensor.section.checked(Facts).columns
         self.dtype = np.dtype([("magic", "S4"), ("number", "<u4"), ("returns", RETURN, self.columns * sensor.count)])
 
-    def spin(self, dual):
-        return Spin(np.zeros(self.sensor.count, np.int64), 100_000, self.columns, per_azimuth=1)
+    def firing_schedule(self, dual):
+        return FiringSchedule(np.zeros(self.sensor.count, np.int64), 100_000, self.columns, per_azimuth=1)
 
     def encode(self, mount, batch, range_m, reflectivity):
         packets = np.zeros(len(batch.number), self.dtype)
@@ -45,16 +45,16 @@ class Toy(Spinning):
     def sent(self, mount, batch, payloads):
         return payloads.data.view(self.dtype)["returns"]["range_mm"].reshape(-1, 1) > 0
 
-    def companions(self, mount):
+    def sidecar_files(self, mount):
         return {".toy.json": self.sensor.model_dump_json(exclude_none=True).encode()}
 
     @classmethod
-    def claims(cls, source, size, payload):
+    def matches(cls, source, size, payload):
         return payload[:4] == b"TOY1"
 
     @classmethod
-    def recognise(cls, source, packets, known):
-        return next(loads(text.decode(), Sensor, name) for name, text in source.companions(".toy.json").items())
+    def identify(cls, source, packets, known):
+        return next(loads(text.decode(), Sensor, name) for name, text in source.sidecar_files(".toy.json").items())
 
     def decoder(self, source, packets, known, trusted):
         return ToyDecoder(self)
@@ -64,7 +64,12 @@ class ToyDecoder(Decoder):
     """Packets of one source."""
 
     def __init__(self, toy):
-        self.sensor, self.dtype, self.period_ns, self.lost = toy.sensor, toy.dtype, toy.spin(False).period_ns, 0
+        self.sensor, self.dtype, self.period_ns, self.lost = (
+            toy.sensor,
+            toy.dtype,
+            toy.firing_schedule(False).period_ns,
+            0,
+        )
 
     def time_ns(self, packets, host_ns):
         return packets.view(self.dtype)["returns"]["time_ns"][:, 0, 0]
@@ -75,8 +80,8 @@ class ToyDecoder(Decoder):
     def count(self, packets, wanted):
         self.lost += int((np.diff(packets.view(self.dtype)["number"][:, 0].astype(np.int64))[wanted[1:]] - 1).sum())
 
-    def tally(self):
-        return Tally((self.sensor.name,), ("strongest",), self.lost, np.nan)
+    def statistics(self):
+        return DecodeStatistics((self.sensor.name,), ("strongest",), self.lost, np.nan)
 
     def decode(self, packets, host_ns, wanted):
         returns = packets.view(self.dtype)["returns"][wanted]

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.analytic import integrate, level
-from lidarcfg.placement.boundaries import Boundaries, axes_from
-from lidarcfg.placement.boundary_kernels import Lattice, line_place
+from lidarcfg.placement.boundaries import Boundaries, Lattice, axes_from
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import BLIND, segment
@@ -232,6 +231,12 @@ def crossed(region, lidars, visibility, axis):
         return lattice, Boundaries(region, lidars, visibility).flips(lattice, pool)
 
 
+def line_place(lattice, line):
+    """Where a line runs: the first coordinates are even, the second ones by the golden ratio."""
+    across = (line + 0.5) / lattice.lines, (line * (5**0.5 - 1) / 2 + 0.5) % 1
+    return tuple(lattice.low[i] + across[i - 1] * lattice.shape[i] * lattice.edge[i] for i in (1, 2))
+
+
 def changes(flips, row, line):
     """(place, |n·e|) of a line's flips."""
     first, last = flips.first[row * flips.start.shape[1] + line : row * flips.start.shape[1] + line + 2]
@@ -340,7 +345,7 @@ sensors:
 
 
 def test_evaluate_has_an_error_bar_that_holds_around_a_car(tmp_path):
-    """Against edges of 1/4: tools/accuracy_vsr.py asks the same of hundreds of rigs."""
+    """Against edges of 1/4."""
     path = tmp_path / "car.yaml"
     path.write_text(CAR % (Path(__file__).parents[2] / "data/vehicles/sedan.ply"))
     loaded = load_study(path)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lidarcfg.core import analytic as core
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement import detection_kernels as kernels
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.detection import DetectionObject, detection
 from lidarcfg.placement.region import Region
@@ -50,7 +50,7 @@ def test_high_columns(seed, shape, size, threshold):
     blocks = np.random.default_rng(seed).integers(-1, 20, (-(-shape[0] // 2), -(-shape[1] // 2), 3))
     label = np.repeat(blocks.repeat(2, 0).repeat(2, 1), 60, axis=2)[: shape[0], : shape[1], : shape[2]].astype(np.int32)
     held = np.zeros(20, bool)
-    detected, places = kernels.detected_positions(label, size, threshold, shape[2], 2**62, held)
+    detected, places = core.detected_positions(label, size, threshold, shape[2], 2**62, held)
     assert (detected.sum(), places.sum()) == naive.detection(label.tolist(), size, threshold, on_ground=False)
     boxes = np.lib.stride_tricks.sliding_window_view(label, size).reshape(-1, np.prod(size))
     assert set(np.flatnonzero(held)) == {box[0] for box in boxes if box[0] >= 0 and (box == box[0]).all()}
@@ -131,8 +131,8 @@ def test_a_box_at_right_angles_touches_what_it_covers():
     labels = np.arange(12 * 8 * 8, dtype=np.int32).reshape(12, 8, 8)
     for covered, boxes in ((1 * 2 * 2, box[:1]), (3 * 2 * 2, box[1:2])):
         size = (0.5, 1.0, 0.5)  # one cuboid wide and two deep, or turned and straddling
-        assert kernels.detected_boxes(labels, np.zeros(3), np.array([0.5, 0.5, 0.25]), boxes, size, covered - 1) == (
+        assert core.detected_boxes(labels, np.zeros(3), np.array([0.5, 0.5, 0.25]), boxes, size, covered - 1) == (
             1,
             1,
         )
-        assert kernels.detected_boxes(labels, np.zeros(3), np.array([0.5, 0.5, 0.25]), boxes, size, covered) == (0, 1)
+        assert core.detected_boxes(labels, np.zeros(3), np.array([0.5, 0.5, 0.25]), boxes, size, covered) == (0, 1)

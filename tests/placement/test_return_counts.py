@@ -21,7 +21,7 @@ from lidarcfg.placement.return_counts import MissCounter, return_counts
 from lidarcfg.placement.returns import placed
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.terms import Trial
-from lidarcfg.report.words import object_in_words
+from lidarcfg.report.words import describe_object
 from tests.returns_cases import at_place, box, revolution, simulated, tracer_of
 from tests.studies import study_of
 
@@ -184,7 +184,7 @@ def test_results_and_words(tmp_path):
     assert written["detection"]["crate"] == found.detection["crate"].rate
     assert written["detection_returns"]["crate"]["mean"] == found.detection["crate"].returns.mean
     assert set(written["detection_returns"]) == {"crate", "child"}
-    assert object_in_words(loaded.detection[0]) == (
+    assert describe_object(loaded.detection[0]) == (
         "0.6 × 0.4 × 0.3 m, on the ground, every 1.5 m, heading 0°, 60°; detected by 20 returns or more in a revolution"
     )
 

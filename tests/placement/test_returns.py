@@ -47,7 +47,7 @@ def places(rng, count, size_m, far_m=30.0):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_counts_are_the_simulators(size):
-    """All families, at a random phase each, with the body in the way; tools/accuracy_returns.py has 10,000 places."""
+    """All families, at a random phase each, with the body in the way."""
     rng = np.random.default_rng(7)
     where, target, total = places(rng, 8, size), Target(box(*size)), 0
     sensors = compiled([scanner(one, pattern) for one in MOUNTS])

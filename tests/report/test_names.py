@@ -5,7 +5,7 @@ import json
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from lidarcfg.names import first_of, short
+from lidarcfg.names import summarize, truncate
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.plots import draw_rig
@@ -36,10 +36,10 @@ detection: [{{name: {LONG["thing"]}, size_m: [1, 1, 1]}}]
 
 def test_a_short_name_stays_and_a_long_one_keeps_its_ends():
     """By hand: 10 characters, of which one is …, three the end, six the start."""
-    assert short("0123456789", 10) == "0123456789"
-    assert short("0123456789A", 10) == "012345…89A"
-    assert {len(short("x" * count, 40)) for count in range(41, 200)} == {40}
-    assert short(LONG["left"] + "1") != short(LONG["left"] + "2")
+    assert truncate("0123456789", 10) == "0123456789"
+    assert truncate("0123456789A", 10) == "012345…89A"
+    assert {len(truncate("x" * count, 40)) for count in range(41, 200)} == {40}
+    assert truncate(LONG["left"] + "1") != truncate(LONG["left"] + "2")
 
 
 def test_a_drawing_holds_long_names(tmp_path):
@@ -65,7 +65,7 @@ def test_tables_are_short_and_files_whole(tmp_path):
     assert LONG["thing"] in values["detection"]
     assert [one["name"] for one in values["rig"]["sensors"]] == [LONG["left"], LONG["right"]]
     report = (folder / "out/report.html").read_text()
-    assert all(short(LONG[name]) in report for name in ("thing", "zone", "left"))
+    assert all(truncate(LONG[name]) in report for name in ("thing", "zone", "left"))
 
 
 def test_of_many_sensors_the_first_are_listed(tmp_path):
@@ -77,7 +77,7 @@ def test_of_many_sensors_the_first_are_listed(tmp_path):
     found = evaluate(study, rig)
     texts = [text.get_text() for text in draw_rig(study, rig, found).axes[0].get_legend().get_texts()]
     assert texts == [*(f"s{i}" for i in range(8)), "and 4 more"]
-    assert first_of(texts) == texts
+    assert summarize(texts) == texts
     volumes = blind_lines(found.blind)[0]
     assert volumes.startswith(f"volume by the number of LiDARs that see it: 0: {found.blind.volume_m3:.2f} m³ (")
     assert f", 4 or more: {found.blind.seen_by_m3[12]:.2f} m³ (" in volumes

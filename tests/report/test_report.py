@@ -11,14 +11,14 @@ import pytest
 
 from lidarcfg import report
 from lidarcfg.errors import ConfigError
-from lidarcfg.names import short
+from lidarcfg.names import truncate
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.drawings import least_detected
 from lidarcfg.report.tables import print_evaluation
-from lidarcfg.report.words import bounds_table, constraints_in_words, date, mounts_table
+from lidarcfg.report.words import bounds_table, date, describe_constraints, mounts_table
 from lidarcfg.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
@@ -171,7 +171,6 @@ def test_the_page_says_what_result_json_says(runs):
         "lidarcfg <typed>",
         "lidarcfg again",
         f"numpy {np.__version__}",
-        "numba ",
         "open3d",
     ]
     said += [f"{rate:.2%}" for rate in result["detection"].values()]
@@ -183,7 +182,7 @@ def test_the_page_says_what_result_json_says(runs):
 def test_any_name_stands_as_it_is(runs):
     text = (runs[0] / "report.html").read_text()
     page = read(text)
-    assert all(f"object: {short(name)}" in page.words for name in NAMES[:3])
+    assert all(f"object: {truncate(name)}" in page.words for name in NAMES[:3])
     assert "control\\x01\\x1b[31m\\u202e" in page.words
     assert "<script" not in text
     assert not [c for c in text if not c.isprintable() and c != "\n"]
@@ -351,7 +350,7 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
     assert rows["top"] == ["4.5 … 7.5", "3.2 … 4.8", "on cab, from above", "0", "0", "0"]
     assert rows["side_0"] == ["5 … 7", "on cab, from left", "0.2 … 1.2", "normal", "normal", "0 … 20"]
     assert rows["side_1"][0] == "image in y = 4 m"
-    assert "bases wholly on their surfaces" in constraints_in_words(study)
+    assert "bases wholly on their surfaces" in describe_constraints(study)
 
 
 def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path):

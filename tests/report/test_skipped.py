@@ -14,7 +14,7 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report.document import _detection, _skipped
-from lidarcfg.report.words import skips_in_words
+from lidarcfg.report.words import describe_skips
 from lidarcfg.rig import load_rig
 
 STUDY = """
@@ -70,7 +70,7 @@ def test_what_was_skipped(tmp_path, method, objective):
     settled = next(value for what, value in facts.items() if "settled" in what)
     assert settled.startswith(f"{told['full_evaluations']:,} of {plain.full_evaluations:,} (")
     assert ("does not need the subspaces" in facts["cuboids that were not evaluated"]) == (objective == "returns")
-    words = skips_in_words(study)
+    words = describe_skips(study)
     assert ("evaluated in full" in words) == (method == "cmaes")
     if method == "cmaes":
         assert told["full_evaluations"] == 0

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lidarcfg.core import simulate
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig
 from lidarcfg.simulate import simulator
-from lidarcfg.simulate.echo_kernels import merged
+from lidarcfg.simulate.echoes import Echoes, SubRays
 from lidarcfg.simulate.tasks import Drive, prepared
 from lidarcfg.world.motion import Arc, Motion, Trajectory
 from lidarcfg.world.motion import prepared as prepared_path
@@ -52,21 +53,39 @@ def shards(tmp_path, triangles=4000):
     return scene(tmp_path, "meshes: [{name: shards, file: shards.ply, position_m: [0, 0, 0], reflectivity: 30}]")
 
 
+def together(*words):
+    """What the rays of wide beams hit, traced beam by beam."""
+    simulate.trace_firings(*words)
+
+
+def one_by_one(world, bodies, surfaces, lasers, mounting, fired, zero_ns, limit_m, hits):
+    """The same, each ray of a beam traced as if it were a thin one."""
+    for k in range(len(lasers.across)):
+        thin = lasers._replace(across=lasers.across[k : k + 1], above=lasers.above[k : k + 1])
+        columns = [np.empty((len(values), 1), values.dtype) for values in list(vars(hits).values())[:4]]
+        alone = SubRays(*columns, hits.laser)
+        simulate.trace_firings(world, bodies, surfaces, thin, mounting, fired, zero_ns, limit_m, alone)
+        for key, values in list(vars(hits).items())[:4]:
+            values[:, k] = getattr(alone, key)[:, 0]
+
+
 def hit_by(trace, stage, vehicle, divergence, monkeypatch):
     """What the rays of two revolutions of wide beams hit, as a function traces them."""
     wide = replace(mount(0, (0.3, 0.5, 2.2), (4.0, 3.0, 20.0)), realism=Realism(divergence=divergence))
     (task,) = prepared(Drive(Rig("one", (wide,)), stage, DRIVE, vehicle, AT_NS, 200_000_000), 10**9)
-    rows = []
+    traced = []
 
-    def spy(*words):
-        trace(*words)
-        rows.append((words[-1].range_m.copy(), words[-1].slot.copy(), words[-1].cosine.copy()))
+    class Spy:
+        @staticmethod
+        def trace_firings(*words):
+            trace(*words)
+            traced.append(words[-1])
 
     with monkeypatch.context() as patch:
-        patch.setattr(simulator, "trace_beams", spy)
+        patch.setattr(simulator, "simulate", Spy)
         batch = next(iter(task.timing.schedule(wide, AT_NS, 150, 150)))
         found, _ = task.simulator.echoes(batch.firings, 0)
-    return [*rows[0], found.range_m, found.reflectivity, found.object]
+    return [*vars(traced[0]).values(), found.range_m, found.reflectivity, found.object]
 
 
 @pytest.mark.parametrize(
@@ -91,11 +110,11 @@ def test_rays_are_those_of_thin_beams(place, divergence, tmp_path, monkeypatch):
         bodies = load_vehicle(tmp_path / "car.yaml")
     if place == "shards":
         stage = shards(tmp_path)
-    together = hit_by(simulator.trace_beams, stage, bodies, divergence, monkeypatch)
-    one_by_one = hit_by(simulator.trace_firings, stage, bodies, divergence, monkeypatch)
-    assert np.isfinite(together[0]).sum() > 100_000
-    assert len(np.unique(together[1])) > 5
-    for ours, theirs in zip(together, one_by_one, strict=True):
+    wide = hit_by(together, stage, bodies, divergence, monkeypatch)
+    thin = hit_by(one_by_one, stage, bodies, divergence, monkeypatch)
+    assert np.isfinite(wide[0]).sum() > 100_000
+    assert len(np.unique(wide[3])) > 5
+    for ours, theirs in zip(wide, thin, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
@@ -114,8 +133,11 @@ def test_echoes_of_a_beam(weather):
         drops = np.stack([rng.uniform(0.5, 18, count), rng.uniform(0, 1e-3, count)], axis=1)
         fade = np.exp(-0.02 * np.column_stack([near, drops[:, 0]]))
     lasers = rng.integers(0, 3, count).astype(np.uint8)
-    out = np.empty((count, 6)), np.empty((count, 6), np.uint8), np.empty((count, 6), np.int32)
-    merged((near, bright, objects, cosine), lasers, weights, (most_m, step_rad, least), drops, fade, out)
+    rays = SubRays(near, bright, objects, cosine, lasers)
+    shape = count, 6
+    found = Echoes(np.empty(shape), np.zeros(shape), np.empty(shape, np.uint8), np.empty(shape, np.int32))
+    simulate.merge_echoes(rays, weights, most_m, step_rad, least, drops, fade, np.arange(6, dtype=np.uint8), found)
+    out = found.range_m, found.reflectivity, found.object
     several = 0
     for n in range(count):
         hits = list(zip(near[n].tolist(), bright[n].tolist(), objects[n].tolist(), cosine[n].tolist(), strict=True))

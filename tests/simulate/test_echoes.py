@@ -6,7 +6,7 @@ from scipy import stats
 
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.echoes import SubRays, beam, echoes, extinction_per_m, single
+from lidarcfg.simulate.echoes import CANDIDATES, REPORTED, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import uniforms
 from lidarcfg.world.scene import Weather
 from tests.capture_fixtures import scene
@@ -15,17 +15,19 @@ VLP16 = load_sensor("vlp-16")
 EDGE = np.array([1, 4, 1]) / 6  # weights of three sub-rays side by side
 
 
-def made(range_m, reflectivity, weights=(1.0,), cosine=1.0, first=0, weather=None, objects=0, **realism):
+def made(
+    range_m, reflectivity, weights=(1.0,), cosine=1.0, first=0, weather=None, objects=0, which=CANDIDATES, **realism
+):
     """The echoes of firings (N, K)."""
     range_m = np.array(range_m, np.float64)
     hits = SubRays(
         range_m,
-        np.broadcast_to(np.array(reflectivity, np.uint8), range_m.shape),
-        np.broadcast_to(np.array(objects, np.int32), range_m.shape),
-        np.broadcast_to(cosine, range_m.shape),
+        np.broadcast_to(np.array(reflectivity, np.uint8), range_m.shape).copy(),
+        np.broadcast_to(np.array(objects, np.int32), range_m.shape).copy(),
+        np.broadcast_to(np.float64(cosine), range_m.shape).copy(),
         np.arange(len(range_m), dtype=np.uint8) % 2,
     )
-    return echoes(VLP16, Realism(**realism), weather or Weather(), 0, first, np.array(weights), hits)
+    return echoes(VLP16, Realism(**realism), weather or Weather(), 0, first, np.array(weights), hits, which)
 
 
 def flat(range_m, count):
@@ -40,13 +42,16 @@ def test_an_edge_gives_two_echoes():
     assert found.object.tolist() == [[1, 1, 2, 1, 2, 2], [1, 1, 1, 1, 1, 1]]
     found = made([[10, 20, 20]], [[2, 90, 90]], EDGE)
     assert found.range_m.tolist() == [[20, 10, 20, 10, 20, 10]]  # the strongest is the last: the next comes beside it
-    assert found.reported("strongest").range_m.tolist() == [[20]]
-    assert found.reported("last").range_m.tolist() == [[20]]
-    assert found.reported("first").range_m.tolist() == [[10]]
-    assert found.reported("dual").range_m.tolist() == [[10, 20]]
-    assert found.reported("first-last").range_m.tolist() == [[10, 20]]
-    assert found.reported("first-strongest").range_m.tolist() == [[10, 20]]
-    assert found.reported("two-strongest").range_m.tolist() == [[20, 10]]
+    for mode, expected in (
+        ("strongest", [20]),
+        ("last", [20]),
+        ("first", [10]),
+        ("dual", [10, 20]),
+        ("first-last", [10, 20]),
+        ("first-strongest", [10, 20]),
+        ("two-strongest", [20, 10]),
+    ):
+        assert made([[10, 20, 20]], [[2, 90, 90]], EDGE, which=REPORTED[mode]).range_m.tolist() == [expected]
 
 
 def test_a_mixed_pixel():

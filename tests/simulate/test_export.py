@@ -17,8 +17,9 @@ from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import TIME_END_NS, write_pcap
 from lidarcfg.cloud import FIELDS
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
-from lidarcfg.files import check_room, shipped
+from lidarcfg.files import shipped
 from lidarcfg.geometry import inverse, pose, transform
+from lidarcfg.inputs import check_room
 from lidarcfg.realism import Realism
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import custom_sensor
@@ -341,7 +342,7 @@ def test_the_size_of_a_capture_is_known_beforehand(street, tmp_path):
 
 
 def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr("lidarcfg.files.shutil.disk_usage", lambda folder: SimpleNamespace(free=5_000_000))
+    monkeypatch.setattr("lidarcfg.inputs.shutil.disk_usage", lambda folder: SimpleNamespace(free=5_000_000))
     check_room(tmp_path / "new/a.pcap", 5e6, "less needs less")
     with pytest.raises(LidarcfgError, match=r"a\.pcap: needs 5\.1 MB on the disk; 5\.0 MB are free; less needs less"):
         check_room(tmp_path / "new/a.pcap", 5.1e6, "less needs less")

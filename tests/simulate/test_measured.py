@@ -1,6 +1,5 @@
 """The roughness of real sensors: what is exported is as rough as recordings, measured in the same way; and as is said."""
 
-import importlib
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import datagrams_of, decoded, mount, recording, scene
 from tests.refusals import refused
+from tests.simulate import roughness
 
 ROOT = Path(__file__).parents[2]
 ROOM = ROOT / "data/scenes/room.yaml"
@@ -29,14 +29,9 @@ NEAR = 0.25  # by which two figures may differ, as a fraction
 NO_GREATEST = "laser_error_max_mm"  # one laser's, of a few: it says little
 
 
-@pytest.fixture(scope="module")
-def tool():
-    """The tool, with fewer revolutions."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT / "tools"))
-        found = importlib.import_module("measure_realism")
-        patch.setattr(found, "REVOLUTIONS", 3)
-        yield found
+@pytest.fixture(autouse=True)
+def _few_revolutions(monkeypatch):
+    monkeypatch.setattr(roughness, "REVOLUTIONS", 3)
 
 
 def exported(tmp_path, model, realism, mode="strongest"):
@@ -55,10 +50,10 @@ def of_file(tmp_path, model, said):
     return load_rig(tmp_path / "r.yaml")
 
 
-def measured(tool, path, model=None):
+def measured(path, model=None):
     """The figures of a capture's only source."""
-    (one,) = tool.read(path, model).values()
-    return tool.measure(one)
+    (one,) = roughness.read(path, model).values()
+    return roughness.measure(one)
 
 
 @pytest.mark.parametrize(
@@ -68,11 +63,11 @@ def measured(tool, path, model=None):
         ("hdl-32e", "strongest", ["veloview_hdl32e_monterey"]),
     ],
 )
-def test_exports_are_as_rough_as_recordings(tool, tmp_path, model, mode, names):
-    """By one tool, which knows nothing of simulation: within 25 % of the recordings' medians."""
-    recorded = [measured(tool, recording(f"{name}.pcap"), model) for name in names]
+def test_exports_are_as_rough_as_recordings(tmp_path, model, mode, names):
+    """By one measurement, which knows nothing of simulation: within 25 % of the recordings' medians."""
+    recorded = [measured(recording(f"{name}.pcap"), model) for name in names]
     realism = of_file(tmp_path, model, "measured").mounts[0].realism
-    ours = measured(tool, exported(tmp_path, model, realism, mode))
+    ours = measured(exported(tmp_path, model, realism, mode))
     compared = 0
     for name in (field.name for field in fields(ours)):
         known = [getattr(one, name) for one in recorded if np.isfinite(getattr(one, name))]
@@ -82,16 +77,16 @@ def test_exports_are_as_rough_as_recordings(tool, tmp_path, model, mode, names):
     assert compared == (13 if mode == "dual" else 5)
 
 
-def test_the_tool_measures_what_was_put_in(tool, tmp_path):
+def test_what_was_put_in_is_measured(tmp_path):
     """And without any, steps of 2 mm alone: their sigma is 2 mm / sqrt 12."""
-    exact = measured(tool, exported(tmp_path, "vlp-16", None))
+    exact = measured(exported(tmp_path, "vlp-16", None))
     assert exact.noise_mm == pytest.approx(2 / 12**0.5, rel=0.2)
     assert exact.laser_error_mm < 1
     assert exact.dropout_percent == exact.intensity_levels == 0
     put_in = Realism(
         range_noise_m=0.02, laser_error_m=0.015, dropout_fraction=0.02, intensity_noise=4, dark_noise_m=0.025
     )
-    found = measured(tool, exported(tmp_path, "vlp-16", put_in))
+    found = measured(exported(tmp_path, "vlp-16", put_in))
     assert found.noise_mm == pytest.approx(20, rel=0.1)
     assert found.dark_noise_mm == pytest.approx(25, rel=0.15)
     assert found.laser_error_mm == pytest.approx(15, rel=0.15)
@@ -185,10 +180,10 @@ def test_every_preset_says_where_it_is_from():
     known = ["hdl-32e", "helios-32", "os0-128", "os0-32", "os2-128", "pandar-xt16", "pandar-xt32", "vlp-16", "vlp-32c"]
     known += ["vls-128", "vls-128-2020"]
     assert measured == known
-    assert all("measure_realism.py" in load_sensor(name).realism.source for name in measured)
+    assert all("tests/simulate/roughness.py" in load_sensor(name).realism.source for name in measured)
 
 
-def test_surfaces_that_bend_by_more_than_the_noise_are_refused(tool):
+def test_surfaces_that_bend_by_more_than_the_noise_are_refused():
     """Firings 20 mm apart with 5 mm of noise, on a wall and on bends of 20 and 1.5 m radius: along these the range changes
     by up to 2 and 27 mm from firing to firing. On a wall again, but of few firings."""
     across_m = (np.arange(200) - 100) * 0.02
@@ -196,18 +191,18 @@ def test_surfaces_that_bend_by_more_than_the_noise_are_refused(tool):
     bend_m = across_m[:, None] ** 2 / (2 * np.array([np.inf, 20, 1.5, np.inf]))
     plane = np.zeros((199, 4), np.int64)
     plane[20:, 3] = -1
-    found = tool.bent(np.diff(bend_m + noise_m, axis=0), plane)
+    found = roughness.bent(np.diff(bend_m + noise_m, axis=0), plane)
     assert found.all(axis=0).tolist() == [False, False, True, True]
     assert not found[:, :2].any()
 
 
-def test_lasers_that_take_turns_are_not_measured(tool):
-    with pytest.raises(SystemExit, match="qt128: its lasers take turns"):
-        tool.read(recording("hesai/nebula_qt128.pcap"), None)
+def test_lasers_that_take_turns_are_not_measured():
+    with pytest.raises(ValueError, match="qt128: its lasers take turns"):
+        roughness.read(recording("hesai/nebula_qt128.pcap"), None)
 
 
-def test_what_a_capture_does_not_say_is_no_figure(tool, tmp_path, monkeypatch, capsys):
-    """Nothing but sky, and ten points on a far ball: no zeros, no warning, no picture; a file that is none is one line."""
+def test_what_a_capture_does_not_say_is_no_figure(tmp_path):
+    """Nothing but sky, and ten points on a far ball: no zeros, no warning."""
     for text in (
         "{name: far, center_m: [300, 0, 2], radius_m: 9}",
         "{name: ball, center_m: [20, 0, 2], radius_m: 0.2}",
@@ -215,18 +210,13 @@ def test_what_a_capture_does_not_say_is_no_figure(tool, tmp_path, monkeypatch, c
         one = replace(mount(), return_mode="dual", realism=Realism(range_noise_m=0.01))
         stage = scene(tmp_path, f"spheres: [{text[:-1]}, reflectivity: 40}}]")
         write_pcap(tmp_path / "a.pcap", in_time_order(export(Rig("r", (one,)), stage, np.eye(4), SECOND_NS // 4)))
-        found = measured(tool, tmp_path / "a.pcap")
+        found = measured(tmp_path / "a.pcap")
         said = {name for name, value in vars(found).items() if np.isfinite(value)}
         assert "two_at_edges_percent" not in said
         assert "two_at_laser_edges_percent" not in said
-        assert said <= ({"two_distances_percent", "two_elsewhere_percent", *tool.PAIRS} if "ball" in text else set())
-    with pytest.raises(SystemExit, match=r"o.png: there is nothing to draw: nothing could be measured"):
-        tool.draw({"a": replace(found, **dict.fromkeys(vars(found), np.nan))}, tmp_path / "o.png")
-    monkeypatch.setattr("sys.argv", ["measure_realism.py", str(tmp_path / "scene.yaml")])
-    with pytest.raises(SystemExit) as ended:
-        tool.main()
-    assert ended.value.code == 2
-    assert capsys.readouterr().err.endswith("scene.yaml: not a capture; allowed: pcap and pcapng\n")
+        assert said <= (
+            {"two_distances_percent", "two_elsewhere_percent", *roughness.PAIRS} if "ball" in text else set()
+        )
 
 
 def test_exports_keep_what_is_reported_and_placement_what_is_promised(tmp_path):
@@ -283,17 +273,17 @@ def test_nothing_beyond_what_is_reported_is_on_the_wire(tmp_path, model):
     assert np.array_equal(np.unique(everything[inside]), np.unique(kept))
 
 
-def test_edges_from_laser_to_laser_are_where_a_surface_ends(tool):
+def test_edges_from_laser_to_laser_are_where_a_surface_ends():
     """Ground 2 m below that a wall at 10 m follows: no edge; the top of a box at 4 m before that wall: the lasers around."""
     elevation = np.radians(np.arange(-15, 16, 2.0))
     with np.errstate(divide="ignore"):
         ground = np.where(elevation < 0, -2 / np.sin(elevation), np.inf)
     wall = 10 / np.cos(elevation)
     corner = np.minimum(ground, wall)
-    assert not tool._laser_edges(np.array([corner, wall]), elevation).any()
+    assert not roughness._laser_edges(np.array([corner, wall]), elevation).any()
     box = np.where(elevation < np.radians(-5), np.minimum(ground, 4 / np.cos(elevation)), corner)
-    assert np.flatnonzero(tool._laser_edges(box[None], elevation)[0]).tolist() == [3, 4, 5]
+    assert np.flatnonzero(roughness._laser_edges(box[None], elevation)[0]).tolist() == [3, 4, 5]
     box[6] = np.nan  # beside nothing nothing is said
-    assert np.flatnonzero(tool._laser_edges(box[None], elevation)[0]).tolist() == [3, 4]
+    assert np.flatnonzero(roughness._laser_edges(box[None], elevation)[0]).tolist() == [3, 4]
     across = np.where((np.arange(40) > 10) & (np.arange(40) < 20), 3.0, 8.0)[:, None]
-    assert np.flatnonzero(tool._firing_edges(across)[:, 0]).tolist() == [10, 11, 19, 20]
+    assert np.flatnonzero(roughness._firing_edges(across)[:, 0]).tolist() == [10, 11, 19, 20]

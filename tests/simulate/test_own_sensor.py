@@ -267,7 +267,7 @@ def test_the_room_for_points_is_said(tmp_path, monkeypatch):
 def test_points_that_do_not_fit_on_the_disk_end_early(tmp_path, monkeypatch, free, fits):
     """Three of four beams point at the ground and return: by hand, of 4 × 3,600 points at most, at 47 bytes twice."""
     folder = folder_with(tmp_path)
-    monkeypatch.setattr("lidarcfg.files.shutil.disk_usage", lambda path: SimpleNamespace(free=int(free)))
+    monkeypatch.setattr("lidarcfg.inputs.shutil.disk_usage", lambda path: SimpleNamespace(free=int(free)))
     said = exported(folder, "a.ply", code=0 if fits else 2).stderr
     refused = re.search(r"a.ply: needs (.*) MB on the disk while it is written; .* MB are free; a shorter time", said)
     assert (folder / "a.ply").exists() == fits == (refused is None)

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lidarcfg.core import simulate
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose
 from lidarcfg.packets.codec import Firings
 from lidarcfg.realism import Realism
 from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.aim_kernels import cos_sin
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.tracer import Tracer
@@ -114,4 +114,4 @@ def test_cosine_and_sine():
     """Those of the C library within two units of the last digit, also at the very quarters."""
     angles = np.concatenate([np.random.default_rng(4).uniform(-20, 20, 20_000), np.arange(-8, 9) * np.pi / 4])
     for angle in angles.tolist():
-        assert cos_sin(angle) == pytest.approx((math.cos(angle), math.sin(angle)), rel=0, abs=2.5e-16)
+        assert simulate.cos_sin(angle) == pytest.approx((math.cos(angle), math.sin(angle)), rel=0, abs=2.5e-16)

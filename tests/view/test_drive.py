@@ -10,8 +10,8 @@ import yaml
 from lidarcfg.capture.selection import ALL
 from lidarcfg.commands.options import load_trajectory, nanoseconds
 from lidarcfg.geometry import pose, transform
+from lidarcfg.view.manifests import DriveInputs, complete_inputs
 from lidarcfg.view.page import page_of, save_html
-from lidarcfg.view.recorded import Recorded, recorded
 from lidarcfg.view.scenery import mesh_at, parts
 from lidarcfg.view.stage import load_stage
 from lidarcfg.view.timeline import timeline, tracks
@@ -60,7 +60,7 @@ def here(tmp_path_factory):
 @pytest.fixture(scope="module")
 def stage(here):
     """The capture alone is named; all else is noted beside it."""
-    paths, known = recorded([here / "drive.pcap"], Recorded(), pytest.fail)
+    paths, known = complete_inputs([here / "drive.pcap"], DriveInputs(), pytest.fail)
     drive = load_trajectory(known.trajectory, known.at, nanoseconds(known.start))
     return load_stage(paths, known.rig, None, drive, no_warning, ALL, known.vehicle)
 
@@ -103,7 +103,7 @@ def test_all_points_lie_where_they_were_hit(stage):
 
 def test_far_from_the_origin_nothing_is_lost(here, stage):
     """At UTM coordinates points and sensors are the same, bit for bit: the page's frame is the vehicle's."""
-    paths, known = recorded([here / "drive.pcap"], Recorded(at="450000,5400000,20"), pytest.fail)
+    paths, known = complete_inputs([here / "drive.pcap"], DriveInputs(at="450000,5400000,20"), pytest.fail)
     drive = load_trajectory(known.trajectory, known.at, nanoseconds(known.start))
     far = load_stage(paths[:1], known.rig, None, drive, no_warning)
     assert (far.cloud.xyz == stage.cloud.xyz).all()
@@ -205,7 +205,7 @@ def test_a_start_of_nothing(here):
 
 
 def test_what_is_noted_may_be_said_otherwise(here):
-    """--at moves the whole drive; a record's file that has changed is a warning, and is missing."""
+    """--at moves the whole drive; a manifest's file that has changed is a warning, and is missing."""
     done = lidarcfg("view", "drive.pcap", "--html", "p.html", cwd=here)
     assert done.stderr == ""
     motion = (here / "arc.yaml").read_text()
@@ -221,13 +221,13 @@ def test_what_is_noted_may_be_said_otherwise(here):
     try:  # without the rig points stay in their sensors' frames, and are not deskewed
         (here / "top.yaml").write_text(top + "# another\n")
         told = []
-        _, known = recorded([here / "drive.pcap"], Recorded(), told.append)
+        _, known = complete_inputs([here / "drive.pcap"], DriveInputs(), told.append)
         assert (len(told), known.rig, known.trajectory) == (1, None, None)
-        _, known = recorded([here / "drive.pcap", here / "top.yaml"], Recorded(), pytest.fail)
+        _, known = complete_inputs([here / "drive.pcap", here / "top.yaml"], DriveInputs(), pytest.fail)
         assert known.trajectory.name == "arc.yaml"
     finally:
         (here / "top.yaml").write_text(top)
-    paths, known = recorded([here / "drive.pcap"], Recorded(at="5,6,7"), pytest.fail)
+    paths, known = complete_inputs([here / "drive.pcap"], DriveInputs(at="5,6,7"), pytest.fail)
     assert (known.at, known.rig.name, [path.name for path in paths]) == (
         "5,6,7",
         "top.yaml",

@@ -15,6 +15,7 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.selection import Selection
 from lidarcfg.cloud import PointCloud, save_clouds
 from lidarcfg.commands.view import view
+from lidarcfg.core import view as core
 from lidarcfg.errors import CloudError, ConfigError, PacketError
 from lidarcfg.geometry import pose, transform
 from lidarcfg.placement.cones import lidar
@@ -29,7 +30,6 @@ from lidarcfg.simulate.ground_truth import TruthFile
 from lidarcfg.view.bodies import faces, score
 from lidarcfg.view.camera import Camera
 from lidarcfg.view.colours import BACKGROUND, BRIGHT, COLOUR_BY, RETRO, SCALE, rgb, scaled
-from lidarcfg.view.kernels import fill
 from lidarcfg.view.shades import point_colours
 from lidarcfg.view.stage import Stage, kind_of, load_stage
 from lidarcfg.view.still import save_still
@@ -155,14 +155,17 @@ def test_colours_of_points_by_hand(by):
 
 def test_a_triangle_is_blended_where_it_is_nearer():
     """Half a picture, at 4 m, before and behind points at 3 and 5 m; and one that is cut at the near plane."""
-    image, depth = np.zeros((4, 4, 3)), np.array([[3.0, 5, 3, 5]] * 4)
+    image = np.zeros((4, 4, 3), np.float32)
+    depth = np.array([[3.0, 5, 3, 5]] * 4, np.float32)
     square = np.array([[-9.0, -9, 4], [9, -8, 4], [9.3, 8.9, 4], [-9, 9, 4]])
-    blended = fill(image, depth, square[[[0, 1, 2], [0, 2, 3]]], np.full((2, 3), 100.0), np.full(2, 0.5), 4.0, 0.1)
+    blended = core.blend_triangles(
+        image, depth, square[[[0, 1, 2], [0, 2, 3]]], np.full((2, 3), 100.0), np.full(2, 0.5), 4.0, 0.1
+    )
     assert blended == 8
     assert (image[..., 0] == [[0, 50, 0, 50]] * 4).all()
     floor = np.array([[[-1e3, -1, -1e3], [1e3, -1, -1e3], [0, -1, 1e4]]])  # from behind the camera to far ahead
-    image = np.zeros((4, 4, 3))
-    fill(image, np.full((4, 4), np.inf), floor, np.full((1, 3), 100.0), np.ones(1), 4.0, 0.1)
+    image[:] = 0
+    core.blend_triangles(image, np.full_like(depth, np.inf), floor, np.full((1, 3), 100.0), np.ones(1), 4.0, 0.1)
     assert (image[..., 0] == [[0] * 4, [0] * 4, [100] * 4, [100] * 4]).all()
 
 
@@ -398,7 +401,7 @@ def test_a_study_with_choices_is_shown_with_the_first(tmp_path):
     done = CliRunner().invoke(view, [str(STUDY.parent / "truck-prices.yaml"), "--html", str(tmp_path / "t.html")])
     assert done.exit_code == 0
     assert done.stderr.startswith(
-        "lidarcfg: warning: truck-prices: lets one choose models; shown are the first: roof vlp-16, "
+        "lidarcfg: warning: truck-prices: the study lets models be chosen; the first of each are shown: roof vlp-16, "
     )
     assert done.stderr.endswith("optimize writes a study of each choice\n")
     assert (tmp_path / "t.html").exists()

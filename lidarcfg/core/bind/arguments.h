@@ -384,6 +384,17 @@ struct ToPython<std::vector<T>> {
   }
 };
 
+template <class T, std::size_t N>
+struct ToPython<std::vector<std::array<T, N>>> {  // a row for each
+  static nb::object object(std::vector<std::array<T, N>>&& rows) {
+    auto* values = new std::vector<std::array<T, N>>(std::move(rows));
+    nb::capsule owner(values,
+                      [](void* pointer) noexcept { delete static_cast<std::vector<std::array<T, N>>*>(pointer); });
+    const std::array<std::size_t, 2> shape{values->size(), N};
+    return nb::cast(nb::ndarray<nb::numpy, T>(values->data(), 2, shape.data(), owner));
+  }
+};
+
 template <class... T>
 struct ToPython<std::tuple<T...>> {
   static nb::object object(std::tuple<T...>&& values) {

@@ -24,6 +24,7 @@ NB_MODULE(LIDARCFG_MODULE, module) {
     nanobind::module_ part = module.def_submodule(name);
     bind(part);
   };
+  add("maths", &bind_maths);
   add("view", &bind_view);
   add("world", &bind_world);
   add("simulate", &bind_simulate);

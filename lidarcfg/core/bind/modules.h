@@ -5,6 +5,7 @@
 
 namespace lidarcfg::bind {
 
+void bind_maths(nanobind::module_& module);
 void bind_view(nanobind::module_& module);
 void bind_world(nanobind::module_& module);
 void bind_simulate(nanobind::module_& module);

@@ -1,8 +1,359 @@
+#include <algorithm>
+#include <string>
+
 #include "bind/arguments.h"
 #include "bind/modules.h"
+#include "packets/block_decoder.h"
+#include "packets/crc.h"
+#include "packets/firings.h"
+#include "packets/hesai.h"
+#include "packets/robosense.h"
+#include "packets/velodyne.h"
 
 namespace lidarcfg::bind {
 
-void bind_packets(nb::module_& module) { (void)module; }
+template <>
+struct Fields<packets::Returns> {
+  using T = packets::Returns;
+  static constexpr auto members =
+      fields(field("xyz_m", &T::xyz_m), field("range_m", &T::range_m), field("azimuth_rad", &T::azimuth_rad),
+             field("time_ns", &T::time_ns), field("laser", &T::laser), field("ring", &T::ring),
+             field("intensity", &T::intensity), field("return_type", &T::return_type));
+};
+
+template <>
+struct Fields<packets::Slots> {
+  using T = packets::Slots;
+  static constexpr auto members =
+      fields(field("laser", &T::laser), field("fraction", &T::fraction), field("offset_ns", &T::offset_ns),
+             field("kind", &T::kind), field("other", &T::other));
+};
+
+template <>
+struct Fields<packets::Lasers> {
+  using T = packets::Lasers;
+  static constexpr auto members = fields(field("elevation", &T::elevation), field("azimuth_offset", &T::azimuth_offset),
+                                         field("forward", &T::forward), field("left", &T::left), field("up", &T::up),
+                                         field("distance_offset", &T::distance_offset), field("ring", &T::ring),
+                                         field("near_offset", &T::near_offset), field("focal", &T::focal));
+};
+
+template <>
+struct Fields<packets::NearLasers> {
+  using T = packets::NearLasers;
+  static constexpr auto members =
+      fields(field("elevation", &T::elevation), field("azimuth_offset", &T::azimuth_offset), field("left", &T::left),
+             field("distance_offset", &T::distance_offset), field("near_offset", &T::near_offset));
+};
+
+template <>
+struct Fields<packets::hesai::Lasers> {
+  using T = packets::hesai::Lasers;
+  static constexpr auto members =
+      fields(field("cos_elevation", &T::cos_elevation), field("sin_elevation", &T::sin_elevation),
+             field("cos_offset", &T::cos_offset), field("sin_offset", &T::sin_offset), field("ring", &T::ring),
+             field("offset_ns", &T::offset_ns), field("group_ns", &T::group_ns), field("pair_ns", &T::pair_ns));
+};
+
+template <>
+struct Fields<packets::hesai::PacketFields> {
+  using T = packets::hesai::PacketFields;
+  static constexpr auto members =
+      fields(field("unit_mm", &T::unit_mm), field("stamp_ns", &T::stamp_ns), field("dual", &T::dual),
+             field("loop", &T::loop), field("near", &T::near), field("far", &T::far));
+};
+
+namespace {
+
+using Bytes = Rows<const std::uint8_t>;
+
+constexpr Index lasers_max = 256;           // a byte says which one
+constexpr std::int64_t time_max_ns = 1e12;  // of a packet, so that sums of times are exact
+constexpr double unit_min_m = 1e-6;
+
+/// Whether all of some values are indices of a list.
+template <class T>
+bool all_below(View<const T> values, Index count) {
+  return std::ranges::all_of(values, [count](Index value) { return 0 <= value && value < count; });
+}
+
+packets::Limits limits_of(const std::array<double, 4>& values) {
+  require(values[2] >= unit_min_m, "limits: the unit must be positive, a micrometre at least");
+  require(0 <= values[3] && values[3] <= 65535, "limits: units at most 65535");
+  return {values[0], values[1], values[2], values[3]};
+}
+
+void check_returns(const packets::Returns& out) {
+  const std::size_t count = out.xyz_m.size();
+  require(out.time_ns.size() == count, "out.time_ns: one for each of xyz_m");
+  require(out.laser.size() == count, "out.laser: one for each of xyz_m");
+  require(out.ring.size() == count, "out.ring: one for each of xyz_m");
+  require(out.intensity.size() == count, "out.intensity: one for each of xyz_m");
+  require(out.return_type.size() == count, "out.return_type: one for each of xyz_m");
+  require(out.range_m.empty() || out.range_m.size() == count, "out.range_m: none, or one for each of xyz_m");
+  require(out.azimuth_rad.size() == out.range_m.size(), "out.azimuth_rad: one for each of range_m");
+}
+
+void check_packets(Bytes packets, Index bytes, View<const bool> wanted) {
+  require(packets.columns() == bytes, "packets: of another size");
+  require(std::ssize(wanted) == packets.rows(), "wanted: one for each packet");
+}
+
+void check_lasers(const packets::Lasers& lasers) {
+  const std::size_t count = lasers.elevation.size();
+  require(0 < count && count <= lasers_max, "lasers.elevation: of 1 to 256 lasers");
+  require(lasers.azimuth_offset.size() == count, "lasers.azimuth_offset: one for each elevation");
+  require(lasers.forward.size() == count, "lasers.forward: one for each elevation");
+  require(lasers.left.size() == count, "lasers.left: one for each elevation");
+  require(lasers.up.size() == count, "lasers.up: one for each elevation");
+  require(lasers.distance_offset.size() == count, "lasers.distance_offset: one for each elevation");
+  require(lasers.ring.size() == count, "lasers.ring: one for each elevation");
+  const auto is_table = [count](Rows<const double> rows, Index columns) {
+    return rows.columns() == columns && (rows.rows() == 0 || rows.rows() == static_cast<Index>(count));
+  };
+  require(is_table(lasers.near_offset, 2), "lasers.near_offset: none, or two for each elevation");
+  require(is_table(lasers.focal, 4), "lasers.focal: none, or four for each elevation");
+}
+
+void check_slots(const packets::Slots& slots, Index lasers) {
+  const Index width = std::ssize(slots.laser);
+  const Index groups = slots.fraction.rows();
+  require(width > 0 && width % packets::slots_per_block == 0, "slots.laser: of whole blocks of 32");
+  require(groups > 0 && groups * width <= packets::blocks_per_packet * packets::slots_per_block,
+          "slots.fraction: of groups that fill at most twelve blocks");
+  require(slots.fraction.columns() == width, "slots.fraction: one for each laser");
+  require(slots.offset_ns.rows() == groups && slots.offset_ns.columns() == width,
+          "slots.offset_ns: one for each fraction");
+  require(std::ssize(slots.kind) == width && all_below(slots.kind, 2), "slots.kind: 0 or 1 for each laser");
+  require(slots.other.empty() || (std::ssize(slots.other) == width && all_below(slots.other, width)),
+          "slots.other: none, or a slot for each laser");
+  require(all_below(slots.laser, lasers), "slots.laser: beyond the lasers");
+}
+
+void check_times(std::int64_t period_ns, std::int64_t group_ns) {
+  require(0 < period_ns && period_ns <= time_max_ns, "period_ns: allowed: 1 to 10^12");
+  require(0 < group_ns && group_ns <= time_max_ns, "group_ns: allowed: 1 to 10^12");
+}
+
+void check_encoded(Rows<const double> range_m, Bytes reflectivity, View<const std::int64_t> number, Bytes packets,
+                   Index bytes) {
+  require(packets.columns() == bytes, "packets: of another size");
+  require(range_m.rows() == packets.rows(), "range_m: a row for each packet");
+  require(reflectivity.rows() == range_m.rows() && reflectivity.columns() == range_m.columns(),
+          "reflectivity: one for each range");
+  require(std::ssize(number) <= packets::blocks_per_packet * packets::slots_per_block, "number: more than 384 slots");
+  require(all_below(number, range_m.columns()), "number: beyond the ranges");
+}
+
+template <class Maker>
+void bind_blocks(nb::module_& module, const char* decoder, const char* write) {
+  using Decoder = packets::BlockDecoder<Maker>;
+  nb::class_<Decoder> type(module, decoder);
+  init(
+      type,
+      [](const packets::Slots& slots, const packets::Lasers& lasers, std::int64_t period_ns, std::int64_t group_ns,
+         double unit_m) {
+        check_lasers(lasers);
+        check_slots(slots, std::ssize(lasers.elevation));
+        check_times(period_ns, group_ns);
+        return Decoder(slots, lasers, period_ns, group_ns, unit_m);
+      },
+      "Tables of slots and lasers, and distances in units of metres.", "slots", "lasers", "period_ns", "group_ns",
+      "unit_m");
+  def(
+      type, "count",
+      [](const Decoder& self, Bytes packets, View<const bool> wanted) {
+        check_packets(packets, Maker::packet_bytes, wanted);
+        return self.count(packets, wanted);
+      },
+      "How many returns the packets that are wanted hold at most.", "packets", "wanted");
+  def(
+      type, "decode",
+      [](const Decoder& self, Bytes packets, View<const bool> wanted, View<const std::int64_t> stamp_ns,
+         View<const std::int64_t> gap_ns, View<const std::uint8_t> kind, const packets::Returns& out) {
+        check_packets(packets, Maker::packet_bytes, wanted);
+        require(stamp_ns.size() == wanted.size(), "stamp_ns: one for each packet");
+        require(gap_ns.size() == wanted.size(), "gap_ns: one for each packet");
+        require(kind.size() == wanted.size(), "kind: one for each packet");
+        check_returns(out);
+        return self.decode(packets, wanted, stamp_ns, gap_ns, kind, out);
+      },
+      "Fill in an entry for each return of the packets that are wanted; returns how many.", "packets", "wanted",
+      "stamp_ns", "gap_ns", "kind", "out");
+  def(
+      module, write,
+      [](Rows<const double> range_m, Bytes reflectivity, View<const std::int64_t> number, View<const double> offset_m,
+         std::array<double, 4> limits, Rows<std::uint8_t> packets) {
+        check_encoded(range_m, reflectivity, number, packets, Maker::packet_bytes);
+        require(offset_m.size() == number.size(), "offset_m: one for each number");
+        return packets::write_returns<Maker>(range_m, reflectivity, number, offset_m, limits_of(limits), packets);
+      },
+      "Write returns into the blocks of packets.", "range_m", "reflectivity", "number", "offset_m", "limits",
+      "packets");
+}
+
+void bind_velodyne(nb::module_& module) {
+  bind_blocks<packets::Velodyne>(module, "VelodyneDecoder", "write_velodyne_returns");
+  def(
+      module, "velodyne_turning",
+      [](Rows<const std::uint16_t> azimuth, View<const std::int64_t> gap_ns, std::int64_t period_ns,
+         std::int64_t group_ns) {
+        const std::size_t rows = azimuth.rows();
+        const std::size_t groups = azimuth.columns();
+        require(groups > 0, "azimuth: at least one for each packet");
+        require(gap_ns.size() == rows, "gap_ns: one for each packet");
+        check_times(period_ns, group_ns);
+        packets::VelodyneTurning turning(groups, period_ns, group_ns);
+        std::tuple<Array<double, 2>, Array<std::int64_t, 2>> out{{{}, {rows, groups}}, {{}, {rows, groups}}};
+        auto& [step, late_ns] = out;
+        for (Index p = 0; p < azimuth.rows(); ++p) {
+          const bool more = p + 1 < azimuth.rows();
+          turning.advance(azimuth[p], more ? azimuth(p + 1, 0) : 0, more ? gap_ns[p] : 0);
+          step.values.insert(step.values.end(), turning.step().begin(), turning.step().end());
+          late_ns.values.insert(late_ns.values.end(), turning.late_ns().begin(), turning.late_ns().end());
+        }
+        return out;
+      },
+      "The steps between azimuths, and how late each group is.", "azimuth", "gap_ns", "period_ns", "group_ns");
+  def(
+      module, "write_velodyne_near_returns",
+      [](Rows<const double> range_m, Bytes reflectivity, Rows<const double> azimuth, View<const std::int64_t> number,
+         View<const std::int64_t> laser, const packets::NearLasers& lasers, std::array<double, 4> limits,
+         Rows<std::uint8_t> packets) {
+        check_encoded(range_m, reflectivity, number, packets, packets::Velodyne::packet_bytes);
+        const std::size_t count = lasers.elevation.size();
+        require(azimuth.rows() == range_m.rows() &&
+                    (azimuth.columns() == range_m.columns() || 2 * azimuth.columns() == range_m.columns()),
+                "azimuth: one for each range or pair of ranges");
+        require(laser.size() == number.size() && all_below(laser, count), "laser: one of the lasers for each number");
+        require(lasers.azimuth_offset.size() == count, "lasers.azimuth_offset: one for each elevation");
+        require(lasers.left.size() == count, "lasers.left: one for each elevation");
+        require(lasers.distance_offset.size() == count, "lasers.distance_offset: one for each elevation");
+        require(lasers.near_offset.rows() == static_cast<Index>(count) && lasers.near_offset.columns() == 2,
+                "lasers.near_offset: two for each elevation");
+        packets::write_near_returns(range_m, reflectivity, azimuth, number, laser, lasers, limits_of(limits), packets);
+      },
+      "Write those returns again whose distances are corrected for x and y apart.", "range_m", "reflectivity",
+      "azimuth", "number", "laser", "lasers", "limits", "packets");
+  def(
+      module, "uncorrect_velodyne_intensities",
+      [](View<const std::int64_t> laser, Rows<const double> focal, Rows<std::uint8_t> packets) {
+        require(packets.columns() == packets::Velodyne::packet_bytes, "packets: of another size");
+        require(std::ssize(laser) <= packets::blocks_per_packet * packets::slots_per_block,
+                "laser: more than 384 slots");
+        require(focal.columns() == 4, "focal: four for each laser");
+        require(all_below(laser, focal.rows()), "laser: beyond the rows of focal");
+        packets::uncorrect_intensities(laser, focal, packets);
+      },
+      "Write intensities again: of which the corrections make what they are.", "laser", "focal", "packets");
+}
+
+void check_hesai_lasers(const packets::hesai::Lasers& lasers) {
+  const std::size_t count = lasers.ring.size();
+  require(0 < count && count <= lasers_max, "lasers.ring: of 1 to 256 lasers");
+  require(lasers.cos_elevation.size() == count, "lasers.cos_elevation: one for each ring");
+  require(lasers.sin_elevation.size() == count, "lasers.sin_elevation: one for each ring");
+  require(lasers.cos_offset.size() == count, "lasers.cos_offset: one for each ring");
+  require(lasers.sin_offset.size() == count, "lasers.sin_offset: one for each ring");
+  require(lasers.offset_ns.rows() > 0 && lasers.offset_ns.columns() == static_cast<Index>(count),
+          "lasers.offset_ns: at least one loop, with one for each ring");
+  require(!lasers.group_ns.empty() && lasers.group_ns.size() % 2 == 0, "lasers.group_ns: of an even number of blocks");
+  require(lasers.pair_ns.size() == lasers.group_ns.size() / 2, "lasers.pair_ns: one for every two of group_ns");
+}
+
+void bind_hesai(nb::module_& module) {
+  using packets::hesai::Decoder;
+  nb::class_<Decoder> type(module, "HesaiDecoder");
+  init(
+      type,
+      [](const packets::hesai::Lasers& lasers) {
+        check_hesai_lasers(lasers);
+        return Decoder(lasers);
+      },
+      "Tables of lasers.", "lasers");
+  def(
+      type, "count",
+      [](const Decoder& self, Bytes packets, View<const bool> wanted) {
+        require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
+        require(std::ssize(wanted) == packets.rows(), "wanted: one for each packet");
+        return self.count(packets, wanted);
+      },
+      "How many returns the packets that are wanted hold at most.", "packets", "wanted");
+  def(
+      type, "decode",
+      [](const Decoder& self, Bytes packets, View<const bool> wanted, const packets::hesai::PacketFields& fields,
+         const packets::Returns& out) {
+        const std::size_t count = packets.rows();
+        require(packets.columns() >= self.layout().end(), "packets: too short for the blocks");
+        require(wanted.size() == count, "wanted: one for each packet");
+        require(fields.unit_mm.size() == count, "fields.unit_mm: one for each packet");
+        require(fields.stamp_ns.size() == count, "fields.stamp_ns: one for each packet");
+        require(fields.dual.size() == count, "fields.dual: one for each packet");
+        require(fields.loop.size() == count && all_below(fields.loop, self.loops()),
+                "fields.loop: one of the loops for each packet");
+        require(fields.near.size() == count, "fields.near: one for each packet");
+        require(fields.far.size() == count, "fields.far: one for each packet");
+        check_returns(out);
+        return self.decode(packets, wanted, fields, out);
+      },
+      "Fill in an entry for each return of the packets that are wanted; returns how many.", "packets", "wanted",
+      "fields", "out");
+  def(
+      module, "write_hesai_returns",
+      [](Tables<const double> range_m, Tables<const std::uint8_t> reflectivity, Bytes laser,
+         View<const std::int64_t> column, Rows<const bool> inside, std::array<double, 4> limits, Index lasers,
+         Rows<std::uint8_t> packets) {
+        const Index count = packets.rows();
+        const Index groups = inside.columns();
+        const packets::hesai::Layout layout{lasers, std::ssize(column)};
+        require(0 < lasers && lasers <= lasers_max, "lasers: allowed: 1 to 256");
+        require(packets.columns() >= layout.end(), "packets: too short for the blocks");
+        require(inside.rows() == count && groups > 0 && layout.blocks % groups == 0,
+                "inside: for each packet, one for as many blocks each");
+        require(laser.rows() == count && laser.columns() % groups == 0, "laser: for each packet, as many a group");
+        require(all_below(View<const std::uint8_t>{laser.data(), static_cast<std::size_t>(laser.size())}, lasers),
+                "laser: beyond the lasers");
+        require(range_m.tables() == count && range_m.rows() == laser.columns(), "range_m: one or two for each laser");
+        require(reflectivity.tables() == count && reflectivity.rows() == range_m.rows() &&
+                    reflectivity.columns() == range_m.columns(),
+                "reflectivity: one for each range");
+        require(all_below(column, range_m.columns()), "column: beyond the returns");
+        packets::hesai::write_returns(range_m, reflectivity, laser, column, inside, limits_of(limits), layout, packets);
+      },
+      "Write returns into the blocks of packets.", "range_m", "reflectivity", "laser", "column", "inside", "limits",
+      "lasers", "packets");
+}
+
+}  // namespace
+
+void bind_packets(nb::module_& module) {
+  def(
+      module, "crc32_mpeg2",
+      [](Bytes packets, Index first, Index end) {
+        require(0 <= first && first <= end && end <= packets.columns(), "end: beyond the packets, or before first");
+        std::vector<std::uint32_t> out(packets.rows());
+        for (Index p = 0; p < packets.rows(); ++p) {
+          out[p] = packets::crc32_mpeg2(packets[p].subspan(first, end - first));
+        }
+        return out;
+      },
+      "The CRC of each packet's bytes from first until end.", "packets", "first", "end");
+  bind_velodyne(module);
+  bind_blocks<packets::Robosense>(module, "RobosenseDecoder", "write_robosense_returns");
+  bind_hesai(module);
+  def(
+      module, "fire",
+      [](View<const double> revolutions, View<const std::int64_t> stamp_ns, View<const std::int64_t> offset_ns,
+         double revolutions_per_ns, Rows<std::int64_t> time_ns, Rows<double> encoder_rad) {
+        require(stamp_ns.size() == revolutions.size(), "stamp_ns: one for each of revolutions");
+        require(time_ns.rows() == std::ssize(revolutions) && time_ns.columns() == std::ssize(offset_ns),
+                "time_ns: for each of revolutions, one for each of offset_ns");
+        require(encoder_rad.rows() == time_ns.rows() && encoder_rad.columns() == time_ns.columns(),
+                "encoder_rad: one for each of time_ns");
+        packets::fire(revolutions, stamp_ns, offset_ns, revolutions_per_ns, time_ns, encoder_rad);
+      },
+      "Write times and azimuths of firings.", "revolutions", "stamp_ns", "offset_ns", "revolutions_per_ns", "time_ns",
+      "encoder_rad");
+}
 
 }  // namespace lidarcfg::bind

@@ -249,8 +249,9 @@ void bind_placement(nb::module_& module) {
       [](Rows<std::int64_t> certificates, View<const std::int64_t> source, View<const std::int64_t> refuted_by) {
         require(source.size() == refuted_by.size(), "refuted_by: one for each trial");
         require(certificates.columns() > 0, "certificates: no columns");
-        for (const Index row : source) {
-          require(0 <= row && row < certificates.rows(), "source: not a row of certificates");
+        for (std::size_t trial = 0; trial < source.size(); ++trial) {
+          require(refuted_by[trial] < 0 || (0 <= source[trial] && source[trial] < certificates.rows()),
+                  "source: not a row of certificates");
         }
         promote_certificates(certificates, source, refuted_by);
       },

@@ -7,7 +7,7 @@ namespace lidarcfg::bind {
 void bind_view(nb::module_& module) {
   def(
       module, "blend_triangles",
-      [](Tables<double> image, Rows<const double> depth_m, Rows<const Vec3> triangles, View<const Vec3> colours,
+      [](Tables<float> image, Rows<const float> depth_m, Rows<const Vec3> triangles, View<const Vec3> colours,
          View<const double> alpha, double focal_px, double near_m) {
         require(image.tables() == depth_m.rows() && image.rows() == depth_m.columns(), "image: of another size");
         require(image.columns() == 3, "image: three colours a pixel");

@@ -27,13 +27,6 @@ std::vector<std::int64_t> numbers(View<const bool> flags) {
   return out;
 }
 
-/// Take from links those that others do not have.
-void keep_common(View<Links> links, View<const Links> others) {
-  for (Index row = 0; row < std::ssize(links); ++row) {
-    links[row] &= others[row];
-  }
-}
-
 }  // namespace
 
 TrialEvaluator::TrialEvaluator(const Grid& grid, Rows<const bool> cases, Index certificates)
@@ -85,13 +78,21 @@ View<const std::int64_t> TrialEvaluator::find_moved(const Batch& batch, Index tr
 
 /// Write to `links_` those that all LiDARs of a case have; those that moved count if `with_moved`, by `own_`.
 void TrialEvaluator::join_links(const Batch& batch, Index trial, Index only_case, bool with_moved) {
-  std::ranges::copy(grid_.links, links_.begin());
+  std::vector<const Links*>& every = joined_;
+  every.clear();
   for (const std::int64_t lidar : cases_[only_case]) {
     if (!batch.moved(trial, lidar)) {
-      keep_common(links_, batch.links[batch.source[trial]][lidar]);
+      every.push_back(batch.links[batch.source[trial]][lidar].data());
     } else if (with_moved) {
-      keep_common(links_, own_[lidar]);
+      every.push_back(own_[lidar].data());
     }
+  }
+  for (Index row = grid_.first_row(); row < grid_.end_row(); ++row) {
+    Links links = grid_.links[row];
+    for (const Links* const of_one : every) {
+      links &= of_one[row];
+    }
+    links_[row] = links;
   }
 }
 

@@ -110,6 +110,7 @@ class TrialEvaluator {
   Flooder flooder_;
   VisibilityCache visibility_;
   std::vector<Word> seen_;               // (rows,) by a LiDAR
+  std::vector<const Links*> joined_;     // the links (rows,) that are joined to these:
   std::vector<Links> links_;             // (rows,) of a case
   std::vector<std::vector<Links>> own_;  // (lidars, rows) of LiDARs that moved
   std::vector<std::vector<Word>> left_;  // (cases, rows) cuboids that no flood from a certificate has reached

@@ -124,7 +124,8 @@ const Subspace& Flooder::run(View<const Links> links, Index cuboid, Inside insid
   auto& [across_x, across_y, across_z] = found.internal;
   Index most = 0;
   step_count_ = 0;
-  waiting_[0] = {cuboid / row_size, bit(cuboid % row_size)};
+  Step next{cuboid / row_size, bit(cuboid % row_size)};  // not in memory: steps wait for one another
+  waiting_[0] = {next.row, 0};
   std::size_t waiting = 1;
 
   /// Go on from some cuboids of a row, if they are left; returns how many of them are joined to those before.
@@ -137,13 +138,15 @@ const Subspace& Flooder::run(View<const Links> links, Index cuboid, Inside insid
     }
     const int count = std::popcount(bits);
     if (bits &= left[row]) {
-      waiting_[waiting++] = {row, bits};
+      waiting_[waiting++] = next;
+      next = {row, bits};
     }
     return count;
   };
   while (waiting > 0) {
-    auto [row, bits] = waiting_[--waiting];
-    bits &= left[row];
+    const Index row = next.row;
+    Word bits = next.bits & left[row];
+    next = waiting_[--waiting];
     if (!bits) {
       continue;
     }

@@ -40,7 +40,7 @@ struct Pixels {
 
 }  // namespace
 
-Index blend_triangles(Tables<double> image, Rows<const double> depth_m, Rows<const Vec3> triangles,
+Index blend_triangles(Tables<float> image, Rows<const float> depth_m, Rows<const Vec3> triangles,
                       View<const Vec3> colours, View<const double> alpha, double focal_px, double near_m) {
   const Index height = depth_m.rows();
   const Index width = depth_m.columns();
@@ -73,8 +73,8 @@ Index blend_triangles(Tables<double> image, Rows<const double> depth_m, Rows<con
           }
           if ((p[2] + u * (q[2] - p[2]) + v * (r[2] - p[2])) * depth_m(row, column) > 1) {
             for (int c = 0; c < 3; ++c) {
-              double& value = image(row, column, c);
-              value += alpha[t] * (colours[t][c] - value);
+              float& value = image(row, column, c);
+              value = static_cast<float>(value + alpha[t] * (colours[t][c] - value));
             }
             ++blended;
           }

@@ -14,7 +14,7 @@ namespace lidarcfg::view {
 /// @param triangles  (T, 3) corners
 /// @param colours    (T,) as the image's
 /// @param alpha      (T,) 0 to 1
-Index blend_triangles(Tables<double> image, Rows<const double> depth_m, Rows<const Vec3> triangles,
+Index blend_triangles(Tables<float> image, Rows<const float> depth_m, Rows<const Vec3> triangles,
                       View<const Vec3> colours, View<const double> alpha, double focal_px, double near_m);
 
 }  // namespace lidarcfg::view

@@ -1,24 +1,49 @@
-"""Decodes packets into points."""
+"""Decodes packets into points: which model sends them, what they hold, how many are lost."""
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times
-from lidarcfg.packets.decode_kernels import filled
-from lidarcfg.packets.hesai import decode_kernels as kernels
-from lidarcfg.packets.hesai.decode_kernels import BY_BLOCK, FIRST, LAST, STRONGEST
-from lidarcfg.packets.hesai.facts import Unit
-from lidarcfg.packets.hesai.layout import MODES, Packets, device_time_ns, encoder_rad, is_dual
-from lidarcfg.packets.hesai.losses import Losses
-from lidarcfg.packets.unit import read_only
+from lidarcfg.packets.codec import (
+    Batch,
+    Decoder,
+    DecodeStatistics,
+    Firings,
+    Flags,
+    Measurements,
+    Octets,
+    Returns,
+    Times,
+)
+from lidarcfg.packets.hesai.layout import (
+    HEADER,
+    MODES,
+    RETURN_MODE_CODES,
+    START,
+    Packets,
+    device_time_ns,
+    encoder_rad,
+    is_dual,
+    octets_of,
+)
+from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.rig import SINGLE
 
-SINGLE = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
-PAIR = {  # the nearer return, the farther
+PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
+LASERS = {16, 32, 40, 64, 128}
+SEQUENCES = 1 << 32
+SLACK = 8  # lost packets beyond those that fit the elapsed time; with more, the sensor was restarted
+STRONGEST, LAST, FIRST = 0, 1, 3  # types of returns, as `Returns` has them
+BY_BLOCK = 254  # which of a pair is the strongest, its block tells
+SINGLE_KINDS = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
+PAIR_KINDS = {  # the nearer return, the farther
     0x39: (STRONGEST, LAST),
     0x3B: (FIRST, LAST),
     0x3C: (FIRST, STRONGEST),
@@ -26,11 +51,35 @@ PAIR = {  # the nearer return, the farther
 }
 
 
+class PacketFields(NamedTuple):
+    """What P packets say beside their blocks."""
+
+    unit_mm: Octets  # (P,) of distances
+    stamp_ns: Times  # (P,)
+    dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
+    loop: Octets  # (P,) with dual returns: which lasers fire
+    near: Octets  # (P,) the type of a pair's nearer return, or of single returns
+    far: Octets  # (P,) the type of a pair's farther return
+
+
+class Lasers(NamedTuple):
+    """What is known of the L lasers and of when they fire."""
+
+    cos_elevation: Array
+    sin_elevation: Array
+    cos_offset: Array  # of the azimuth offset
+    sin_offset: Array
+    ring: Octets
+    offset_ns: Times  # (loops, L)
+    group_ns: Times  # (B,) single: when each block starts, after the stamp
+    pair_ns: Times  # (B / 2,) dual: when each pair starts
+
+
 class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
     def __init__(self, where: str, unit: Unit) -> None:
-        self._where, self._unit, self._losses = where, unit, Losses(unit)
+        self._where, self._unit, self._counter = where, unit, PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
@@ -55,11 +104,11 @@ class HesaiDecoder(Decoder):
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
-        self._losses.add(self._unit.packets_of(packets), wanted)
+        self._counter.add(self._unit.packets_of(packets), wanted)
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
-        return Tally((self._unit.name,), self._losses.return_modes, self._losses.lost, self._losses.rpm)
+        return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
@@ -74,30 +123,27 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     """
     check(unit, packets)
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
-    blocks, header = packets["blocks"], packets["header"]
-    distance, reflectivity = (read_only(blocks["returns"][key]) for key in ("distance", "reflectivity"))
     modes = packets["tail"]["return_mode"]
     near, far = np.zeros(256, np.uint8), np.zeros(256, np.uint8)
-    for mode, kind in SINGLE.items():
+    for mode, kind in SINGLE_KINDS.items():
         near[mode] = kind
-    for mode, pair in PAIR.items():
+    for mode, pair in PAIR_KINDS.items():
         near[mode], far[mode] = pair
-    loop = np.zeros(len(packets), np.int64)
+    loop: Octets = np.zeros(len(packets), np.uint8)
     if len(unit.facts.firing.loops) > 1:
-        loop = 1 - (packets["mode_flag"].astype(np.int64) & 1)
-    wire = kernels.Wire(
-        distance,
-        reflectivity,
-        read_only(blocks["azimuth"]),
-        read_only(header["unit_mm"]),
-        device_time_ns(packets),
-        is_dual(packets),
-        loop,
-        near[modes],
-        far[modes],
+        loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
+    fields = PacketFields(
+        unit_mm=np.ascontiguousarray(packets["header"]["unit_mm"]),
+        stamp_ns=device_time_ns(packets),
+        dual=is_dual(packets),
+        loop=loop,
+        near=near[modes],
+        far=far[modes],
     )
-    out = Returns.room(filled(distance, wanted), polar)
-    return out.first(kernels.points(wire, wanted, _tables(unit), out))
+    octets = octets_of(packets)
+    decoder = _decoder(unit)
+    out = Returns.room(decoder.count(octets, wanted), polar)
+    return out.first(decoder.decode(octets, wanted, fields, out))
 
 
 def check(unit: Unit, packets: Packets) -> None:
@@ -129,15 +175,124 @@ def _other(name: str, key: str, right: int, said: int) -> str:
 
 
 @lru_cache
-def _tables(unit: Unit) -> kernels.Tables:
+def _decoder(unit: Unit) -> core.HesaiDecoder:
     sensor = unit.sensor
-    return kernels.Tables(
-        np.cos(sensor.elevation_rad),
-        np.sin(sensor.elevation_rad),
-        np.cos(sensor.azimuth_offset_rad),
-        np.sin(sensor.azimuth_offset_rad),
-        sensor.ring.astype(np.uint8),
-        unit.offset_ns,
-        unit.group_ns(dual=False),
-        unit.group_ns(dual=True),
+    lasers = Lasers(
+        cos_elevation=np.cos(sensor.elevation_rad),
+        sin_elevation=np.sin(sensor.elevation_rad),
+        cos_offset=np.cos(sensor.azimuth_offset_rad),
+        sin_offset=np.sin(sensor.azimuth_offset_rad),
+        ring=sensor.ring.astype(np.uint8),
+        offset_ns=unit.offset_ns,
+        group_ns=unit.group_ns(dual=False),
+        pair_ns=unit.group_ns(dual=True),
     )
+    return core.HesaiDecoder(lasers)
+
+
+def return_modes(unit: Unit, octets: Octets) -> Times:
+    """(P,) what packets (P, size) say of their mode, and of the unit of their distances."""
+    packets = unit.packets_of(octets)
+    return np.asarray(packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"])
+
+
+def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
+    """All firings of packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
+
+    Blocks are taken to hold the returns that the sensor's file says, as later firmware sends them.
+    """
+    packets = unit.packets_of(octets)
+    code = int(packets["tail"]["return_mode"][0])
+    modes = {RETURN_MODE_CODES[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
+    mode = modes.get(code)
+    if mode is None:
+        allowed = ", ".join(f"0x{one:02X} {name}" for one, name in modes.items())
+        raise PacketError(f"{unit.name}: return mode 0x{code:02X}; allowed: {allowed}")
+    columns = unit.columns(mode)
+    dual = len(columns) == 2
+    if (packets["header"]["unit_mm"] != unit.unit_mm).any():
+        raise PacketError(f"{unit.name}: distances are not in units of {unit.unit_mm} mm, as the sensor's file says")
+    loops = np.broadcast_to(np.arange(unit.groups(dual)) % len(unit.fires), (len(packets), unit.groups(dual)))
+    if dual and len(unit.fires) > 1:
+        loops = np.broadcast_to(1 - (packets["mode_flag"][:, None] & 1).astype(np.int64), loops.shape)
+    start_ns = device_time_ns(packets)[:, None, None] + unit.group_ns(dual)[None, :, None]
+    time_ns = start_ns + unit.offset_ns[loops]
+    shape = time_ns.shape
+    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
+    blocks = packets["blocks"]
+    encoder = np.broadcast_to(encoder_rad(blocks["azimuth"][:, :: 1 + dual])[:, :, None], shape)
+    fires = unit.fires[loops]
+    distance, reflectivity = (
+        np.stack([blocks["returns"][:, at :: 1 + dual][key][fires] for at in np.argsort(columns)], axis=-1)
+        for key in ("distance", "reflectivity")
+    )
+    range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
+    batch = Batch(
+        Firings(time_ns[fires], laser[fires], encoder[fires]), packets["tail"]["sequence"].astype(np.int64), host_ns
+    )
+    return Measurements(mode, batch, range_m, reflectivity)
+
+
+class PacketLossCounter:
+    """Counts over the packets of one source."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._modes: set[str] = set()
+        self._speeds, self._packets = 0, 0
+        self.lost = 0  # packets, by the gaps of the UDP sequence
+
+    def add(self, packets: Packets, wanted: Flags) -> None:
+        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
+        tail = packets["tail"]
+        self._modes |= {MODES[code] for code in set(tail["return_mode"][wanted].tolist()) if code in MODES}
+        self._speeds += int(tail["rpm"][wanted].sum(dtype=np.int64))
+        self._packets += int(wanted.sum())
+        sequence: Times = tail["sequence"].astype(np.int64)
+        missing = np.diff(sequence) % SEQUENCES - 1
+        passed = np.diff(device_time_ns(packets)) / self._unit.period_ns(dual=True)
+        lost = wanted[1:] & (missing > 0) & (missing <= passed + SLACK)
+        self.lost += int(missing[lost].sum())
+
+    @property
+    def return_modes(self) -> tuple[str, ...]:
+        """The return modes by name."""
+        return tuple(sorted(self._modes))
+
+    @property
+    def rpm(self) -> float:
+        """The motor's mean speed, as the packets say it; NaN without any."""
+        return self._speeds / self._packets if self._packets else math.nan
+
+
+def matches(size: int, payload: bytes) -> bool:
+    """Whether a payload begins as one of Hesai's."""
+    if size < HEADER.itemsize or not payload.startswith(START):
+        return False
+    header = np.frombuffer(payload, HEADER, 1)[0]
+    return (int(header["major"]), int(header["minor"])) in PROTOCOLS and int(header["lasers"]) in LASERS
+
+
+def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
+    """Which of the known sensors sends these packets (P, size). Raises PacketError, which begins with `where`."""
+    headers, counts = np.unique(packets[:, : HEADER.itemsize], axis=0, return_counts=True)
+    header = headers[counts.argmax()].view(HEADER)[0]  # the most frequent header: a packet may be damaged
+    protocol = f"{header['major']}.{header['minor']}"
+    size = packets.shape[1]
+    for unit in known:
+        facts = unit.facts.packet
+        said = (protocol, int(header["lasers"]), int(header["blocks"]), size)
+        if said == (facts.protocol, unit.count, facts.blocks, unit.dtype.itemsize):
+            return unit
+    names = ", ".join(
+        f"{unit.name} ({unit.facts.packet.protocol}, {unit.count}, {unit.facts.packet.blocks}, {unit.dtype.itemsize})"
+        for unit in known
+    )
+    what = f"protocol {protocol}, {header['lasers']} lasers, {header['blocks']} blocks, {size} bytes"
+    raise PacketError(f"{where} sends Hesai's {what}; read are {names}")
+
+
+def check_size(where: str, unit: Unit, packets: Octets) -> None:
+    """Raises PacketError unless the packets (P, size) are as long as this sensor's."""
+    if packets.shape[1] != unit.dtype.itemsize:
+        raise PacketError(f"{where} sends {packets.shape[1]} bytes; {unit.name} would send {unit.dtype.itemsize}")

@@ -1,39 +1,41 @@
-"""Encodes firings and their measurements as packets."""
+"""Encodes firings and their measurements as packets; a QT128C2X's have functional safety and checksums besides."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets, Times
-from lidarcfg.packets.hesai import safety
-from lidarcfg.packets.hesai.facts import Unit
 from lidarcfg.packets.hesai.layout import (
     DISTANCE_MAX,
     FACTORY,
     FIRST_LAST,
     FLAGS,
+    HEADER,
     RESERVED,
+    RETURN_MODE_CODES,
+    SAFETY,
     START,
-    WRITTEN,
     Packets,
     azimuth_of,
     date_of,
+    octets_of,
 )
-from lidarcfg.packets.hesai.schedule import within
-from lidarcfg.packets.unit import read_only
+from lidarcfg.packets.hesai.model import Unit, within
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.rig import Mount
 
+
 COLUMNS = ("time_ns", "laser", "encoder_rad")
+VERSION = 1
+COUNTER_NS, COUNTERS = 5_111_060, 6  # the rolling counter's step, 46 periods, and its values 0 to 5: as recorded
 
 
 def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
-    from lidarcfg.packets.hesai import encode_kernels  # decoding needs none of them
-
     dual, pair = mount.dual, unit.columns(mount.return_mode)
     packets = np.zeros(len(batch.number), unit.dtype)
     shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
@@ -43,23 +45,31 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
     returns = blocks["returns"]
     returns["confidence"] = unit.facts.packet.confidence
-    column = np.array(pair * shape[1])
-    limits = *facts.reported_m, facts.resolution_m, float(DISTANCE_MAX)
-    at_m, strength = (read_only(np.ascontiguousarray(one).reshape(*shape, 1 + dual)) for one in (range_m, reflectivity))
-    wire = returns["distance"], returns["reflectivity"]
-    encode_kernels.fill(at_m, strength, read_only(laser), column, inside, limits, *wire)
+    column = np.array(pair * shape[1], np.int64)
+    limits = *facts.reported_m, unit.resolution_m, float(DISTANCE_MAX)
+    firings = len(packets), shape[1] * shape[2]
+    core.write_hesai_returns(
+        np.ascontiguousarray(range_m, np.float64).reshape(*firings, 1 + dual),
+        np.ascontiguousarray(reflectivity).reshape(*firings, 1 + dual),
+        np.ascontiguousarray(laser).reshape(firings),
+        column,
+        inside,
+        limits,
+        unit.count,
+        octets_of(packets),
+    )
     first = laser[:, -1, 0]
     stamp_ns = time_ns[:, -1, 0] - unit.offset_ns[loop[:, -1], first] - unit.facts.firing.stamp_ns
     stamp_ns = (stamp_ns + 500) // 1000 * 1000
     _head(unit, packets, dual)
     tail = packets["tail"]
-    tail["return_mode"], tail["rpm"], tail["factory"] = WRITTEN[mount.return_mode], round(mount.rpm), FACTORY
+    tail["return_mode"], tail["rpm"], tail["factory"] = RETURN_MODE_CODES[mount.return_mode], round(mount.rpm), FACTORY
     tail["date"], tail["microseconds"] = date_of(stamp_ns), stamp_ns % SECOND_NS // 1000
     tail["sequence"] = batch.number
     if unit.facts.packet.protocol == "3.2":
         if dual and len(unit.fires) > 1:
             packets["mode_flag"] = 1 - loop[:, 0]
-        safety.fill(packets, stamp_ns)
+        write_safety(packets, stamp_ns)
     return packets
 
 
@@ -83,7 +93,7 @@ def sent(unit: Unit, packets: Packets, return_mode: str, laser: Octets) -> Flags
     return found
 
 
-def alone(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
+def holds_one(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
     """(N,): of pairs of ranges (N, 2), which hold one return, or it twice."""
     least_m, most_m = unit.range.reported_m
     inside = (range_m >= least_m) & (range_m <= most_m)
@@ -106,3 +116,23 @@ def _loops(unit: Unit, laser: Octets) -> Times:
         return np.zeros(laser.shape[:2], np.int64)
     only = int(np.argmax(unit.fires[1] & ~unit.fires[0]))
     return np.asarray((laser == only).any(axis=2), np.int64)
+
+
+def write_safety(packets: Packets, stamp_ns: Times) -> None:
+    """Write the functional safety of packets (P,) without a fault, then the checksums. `stamp_ns` is (P,)."""
+    safety = packets["safety"]
+    safety["version"] = VERSION
+    safety["state"] = stamp_ns // COUNTER_NS % COUNTERS
+    write_checksums(packets)
+
+
+def write_checksums(packets: Packets) -> None:
+    """Write the checksums of packets (P,): body, functional safety without its version, and tail."""
+    fields = packets.dtype.fields
+    assert fields
+    octets = octets_of(packets)
+    at = {key: value[1] for key, value in fields.items()}
+    packets["body_crc"] = core.crc32_mpeg2(octets, HEADER.itemsize, at["body_crc"])
+    end = at["safety"] + SAFETY.itemsize - 4
+    packets["safety"]["crc"] = core.crc32_mpeg2(octets, at["safety"] + 1, end)
+    packets["tail_crc"] = core.crc32_mpeg2(octets, at["status"], at["tail_crc"])

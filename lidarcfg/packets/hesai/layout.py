@@ -44,7 +44,7 @@ FIRST_LAST = 1  # the header's first return with dual returns, as recorded; the 
 
 FIRST, STRONGEST, LAST, DUAL = 0x33, 0x37, 0x38, 0x39
 FIRST_AND_LAST, FIRST_AND_STRONGEST, TWO_STRONGEST = 0x3B, 0x3C, 0x3E
-WRITTEN = {
+RETURN_MODE_CODES = {
     "first": FIRST,
     "strongest": STRONGEST,
     "last": LAST,

@@ -1,44 +1,97 @@
 """Decodes an Ouster's packets into points, by the metadata beside them."""
 
+import json
 import math
-from typing import Any
+from dataclasses import asdict
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import ouster as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
-from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Tally, Times, chosen
-from lidarcfg.packets.ouster import decode_kernels as kernels
-from lidarcfg.packets.ouster.layout import LEGACY_VALID, Layout, columns, heads
-from lidarcfg.packets.ouster.metadata import Metadata
-from lidarcfg.packets.ouster.pixels import fields, place, words_of
+from lidarcfg.packets.codec import (
+    Batch,
+    Decoder,
+    DecodeStatistics,
+    Firings,
+    Flags,
+    Measurements,
+    Octets,
+    Returns,
+    Times,
+    chosen,
+)
+from lidarcfg.packets.ouster.layout import (
+    CONSTANT,
+    LEGACY_VALID,
+    Footer,
+    Layout,
+    column_headers,
+    crc64,
+    packet_headers,
+    unpack,
+)
+from lidarcfg.packets.ouster.telemetry import Metadata
 from lidarcfg.units import MINUTE_NS
 
 STRONGEST, LAST, SECOND = 0, 1, 2
+ENDS = "", "2"  # of the names of the first and of the second return's fields
+MEASURED = "range", "reflectivity"  # of each return; the other fields are in `Measurements.more`
+
+
+class Profile(NamedTuple):
+    """Where a column's status and a pixel's returns are."""
+
+    status: int  # the byte of a column's word that says whether it is valid
+    status_mask: int  # its bits that are set if so
+    returns: NDArray[np.int64]  # (R, 3) the words that begin with a range, those of a reflectivity, and its first bit
+    range_mask: int
+    unit_m: float  # of a range
+
+
+class Beams(NamedTuple):
+    """The L pixels of a column, in a frame whose z is the axis."""
+
+    ahead: Array  # (L,) parts of the directions where the encoder's angle is 0
+    right: Array  # (L,)
+    up: Array  # (L,)
+    heading: Array  # (columns of a revolution, 2) cosine and sine of the encoder's angle
+    ahead_m: float  # from the axis to where all beams start
+    origin_m: float  # from the lidar's origin to there, which ranges include
+    shift_m: tuple[float, float, float]  # that is added to all
+    ring: Octets  # (L,)
+    return_type: Octets  # (R,)
 
 
 class OusterDecoder(Decoder):
     """Packets of one source."""
 
     def __init__(self, where: str, metadata: Metadata, model: str) -> None:
-        self._where, self._metadata, self._model = where, metadata, model
-        self._layout = layout = metadata.layout
+        layout = metadata.layout
+        self._where = where
+        self._metadata = metadata
+        self._model = model
+        self._layout = layout
         self.period_ns = 100_000_000 * layout.columns_per_packet // layout.columns_per_frame  # as at 10 Hz
-        self._pixels, self._beams = _pixels(layout), _beams(metadata)
+        self._profile = _profile(layout)
+        self._beams = _beams(metadata)
         self._T = None if _upright(metadata.T_sensor_lidar) else metadata.T_sensor_lidar
         self._in_frame = _packets_in_window(metadata)
         self._before: tuple[int, int, int] | None = None  # in the sequence of packets, of columns; device time
-        self._lost = self._columns = self._time_ns = 0
+        self._lost = 0
+        self._columns = 0
+        self._time_ns = 0
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """See `Decoder`: the first column's. Columns outside a window may say 0."""
-        said = columns(self._layout, packets).time_ns
-        return np.asarray(np.where(said == 0, np.iinfo(np.int64).max, said).min(axis=1))
+        time_ns = column_headers(self._layout, packets).time_ns
+        return np.asarray(np.where(time_ns == 0, np.iinfo(np.int64).max, time_ns).min(axis=1))
 
     def heading_rad(self, packets: Octets) -> Array:
         """See `Decoder`; 0 where revolutions begin, which is the sensor's back."""
-        measurement = columns(self._layout, packets).measurement[:, :1].max(axis=1, initial=0)
+        measurement = column_headers(self._layout, packets).measurement[:, :1].max(axis=1, initial=0)
         return np.asarray(measurement * (2 * np.pi / self._layout.columns_per_frame) % (2 * np.pi))
 
     def check(self, packets: Octets) -> None:
@@ -46,7 +99,7 @@ class OusterDecoder(Decoder):
         serial = self._metadata.serial
         if not len(packets) or self._layout.legacy or not serial:
             return
-        found = heads(self._layout, packets)
+        found = packet_headers(self._layout, packets)
         if found.serial != serial:
             what = f"packets are of sensor {found.serial}, its metadata {self._metadata.name} of {serial}"
             raise PacketError(f"{self._where}: {what}")
@@ -55,8 +108,10 @@ class OusterDecoder(Decoder):
         """See `Decoder`."""
         if not wanted.any():
             return
-        packets, layout = chosen(packets, wanted), self._layout
-        frame, column = heads(layout, packets).frame, columns(layout, packets).measurement[:, 0]
+        layout = self._layout
+        packets = chosen(packets, wanted)
+        frame = packet_headers(layout, packets).frame
+        column = column_headers(layout, packets).measurement[:, 0]
         inside = np.searchsorted(self._in_frame, column // layout.columns_per_packet).clip(max=len(self._in_frame) - 1)
         packets_sent = frame * len(self._in_frame) + inside
         times_ns = self.time_ns(packets, np.empty(0, np.int64))
@@ -73,21 +128,30 @@ class OusterDecoder(Decoder):
                     self._time_ns += later_ns
             self._before = at
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
         revolutions = self._columns / self._layout.columns_per_frame
         rpm = revolutions * MINUTE_NS / self._time_ns if self._time_ns else float("nan")
         modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
-        return Tally((self._model,), modes, self._lost, rpm)
+        return DecodeStatistics((self._model,), modes, self._lost, rpm)
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
-        layout, packets = self._layout, np.ascontiguousarray(chosen(packets, wanted))
-        slots = len(packets) * layout.columns_per_packet * layout.pixels
-        returns = Returns.room(slots * layout.profile.returns)
-        xyz, (time_ns, _, ring, intensity, kind) = returns.xyz_m.reshape(-1), returns[3:]
-        out = kernels.Returned(xyz, time_ns, ring, intensity, kind)
-        count = kernels.points(words_of(packets), self._pixels, self._beams, out)
+        layout = self._layout
+        packets = np.ascontiguousarray(chosen(packets, wanted))
+        pixels = len(packets) * layout.columns_per_packet * layout.pixels
+        returns = Returns.room(pixels * layout.profile.returns)
+        count = core.decode_points(
+            packets,
+            layout,
+            self._profile,
+            self._beams,
+            returns.xyz_m,
+            returns.time_ns,
+            returns.ring,
+            returns.intensity,
+            returns.return_type,
+        )
         returns = returns._replace(laser=np.empty(0, np.uint8)).first(count)
         if self._T is not None:
             returns.xyz_m[:] = transform(self._T, returns.xyz_m)
@@ -95,10 +159,12 @@ class OusterDecoder(Decoder):
 
     def driver_columns(self, packets: Octets, wanted: Flags) -> dict[str, NDArray[Any]]:
         """See `Decoder`. What the profile does not have is 0, as with ouster-ros."""
-        layout, packets = self._layout, np.ascontiguousarray(chosen(packets, wanted))
-        found, ends = fields(layout, packets), ("", "2")[: layout.profile.returns]
+        layout = self._layout
+        packets = np.ascontiguousarray(chosen(packets, wanted))
+        found = unpack(layout, packets)
+        ends = ENDS[: layout.profile.returns]
         ranges = np.stack([found[f"range{end}"] for end in ends], axis=-1)
-        there = (ranges > 0) & columns(layout, packets).valid[:, :, None, None]
+        there = (ranges > 0) & column_headers(layout, packets).valid[:, :, None, None]
         none = np.zeros(ranges.shape[:3], np.uint32)
         signal = np.stack([found.get(f"signal{end}", none) for end in ends], axis=-1)
         return {
@@ -109,58 +175,98 @@ class OusterDecoder(Decoder):
         }
 
 
-def _pixels(layout: Layout) -> kernels.Pixels:
-    ends = ("", "2")[: layout.profile.returns]
-    ranges, bright = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
+def _profile(layout: Layout) -> Profile:
+    ends = ENDS[: layout.profile.returns]
+    ranges, reflectivities = ([layout.profile.fields[name + end] for end in ends] for name in ("range", "reflectivity"))
     assert all(field.bit % 32 == 0 for field in ranges)
-    assert all((field.bit % 8, field.bits) == (0, 8) for field in bright)
-    first, column, width = place(layout)
-    head = layout.head // 4
-    return kernels.Pixels(
-        head,
-        first - head,
-        column,
-        layout.columns_per_packet,
-        (layout.column // 4 - 1, LEGACY_VALID) if layout.legacy else (2, 1 << 16),
-        width,
-        np.array([field.bit // 32 for field in ranges], np.uint64),
-        np.array([divmod(field.bit, 32) for field in bright], np.uint64),
-        (1 << ranges[0].bits) - 1,
-        0.001 * (1 << ranges[0].dropped),
+    assert all((field.bit % 8, field.bits) == (0, 8) for field in reflectivities)
+    return Profile(
+        status=layout.column - 4 if layout.legacy else 8,
+        status_mask=LEGACY_VALID if layout.legacy else 1 << 16,
+        returns=np.array(
+            [(one.bit // 32, *divmod(other.bit, 32)) for one, other in zip(ranges, reflectivities, strict=True)]
+        ),
+        range_mask=ranges[0].most,
+        unit_m=0.001 * (1 << ranges[0].dropped),
     )
 
 
-def _beams(metadata: Metadata) -> kernels.Beams:
+def _beams(metadata: Metadata) -> Beams:
     """All pixels of a column: in the sensor's frame, if the lidar stands upright in it, or else in the lidar's."""
-    flat, azimuth, T = np.cos(metadata.elevation_rad), metadata.azimuth_rad, metadata.T_sensor_lidar
-    T = T if _upright(T) else np.eye(4)
+    T = metadata.T_sensor_lidar if _upright(metadata.T_sensor_lidar) else np.eye(4)
+    flat = np.cos(metadata.elevation_rad)
     ahead_m, up_m = metadata.start_m
     count = metadata.layout.columns_per_frame
     angle = 2 * math.pi * (1 - np.arange(count) / count)
     heading = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ T[:2, :2].T
-    kinds = STRONGEST, LAST if metadata.nearest_first else SECOND
+    return_types = STRONGEST, LAST if metadata.nearest_first else SECOND
     x, y, z = T[:3, 3].tolist()
-    return kernels.Beams(
-        flat * np.cos(azimuth),
-        flat * np.sin(azimuth),
-        np.sin(metadata.elevation_rad),
-        heading,
-        (ahead_m, math.hypot(ahead_m, up_m)),
-        (x, y, z + up_m),
-        np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8),  # 0 is the lowest
-        np.array(kinds[: metadata.layout.profile.returns], np.uint8),
+    return Beams(
+        ahead=flat * np.cos(metadata.azimuth_rad),
+        right=flat * np.sin(metadata.azimuth_rad),
+        up=np.sin(metadata.elevation_rad),
+        heading=heading,
+        ahead_m=ahead_m,
+        origin_m=math.hypot(ahead_m, up_m),
+        shift_m=(x, y, z + up_m),
+        ring=np.argsort(np.argsort(metadata.elevation_rad, kind="stable")).astype(np.uint8),  # 0 is the lowest
+        return_type=np.array(return_types[: metadata.layout.profile.returns], np.uint8),
     )
 
 
 def _upright(T: Array) -> bool:
     """Whether it only turns about z, besides shifting."""
-    cos, sin = T[0, 0], T[1, 0]
+    cos = T[0, 0]
+    sin = T[1, 0]
     return np.array_equal(T[:3, :3], [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
 
 
 def _packets_in_window(metadata: Metadata) -> Times:
     """The packets of a revolution, by number, that hold columns of the azimuth window."""
-    layout, (first, last) = metadata.layout, metadata.window
+    layout = metadata.layout
+    first, last = metadata.window
     column = np.arange(layout.columns_per_frame)
     inside = (column - first) % layout.columns_per_frame <= (last - first) % layout.columns_per_frame
     return np.unique(column[inside] // layout.columns_per_packet)
+
+
+def measurements(layout: Layout, packets: Octets, host_ns: Times) -> Measurements:
+    """All pixels of packets (P, size), in the order of columns: see `Codec.measurements`.
+
+    Ranges are what the fields say. Beside them are the other fields (N,), what columns say (P, C), and the headers.
+    """
+    found = unpack(layout, packets)
+    columns = column_headers(layout, packets)
+    headers = packet_headers(layout, packets)
+    ends = ENDS[: layout.profile.returns]
+    millimetres, reflectivity = (np.stack([found[name + end].ravel() for end in ends], axis=-1) for name in MEASURED)
+    angle = 2 * np.pi * columns.measurement / layout.columns_per_frame
+    fired = Firings(
+        time_ns=np.repeat(columns.time_ns.ravel(), layout.pixels),
+        laser=np.tile(np.arange(layout.pixels, dtype=np.uint8), columns.time_ns.size),
+        encoder_rad=np.repeat(angle.ravel(), layout.pixels),
+    )
+    once = {key: value for key, value in asdict(headers).items() if key != "frame"}
+    facts = {"layout": asdict(layout), "heads": once, "footer": _footer(layout, packets)}
+    others = {name: one.ravel() for name, one in found.items() if name.rstrip("2") not in MEASURED}
+    batch = Batch(fired, headers.frame, host_ns)
+    return Measurements(
+        return_mode="dual" if len(ends) == 2 else "strongest",
+        batch=batch,
+        range_m=np.where(millimetres > 0, millimetres / 1000, np.inf),
+        reflectivity=reflectivity.astype(np.uint8),
+        more={
+            "said": np.array(json.dumps(facts)),
+            "measurement": columns.measurement,
+            "valid": columns.valid,
+            **others,
+        },
+    )
+
+
+def _footer(layout: Layout, packets: Octets) -> Footer:
+    if layout.legacy or not packets[:, -8:].any():
+        return "zero"
+    if (packets[:, -8:] == np.frombuffer(CONSTANT, np.uint8)).all():
+        return "constant"
+    return "crc" if (crc64(packets) == np.ascontiguousarray(packets[:, -8:]).view("<u8")[:, 0]).all() else "zero"

@@ -1,14 +1,26 @@
 """Encodes firings and their measurements as an Ouster's packets."""
 
+import json
+from typing import Any, NamedTuple
+
 import numpy as np
 
+from lidarcfg.core import ouster as core
+from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Octets
-from lidarcfg.packets.ouster import kernels
-from lidarcfg.packets.ouster.facts import Mode, Unit
-from lidarcfg.packets.ouster.layout import Columns, Heads
-from lidarcfg.packets.ouster.pixels import ALERTS, Footer, assembled, fields
-from lidarcfg.packets.ouster.schedule import in_window, measurements
+from lidarcfg.packets.codec import Batch, Flags, Measurements, Octets
+from lidarcfg.packets.ouster.layout import (
+    ALERTS,
+    PROFILES,
+    ColumnHeaders,
+    Footer,
+    Layout,
+    PacketHeaders,
+    assemble,
+    pack,
+    unpack,
+)
+from lidarcfg.packets.ouster.model import Mode, Unit, in_window, measurements
 
 BYTE = np.arange(256.0)
 # Per cent of a white target's light that a reflectivity says: above 100 it doubles with each 16, as a recorded OS2's
@@ -17,18 +29,28 @@ LIGHT = np.where(BYTE <= 100, BYTE, 100 * 2 ** ((BYTE - 100) / 16))
 MEASURED = ("range", "reflectivity", "signal", "range2", "reflectivity2", "signal2")
 
 
+class RangeLimits(NamedTuple):
+    """What packets can say of lengths."""
+
+    least_m: float
+    most_m: float
+    start_m: float  # of the beam, ahead of the axis, which ranges include
+    unit_m: float
+    most_units: float
+
+
 def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: Octets) -> Octets:
     """(P, size): as `Codec.encode` says. Near-infrared light is none.
 
     Of two returns the nearer comes first, or the stronger, as the metadata says.
     """
-    layout, width = mode.layout, mode.layout.profile.returns
-    names = list(layout.profile.fields)
+    layout = mode.layout
+    returns = layout.profile.returns
     least_m, most_m = unit.range.reported_m
-    _, _, most, dropped = layout.bits[names.index("range")].tolist()
-    raw = np.empty((3 * width, len(range_m)), np.uint32)
-    limits = least_m, most_m, unit.start_mm[0] / 1000, (1 << dropped) / 1000, float(most)
-    kernels.measured(
+    field = layout.profile.fields["range"]
+    limits = RangeLimits(least_m, most_m, unit.start_mm[0] / 1000, (1 << field.dropped) / 1000, field.most)
+    raw = np.empty((3 * returns, len(range_m)), np.uint32)
+    core.quantize_returns(
         np.ascontiguousarray(range_m),
         np.ascontiguousarray(reflectivity),
         limits,
@@ -41,24 +63,25 @@ def encode(unit: Unit, mode: Mode, batch: Batch, range_m: Array, reflectivity: O
     if not valid.all():
         raw[:, np.repeat(~valid.ravel(), layout.pixels)] = 0
     time_ns = batch.firings.time_ns[:: layout.pixels].reshape(measurement.shape)
-    said = Heads(
+    headers = PacketHeaders(
         frame=batch.number // layout.packets_per_frame,
         init=mode.init,
         serial=mode.serial,
         alerts=ALERTS if mode.modern else 0,
     )
-    rows = [names.index(name) if name in names else kernels.NO_FIELD for name in MEASURED[: 3 * width]]
     footer: Footer = "crc" if mode.modern else "constant"
     if layout.profile.header == "fusa":
         footer = "zero"  # as the one recording has it; ouster-sdk reads no checksum there
-    return assembled(layout, said, Columns(time_ns, measurement, valid), raw, np.array(rows, np.int64), footer)
+    columns = ColumnHeaders(time_ns, measurement, valid)
+    return assemble(layout, headers, columns, raw, layout.bits_of(MEASURED[: 3 * returns]), footer)
 
 
 def return_types(unit: Unit, range_m: Array, reflectivity: Octets) -> Octets:
     """(N, 2): of two returns that come by their strength, 0 of the stronger and 2 of the other."""
     least_m, most_m = unit.range.reported_m
     there = ((range_m >= least_m) & (range_m <= most_m)).all(axis=1)
-    far_m, light = range_m[there], LIGHT[reflectivity[there]]
+    far_m = range_m[there]
+    light = LIGHT[reflectivity[there]]
     weaker = np.zeros(len(range_m), np.bool_)
     weaker[there] = light[:, 0] * far_m[:, 1] ** 2 < light[:, 1] * far_m[:, 0] ** 2
     return np.stack([2 * weaker, 2 * ~weaker], axis=1).astype(np.uint8)
@@ -66,6 +89,46 @@ def return_types(unit: Unit, range_m: Array, reflectivity: Octets) -> Octets:
 
 def sent(mode: Mode, packets: Octets) -> Flags:
     """(N, R): which of the firings' returns are in the packets."""
-    found = fields(mode.layout, packets)
+    found = unpack(mode.layout, packets)
     ranges = [name for name in ("range", "range2") if name in found]
     return np.stack([found[name].ravel() > 0 for name in ranges], axis=-1)
+
+
+def packed(found: Measurements) -> Octets:
+    """(P, size): packets of measurements, as `decode.measurements` has them of recordings. Raises PacketError."""
+    facts = _facts(found)
+    layout = Layout(**facts["layout"])
+    more = found.more
+    shape = more["measurement"].shape
+    if len(found.range_m) != more["valid"].size * layout.pixels or shape[1:] != (layout.columns_per_packet,):
+        raise PacketError("an Ouster's columns and pixels do not belong together")
+    given = {}
+    for name, field in layout.profile.fields.items():
+        kind = name.rstrip("2")
+        slot = int(name.endswith("2"))
+        if kind == "range":
+            millimetres = np.nan_to_num(np.rint(found.range_m[:, slot] * 1000), posinf=0)
+            most = field.most << field.dropped
+            given[name] = np.where(millimetres <= most, millimetres, 0)
+        else:
+            given[name] = found.reflectivity[:, slot] if kind == "reflectivity" else more[name]
+    time_ns = found.batch.firings.time_ns[:: layout.pixels].reshape(shape)
+    headers = PacketHeaders(frame=found.batch.number, **facts["heads"])
+    columns = ColumnHeaders(time_ns, more["measurement"], more["valid"])
+    return pack(layout, headers, columns, given, facts["footer"])
+
+
+def _facts(found: Measurements) -> dict[str, Any]:
+    """What is said of layout and headers. Raises PacketError if it makes no sense."""
+    try:
+        facts: dict[str, Any] = json.loads(str(found.more["said"]))
+        sizes = {key: value for key, value in facts["layout"].items() if key != "name"}
+        sound = facts["layout"]["name"] in PROFILES and facts["footer"] in ("crc", "constant", "zero")
+        sound = sound and all(type(one) is int and 0 < one < 1 << 16 for one in sizes.values())
+        sound = sound and all(type(one) is int and 0 <= one < 1 << 40 for one in facts["heads"].values())
+        Layout(**facts["layout"]), PacketHeaders(frame=found.batch.number, **facts["heads"])
+    except (ValueError, TypeError, KeyError, AttributeError):
+        sound = False
+    if not sound:
+        raise PacketError("the description of an Ouster's packets is invalid")
+    return facts

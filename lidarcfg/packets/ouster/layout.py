@@ -1,17 +1,22 @@
 """The layout of an Ouster's packets, as in ouster-sdk's parsing.cpp: little endian, bits from the lowest."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import ouster as core
 from lidarcfg.packets.codec import Flags, Octets, Times
 
 PACKET_COLUMNS = 16
 TICKS = 90112  # of the encoder in a revolution, which LEGACY columns say
 LEGACY_VALID = 0xFFFFFFFF
+ALERTS = 0x90  # as two recordings of firmware 3.2 have it in normal operation
+CONSTANT = bytes.fromhex("dec00000efbeadde")  # what firmware 2.3 and 2.5 write where the CRC stands later
+Footer = Literal["crc", "constant", "zero"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +26,11 @@ class Field:
     bit: int
     bits: int
     dropped: int = 0
+
+    @property
+    def most(self) -> int:
+        """The largest value of the bits."""
+        return (1 << self.bits) - 1
 
 
 @dataclass(frozen=True)
@@ -90,7 +100,7 @@ PROFILES = {
 
 
 @dataclass(frozen=True)
-class Heads:
+class PacketHeaders:
     """The headers of P packets."""
 
     frame: Times  # (P,) revolutions, as far as the packet counts them
@@ -104,7 +114,7 @@ class Heads:
 
 
 @dataclass(frozen=True)
-class Columns:
+class ColumnHeaders:
     """The headers of the C columns in each of P packets."""
 
     time_ns: Times  # (P, C)
@@ -147,6 +157,11 @@ class Layout:
         return self.column_head + self.pixels * self.profile.pixel + 4 * self.legacy
 
     @property
+    def pixel(self) -> int:
+        """Bytes of a pixel."""
+        return self.profile.pixel
+
+    @property
     def size(self) -> int:
         """Bytes of a packet."""
         return self.head + self.columns_per_packet * self.column + (0 if self.legacy else 32)
@@ -163,14 +178,14 @@ class Layout:
 
     @cached_property
     def bits(self) -> NDArray[np.int64]:
-        """(F, 4) of the profile's fields: the pixel's 32-bit word, shift in it, mask, number of dropped bits."""
-        return np.array(
-            [
-                (field.bit // 32, field.bit % 32, (1 << field.bits) - 1, field.dropped)
-                for field in self.profile.fields.values()
-            ],
-            np.int64,
-        )
+        """(F, 3) of the profile's fields: the pixel's 32-bit word, shift in it, mask."""
+        return self.bits_of(list(self.profile.fields))
+
+    def bits_of(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """(F, 3) the same of some fields; without a mask those that the profile does not have."""
+        none = Field(0, 0)
+        found = [self.profile.fields.get(name, none) for name in names]
+        return np.array([(field.bit // 32, field.bit % 32, field.most) for field in found], np.int64)
 
 
 def values(packets: Octets, dtype: str, at: int) -> NDArray[Any]:
@@ -186,28 +201,28 @@ def column_values(layout: Layout, packets: Octets, dtype: str, at: int) -> NDArr
     return np.ndarray(shape, np.dtype(dtype), packets, layout.head + at, strides)
 
 
-def columns(layout: Layout, packets: Octets) -> Columns:
+def column_headers(layout: Layout, packets: Octets) -> ColumnHeaders:
     """The headers of the columns."""
     if layout.legacy:
         valid = column_values(layout, packets, "<u4", layout.column - 4) == LEGACY_VALID
     else:
         valid = (column_values(layout, packets, "<u2", 10) & 1).astype(np.bool_)
     measurement = column_values(layout, packets, "<u2", 8).astype(np.int64)
-    return Columns(
+    return ColumnHeaders(
         time_ns=column_values(layout, packets, "<u8", 0).astype(np.int64),
         measurement=measurement,
         valid=np.asarray(valid & (measurement < layout.columns_per_frame)),
     )
 
 
-def heads(layout: Layout, packets: Octets) -> Heads:
+def packet_headers(layout: Layout, packets: Octets) -> PacketHeaders:
     """The headers of the packets; serial number, states and countdowns are the first packet's."""
     if layout.legacy:
-        return Heads(values(packets, "<u2", 10).astype(np.int64), 0, 0)
+        return PacketHeaders(values(packets, "<u2", 10).astype(np.int64), 0, 0)
     fusa = layout.profile.header == "fusa"
     first = packets[0].tobytes()
     init, alerts, serial = (1, 8, 11) if fusa else (4, 12, 7)
-    return Heads(
+    return PacketHeaders(
         frame=values(packets, "<u4" if fusa else "<u2", 4 if fusa else 2).astype(np.int64),
         init=int.from_bytes(first[init : init + 3], "little"),
         serial=int.from_bytes(first[serial : serial + 5], "little"),
@@ -219,27 +234,79 @@ def heads(layout: Layout, packets: Octets) -> Heads:
     )
 
 
-def write_heads(layout: Layout, packets: Octets, said: Heads) -> None:
+def write_packet_headers(layout: Layout, packets: Octets, headers: PacketHeaders) -> None:
     """Write the headers of packets (P, size). LEGACY columns hold the frame's number."""
     if layout.legacy:
-        column_values(layout, packets, "<u2", 10)[:] = said.frame[:, None] % layout.frames
+        column_values(layout, packets, "<u2", 10)[:] = headers.frame[:, None] % layout.frames
         return
     fusa = layout.profile.header == "fusa"
     values(packets, "u1", 0)[:] = 1  # a lidar packet
-    values(packets, "<u4" if fusa else "<u2", 4 if fusa else 2)[:] = said.frame % layout.frames
+    values(packets, "<u4" if fusa else "<u2", 4 if fusa else 2)[:] = headers.frame % layout.frames
     init, alerts, serial = (1, 8, 11) if fusa else (4, 12, 7)
-    packets[:, init : init + 3] = np.frombuffer(said.init.to_bytes(3, "little"), np.uint8)
-    packets[:, serial : serial + 5] = np.frombuffer(said.serial.to_bytes(5, "little"), np.uint8)
-    packets[:, alerts] = said.alerts
-    packets[:, 16:20] = said.thermal_countdown, said.shot_countdown, said.thermal, said.shot
+    packets[:, init : init + 3] = np.frombuffer(headers.init.to_bytes(3, "little"), np.uint8)
+    packets[:, serial : serial + 5] = np.frombuffer(headers.serial.to_bytes(5, "little"), np.uint8)
+    packets[:, alerts] = headers.alerts
+    packets[:, 16:20] = headers.thermal_countdown, headers.shot_countdown, headers.thermal, headers.shot
 
 
-def write_columns(layout: Layout, packets: Octets, said: Columns) -> None:
+def write_column_headers(layout: Layout, packets: Octets, headers: ColumnHeaders) -> None:
     """Write the columns' stamps, numbers and states."""
-    column_values(layout, packets, "<u8", 0)[:] = said.time_ns
-    column_values(layout, packets, "<u2", 8)[:] = said.measurement
+    column_values(layout, packets, "<u8", 0)[:] = headers.time_ns
+    column_values(layout, packets, "<u2", 8)[:] = headers.measurement
     if layout.legacy:
-        column_values(layout, packets, "<u4", 12)[:] = said.measurement * (TICKS // layout.columns_per_frame)
-        column_values(layout, packets, "<u4", layout.column - 4)[:] = np.where(said.valid, LEGACY_VALID, 0)
+        column_values(layout, packets, "<u4", 12)[:] = headers.measurement * (TICKS // layout.columns_per_frame)
+        column_values(layout, packets, "<u4", layout.column - 4)[:] = np.where(headers.valid, LEGACY_VALID, 0)
     else:
-        column_values(layout, packets, "<u2", 10)[:] = said.valid
+        column_values(layout, packets, "<u2", 10)[:] = headers.valid
+
+
+def unpack(layout: Layout, packets: Octets) -> dict[str, NDArray[np.uint32]]:
+    """(P, C, pixels) by the names of the profile's fields. Ranges are in millimetres."""
+    shape = len(packets), layout.columns_per_packet, layout.pixels
+    raw = np.empty((len(layout.profile.fields), len(packets) * layout.columns_per_packet * layout.pixels), np.uint32)
+    core.unpack_fields(np.ascontiguousarray(packets), layout.bits, layout, raw)
+    return {
+        name: raw[i].reshape(shape) << np.uint32(field.dropped)
+        for i, (name, field) in enumerate(layout.profile.fields.items())
+    }
+
+
+def pack(
+    layout: Layout,
+    headers: PacketHeaders,
+    columns: ColumnHeaders,
+    pixels: Mapping[str, NDArray[Any]],
+    footer: Footer,
+) -> Octets:
+    """(P, size) the packets with these contents; `pixels` are fields (P, C, pixels) as `unpack` returns them."""
+    shape = (len(pixels), len(columns.time_ns) * layout.columns_per_packet * layout.pixels)
+    raw = np.empty(shape, np.uint32)
+    for row, (name, given) in zip(raw, pixels.items(), strict=True):
+        row[:] = np.asarray(given, np.uint32).ravel() >> np.uint32(layout.profile.fields[name].dropped)
+    return assemble(layout, headers, columns, raw, layout.bits_of(list(pixels)), footer)
+
+
+def assemble(
+    layout: Layout,
+    headers: PacketHeaders,
+    columns: ColumnHeaders,
+    raw: NDArray[np.uint32],
+    bits: NDArray[np.int64],
+    footer: Footer,
+) -> Octets:
+    """(P, size) the packets with these raw fields (F, N), whose bits are as `Layout.bits_of` says."""
+    packets = np.zeros((len(columns.time_ns), layout.size), np.uint8)
+    write_packet_headers(layout, packets, headers)
+    write_column_headers(layout, packets, columns)
+    core.pack_fields(raw, bits, layout, packets)
+    if not layout.legacy:
+        if footer == "crc":
+            values(packets, "<u8", layout.size - 8)[:] = crc64(packets)
+        elif footer == "constant":
+            packets[:, -8:] = np.frombuffer(CONSTANT, np.uint8)
+    return packets
+
+
+def crc64(octets: Octets) -> NDArray[np.uint64]:
+    """(P,) CRC-64/XZ of rows (P, n), n being a multiple of four, but for its last eight octets."""
+    return core.crc64(np.ascontiguousarray(octets), octets.shape[1] - 8)

@@ -1,1 +1,103 @@
-"""RoboSense's packets."""
+"""RoboSense's packets.
+
+To read in this order: `layout` has the bytes, `model` what differs between models and when their lasers fire,
+`telemetry` what a sensor says of itself, `encode` and `decode` the returns. `Robosense` is the codec, by which the
+rest of the package knows them.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Measurements, Octets, Payloads, Source, Times
+from lidarcfg.packets.point_fields import STAMPED
+from lidarcfg.packets.robosense import decode, encode, telemetry
+from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, octets_of, packets_of
+from lidarcfg.packets.robosense.model import Facts, Unit, unit
+from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
+from lidarcfg.sensor import Sensor
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+    from lidarcfg.world.motion import Trajectory
+    from lidarcfg.world.scene import GeoOrigin
+
+__all__ = ["Facts", "Robosense", "Unit", "unit"]
+
+
+class Robosense(RotatingSensorCodec):
+    """The packets of one RoboSense sensor."""
+
+    point_fields = STAMPED
+    facts_model = Facts
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.unit = unit(sensor)
+
+    def firing_schedule(self, dual: bool) -> FiringSchedule:
+        """See `RotatingSensorCodec`."""
+        return self.unit.firing_schedule(dual)
+
+    def check(self, mount: "Mount") -> None:
+        """See `Codec`."""
+        if mount.return_mode not in MODES:
+            what = f"return_mode: {mount.return_mode!r} is not allowed"
+            raise ConfigError(f"{what}; a Helios sends the strongest, the last, the first, or dual")
+        if mount.data_port == mount.telemetry_port:
+            raise ConfigError(f"telemetry_port is {mount.telemetry_port}, the data_port; DIFOP needs a port of its own")
+        if mount.phase_deg is not None and mount.phase_deg % 1:
+            raise ConfigError(f"phase_deg is {mount.phase_deg:g}; DIFOP packets say whole degrees")
+
+        telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
+
+    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
+        """See `Codec`."""
+        headers = self.unit.facts.headers
+        packets = encode.encode(self.unit, mount.dual, batch, range_m, reflectivity)
+        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.msop, batch.first)
+
+    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
+        """See `Codec`."""
+        return encode.sent(self.unit, mount.dual, payloads.data)
+
+    def housekeeping(
+        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    ) -> Iterator[Payloads]:
+        """DIFOP packets."""
+        return telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
+
+    def return_modes(self, source: Source, packets: Octets) -> Times:
+        """See `Codec`: what DIFOP packets say."""
+        found = decode.return_modes(self.unit, source, packets)
+        if found is not None:
+            return found
+        read = decode.reading(self.unit, source, decode.undamaged(packets_of(packets)), telemetry.find_difop(source))
+        return np.full(len(packets), MODES[read.return_mode], np.int64)
+
+    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
+        """See `Codec`."""
+        return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
+
+    @classmethod
+    def matches(cls, source: Source, size: int, payload: bytes) -> bool:
+        """By size and first bytes, which differ from those of DIFOP packets."""
+        return size == SIZE and payload.startswith(MSOP_ID)
+
+    @classmethod
+    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+        """See `Codec`."""
+        first = decode.undamaged(packets_of(packets))
+        return decode.identify(source.where, first, telemetry.find_difop(source), [unit(one) for one in known()]).sensor
+
+    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
+        """See `Codec`."""
+        first, difop = decode.undamaged(packets_of(packets)), telemetry.find_difop(source)
+        decode.check_msop(source.where, first)
+        if trusted:
+            decode.check_model(source.where, self.unit, first, difop)
+        return decode.RobosenseDecoder(
+            source, decode.reading(self.unit, source, first, difop), difop is None or difop.full_fov
+        )

@@ -1,22 +1,50 @@
-"""Decodes MSOP packets into points."""
+"""Decodes MSOP packets into points: which model sends them, in which mode, what they hold, how many are lost."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Decoder, Flags, Octets, Returns, Source, Tally, Times
-from lidarcfg.packets.robosense import decode_kernels as kernels
-from lidarcfg.packets.robosense.difop import Difop
-from lidarcfg.packets.robosense.facts import Unit
-from lidarcfg.packets.robosense.layout import RADIANS, Packets, packets_of, read_time_ns
-from lidarcfg.packets.robosense.losses import Losses
-from lidarcfg.packets.robosense.recognise import check_msop, is_dual, sound
-from lidarcfg.packets.robosense.slots import slots
-from lidarcfg.packets.unit import read_only
+from lidarcfg.packets import blocks
+from lidarcfg.packets.codec import (
+    Batch,
+    Decoder,
+    DecodeStatistics,
+    Firings,
+    Flags,
+    Measurements,
+    Octets,
+    Returns,
+    Source,
+    Times,
+)
+from lidarcfg.packets.robosense.layout import (
+    BLOCK_ID,
+    HELIOS,
+    MODES,
+    MSOP_ID,
+    RADIANS,
+    REVOLUTION,
+    Packets,
+    lidar_type,
+    octets_of,
+    packets_of,
+    read_time_ns,
+)
+from lidarcfg.packets.robosense.model import Unit, byte_offsets, slots
+from lidarcfg.packets.robosense.telemetry import Difop, all_difops
+from lidarcfg.units import MINUTE_NS, SECOND_NS
 
-SINGLE = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
+PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
+RESTART = 2**16  # a counter that jumps further was reset
+SINGLE_KINDS = {"strongest": 0, "last": 1, "first": 3, "dual": 0}  # types of single returns, as `Returns` has them
+NAMES = {code: name for name, code in MODES.items()}
+DUAL = MODES["dual"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +60,26 @@ class Reading:
     def dual(self) -> bool:
         """Whether each laser's returns come in pairs."""
         return self.return_mode == "dual"
+
+    @cached_property
+    def core(self) -> core.RobosenseDecoder:
+        """The core's decoder."""
+        unit = self.unit
+        sensor = unit.sensor
+        schedule = unit.firing_schedule(self.dual)
+        lasers = blocks.Lasers(
+            elevation=self.elevation_rad,
+            azimuth_offset=self.azimuth_offset_rad,
+            forward=sensor.forward_offset_m,
+            left=sensor.lateral_offset_m,
+            up=sensor.vertical_offset_m,
+            distance_offset=np.zeros(unit.count),
+            ring=np.argsort(np.argsort(self.elevation_rad, kind="stable")).astype(np.uint8),
+            near_offset=np.empty((0, 2)),
+            focal=np.empty((0, 4)),
+        )
+        group_ns = schedule.per_azimuth * schedule.sequence_ns
+        return core.RobosenseDecoder(slots(unit, self.dual), lasers, schedule.period_ns, group_ns, unit.resolution_m)
 
 
 def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> Reading:
@@ -54,8 +102,8 @@ class RobosenseDecoder(Decoder):
 
     def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
         self._where, self._reading = source.where, reading
-        self.period_ns = reading.unit.spin(reading.dual).period_ns
-        self._losses = Losses(self.period_ns, full_fov)
+        self.period_ns = reading.unit.firing_schedule(reading.dual).period_ns
+        self._counter = PacketLossCounter(self.period_ns, full_fov)
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """See `Decoder`."""
@@ -75,11 +123,13 @@ class RobosenseDecoder(Decoder):
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
-        self._losses.add(packets_of(packets), wanted)
+        self._counter.add(packets_of(packets), wanted)
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
-        return Tally((self._reading.unit.name,), (self._reading.return_mode,), self._losses.lost, self._losses.rpm)
+        return DecodeStatistics(
+            (self._reading.unit.name,), (self._reading.return_mode,), self._counter.lost, self._counter.rpm
+        )
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
@@ -88,26 +138,194 @@ class RobosenseDecoder(Decoder):
 
 def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
-    unit, dual = reading.unit, reading.dual
-    spin, packets, layout = unit.spin(dual), packets_of(octets), slots(unit, dual)
-    azimuth = np.ascontiguousarray(packets["blocks"]["azimuth"][:, :: layout.blocks], np.int64)
-    stamp_ns, group_ns = read_time_ns(packets), spin.per_azimuth * spin.sequence_ns
-    step, late_ns = kernels.steps(azimuth, stamp_ns, spin.period_ns, group_ns)
-    data = read_only(np.ascontiguousarray(octets))
-    out = Returns.room(kernels.count(data, wanted))
-    turning = azimuth, step, late_ns, stamp_ns
-    single = SINGLE[reading.return_mode]
-    found = kernels.points(data, wanted, turning, layout, _lasers(reading), group_ns, unit.resolution_m, single, out)
-    return out.first(found)
+    octets = np.ascontiguousarray(octets)
+    stamp_ns = read_time_ns(packets_of(octets))
+    kind = np.full(len(octets), SINGLE_KINDS[reading.return_mode], np.uint8)
+    return blocks.decode(reading.core, octets, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
 
 
-def _lasers(reading: Reading) -> kernels.Lasers:
-    sensor = reading.unit.sensor
-    return kernels.Lasers(
-        elevation=reading.elevation_rad,
-        azimuth_offset=reading.azimuth_offset_rad,
-        forward=sensor.forward_offset_m,
-        left=sensor.lateral_offset_m,
-        up=sensor.vertical_offset_m,
-        ring=np.argsort(np.argsort(reading.elevation_rad, kind="stable")).astype(np.uint8),
-    )
+def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -> Measurements:
+    """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
+    dual = return_mode == "dual"
+    packets, schedule = packets_of(octets), unit.firing_schedule(dual)
+    azimuth = packets["blocks"]["azimuth"]
+    azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
+    shape = len(packets), schedule.sequences, unit.count
+    head = np.broadcast_to(np.repeat(azimuth * RADIANS, schedule.per_azimuth, axis=1)[:, :, None], shape)
+    time_ns = read_time_ns(packets)[:, None, None] + schedule.offsets_ns
+    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
+    at, data = byte_offsets(unit, dual), octets_of(packets)
+    high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
+    distance = high.astype(np.int64) << 8 | low
+    range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
+    batch = Batch(Firings(time_ns.ravel(), laser.ravel(), head.ravel()), packets["count"].astype(np.int64), host_ns)
+    return Measurements(return_mode, batch, range_m, intensity)
+
+
+def return_modes(unit: Unit, source: Source, octets: Octets) -> Times | None:
+    """(P,) the codes of the modes of successive packets (P, 1248); None where no DIFOP packet says any.
+
+    A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
+    says which they are, as a mode changes before a DIFOP says so.
+    """
+    packets, difops = packets_of(octets), all_difops(source)
+    difops = difops[np.isin(difops["return_mode"], list(NAMES))]
+    if not len(difops):
+        return None
+    at, said_ns, codes = read_time_ns(packets), read_time_ns(difops), difops["return_mode"].astype(np.int64)
+    if not ((codes == DUAL).any() and (codes != DUAL).any()):
+        return _latest(at, said_ns, codes)
+    single = codes != DUAL
+    return np.where(_dual(unit, packets), DUAL, _latest(at, said_ns[single], codes[single]))
+
+
+def _latest(at: Times, said_ns: Times, codes: Times) -> Times:
+    """(P,) the latest value at these times (P,); before the first value, that one."""
+    order = np.argsort(said_ns, kind="stable")
+    last = np.searchsorted(said_ns[order], at, side="right") - 1
+    return codes[order][np.maximum(last, 0)]
+
+
+def _dual(unit: Unit, packets: Packets) -> Flags:
+    """(P,) whether each holds dual returns: blocks of one azimuth in pairs, or of 16 lasers that fired once."""
+    azimuth = packets["blocks"]["azimuth"].astype(np.int64)
+    if unit.count == 32:
+        return np.asarray((azimuth[:, ::2] == azimuth[:, 1::2]).mean(axis=1) > 0.5)
+    block = np.median(np.diff(azimuth, axis=1) % REVOLUTION, axis=1)
+    turned, gap_ns = np.diff(azimuth[:, 0]) % REVOLUTION, np.diff(read_time_ns(packets))
+    known = gap_ns > 0
+    per_ns = np.median(turned[known] / gap_ns[known]) if known.any() else REVOLUTION * 10 / SECOND_NS
+    return np.asarray(block < 1.5 * per_ns * unit.firing_schedule(dual=True).sequence_ns)
+
+
+class PacketLossCounter:
+    """Counts over the packets of one source: by their counter; by their stamps where that is always the same.
+
+    Without a counter, what is missing may be beyond a narrow field of view, so then nothing counts as lost
+    unless the sensor fires all around.
+    """
+
+    def __init__(self, period_ns: int, full_fov: bool) -> None:
+        self._period_ns, self._full_fov = period_ns, full_fov
+        self._counted, self._by_stamps, self._counts = 0, 0, False
+        self._turned, self._passed_ns = 0, 0
+
+    def add(self, packets: Packets, wanted: Flags) -> None:
+        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
+        counter: Times = packets["count"].astype(np.int64)
+        step = np.diff(counter) % 2**32
+        gap_ns = np.diff(read_time_ns(packets))
+        mine = wanted[1:]
+        self._counts |= bool(step.any())
+        self._counted += int((step[mine & (step > 1) & (step < RESTART)] - 1).sum())
+        periods = np.rint(gap_ns[mine & (gap_ns > 0) & (gap_ns < SECOND_NS)] / self._period_ns).astype(np.int64)
+        self._by_stamps += int(np.maximum(periods - 1, 0).sum())
+        follows = mine & (abs(gap_ns - self._period_ns) <= PERIOD_TOLERANCE * self._period_ns)
+        azimuth: Times = packets["blocks"]["azimuth"][:, 0].astype(np.int64)
+        self._turned += int((np.diff(azimuth) % REVOLUTION)[follows].sum())
+        self._passed_ns += int(gap_ns[follows].sum())
+
+    @property
+    def lost(self) -> int:
+        """The number of lost packets."""
+        return self._counted if self._counts else self._by_stamps * self._full_fov
+
+    @property
+    def rpm(self) -> float:
+        """The head's mean speed; NaN without two consecutive packets."""
+        return self._turned / REVOLUTION / (self._passed_ns / MINUTE_NS) if self._passed_ns else math.nan
+
+
+def sound(packets: Packets) -> Flags:
+    """(P,) whether each is an MSOP packet of a Helios, and of the model that most packets name."""
+    models, counts = np.unique(packets["model"], return_counts=True)
+    right = (packets["id"] == MSOP_ID) & (lidar_type(packets) == HELIOS) & (packets["model"] == models[counts.argmax()])
+    return np.asarray(right & (packets["blocks"]["id"] == BLOCK_ID).all(axis=1))
+
+
+def undamaged(packets: Packets) -> Packets:
+    """The sound packets, if most are; else all."""
+    which = sound(packets)
+    return packets[which] if 2 * which.sum() > len(packets) else packets
+
+
+def check_msop(where: str, packets: Packets) -> None:
+    """Raises PacketError unless all of these packets (P,) are MSOP packets of one Helios."""
+    wrong = packets["id"] != MSOP_ID
+    if wrong.any():
+        raise PacketError(f"{where} sends packets that begin with {packets['id'][wrong][0].hex()}, not {MSOP_ID.hex()}")
+    for what, said in (("LiDAR type", lidar_type(packets)), ("model", packets["model"])):
+        if (said != said[0]).any():
+            other = said[said != said[0]][0]
+            raise PacketError(f"{where} sends {what} 0x{said[0]:02X} and 0x{other:02X}: two sensors on one port")
+    if lidar_type(packets)[0] != HELIOS:
+        raise PacketError(f"{where} sends the LiDAR type 0x{lidar_type(packets)[0]:02X}; known: 0x{HELIOS:02X} Helios")
+    ids = packets["blocks"]["id"]
+    if (ids != BLOCK_ID).any():
+        raise PacketError(f"{where} sends the block flag 0x{ids[ids != BLOCK_ID][0]:04X}; allowed: 0x{BLOCK_ID:04X}")
+
+
+def identify(where: str, packets: Packets, difop: Difop | None, known: Sequence[Unit]) -> Unit:
+    """Which of the known sensors sends these successive packets (P,). Raises PacketError.
+
+    Early firmware does not say its model: the DIFOP packet's angles are then as many as the lasers.
+    """
+    check_msop(where, packets)
+    model = int(packets["model"][0])
+    if model:
+        named = [unit for unit in known if model in (unit.facts.packet.model, *unit.facts.packet.other_models)]
+        if not named:
+            has = ", ".join(f"0x{unit.facts.packet.model:02X} {unit.name}" for unit in known)
+            raise PacketError(f"{where} sends the unknown model 0x{model:02X}; known: {has}; or give --model")
+        return named[0]
+    fits = [unit for unit in known if difop and unit.count == difop.lasers]
+    fits = fits or [unit for unit in known if _fits(unit, packets)]
+    if len(fits) == 1:
+        return fits[0]
+    names = " or ".join(unit.name for unit in fits or known)
+    raise PacketError(f"{where} may be {names}: its packets say no model, and no DIFOP says its angles; give --model")
+
+
+def check_model(where: str, unit: Unit, packets: Packets, difop: Difop | None) -> None:
+    """Raises PacketError if these packets (P,) or the DIFOP packet say that they are of another model."""
+    facts, model = unit.facts.packet, int(packets["model"][0])
+    if model not in (0, facts.model, *facts.other_models):
+        raise PacketError(
+            f"{where} sends model 0x{model:02X}, not {unit.name}'s 0x{facts.model:02X}; "
+            "--model says what it is all the same"
+        )
+    if difop and difop.lasers not in (0, unit.count):
+        raise PacketError(
+            f"{where}: its DIFOP has the angles of {difop.lasers} lasers, {unit.name} has {unit.count}; "
+            "--model says what it is all the same"
+        )
+
+
+def is_dual(unit: Unit, packets: Packets) -> bool:
+    """Whether these successive packets (P,) hold dual returns: pairs of blocks, or packets that come twice as often."""
+    azimuth = packets["blocks"]["azimuth"].astype(np.int64)
+    paired = bool((azimuth[:, ::2] == azimuth[:, 1::2]).mean() > 0.5)
+    if unit.count == 32:
+        return paired
+    gap_ns = _gap_ns(packets)
+    return bool(gap_ns) and gap_ns < 1.5 * unit.firing_schedule(dual=True).period_ns
+
+
+def _fits(unit: Unit, packets: Packets) -> bool:
+    """Whether the packets' blocks and period may be the sensor's, in one of its modes."""
+    azimuth, gap_ns = packets["blocks"]["azimuth"].astype(np.int64), _gap_ns(packets)
+    paired = bool((azimuth[:, ::2] == azimuth[:, 1::2]).mean() > 0.5)
+    if unit.count == 32:
+        period_ns = unit.firing_schedule(paired).period_ns
+        return not gap_ns or abs(gap_ns - period_ns) < 0.2 * period_ns
+    if paired:
+        return False
+    periods_ns = [unit.firing_schedule(dual).period_ns for dual in (False, True)]
+    return not gap_ns or any(abs(gap_ns - period_ns) < 0.2 * period_ns for period_ns in periods_ns)
+
+
+def _gap_ns(packets: Packets) -> float:
+    """The usual time between packets; 0 if that is not known."""
+    gaps_ns = np.diff(read_time_ns(packets))
+    gaps_ns = gaps_ns[gaps_ns > 0]
+    return float(np.median(gaps_ns)) if len(gaps_ns) else 0.0

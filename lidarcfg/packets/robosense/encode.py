@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from lidarcfg.core import packets as core
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Flags, Octets
-from lidarcfg.packets.robosense.facts import Unit
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     DISTANCE_MAX,
@@ -19,16 +19,14 @@ from lidarcfg.packets.robosense.layout import (
     octets_of,
     write_time,
 )
-from lidarcfg.packets.robosense.slots import places
+from lidarcfg.packets.robosense.model import Unit, byte_offsets, slot_numbers
 from lidarcfg.packets.unit import matrix
 
 
 def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
-    from lidarcfg.packets.robosense import encode_kernels  # decoding needs none of them
-
-    spin, fired = unit.spin(dual), batch.firings
-    stamped_ns, _ = spin.stamps_ns(fired)
+    schedule, fired = unit.firing_schedule(dual), batch.firings
+    stamped_ns, _ = schedule.stamps_ns(fired)
     packets: Packets = np.zeros(len(stamped_ns), MSOP)
     packets["id"], packets["version"], packets["tail"] = MSOP_ID, 1, MSOP_TAIL
     packets["count"], packets["resolution"] = batch.number % 2**32, RESOLUTION
@@ -36,17 +34,18 @@ def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: O
     write_time(packets, stamped_ns)
     blocks = packets["blocks"]
     blocks["id"] = BLOCK_ID
-    azimuth = np.rint(spin.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
+    azimuth = np.rint(schedule.head_rad(fired) / RADIANS).astype(np.int64) % REVOLUTION
     blocks["azimuth"] = np.repeat(azimuth, blocks.shape[1] // azimuth.shape[1], axis=1)
     limits = *unit.range.reported_m, unit.resolution_m, float(DISTANCE_MAX)
-    measured = matrix(range_m, len(packets)), matrix(reflectivity, len(packets))
-    encode_kernels.fill(*measured, places(unit, dual), limits, octets_of(packets))
+    measured = matrix(range_m, len(packets), np.float64), matrix(reflectivity, len(packets), np.uint8)
+    number = np.argsort(slot_numbers(unit, dual))
+    core.write_robosense_returns(*measured, number, np.zeros(len(number)), limits, octets_of(packets))
     return packets
 
 
 def sent(unit: Unit, dual: bool, octets: Octets) -> Flags:
     """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
-    at = places(unit, dual)
+    at = byte_offsets(unit, dual)
     high, low, intensity = (octets[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     found: Flags = (high | low) != 0
     if dual:

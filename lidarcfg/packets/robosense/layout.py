@@ -8,10 +8,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.packets.codec import Octets, Times
-from lidarcfg.packets.robosense.facts import BLOCKS, SLOTS
+from lidarcfg.packets.codec import (
+    Octets,
+    Times,
+)
 from lidarcfg.units import SECOND_NS
 
+BLOCKS, SLOTS = 12, 32  # blocks in a packet, returns in a block
 SIZE = 1248
 MSOP_ID, DIFOP_ID = bytes.fromhex("55aa055a"), bytes.fromhex("a5ff005a11115555")
 BLOCK_ID, MSOP_TAIL, DIFOP_TAIL = 0xFFEE, 0x00FF, 0x0FF0
@@ -22,7 +25,6 @@ RADIANS = math.pi / 18000
 DISTANCE_MAX = 65535  # units; 0 is no return
 MODES = {"dual": 0x00, "strongest": 0x04, "last": 0x05, "first": 0x06}
 PTP, PTP_LOCKED = 0x02, 0x02  # the clock's source, and that it is synchronised
-
 TIME = [("seconds", "u1", (6,)), ("microseconds", ">u4")]
 RETURN = np.dtype([("distance", ">u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("id", ">u2"), ("azimuth", ">u2"), ("returns", RETURN, (SLOTS,))])
@@ -44,7 +46,6 @@ DIFOP = np.dtype(
         *[("reserved_3", "u1", (586,)), ("tail", ">u2")],
     ]
 )
-
 Packets = NDArray[np.void]
 
 

@@ -1,5 +1,7 @@
-"""Decodes packets into points."""
+"""Decodes packets into points: which model sends them, what they hold, how many are lost."""
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -7,38 +9,57 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Decoder, Flags, Known, Octets, Returns, Tally, Times
-from lidarcfg.packets.decode_kernels import filled
-from lidarcfg.packets.unit import read_only
-from lidarcfg.packets.velodyne import decode_kernels as kernels
-from lidarcfg.packets.velodyne.facts import SLOTS, Unit
-from lidarcfg.packets.velodyne.facts import unit as unit_of
+from lidarcfg.packets import blocks
+from lidarcfg.packets.codec import (
+    Batch,
+    Decoder,
+    DecodeStatistics,
+    Firings,
+    Flags,
+    Known,
+    Measurements,
+    Octets,
+    Returns,
+    Times,
+)
 from lidarcfg.packets.velodyne.layout import (
+    HOUR_US,
     RADIANS,
+    REVOLUTION,
+    SLOTS,
     Packets,
-    block_flags,
     device_time_ns,
-    is_dual,
-    one_of,
+    gaps_ns,
+    octets_of,
     packets_of,
+)
+from lidarcfg.packets.velodyne.model import (
+    Unit,
+    block_flags,
+    is_dual,
     slots,
 )
-from lidarcfg.packets.velodyne.losses import Losses
-from lidarcfg.packets.velodyne.recognise import alike, check_ids
-from lidarcfg.packets.velodyne.status import Carried
+from lidarcfg.packets.velodyne.model import unit as unit_of
+from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
+
+PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets
+STEP_MAX = 300  # hundredths of a degree between a packet's blocks, where the field of view has no gap
+DEGREE = 100  # hundredths of it: gaps that begin as near to each other begin at the same edge of the field of view
+RETURN_MODES = "strongest", "last", "dual"
 
 
 class VelodyneDecoder(Decoder):
     """Decodes the packets of one Velodyne sensor, with the calibration in their status bytes if there is one."""
 
-    def __init__(self, where: str, unit: Unit, found: Carried | None, known: Known, trusted: bool) -> None:
+    def __init__(self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: Known, trusted: bool) -> None:
         self._where, self._known, self._trusted = where, known, trusted
         self._unit = found.unit(unit) if found else unit
         self.period_ns = self._unit.period_ns()
         self._last_only = found is not None and found.return_mode == "last"
-        self._losses = Losses(self._unit, self._last_only)
+        self._counter = PacketLossCounter(self._unit, self._last_only)
 
     def time_ns(self, packets: Octets, host_ns: Times) -> Times:
         """See `Decoder`."""
@@ -54,12 +75,12 @@ class VelodyneDecoder(Decoder):
 
     def count(self, packets: Octets, wanted: Flags) -> None:
         """See `Decoder`."""
-        self._losses.add(packets_of(packets), wanted)
+        self._counter.add(packets_of(packets), wanted)
 
-    def tally(self) -> Tally:
+    def statistics(self) -> DecodeStatistics:
         """See `Decoder`."""
         models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
-        return Tally(models, self._losses.return_modes, self._losses.lost, self._losses.rpm)
+        return DecodeStatistics(models, self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
@@ -105,59 +126,257 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
     flags = np.tile(block_flags(facts, dual), len(order) // span)
     _check(used["flag"], used["flag"] == flags, f"not a packet of {unit.name}: block flag", facts.block_flags)
 
-    tables, lasers = _tables(unit, dual)
-    group_ns = facts.sequences_per_block * unit.firing.sequence_ns
-    azimuth = np.ascontiguousarray(used["azimuth"][:, ::span], np.int64)
-    stamp = packets["stamp_us"].astype(np.int64)
-    step, late_ns = kernels.steps(azimuth, stamp, unit.period_ns(dual), group_ns)
-
-    distance, intensity = (read_only(used["returns"][key]) for key in ("distance", "intensity"))
     modes = facts.return_modes
-    out = Returns.room(filled(distance, wanted), polar)
     last = packets["return_mode"] == modes.codes.get("last", -1) if modes else np.zeros(len(packets), np.bool_)
-    count = kernels.points(
-        kernels.Wire(
-            distance, intensity, azimuth, step, late_ns, device_time_ns(packets["stamp_us"], host_time_ns), last
-        ),
+    return blocks.decode(
+        _decoder(unit, dual),
+        octets_of(packets),
         wanted,
-        tables,
-        lasers,
-        unit.resolution_m,
-        out,
+        device_time_ns(packets["stamp_us"], host_time_ns),
+        gaps_ns(packets["stamp_us"]),
+        last.astype(np.uint8),
+        polar,
     )
-    return out.first(count)
 
 
 @lru_cache
-def _tables(unit: Unit, dual: bool) -> tuple[kernels.Slots, kernels.Lasers]:
-    """The kernels' tables of a packet's slots and of the lasers."""
-    numbers, width = slots(unit.packet, dual).ravel(), unit.span(dual) * SLOTS
-    fired, group = numbers // (1 + dual), np.arange(numbers.size) // width
+def _decoder(unit: Unit, dual: bool) -> core.VelodyneDecoder:
+    numbers = slots(unit.packet, dual).ravel()
+    width = unit.span(dual) * SLOTS
+    fired = numbers // (1 + dual)
+    group = np.arange(numbers.size) // width
     offset_ns = unit.offsets_ns(dual).ravel()[fired]
     group_ns = unit.packet.sequences_per_block * unit.firing.sequence_ns
-    other = np.full(width, -1)
+    other = np.empty(width * dual, np.int64)
     if dual:
         pairs = np.argsort(numbers[:width]).reshape(-1, 2)
         other[pairs] = pairs[:, ::-1]
-    sensor, near, focal = unit.sensor, unit.near_offset_m, unit.focal
-    slots_of_packet = kernels.Slots(
+    sensor = unit.sensor
+    near = unit.near_offset_m
+    focal = unit.focal
+    slots_ = blocks.Slots(
         laser=fired[:width] % unit.count,
-        fraction=(offset_ns - unit.head_offset_ns) / group_ns - group,
-        offset_ns=offset_ns,
+        fraction=((offset_ns - unit.head_offset_ns) / group_ns - group).reshape(-1, width),
+        offset_ns=offset_ns.reshape(-1, width),
         kind=(numbers[:width] % (1 + dual)).astype(np.uint8),
         other=other,
     )
-    lasers = kernels.Lasers(
-        sensor.elevation_rad,
-        sensor.azimuth_offset_rad,
-        sensor.lateral_offset_m,
-        sensor.vertical_offset_m,
-        unit.distance_offset_m,
-        sensor.ring.astype(np.uint8),  # packets have no more beams
-        np.empty((0, 2)) if near is None else near,
-        np.empty((0, 4)) if focal is None else focal,
+    lasers = blocks.Lasers(
+        elevation=sensor.elevation_rad,
+        azimuth_offset=sensor.azimuth_offset_rad,
+        forward=np.zeros(unit.count),
+        left=sensor.lateral_offset_m,
+        up=sensor.vertical_offset_m,
+        distance_offset=unit.distance_offset_m,
+        ring=sensor.ring.astype(np.uint8),  # packets have no more beams
+        near_offset=np.empty((0, 2)) if near is None else near,
+        focal=np.empty((0, 4)) if focal is None else focal,
     )
-    return slots_of_packet, lasers
+    return core.VelodyneDecoder(slots_, lasers, unit.period_ns(dual), group_ns, unit.resolution_m)
+
+
+def measurements(unit: Unit, packets: Packets, host_ns: Times) -> Measurements:
+    """All firings of packets (P,) of one return mode: see `Codec.measurements`.
+
+    Ranges are what distances and the lasers' offsets far off make; an HDL-64E's other corrections are left to decoding.
+    """
+    mode = RETURN_MODES[int(return_modes(unit, packets[:1])[0])]
+    dual = mode == "dual"
+    schedule = unit.firing_schedule(dual)
+    azimuth = np.ascontiguousarray(
+        packets["blocks"]["azimuth"][
+            :, : unit.span(dual) * (schedule.sequences // schedule.per_azimuth) : unit.span(dual)
+        ],
+        np.uint16,
+    )
+    group_ns = schedule.per_azimuth * schedule.sequence_ns
+    gap_ns = np.append(gaps_ns(packets["stamp_us"]), 0)
+    step, late_ns = core.velodyne_turning(azimuth, gap_ns, schedule.period_ns, group_ns)
+    group = np.arange(schedule.sequences) // schedule.per_azimuth
+    fraction = (schedule.offsets_ns - unit.head_offset_ns) / group_ns - group[:, None]
+    head = (azimuth[:, group, None] + step[:, group, None] * fraction) * RADIANS
+    stamp_ns = device_time_ns(packets["stamp_us"], host_ns)
+    time_ns = stamp_ns[:, None, None] + schedule.offsets_ns + late_ns[:, group, None]
+    laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), time_ns.shape).ravel()
+    distance, intensity = returned(unit, mode, packets)
+    range_m = distance * unit.resolution_m + unit.distance_offset_m[laser][:, None]
+    range_m[distance == 0] = np.inf
+    batch = Batch(Firings(time_ns.ravel(), laser, head.ravel()), np.arange(len(packets)), host_ns)
+    return Measurements(mode, batch, range_m, intensity)
+
+
+def return_modes(unit: Unit, packets: Packets) -> Times:
+    """(P,) of RETURN_MODES; the strongest, if packets say a mode that the sensor does not have."""
+    codes = unit.packet.return_modes
+    last = packets["return_mode"] == codes.last if codes else np.zeros(len(packets), np.bool_)
+    return np.where(is_dual(unit.packet, packets), RETURN_MODES.index("dual"), last.astype(np.int64))
+
+
+def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Octets]:
+    """Distances in units, 0 for no return, and intensities that the packets (P,) hold of their N firings in all.
+
+    Both (N, 1), or (N, 2) with dual returns, in the order of what is encoded.
+    """
+    dual = return_mode == "dual"
+    number = slots(unit.packet, dual)
+    order, held = np.argsort(number, axis=None), packets["blocks"]["returns"][:, : len(number)]
+    distance, intensity = (
+        held[key].reshape(len(packets), -1).take(order, axis=1).reshape(-1, 1 + dual)
+        for key in ("distance", "intensity")
+    )
+    return distance, intensity
+
+
+class PacketLossCounter:
+    """Counts over the packets of one source. The gap of an azimuth that is not sent is no loss."""
+
+    def __init__(self, unit: Unit, last_only: bool) -> None:
+        """`last_only`: what status bytes say of single returns."""
+        self._unit, self._single = unit, "last" if last_only else "strongest"
+        self._modes: set[str] = set()
+        self._turned, self._passed_us = 0, 0
+        self._gaps: list[tuple[int, int]] = []  # degree before the gap, packets missing
+        self._edges: Counter[int] = Counter()  # degrees where a field of view ends; two say that it does
+
+    def add(self, packets: Packets, wanted: Flags) -> None:
+        """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
+        facts = self._unit.packet
+        if facts.return_modes:
+            codes = {code: name for name, code in facts.return_modes.codes.items()}
+            self._modes |= {codes[code] for code in set(packets["return_mode"][wanted].tolist()) if code in codes}
+        else:
+            self._modes |= {"dual" if dual else self._single for dual in set(is_dual(facts, packets)[wanted].tolist())}
+        azimuth, stamp_us = packets["blocks"]["azimuth"].astype(np.int64), packets["stamp_us"].astype(np.int64)
+        gap_us, dual = np.diff(stamp_us) % HOUR_US, is_dual(facts, packets[:-1])
+        single_us, dual_us = (self._unit.period_ns(dual) / 1000 for dual in (False, True))
+        period_us = np.where(dual, dual_us, single_us)
+        gap_us = np.where(wanted[1:], gap_us, 0)
+        follows = abs(gap_us - period_us) <= PERIOD_TOLERANCE * period_us
+        self._turned += int((np.diff(azimuth[:, 0]) % REVOLUTION)[follows].sum())
+        self._passed_us += int(gap_us[follows].sum())
+        for i in np.flatnonzero((gap_us > 1.5 * period_us) & (gap_us < HOUR_US // 2)):
+            used = len(slots(facts, bool(dual[i])))
+            steps = np.diff(azimuth[i, :used], append=azimuth[i + 1, 0]) % REVOLUTION
+            wide = np.append(np.flatnonzero(steps > STEP_MAX), used)[0]
+            degree = int(azimuth[i, min(wide, used - 1)]) % REVOLUTION // DEGREE
+            if wide < used - 1:
+                self._edges[degree] += 2
+                continue
+            self._gaps.append((degree, round(gap_us[i] / period_us[i]) - 1))
+            if wide < used and not steps[:-1].any():  # all blocks have one azimuth: the gap begins there
+                self._edges[degree] += 1
+
+    @property
+    def return_modes(self) -> tuple[str, ...]:
+        """The return modes by name."""
+        return tuple(sorted(self._modes))
+
+    @property
+    def lost(self) -> int:
+        """The number of lost packets, by the gaps between stamps."""
+        lost = 0
+        for degree, packets in self._gaps:
+            near = sum(self._edges[(degree + step) % (REVOLUTION // DEGREE)] for step in (-1, 0, 1))
+            lost += packets if near < 2 else 0
+        return lost
+
+    @property
+    def rpm(self) -> float:
+        """The head's mean speed; NaN without two consecutive packets."""
+        return self._turned / REVOLUTION / (self._passed_us / 6e7) if self._passed_us else math.nan
+
+
+def identify(where: str, packets: Packets, known: Sequence[Unit]) -> Unit:
+    """Which of the known sensors sends these successive packets (P,). Raises PacketError, which begins with `where`.
+
+    Where several share a product id, the time between packets decides, and then the one that is not old firmware.
+    """
+    product_id = packets["product_id"][0]
+    units = [unit for unit in known if not unit.packet.sent_as]
+    named = [unit for unit in units if product_id in unit.packet.product_ids]
+    bare = [unit for unit in units if not unit.packet.product_ids and _has_flags(unit, packets)]
+    candidates = bare or named
+    if not candidates:
+        ids = ", ".join(f"0x{unit.packet.product_id:02X} {unit.name}" for unit in units if unit.packet.product_ids)
+        raise PacketError(f"{where} sends the unknown product id 0x{product_id:02X}; known: {ids}; or give --model")
+    if not bare:
+        check_one_id(where, packets)
+    gap_us = _gap_us(packets)
+    fits = [unit for unit in candidates if _fits(unit, packets, gap_us)]
+    if not fits:
+        raise PacketError(f"{where} sends a packet every {gap_us:g} us; {_periods(candidates, packets)}; give --model")
+    if gap_us:
+        fits.sort(key=lambda unit: abs(gap_us - _period_us(unit, packets)))  # stable: else in the order of names
+    elif any(unit.sensor.beams != fits[0].sensor.beams for unit in fits):  # of two clocks, the first by name
+        raise PacketError(f"{where} may be {' or '.join(unit.name for unit in fits)}; give --model")
+    return fits[0]
+
+
+def alike(unit: Unit, known: Sequence[Unit]) -> tuple[str, ...]:
+    """The names of the known sensors with the same packets as this one, such as a VLP-16 and a Puck LITE."""
+    return (unit.name, *(other.name for other in known if other.packet.sent_as == unit.name))
+
+
+def check_one_id(where: str, packets: Packets) -> None:
+    """Raises PacketError if these packets (P,) name more than one model."""
+    ids = packets["product_id"]
+    other = ids != ids[0]
+    if other.any():
+        raise PacketError(f"{where} sends product ids 0x{ids[0]:02X} and 0x{ids[other][0]:02X}: two models on one port")
+
+
+def check_ids(where: str, unit: Unit, packets: Packets, trusted: bool) -> None:
+    """Raises PacketError if a packet is of another model than the others or, if trusted, than it should be."""
+    facts = unit.packet
+    if not facts.product_ids:
+        return
+    wrong = ~one_of(packets["product_id"], facts.product_ids)
+    if trusted and wrong.any():
+        raise PacketError(
+            f"{where} sends product id 0x{packets['product_id'][wrong][0]:02X}, not "
+            f"{unit.name}'s 0x{facts.product_id:02X}; --model decodes it anyway"
+        )
+    check_one_id(where, packets)
+
+
+def check_period(where: str, unit: Unit, packets: Packets) -> None:
+    """Raises PacketError unless these successive packets (P,) come as this sensor's do."""
+    gap_us = _gap_us(packets)
+    if not _fits(unit, packets, gap_us):
+        raise PacketError(f"{where} sends a packet every {gap_us:g} us; {_periods([unit], packets)}")
+
+
+def _has_flags(unit: Unit, packets: Packets) -> bool:
+    used = len(slots(unit.packet, dual=True))  # no fewer with single returns
+    return set(packets["blocks"]["flag"][0, :used].tolist()) == set(unit.packet.block_flags)
+
+
+def _gap_us(packets: Packets) -> float:
+    """The usual time between packets; 0 if that is not known."""
+    stamp_us: Times = packets["stamp_us"].astype(np.int64)
+    gaps = np.diff(stamp_us) % HOUR_US
+    gaps = gaps[(gaps > 0) & (gaps < HOUR_US // 2)]
+    return float(np.median(gaps)) if len(gaps) else 0.0
+
+
+def _period_us(unit: Unit, packets: Packets) -> float:
+    dual = is_dual(unit.packet, packets)
+    return unit.period_ns(bool(dual.mean() > 0.5)) / 1000
+
+
+def _fits(unit: Unit, packets: Packets, gap_us: float) -> bool:
+    """Whether the gap is the sensor's period or, with packets lost, a few of them."""
+    periods = gap_us / _period_us(unit, packets)
+    return not gap_us or (round(periods) >= 1 and abs(periods - round(periods)) <= PERIOD_TOLERANCE)
+
+
+def _periods(units: list[Unit], packets: Packets) -> str:
+    return ", ".join(f"{unit.name} would every {_period_us(unit, packets):g}" for unit in units)
+
+
+def one_of(values: NDArray[np.integer], allowed: Sequence[int]) -> NDArray[np.bool_]:
+    """(n,) whether each of the values (n,) is one of a few."""
+    return np.asarray(np.logical_or.reduce([values == one for one in allowed]))
 
 
 def _check(got: NDArray[np.integer], right: Flags, what: str, allowed: Sequence[int]) -> None:

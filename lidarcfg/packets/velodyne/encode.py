@@ -1,25 +1,38 @@
 """Encodes firings and their measurements as packets."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings, Flags, Octets
+from lidarcfg.packets.codec import Firings, Flags, Measurements, Octets
 from lidarcfg.packets.unit import matrix
-from lidarcfg.packets.velodyne.facts import PpsState, Unit
+from lidarcfg.packets.velodyne.decode import returned
 from lidarcfg.packets.velodyne.layout import (
     DISTANCE_MAX,
     PACKET,
     RADIANS,
     REVOLUTION,
     Packets,
-    block_flags,
-    slots,
+    PpsState,
+    octets_of,
     stamp_us,
 )
-from lidarcfg.packets.velodyne.schedule import stamps_ns
-from lidarcfg.packets.velodyne.status import calibration, status_bytes
+from lidarcfg.packets.velodyne.model import Calibration, Unit, block_flags, slots
+from lidarcfg.packets.velodyne.telemetry import calibration, status_bytes
+
+
+class NearLasers(NamedTuple):
+    """The L lasers, whose distances near by have offsets of their own: angles in radians, lengths in metres."""
+
+    elevation: Array
+    azimuth_offset: Array
+    left: Array
+    distance_offset: Array  # far off
+    near_offset: Array  # (L, 2) to the side and ahead
 
 
 def encode(
@@ -34,26 +47,33 @@ def encode(
 
     Distances and intensities are those of which decoding makes the nearest there are. Raises ConfigError.
     """
-    from lidarcfg.packets.velodyne import encode_kernels  # decoding needs none of them
-
     check_encodable(unit, return_mode)
     dual = return_mode == "dual"
     number, span = slots(unit.packet, dual), unit.span(dual)
-    stamped_ns, _ = stamps_ns(unit, fired, dual)
+    stamped_ns, _ = unit.firing_schedule(dual).stamps_ns(fired)
     packets = np.zeros(len(stamped_ns), PACKET)
     blocks = packets["blocks"][:, : len(number)]
     blocks["flag"] = np.tile(block_flags(unit.packet, dual), len(number) // span)
     blocks["azimuth"] = np.repeat(_block_azimuths(unit, fired, dual), span, axis=1)
-    laser, limits = number // (1 + dual) % unit.count, _limits(unit)
-    measured = matrix(range_m, len(packets)), matrix(reflectivity, len(packets))
-    returns = blocks["returns"]["distance"], blocks["returns"]["intensity"]
-    encode_kernels.fill(*measured, number, unit.distance_offset_m[laser], limits, *returns)
+    number = number.ravel()
+    laser = number // (1 + dual) % unit.count
+    limits = _limits(unit)
+    octets = octets_of(packets)
+    measured = matrix(range_m, len(packets), np.float64), matrix(reflectivity, len(packets), np.uint8)
+    core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, octets)
     if unit.near_offset_m is not None:
-        sensor, azimuth = unit.sensor, matrix(fired.encoder_rad, len(packets))
-        tables = sensor.elevation_rad, sensor.azimuth_offset_rad, sensor.lateral_offset_m, unit.distance_offset_m
-        encode_kernels.fill_near(*measured, azimuth, number, laser, (*tables, unit.near_offset_m), limits, *returns)
+        sensor = unit.sensor
+        lasers = NearLasers(
+            elevation=sensor.elevation_rad,
+            azimuth_offset=sensor.azimuth_offset_rad,
+            left=sensor.lateral_offset_m,
+            distance_offset=unit.distance_offset_m,
+            near_offset=unit.near_offset_m,
+        )
+        azimuth = matrix(fired.encoder_rad, len(packets), np.float64)
+        core.write_velodyne_near_returns(*measured, azimuth, number, laser, lasers, limits, octets)
     if unit.focal is not None:
-        encode_kernels.unfocus(returns[0], laser, unit.focal, returns[1])
+        core.uncorrect_velodyne_intensities(laser, unit.focal, octets)
     packets["stamp_us"] = stamp_us(stamped_ns)
     if unit.packet.return_modes:
         packets["return_mode"] = unit.packet.return_modes.codes[return_mode]
@@ -64,21 +84,6 @@ def encode(
     return packets
 
 
-def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Octets]:
-    """Distances in units, 0 for no return, and intensities that the packets (P,) hold of their N firings in all.
-
-    Both (N, 1), or (N, 2) with dual returns, in the order of what is encoded.
-    """
-    dual = return_mode == "dual"
-    number = slots(unit.packet, dual)
-    order, held = np.argsort(number, axis=None), packets["blocks"]["returns"][:, : len(number)]
-    distance, intensity = (
-        held[key].reshape(len(packets), -1).take(order, axis=1).reshape(-1, 1 + dual)
-        for key in ("distance", "intensity")
-    )
-    return distance, intensity
-
-
 def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     distance, intensity = returned(unit, return_mode, packets)
@@ -86,6 +91,21 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     if found.shape[1] == 2:
         found[:, 1] &= (distance[:, 0] != distance[:, 1]) | (intensity[:, 0] != intensity[:, 1])
     return found
+
+
+def packed(unit: Unit, found: Measurements) -> Packets:
+    """Packets (P,) of measurements, as `measurements` has them of recordings."""
+    facts = unit.facts.model_copy(
+        update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}
+    )
+    plain, dual = Unit(unit.sensor, facts), found.return_mode == "dual"
+    packets = encode(plain, found.return_mode, found.batch.firings, found.range_m, found.reflectivity)
+    number, span = slots(unit.packet, dual), unit.span(dual)
+    blocks = packets["blocks"][:, : len(number)]
+    blocks["returns"]["intensity"] = found.reflectivity.reshape(len(packets), -1)[:, number]
+    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)
+    blocks["azimuth"][azimuth == REVOLUTION] = REVOLUTION
+    return packets
 
 
 def check_encodable(unit: Unit, return_mode: str) -> None:
@@ -104,7 +124,7 @@ def check_encodable(unit: Unit, return_mode: str) -> None:
 
 def _block_azimuths(unit: Unit, fired: Firings, dual: bool) -> NDArray[np.int64]:
     """(P, blocks' times) in hundredths of a degree: where the head points at the first firing of each."""
-    head_rad = unit.spin(dual).head_rad(fired)
+    head_rad = unit.firing_schedule(dual).head_rad(fired)
     return np.asarray(np.rint(head_rad / RADIANS).astype(np.int64) % REVOLUTION)
 
 

@@ -1,19 +1,24 @@
 """Velodyne's packets, byte by byte: 1206 bytes of returns, 512 bytes of position.
 
 Layout: VLP-16 User Manual 63-9243 Rev D, sections 9.3 and 9.4; what differs between models comes from the
-sensor's YAML.
+sensor's YAML, see `model`.
 """
 
 import math
-from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.packets.codec import Octets, Times
-from lidarcfg.packets.velodyne.facts import BLOCKS, SLOTS, Packet, PpsState
+from lidarcfg.packets.codec import (
+    Octets,
+    Times,
+)
 from lidarcfg.units import HOUR_NS
 
+BLOCKS = 12  # in a data packet
+SLOTS = 32  # returns in a block
+PpsState = Literal["absent", "synchronising", "locked", "error"]
 RETURN = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("returns", RETURN, (SLOTS,))])
 PACKET = np.dtype([("blocks", BLOCK, (BLOCKS,)), ("stamp_us", "<u4"), ("return_mode", "u1"), ("product_id", "u1")])
@@ -25,14 +30,12 @@ POSITION = np.dtype(
         "itemsize": 512,
     }
 )
-
 REVOLUTION = 36000  # azimuth is in hundredths of a degree
 RADIANS = math.pi / 18000
 DISTANCE_MAX = 65535  # units; 0 is no return
 RETURNS = ("strongest", "last")  # the last axis of dual returns
 HOUR_US = 3600 * 10**6
 PPS_STATES: tuple[PpsState, ...] = ("absent", "synchronising", "locked", "error")
-
 Packets = NDArray[np.void]
 
 
@@ -46,45 +49,15 @@ def octets_of(packets: NDArray[np.void]) -> Octets:
     return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
 
 
-def block_flags(facts: Packet, dual: bool) -> tuple[int, ...]:
-    """The flags of the blocks that hold one block's time of all lasers."""
-    if dual and facts.dual and facts.dual.by == "block":
-        return tuple(flag for flag in facts.block_flags for _ in range(2))
-    return facts.block_flags * (1 + dual)
-
-
-def slots(facts: Packet, dual: bool) -> Times:
-    """(blocks, 32): which number of a packet's (S, L) firings, or (S, L, 2) returns, stands in each slot.
-
-    Blocks at the end that are not used are missing.
-    """
-    groups = len(facts.block_flags)
-    times = BLOCKS // (groups * (1 + dual))
-    numbers = np.arange(times * groups * SLOTS * (1 + dual)).reshape(times, groups, SLOTS, 1 + dual)
-    if dual and facts.dual:
-        numbers = numbers[..., [RETURNS.index(name) for name in facts.dual.order]]
-        numbers = np.moveaxis(numbers, -1, 2 if facts.dual.by == "block" else 1)
-    return numbers.reshape(-1, SLOTS)
-
-
-def is_dual(facts: Packet, packets: Packets) -> NDArray[np.bool_]:
-    """(P,) whether each packet holds dual returns: it says so or, where it cannot, repeats its azimuths."""
-    if facts.return_modes:
-        return np.asarray(packets["return_mode"] == facts.return_modes.codes.get("dual", -1))
-    azimuth, groups = packets["blocks"]["azimuth"], len(facts.block_flags)
-    if facts.dual is None or 2 * groups >= BLOCKS:
-        return np.zeros(len(packets), np.bool_)
-    return np.asarray((azimuth[:, 0] == azimuth[:, groups]) & (azimuth[:, 0] != azimuth[:, 2 * groups]))
-
-
-def one_of(values: NDArray[np.integer], allowed: Sequence[int]) -> NDArray[np.bool_]:
-    """(n,) whether each of the values (n,) is one of a few."""
-    return np.asarray(np.logical_or.reduce([values == one for one in allowed]))
-
-
 def stamp_us(time_ns: Times) -> Times:
     """Device time as packets say it: microseconds past the hour, rounded."""
     return np.asarray((time_ns + 500) // 1000 % HOUR_US)
+
+
+def gaps_ns(stamp_us: NDArray[np.uint32]) -> Times:
+    """(P - 1,) from each of successive stamps (P,) past the hour to the next one."""
+    past_hour_us: Times = stamp_us.astype(np.int64)
+    return np.asarray(np.diff(past_hour_us) % HOUR_US * 1000)
 
 
 def device_time_ns(stamp_us: NDArray[np.uint32], host_time_ns: Times) -> Times:

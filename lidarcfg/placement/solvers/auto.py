@@ -1,4 +1,4 @@
-"""The default search: a little CMA-ES, then annealing (docs/benchmarks.md has what this gains, and where it does not).
+"""The default search: a little CMA-ES, then annealing (docs/evidence/benchmarks.md has what this gains).
 
 Where LiDARs have little room, CMA-ES from the best of some random points is the quickest to a good rig. But it is a
 local search that moves everything at once. So annealing follows, whose chains move one group of coordinates at a time:

@@ -7,10 +7,9 @@ import numpy as np
 from lidarcfg.capture.pcap import read_batches
 from lidarcfg.packets.codec import Batch, Firings
 from lidarcfg.packets.families import codec
-from lidarcfg.packets.hesai import corrections
-from lidarcfg.packets.hesai.decode import device_time_ns
-from lidarcfg.packets.hesai.facts import Unit
-from lidarcfg.packets.hesai.layout import encoder_rad
+from lidarcfg.packets.hesai import telemetry
+from lidarcfg.packets.hesai.layout import device_time_ns, encoder_rad
+from lidarcfg.packets.hesai.model import Unit
 from lidarcfg.rig import Mount
 from lidarcfg.sensor import load_sensor
 from tests.capture_fixtures import no_warning, recording
@@ -45,7 +44,7 @@ class Recorded:
     def unit(self):
         """The model with the unit's own angles."""
         nominal = codec(load_sensor(self.model)).unit
-        beams = corrections.read(self.angles, self.table)
+        beams = telemetry.parse_corrections(self.angles, self.table)
         return Unit(nominal.sensor.model_copy(update={"beams": beams}), nominal.facts)
 
     @property

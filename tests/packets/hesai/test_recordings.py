@@ -6,8 +6,8 @@ from scipy.spatial import cKDTree
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.cloud import concatenate
+from lidarcfg.core import packets as core
 from lidarcfg.packets.families import codec
-from lidarcfg.packets.hesai.crc import crc32
 from lidarcfg.packets.hesai.decode import decode
 from tests.capture_fixtures import no_warning
 from tests.naive import hesai as naive
@@ -77,7 +77,7 @@ def test_dual_returns_by_distance_and_strength(recorded):
 
 @pytest.mark.parametrize("recorded", ALL, ids=lambda one: one.model)
 def test_recorded_packets_byte_for_byte(recorded):
-    """What is not the same is the sensor's state: see docs/hesai.md."""
+    """What is not the same is the sensor's state."""
     octets = recorded.payloads
     if recorded is XT32:  # of early firmware: blocks of a pair the other way round
         blocks = octets[:, 12 : 12 + 8 * 130].reshape(-1, 4, 2, 130)
@@ -93,7 +93,9 @@ def test_recorded_packets_byte_for_byte(recorded):
         state = {1045, *range(1057, 1064), *range(1067, 1070), *range(1091, 1095)}
         quiet = range(1061, 1091)  # with the recorded state the checksums are the recorded ones
         again[:, quiet] = octets[:, quiet]
-        np.testing.assert_array_equal(crc32(again[:, 1061:1091]), octets[:, 1091:1095].copy().view("<u4")[:, 0])
+        np.testing.assert_array_equal(
+            core.crc32_mpeg2(again, 1061, 1091), octets[:, 1091:1095].copy().view("<u4")[:, 0]
+        )
     else:
         end = recorded.size - 28
         state = {*range(end, end + 10), end + 11}  # and the motor's speed, which is 599 or 600
@@ -107,7 +109,7 @@ def test_checksums_are_the_recorded_ones():
     octets = QT128.payloads
     for first, last in ((12, 1040), (1045, 1057), (1061, 1091)):
         recorded = octets[:, last : last + 4].copy().view("<u4")[:, 0]
-        np.testing.assert_array_equal(crc32(octets[:, first:last]), recorded)
+        np.testing.assert_array_equal(core.crc32_mpeg2(octets, first, last), recorded)
         assert naive.crc32_mpeg2(octets[0, first:last].tobytes()) == recorded[0]
 
 

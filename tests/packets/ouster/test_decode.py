@@ -8,9 +8,8 @@ import pytest
 
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.errors import PacketError
-from lidarcfg.packets.ouster.layout import columns, heads
-from lidarcfg.packets.ouster.metadata import read
-from lidarcfg.packets.ouster.pixels import fields, packed
+from lidarcfg.packets.ouster.layout import column_headers, pack, packet_headers, unpack
+from lidarcfg.packets.ouster.telemetry import read_metadata
 from tests.capture_fixtures import decoded, no_warning, recording
 from tests.packets.ouster.judge import judged
 
@@ -37,14 +36,14 @@ def files(name):
 def test_points_fields_and_stamps_are_those_of_ouster_sdk(name):
     pcap, metadata = files(name)
     theirs = judged(pcap, metadata)
-    layout = read(metadata.name, metadata.read_bytes()).layout
-    ours, said = fields(layout, theirs.packets), columns(layout, theirs.packets)
+    layout = read_metadata(metadata.name, metadata.read_bytes()).layout
+    ours, said = unpack(layout, theirs.packets), column_headers(layout, theirs.packets)
     assert set(theirs.fields) - {"window"} <= set(ours)
     for key, values in theirs.fields.items():
         np.testing.assert_array_equal(ours[key], values, err_msg=key)
     np.testing.assert_array_equal(said.time_ns, theirs.time_ns)
     np.testing.assert_array_equal(said.measurement, theirs.measurement)
-    np.testing.assert_array_equal(heads(layout, theirs.packets).frame, theirs.frame)
+    np.testing.assert_array_equal(packet_headers(layout, theirs.packets).frame, theirs.frame)
     cloud = decoded(pcap)
     both = [theirs.points(key) for key in ("range", "range2") if key in theirs.fields]
     points = np.stack(both, axis=3)
@@ -64,12 +63,12 @@ def test_points_fields_and_stamps_are_those_of_ouster_sdk(name):
 def test_recordings_encode_again_but_for_undocumented_bits(name):
     pcap, metadata = files(name)
     packets = judged(pcap, metadata).packets
-    layout = read(metadata.name, metadata.read_bytes()).layout
-    again = packed(
+    layout = read_metadata(metadata.name, metadata.read_bytes()).layout
+    again = pack(
         layout,
-        heads(layout, packets),
-        columns(layout, packets),
-        fields(layout, packets),
+        packet_headers(layout, packets),
+        column_headers(layout, packets),
+        unpack(layout, packets),
         RECORDINGS[name][1],
     )
     if name not in UNDOCUMENTED:
@@ -101,10 +100,10 @@ def test_packets_from_fragments_encode_again():
     for name in ("1", "2"):
         metadata = pcap.with_name(f"same_ports_legacy.{name}.json")
         packets = judged(pcap, metadata).packets
-        layout = read(metadata.name, metadata.read_bytes()).layout
-        said = heads(layout, packets), columns(layout, packets), fields(layout, packets)
+        layout = read_metadata(metadata.name, metadata.read_bytes()).layout
+        said = packet_headers(layout, packets), column_headers(layout, packets), unpack(layout, packets)
         assert len(packets) > 0
-        np.testing.assert_array_equal(packed(layout, *said, "zero"), packets)
+        np.testing.assert_array_equal(pack(layout, *said, "zero"), packets)
 
 
 def test_without_metadata_it_says_what_is_missing(tmp_path):
@@ -145,8 +144,8 @@ def test_damaged_metadata(tmp_path, old, new, message):
 def test_headers_that_say_more_encode_again():
     pcap, metadata = files(LOW)
     packets = judged(pcap, metadata).packets
-    layout = read(metadata.name, metadata.read_bytes()).layout
-    limiting = replace(heads(layout, packets), shot_countdown=5, shot=1, thermal_countdown=7, thermal=2)
-    again = packed(layout, limiting, columns(layout, packets), fields(layout, packets), "crc")
-    found = heads(layout, again)
+    layout = read_metadata(metadata.name, metadata.read_bytes()).layout
+    limiting = replace(packet_headers(layout, packets), shot_countdown=5, shot=1, thermal_countdown=7, thermal=2)
+    again = pack(layout, limiting, column_headers(layout, packets), unpack(layout, packets), "crc")
+    found = packet_headers(layout, again)
     assert (found.shot_countdown, found.shot, found.thermal_countdown, found.thermal) == (5, 1, 7, 2)

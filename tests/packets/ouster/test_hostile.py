@@ -14,7 +14,7 @@ from lidarcfg.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
-from lidarcfg.packets.ouster.metadata import Metadata, read
+from lidarcfg.packets.ouster.telemetry import Metadata, read_metadata
 from lidarcfg.rig import Mount
 from tests.packets.ouster.test_encode import START_NS, mount
 
@@ -28,7 +28,7 @@ def packets(one: Mount, number: int) -> tuple[Payloads, bytes]:
     count, width = len(batch.firings.time_ns), 1 + (one.return_mode == "dual")
     rng = np.random.default_rng(1)
     range_m, gray = rng.uniform(1, 70, (count, width)), rng.integers(0, 256, (count, width)).astype(np.uint8)
-    return family.encode(one, batch, range_m, gray), family.companions(one)[".json"]
+    return family.encode(one, batch, range_m, gray), family.sidecar_files(one)[".json"]
 
 
 def mutated(value, rng: random.Random):
@@ -52,7 +52,7 @@ def test_mutated_metadata():
         if rng.random() < 0.1:
             text = text[: rng.randrange(len(text))]
         try:
-            found = read("a.json", text.encode())
+            found = read_metadata("a.json", text.encode())
         except LidarcfgError as error:
             messages.append(str(error))
             outcomes["refused"] += 1

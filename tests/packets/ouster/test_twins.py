@@ -7,7 +7,7 @@ import pytest
 
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.ouster.decode import OusterDecoder
-from lidarcfg.packets.ouster.metadata import read
+from lidarcfg.packets.ouster.telemetry import read_metadata
 from tests.naive import ouster as naive
 from tests.packets.ouster.test_encode import PROFILES, START_NS, mount
 
@@ -27,7 +27,7 @@ def encoded(profile, firmware, fov=None):
     if width == 2:
         same = rng.random(count) < 0.3
         range_m[same, 1], gray[same, 1] = range_m[same, 0], gray[same, 0]
-    return one, batch, range_m, gray, family.encode(one, batch, range_m, gray).data, family.companions(one)[".json"]
+    return one, batch, range_m, gray, family.encode(one, batch, range_m, gray).data, family.sidecar_files(one)[".json"]
 
 
 @pytest.mark.parametrize("fov", [None, (300.0, 80.0)])
@@ -88,8 +88,8 @@ def test_points_are_those_of_the_formulas(profile, tilted):
     rng = np.random.default_rng(3)
     odd = data.copy()
     odd.reshape(-1)[rng.integers(0, odd.size, odd.size // 20)] = rng.integers(0, 256, odd.size // 20)
-    decoder = OusterDecoder("a", read("a.json", metadata), "os0-32")
-    kinds = [0, 2] if read("a.json", metadata).nearest_first is False else [0, 1]
+    decoder = OusterDecoder("a", read_metadata("a.json", metadata), "os0-32")
+    kinds = [0, 2] if read_metadata("a.json", metadata).nearest_first is False else [0, 1]
     for packets in (data[:3], odd[:5]):
         found = decoder.decode(packets, np.empty(0, np.int64), np.ones(len(packets), np.bool_))
         theirs = [point for payload in packets for point in naive.points(payload.tobytes(), metadata)]
@@ -107,7 +107,7 @@ def test_points_are_those_of_the_formulas(profile, tilted):
 def test_points_of_any_number_of_pixels(profile, pixels):
     """Of the first pixels of each column, as of a sensor with no more; loops take eight of them together."""
     _, _, _, _, data, metadata = encoded(profile, "3.2")
-    layout = read("a.json", metadata).layout
+    layout = read_metadata("a.json", metadata).layout
     begin, end, wide = layout.head, layout.head + 16 * layout.column, layout.profile.pixel
     columns = data[:4, begin:end].reshape(4, 16, layout.column)
     gone = np.s_[layout.column_head + pixels * wide : layout.column_head + 32 * wide]
@@ -118,7 +118,7 @@ def test_points_of_any_number_of_pixels(profile, pixels):
     for key in ("beam_altitude_angles", "beam_azimuth_angles"):
         said["beam_intrinsics"][key] = said["beam_intrinsics"][key][:pixels]
     metadata = json.dumps(said).encode()
-    decoder = OusterDecoder("a", read("a.json", metadata), "os0-32")
+    decoder = OusterDecoder("a", read_metadata("a.json", metadata), "os0-32")
     found = decoder.decode(few, np.empty(0, np.int64), np.ones(4, np.bool_))
     theirs = [point for payload in few for point in naive.points(payload.tobytes(), metadata)]
     x, y, z, time_ns, laser, gray, _ = zip(*theirs, strict=True)

@@ -15,8 +15,8 @@ from lidarcfg.cloud import load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import transform
 from lidarcfg.packets.velodyne.encode import sent as are_sent
-from lidarcfg.packets.velodyne.facts import unit as unit_of
-from lidarcfg.packets.velodyne.status import calibration
+from lidarcfg.packets.velodyne.model import unit as unit_of
+from lidarcfg.packets.velodyne.telemetry import calibration
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import load_sensor
 from lidarcfg.simulate.echoes import Echoes

@@ -17,8 +17,8 @@ from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
-from lidarcfg.packets.velodyne.facts import unit
-from lidarcfg.packets.velodyne.status import calibration
+from lidarcfg.packets.velodyne.model import unit
+from lidarcfg.packets.velodyne.telemetry import calibration
 from lidarcfg.rig import Rig, load_rig
 from lidarcfg.sensor import catalogue, load_sensor
 from lidarcfg.simulate.export import export, in_time_order

@@ -19,7 +19,7 @@ from lidarcfg.packets.velodyne.layout import (
     device_time_ns,
     stamp_us,
 )
-from lidarcfg.packets.velodyne.position import gprmc, position_packets
+from lidarcfg.packets.velodyne.telemetry import gprmc, position_packets
 from lidarcfg.sensor import Reported, load_sensor
 from lidarcfg.units import HOUR_NS, SECOND_NS
 from lidarcfg.world.geodesy import geographic

@@ -16,9 +16,10 @@ from lidarcfg.cloud import FIELDS, concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import codec
-from lidarcfg.packets.velodyne.facts import unit as unit_of
-from lidarcfg.packets.velodyne.firings import measurements, packed
+from lidarcfg.packets.velodyne.decode import measurements
+from lidarcfg.packets.velodyne.encode import packed
 from lidarcfg.packets.velodyne.layout import PACKET
+from lidarcfg.packets.velodyne.model import unit as unit_of
 from lidarcfg.rig import Rig
 from lidarcfg.sensor import catalogue, load_sensor
 from tests.capture_fixtures import AT_NS, decoded, mount, no_warning, recording

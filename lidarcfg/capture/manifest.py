@@ -1,0 +1,237 @@
+"""The manifest of a capture: a file beside it that names what it was made of, so that it can be decoded as it is."""
+
+import hashlib
+import math
+import os
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+import lidarcfg
+from lidarcfg.config import Model, Positive, error_at, load
+from lidarcfg.errors import ConfigError, reason
+from lidarcfg.files import example, replacing
+from lidarcfg.geometry import Array, angles, pose
+from lidarcfg.rig import ReturnMode, Rig
+from lidarcfg.sensor import catalogue
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.motion import Trajectory, load_path
+from lidarcfg.world.scene import Scene, files_of
+from lidarcfg.world.vehicle import NONE, Vehicle
+from lidarcfg.yaml_document import yaml_text
+
+SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
+SIDECAR_SUFFIXES = (
+    ".rig.yaml",
+    ".scene.yaml",
+    ".trajectory.yaml",
+    ".trajectory.tum",
+)  # likewise: inputs that were in no file
+READ = 1 << 20  # bytes of a file at once
+
+
+class SidecarInput(NamedTuple):
+    """An input that is in no file: it is written beside the capture."""
+
+    suffix: str  # behind the capture's name
+    text: str
+
+
+class FileDigest(Model):
+    """A file and its checksum."""
+
+    file: str  # relative to the manifest
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path, manifest: Path) -> "FileDigest":
+        """The file at `path`, as a manifest names it. Raises OSError."""
+        path = example(path)
+        return cls(
+            file=os.path.relpath(os.path.realpath(path), os.path.realpath(manifest.parent)), sha256=_sha256(path)
+        )
+
+
+class Input(FileDigest):
+    """A file that went into a capture, and what it names."""
+
+    files: tuple[FileDigest, ...] | None = None  # meshes, height fields, maps of points, the sensors' own files
+
+
+class CaptureManifest(Model):
+    """What a capture was made of."""
+
+    kind: ClassVar[str] = "capture manifest"
+    version: str = lidarcfg.__version__
+    rig: Input
+    scene: Input | None = None  # none: it was in no file, and cannot be in one of its own
+    trajectory: Input | None = None
+    vehicle: Input | Literal["none"] | None = None  # none at all; or the rig's, if it names one
+    models: dict[str, str] | None = None  # the catalogue's sensors in the rig, and the sha256 of their files
+    at: str  # where the vehicle starts, as `place` reads it
+    start: str  # ISO 8601; UTC unless it names a zone
+    return_mode: ReturnMode | None = None  # none: the rig's
+    duration_s: Positive
+
+    def path(self, key: str, manifest: Path, hint: str = "name what fits it: --{key}") -> Path | None:
+        """Where one of the inputs is, or `none` of the vehicle.
+
+        Raises ConfigError if it, or what it names, has changed since, with a hint of what to do.
+        """
+        hint = hint.format(key=key)
+        given: Input | str | None = getattr(self, key)
+        if not isinstance(given, Input):
+            return Path(given) if given else None
+        for i, part in enumerate((given, *(given.files or ()))):
+            at = (key, "file") if i == 0 else (key, "files", i - 1, "file")
+            path = manifest.parent / part.file
+            try:
+                same = _sha256(path) == part.sha256
+            except OSError as error:
+                raise error_at(manifest, at, f"{path}: {reason(error)}; {hint}") from None
+            if not same:
+                raise error_at(manifest, at, f"{path} has changed since the export; {hint}")
+        known = catalogue()
+        for name, digest in (self.models or {}).items() if key == "rig" else ():
+            if name not in known or _sha256(known[name]) != digest:
+                what = f"{name} differs between this catalogue and that of the export; {hint}"
+                raise error_at(manifest, ("models", name), what)
+        return manifest.parent / given.file
+
+    def motion(self, manifest: Path) -> Trajectory:
+        """The vehicle's motion. Raises ConfigError as `path` does, and for a place or a time that is none."""
+        return Trajectory(place(self.at), load_path(self.path("trajectory", manifest)), time_ns(self.start))
+
+
+def place(at: str) -> Array:
+    """T_world_vehicle (4, 4) from X,Y,YAW_DEG, or X,Y,Z,ROLL_DEG,PITCH_DEG,YAW_DEG. Raises ConfigError."""
+    try:
+        numbers = [float(word) for word in at.split(",")]
+        if len(numbers) == 3:
+            numbers[2:] = 0.0, 0.0, 0.0, numbers[2]
+        if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+            raise ValueError
+    except ValueError:
+        raise ConfigError(f"{at!r} is not three numbers X,Y,YAW_DEG, nor six X,Y,Z,ROLL,PITCH,YAW") from None
+    return pose(numbers[:3], [math.radians(angle) for angle in numbers[3:]])
+
+
+def place_text(T_world_vehicle: Array) -> str | None:
+    """What `place` reads as this pose (4, 4); None: it is no rotation and shift."""
+    position = T_world_vehicle[:3, 3].tolist()
+    roll, pitch, yaw = np.degrees(angles(T_world_vehicle[:3, :3])).tolist()
+    flat = position[2] == roll == pitch == 0.0
+    numbers = (*position[:2], yaw) if flat else (*position, roll, pitch, yaw)
+    text = ",".join(repr(number + 0.0).removesuffix(".0") for number in numbers)
+    return text if np.allclose(place(text), T_world_vehicle, rtol=0, atol=1e-12) else None
+
+
+def time_ns(start: str) -> int:
+    """Nanoseconds since 1970 in UTC, from ISO 8601. Raises ConfigError."""
+    try:
+        time = datetime.fromisoformat(start)
+    except ValueError:
+        raise ConfigError(f"{start!r} is not a time such as 2026-01-01T00:00:00") from None
+    since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    if not 0 <= since.total_seconds() < 2**32:
+        raise ConfigError(f"{start!r} is outside a pcap's 1970 to 2106")
+    return (since.days * 86_400 + since.seconds) * SECOND_NS + since.microseconds * 1000
+
+
+def rig_file(capture: Path, given: str | Path | None) -> Path | None:
+    """The file of the rig that recorded a capture: the one given, unless it is called none, or that of its manifest.
+
+    Raises ConfigError if that has changed since.
+    """
+    if given is not None:
+        return None if str(given) == NONE else Path(given)
+    beside = manifest_path(capture)
+    return (
+        load_manifest(capture).path(
+            "rig", beside, "name what fits it, or none, which leaves points in their sensors' frames: --rig"
+        )
+        if beside.exists()
+        else None
+    )
+
+
+def manifest_path(capture: Path) -> Path:
+    """The path of a capture's manifest."""
+    return capture.with_name(capture.name + SUFFIX)
+
+
+def _sensor_files(rig: Rig) -> list[Path]:
+    """The files of its sensors that are not the catalogue's."""
+    known = catalogue()
+    return [Path(mount.model) for mount in rig.mounts if mount.model and mount.model not in known]
+
+
+def _models(rig: Rig) -> dict[str, str] | None:
+    """The catalogue's sensors in a rig, with the checksums of their files."""
+    known = catalogue()
+    names = sorted({mount.model for mount in rig.mounts if mount.model and mount.model in known})
+    return {name: _sha256(known[name]) for name in names} or None
+
+
+def save_manifest(
+    capture: Path,
+    files: Mapping[str, Path | SidecarInput | None],
+    rig: Rig,
+    scene: Scene,
+    vehicle: Vehicle | None,
+    values: Mapping[str, Any],
+) -> None:
+    """Write the manifest beside a capture: its input files, and the other keys of `CaptureManifest`.
+
+    Rig, scene and vehicle are what was read of the files; the files that they name are in the manifest, too.
+    """
+    path = manifest_path(capture)
+    scene_file = files["scene"]
+    named = {"rig": _sensor_files(rig)}
+    named["scene"] = files_of(scene.file, example(scene_file).parent) if isinstance(scene_file, Path) else []
+    owner = "vehicle" if files.get("vehicle") else "rig"
+    named[owner] = [*named.get(owner, ()), *(files_of(vehicle.file, Path()) if vehicle else ())]
+    inputs: dict[str, Any] = {"models": _models(rig)}
+    for key, given in files.items():
+        if given:
+            own = _written(given, capture) if isinstance(given, SidecarInput) else FileDigest.of(given, path)
+            others = dict.fromkeys(
+                one
+                for one in named.get(key, ())
+                if isinstance(given, SidecarInput) or os.path.realpath(one) != os.path.realpath(example(given))
+            )
+            parts = tuple(FileDigest.of(one, path) for one in others)
+            inputs[key] = Input(**own.model_dump(), files=parts or None)
+    manifest = CaptureManifest.model_validate(
+        {**inputs, **{key: value for key, value in values.items() if value is not None}}
+    )
+    with replacing(path) as out:
+        out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
+
+
+def _written(given: SidecarInput, capture: Path) -> FileDigest:
+    """Write an input beside a capture, and name it as the manifest does."""
+    path = capture.with_name(capture.name + given.suffix)
+    content = given.text.encode()
+    with replacing(path, "wb") as out:
+        out.write(content)
+    return FileDigest(file=path.name, sha256=hashlib.sha256(content).hexdigest())
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while part := file.read(READ):
+            digest.update(part)
+    return digest.hexdigest()
+
+
+def load_manifest(capture: Path) -> CaptureManifest:
+    """The manifest beside a capture. Raises ConfigError."""
+    path = manifest_path(capture)
+    if not path.exists():
+        raise ConfigError(f"{path}: the capture has no manifest; give --rig and --trajectory")
+    return load(path, CaptureManifest)

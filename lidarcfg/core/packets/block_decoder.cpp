@@ -1,0 +1,147 @@
+#include "packets/block_decoder.h"
+
+#include <cmath>
+
+#include "packets/robosense.h"
+#include "packets/velodyne.h"
+#include "simd.h"
+
+namespace lidarcfg::packets {
+namespace {
+
+/// The rotations of the latest steps: a head that turns evenly has two or three.
+template <class Maker>
+class Rotations {
+ public:
+  Rotations(Index groups, Index blocks) : groups_(groups), blocks_(blocks), kept_(steps * groups * blocks) {}
+
+  /// (blocks,) for a group and its step, with its fractions (W,).
+  View<const Turned> of(Index group, double step, const double* fraction) {
+    const Index row = static_cast<Index>(step) & (steps - 1);
+    Turned* const turned = &kept_[(row * groups_ + group) * blocks_];
+    if (turned->step != step) {
+      for (Index block = 0; block < blocks_; ++block) {
+        turn(turned[block], step, fraction + block * slots_per_block);
+      }
+    }
+    return {turned, static_cast<std::size_t>(blocks_)};
+  }
+
+ private:
+  static constexpr Index steps = 16;
+
+  static void turn(Turned& turned, double step, const double* fraction) {
+    turned.step = step;
+    for (Index k = 0; k < slots_per_block; ++k) {
+      turned.angle_rad[k] = Maker::turned(step, fraction[k]);
+      const Rotation rotation(turned.angle_rad[k]);
+      turned.cos[k] = rotation.cos;
+      turned.sin[k] = rotation.sin;
+    }
+  }
+
+  Index groups_;
+  Index blocks_;
+  std::vector<Turned> kept_;  // (steps, groups, blocks)
+};
+
+/// Four returns, which are twelve bytes; the four bytes after them are read, too.
+template <class Maker>
+void read_four(const std::uint8_t* at, int* distance, int* intensity) {
+  typedef std::uint8_t Bytes __attribute__((vector_size(16)));
+  constexpr int low = Maker::big_endian ? 1 : 0;
+  constexpr int high = 1 - low;
+  constexpr int zero = 16;  // the first byte of the second vector
+  const Bytes bytes = simd::load<Bytes>(at);
+  const Bytes none{};
+  simd::store(distance, __builtin_shufflevector(bytes, none, low, high, zero, zero, 3 + low, 3 + high, zero, zero,
+                                                6 + low, 6 + high, zero, zero, 9 + low, 9 + high, zero, zero));
+  simd::store(intensity, __builtin_shufflevector(bytes, none, 2, zero, zero, zero, 5, zero, zero, zero, 8, zero, zero,
+                                                 zero, 11, zero, zero, zero));
+}
+
+/// The returns of a group of blocks (W,).
+template <class Maker>
+void read(View<const std::uint8_t> packet, Index first_slot, View<int> distance, View<int> intensity) {
+  static_assert(Maker::first_block + blocks_per_packet * block_bytes + 4 <= Maker::packet_bytes, "for read_four");
+  for (Index k = 0; k < std::ssize(distance); k += 4) {
+    read_four<Maker>(return_at<Maker>(packet, first_slot + k), &distance[k], &intensity[k]);
+  }
+}
+
+}  // namespace
+
+template <class Maker>
+BlockDecoder<Maker>::BlockDecoder(const Slots& slots, const Lasers& lasers, std::int64_t period_ns,
+                                  std::int64_t group_ns, double unit_m)
+    : groups_(slots.fraction.rows()),
+      period_ns_(period_ns),
+      group_ns_(group_ns),
+      points_(slots, lasers, unit_m),
+      fraction_(slots.fraction.data(), slots.fraction.data() + slots.fraction.size()),
+      offset_ns_(slots.offset_ns.data(), slots.offset_ns.data() + slots.offset_ns.size()) {}
+
+template <class Maker>
+Index BlockDecoder<Maker>::count(Rows<const std::uint8_t> packets, View<const bool> wanted) const {
+  Index found = 0;
+  for (Index p = 0; p < packets.rows(); ++p) {
+    if (!wanted[p]) {
+      continue;
+    }
+    for (Index block = 0; block < groups_ * points_.blocks(); ++block) {
+      const std::uint8_t* at = return_at<Maker>(packets[p], block * slots_per_block);
+      int here = 0;
+      for (Index k = 0; k < slots_per_block; ++k) {
+        here += (at[k * return_bytes] | at[k * return_bytes + 1]) != 0;
+      }
+      found += here;
+    }
+  }
+  return found;
+}
+
+template <class Maker>
+Index BlockDecoder<Maker>::decode(Rows<const std::uint8_t> packets, View<const bool> wanted,
+                                  View<const std::int64_t> stamp_ns, View<const std::int64_t> gap_ns,
+                                  View<const std::uint8_t> kind, const Returns& out) const {
+  const Index blocks = points_.blocks();
+  const Index slots = blocks * slots_per_block;
+  typename Maker::Turning turning(groups_, period_ns_, group_ns_);
+  Rotations<Maker> rotations(groups_, blocks);
+  std::vector<std::uint16_t> azimuth(groups_);
+  std::vector<int> distance(slots);
+  std::vector<int> intensity(slots);
+  Index row = 0;
+  for (Index p = 0; p < packets.rows(); ++p) {
+    for (Index g = 0; g < groups_; ++g) {
+      azimuth[g] = azimuth_of<Maker>(packets[p], g * blocks);
+    }
+    const bool more = p + 1 < packets.rows();
+    turning.advance(azimuth, more ? azimuth_of<Maker>(packets[p + 1], 0) : 0, more ? gap_ns[p] : 0);
+    if (!wanted[p]) {
+      continue;
+    }
+    for (Index g = 0; g < groups_; ++g) {
+      read<Maker>(packets[p], g * slots, distance, intensity);
+      const double azimuth_rad = azimuth[g] * radians_per_hundredth;
+      const Group group{
+          .distance = distance,
+          .intensity = intensity,
+          .turned = rotations.of(g, turning.step()[g], &fraction_[g * slots]),
+          .offset_ns = View<const std::int64_t>(offset_ns_).subspan(g * slots, slots),
+          .azimuth_rad = azimuth_rad,
+          .cos_azimuth = std::cos(azimuth_rad),
+          .sin_azimuth = std::sin(azimuth_rad),
+          .began_ns = stamp_ns[p] + turning.late_ns()[g],
+          .kind = kind[p],
+      };
+      row += points_.write(group, out, row);
+    }
+  }
+  return row;
+}
+
+template class BlockDecoder<Velodyne>;
+template class BlockDecoder<Robosense>;
+
+}  // namespace lidarcfg::packets

@@ -1,0 +1,187 @@
+#include "packets/hesai.h"
+
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <numbers>
+#include <stdexcept>
+
+#include "packets/azimuth.h"
+
+namespace lidarcfg::packets::hesai {
+namespace {
+
+constexpr Index lasers_max = 256;
+constexpr int no_return = 255;
+
+template <class T>
+std::vector<T> owned(View<const T> values) {
+  return {values.begin(), values.end()};
+}
+
+int word(const std::uint8_t* bytes) { return bytes[0] | bytes[1] << 8; }
+
+/// A block's returns, and of which kind each is.
+struct Block {
+  std::array<int, lasers_max> distance;
+  std::array<int, lasers_max> reflectivity;
+  std::array<int, lasers_max> kind;
+
+  void read(const std::uint8_t* at, Index lasers) {
+    for (Index k = 0; k < lasers; ++k) {
+      std::uint32_t bytes;
+      std::memcpy(&bytes, at + k * Layout::return_bytes, sizeof bytes);
+      distance[k] = bytes & 65535;
+      reflectivity[k] = bytes >> 16 & 255;
+    }
+  }
+
+  /// All are returns of one kind.
+  void set(Index lasers, int single) {
+    for (Index k = 0; k < lasers; ++k) {
+      kind[k] = distance[k] != 0 ? single : no_return;
+    }
+  }
+};
+
+/// Tell the kinds of a block's returns by those of its neighbour: a nearer and a farther one's are given.
+///
+/// An identical pair is one return, the strongest, and stands in the even block. Which of two is the last return, the
+/// distance decides and not the block, as early firmware has them the other way round.
+void pair(Block& block, const Block& other, Index lasers, bool odd, int near, int far) {
+  const bool ranked = near != by_block;  // else the strongest stands in the even block
+  const int nearer_kind = ranked ? near : odd ? second_strongest : strongest;
+  const int farther_kind = far != by_block ? far : odd ? second_strongest : strongest;
+  const int same_kind = odd ? no_return : strongest;
+  for (Index k = 0; k < lasers; ++k) {
+    const int distance = block.distance[k];
+    const int other_distance = other.distance[k];
+    const bool weaker = block.reflectivity[k] < other.reflectivity[k];
+    const bool same = (distance == other_distance) & (block.reflectivity[k] == other.reflectivity[k]);
+    const bool nearer = (distance < other_distance) | ((distance == other_distance) & odd);
+    int kind = nearer ? nearer_kind : farther_kind;
+    kind = (kind == strongest) & weaker & ranked ? second_strongest : kind;
+    kind = same ? same_kind : kind;
+    kind = other_distance == 0 ? strongest : kind;
+    block.kind[k] = distance == 0 ? no_return : kind;
+  }
+}
+
+}  // namespace
+
+Decoder::Decoder(const Lasers& lasers)
+    : layout_{std::ssize(lasers.ring), std::ssize(lasers.group_ns)},
+      loops_(lasers.offset_ns.rows()),
+      cos_w_(owned(lasers.cos_elevation)),
+      sin_w_(owned(lasers.sin_elevation)),
+      cos_o_(owned(lasers.cos_offset)),
+      sin_o_(owned(lasers.sin_offset)),
+      ring_(owned(lasers.ring)),
+      offset_ns_(lasers.offset_ns.data(), lasers.offset_ns.data() + lasers.offset_ns.size()),
+      group_ns_(owned(lasers.group_ns)),
+      pair_ns_(owned(lasers.pair_ns)) {}
+
+Index Decoder::count(Rows<const std::uint8_t> packets, View<const bool> wanted) const {
+  Index found = 0;
+  for (Index p = 0; p < packets.rows(); ++p) {
+    for (Index block = 0; block < (wanted[p] ? layout_.blocks : 0); ++block) {
+      const std::uint8_t* at = layout_.returns(packets[p], block);
+      for (Index k = 0; k < layout_.lasers; ++k) {
+        found += word(at + k * Layout::return_bytes) != 0;
+      }
+    }
+  }
+  return found;
+}
+
+Index Decoder::decode(Rows<const std::uint8_t> packets, View<const bool> wanted, const PacketFields& fields,
+                      const Returns& out) const {
+  const Index lasers = layout_.lasers;
+  std::array<Block, 2> pairs;
+  std::array<double, lasers_max> x, y, z;
+  Index row = 0;
+  for (Index p = 0; p < packets.rows(); ++p) {
+    if (!wanted[p]) {
+      continue;
+    }
+    const double unit_m = fields.unit_mm[p] / 1000.0;
+    for (Index b = 0; b < layout_.blocks; ++b) {
+      Block& block = pairs[b % 2];
+      std::int64_t start_ns = fields.stamp_ns[p];
+      Index loop = 0;
+      if (fields.dual[p]) {
+        if (b % 2 == 0) {
+          pairs[0].read(layout_.returns(packets[p], b), lasers);
+          pairs[1].read(layout_.returns(packets[p], b + 1), lasers);
+        }
+        pair(block, pairs[1 - b % 2], lasers, b % 2 == 1, fields.near[p], fields.far[p]);
+        start_ns += pair_ns_[b / 2];
+        loop = fields.loop[p];
+      } else {
+        block.read(layout_.returns(packets[p], b), lasers);
+        block.set(lasers, fields.near[p]);
+        start_ns += group_ns_[b];
+        loop = b % loops_;
+      }
+      const double azimuth_rad = word(layout_.azimuth(packets[p], b)) * radians_per_hundredth;
+      const double cos_a = std::cos(azimuth_rad);
+      const double sin_a = std::sin(azimuth_rad);
+      for (Index k = 0; k < lasers; ++k) {  // with a return or without
+        const double range_m = block.distance[k] * unit_m;
+        const double flat_m = range_m * cos_w_[k];
+        x[k] = flat_m * (sin_a * cos_o_[k] + cos_a * sin_o_[k]);
+        y[k] = flat_m * (cos_a * cos_o_[k] - sin_a * sin_o_[k]);
+        z[k] = range_m * sin_w_[k];
+      }
+      for (Index k = 0; k < lasers; ++k) {
+        if (block.kind[k] == no_return) {
+          continue;
+        }
+        if (row == out.size()) {
+          throw std::invalid_argument("out: fewer rows than returns");
+        }
+        out.xyz_m[row] = {x[k], y[k], z[k]};
+        out.time_ns[row] = start_ns + offset_ns_[loop * lasers + k];
+        out.laser[row] = static_cast<std::uint8_t>(k);
+        out.ring[row] = ring_[k];
+        out.intensity[row] = static_cast<std::uint8_t>(block.reflectivity[k]);
+        out.return_type[row] = static_cast<std::uint8_t>(block.kind[k]);
+        if (out.polar()) {
+          constexpr double turn = 2 * std::numbers::pi;
+          const double angle = azimuth_rad + std::atan2(sin_o_[k], cos_o_[k]) - std::numbers::pi / 2;
+          out.range_m[row] = block.distance[k] * unit_m;
+          out.azimuth_rad[row] = angle - turn * std::floor(angle / turn);
+        }
+        ++row;
+      }
+    }
+  }
+  return row;
+}
+
+void write_returns(Tables<const double> range_m, Tables<const std::uint8_t> reflectivity,
+                   Rows<const std::uint8_t> laser, View<const std::int64_t> column, Rows<const bool> inside,
+                   const Limits& limits, const Layout& layout, Rows<std::uint8_t> packets) {
+  const Index groups = inside.columns();
+  const Index firings = laser.columns() / groups;
+  for (Index p = 0; p < packets.rows(); ++p) {
+    for (Index b = 0; b < layout.blocks; ++b) {
+      const Index group = b / (layout.blocks / groups);
+      if (!inside(p, group)) {
+        continue;
+      }
+      std::uint8_t* returns = layout.returns(packets[p], b);
+      for (Index j = group * firings; j < (group + 1) * firings; ++j) {
+        const auto units = static_cast<std::uint16_t>(limits.units(range_m(p, j, column[b]), 0));
+        if (units > 0) {
+          std::uint8_t* at = returns + laser(p, j) * Layout::return_bytes;
+          at[0] = units & 255;
+          at[1] = units >> 8;
+          at[2] = reflectivity(p, j, column[b]);
+        }
+      }
+    }
+  }
+}
+
+}  // namespace lidarcfg::packets::hesai

@@ -1,0 +1,20 @@
+/// RoboSense's MSOP packets: manuals of Helios 16 and Helios 32, V1.1, table 11.
+#pragma once
+
+#include "packets/azimuth.h"
+#include "packets/blocks.h"
+
+namespace lidarcfg::packets {
+
+/// What is its own of `BlockDecoder` and `write_returns`.
+struct Robosense {
+  using Turning = RobosenseTurning;
+  static constexpr Index first_block = 42;
+  static constexpr bool big_endian = true;
+  static constexpr Index packet_bytes = 1248;
+
+  /// Radians of a fraction of a step in hundredths.
+  static double turned(double step, double fraction) { return step * radians_per_hundredth * fraction; }
+};
+
+}  // namespace lidarcfg::packets

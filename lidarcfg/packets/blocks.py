@@ -1,0 +1,51 @@
+"""Packets of twelve blocks of 32 returns, as Velodyne and RoboSense send them: what the core is told of a sensor."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lidarcfg.core import packets as core
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Flags, Octets, Returns, Times
+
+
+class Slots(NamedTuple):
+    """The W slots of each of a packet's G groups of blocks, which are fired together."""
+
+    laser: Times  # (W,)
+    fraction: Array  # (G, W) of the step from the group's azimuth to the next one's
+    offset_ns: Times  # (G, W) after the packet's stamp
+    kind: Octets  # (W,) with dual returns: 0 strongest, 1 last
+    other: Times  # (W,) where in the group the pair's other return is; empty with single returns
+
+
+class Lasers(NamedTuple):
+    """The L lasers: angles in radians, lengths in metres."""
+
+    elevation: Array
+    azimuth_offset: Array
+    forward: Array  # where the beam begins, along the head's direction
+    left: Array  # the same, across the beam's direction
+    up: Array
+    distance_offset: Array
+    ring: Octets
+    near_offset: Array  # (L, 2), or (0, 2) if distances near by are as those far off
+    focal: Array  # (L, 4) focal distance, slope, least and greatest intensity; or (0, 4) if they are right as they come
+
+
+def decode(
+    decoder: core.VelodyneDecoder | core.RobosenseDecoder,
+    octets: Octets,
+    wanted: Flags,
+    stamp_ns: Times,
+    gap_ns: Times,
+    kind: Octets,
+    polar: bool,
+) -> Returns:
+    """The returns of the wanted ones (P,) of successive packets (P, size); the others only say how the head turns.
+
+    `gap_ns` (P - 1,) are the times between stamps (P,), and `kind` (P,) the types of single returns. Without `polar`,
+    ranges and azimuths are empty.
+    """
+    out = Returns.room(decoder.count(octets, wanted), polar)
+    return out.first(decoder.decode(octets, wanted, stamp_ns, np.append(gap_ns, 0), kind, out))

@@ -1,0 +1,255 @@
+"""What an Ouster's packets depend on: facts in its file, a mount's settings; and when each column is measured.
+
+Both are keys `ouster`, of a sensor's file and of a mount in a rig's file.
+"""
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from lidarcfg.config import Model
+from lidarcfg.errors import ConfigError
+from lidarcfg.packets.codec import Batch, Firings, Flags, Times
+from lidarcfg.packets.network import Header, Network
+from lidarcfg.packets.ouster.layout import PROFILES, Layout
+from lidarcfg.packets.unit import SensorInstance
+from lidarcfg.sensor import Millimetres, Sensor
+from lidarcfg.units import SECOND_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+
+ProfileName = Literal[
+    "LEGACY",
+    "RNG19_RFL8_SIG16_NIR16",
+    "RNG19_RFL8_SIG16_NIR16_DUAL",
+    "RNG15_RFL8_NIR8",
+    "RNG15_RFL8_NIR8_DUAL",
+    "FUSA_RNG15_RFL8_NIR8_DUAL",
+]
+SINGLE, DUAL = "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL"
+SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
+RPM = (600.0, 1200.0)
+SERIAL_FIRST, SERIALS = 122_000_000_000, 10**9
+LASERS_MAX = 128
+IMU_PACKETS_HZ, IMU_MEASUREMENTS = 80, 8  # as metadata of firmware 3.2 at 10 Hz has them
+
+
+class Imu(Model):
+    """The inertial unit."""
+
+    source: str = ""
+    position_mm: tuple[Millimetres, Millimetres, Millimetres]  # in the sensor's frame
+
+
+class Signal(Model):
+    """How many photons the sensor counts."""
+
+    source: str = ""
+    scale: Annotated[float, Field(gt=0, le=1e9)]  # × reflectivity byte / range² in metres: what the packets say
+
+
+class Product(Model):
+    """What metadata calls the sensor."""
+
+    source: str = ""
+    line: Annotated[str, Field(min_length=1)]
+    number: Annotated[str, Field(min_length=1)]
+
+
+class Headers(Network):
+    """The network headers of the sensor's datagrams."""
+
+    data: Header
+    imu: Header
+
+
+class Facts(Model):
+    """The key `ouster` of a sensor's file."""
+
+    imu: Imu
+    signal: Signal
+    product: Product
+    headers: Headers
+
+
+class Settings(Model):
+    """The key `ouster` of a mount in a rig's file."""
+
+    profile: ProfileName | None = None  # none: the single or the dual one of 19 bits, by return_mode
+    columns: Literal[512, 1024, 2048] = 1024
+    firmware: Literal["2.3", "3.2"] = "2.3"
+    fragments: bool = True  # whether datagrams above the MTU leave as IP fragments, as a sensor sends them
+    imu: bool = True
+    imu_profile: Literal["LEGACY", "ACCEL32_GYRO32_NMEA"] = "LEGACY"
+
+
+class Unit(SensorInstance[Facts]):
+    """A sensor with the facts of its packets."""
+
+    @property
+    def start_mm(self) -> tuple[float, float]:
+        """Where all beams start: ahead of the axis, and above the sensor's origin."""
+        beams = self.sensor.beams
+        return (beams.forward_offset_mm or (0.0,))[0], (beams.vertical_offset_mm or (0.0,))[0]
+
+
+@dataclass(frozen=True)
+class Mode:
+    """How a mount's sensor sends."""
+
+    layout: Layout
+    settings: Settings
+    rpm: float
+    window: tuple[int, int]  # first and last column that is measured, clockwise
+    serial: int
+    init: int
+
+    @property
+    def revolution_ns(self) -> int:
+        """Of the head."""
+        return round(60e9 / self.rpm)
+
+    @property
+    def period_ns(self) -> int:
+        """From one packet to the next."""
+        return self.revolution_ns // self.layout.packets_per_frame
+
+    @property
+    def imu_packets(self) -> int:
+        """In a revolution, of profile ACCEL32_GYRO32_NMEA: the rate of measurements is the same at 10 and 20 Hz."""
+        return round(IMU_PACKETS_HZ * self.revolution_ns / SECOND_NS)
+
+    @property
+    def nearest_first(self) -> bool:
+        """Whether the nearer of two returns comes first, which firmware 3 can be told; else the stronger."""
+        return self.modern
+
+    @property
+    def modern(self) -> bool:
+        """Whether packets carry checksums and alerts."""
+        return self.settings.firmware == "3.2"
+
+
+@lru_cache(64)
+def unit(sensor: Sensor) -> Unit:
+    """The sensor with the key `ouster` of its file. Raises ConfigError with file, line and key."""
+    facts = sensor.section.checked(Facts)
+    if sensor.count > LASERS_MAX:
+        raise ConfigError(
+            f"sensor {sensor.name!r} has {sensor.count} beams; allowed with Ouster's packets: {LASERS_MAX}"
+        )
+    for key in ("forward_offset_mm", "vertical_offset_mm", "lateral_offset_mm"):
+        values = set(getattr(sensor.beams, key)) or {0.0}
+        if len(values) > 1 or (key == "lateral_offset_mm" and values != {0.0}):
+            allowed = "none" if key == "lateral_offset_mm" else "the same of all beams"
+            raise ConfigError(f"sensor {sensor.name!r}: beams.{key}: allowed with Ouster's packets: {allowed}")
+    return Unit(sensor, facts)
+
+
+def mode(sensor: Sensor, mount: "Mount") -> Mode:
+    """How a mount's sensor sends. Raises ConfigError for what it cannot."""
+    settings = mount.settings.checked(Settings)
+    if mount.return_mode not in ("strongest", "dual"):
+        raise ConfigError(f"return_mode: {mount.return_mode!r} is not allowed; an Ouster sends the strongest, or dual")
+    dual = mount.return_mode == "dual"
+    name = settings.profile or (DUAL if dual else SINGLE)
+    if (PROFILES[name].returns == 2) != dual:
+        needed = "strongest" if dual else "dual"
+        raise mount.settings.error(("profile",), f"{name} needs return_mode: {needed}")
+    if name in SINCE_3 and settings.firmware != "3.2":
+        raise mount.settings.error(("profile",), f'{name} needs firmware: "3.2"')
+    if settings.imu_profile != "LEGACY" and (settings.firmware != "3.2" or PROFILES[name].header != "standard"):
+        needed = 'firmware: "3.2", and another profile than LEGACY and FUSA'
+        raise mount.settings.error(("imu_profile",), f"{settings.imu_profile} needs {needed}")
+    if mount.rpm not in RPM:
+        raise ConfigError(f"rpm: {mount.rpm:g} is not allowed; an Ouster turns at 600 or 1200")
+    if settings.columns == 2048 and mount.rpm != 600:
+        raise mount.settings.error(("columns",), "2048 needs rpm: 600")
+    identity = zlib.crc32(mount.name.encode())
+    return Mode(
+        layout=Layout(name, sensor.count, settings.columns),
+        settings=settings,
+        rpm=mount.rpm,
+        window=_window(mount.azimuth_fov_deg, settings.columns),
+        serial=SERIAL_FIRST + identity % SERIALS,
+        init=identity % (1 << 24),
+    )
+
+
+def _window(fov_deg: tuple[float, float] | None, count: int) -> tuple[int, int]:
+    """First and last of the columns that point into a field of view. Raises ConfigError if none does."""
+    if fov_deg is None or abs(fov_deg[1] - fov_deg[0]) == 360:
+        return 0, count - 1
+    low, high = (((angle - 180) / 360 * count) for angle in fov_deg)
+    width = (high - low) % count
+    first = int(np.ceil(round(low, 9)))
+    last = int(np.floor(round(low + width, 9)))
+    if last < first:
+        raise ConfigError(f"azimuth_fov_deg: no column is within {fov_deg[0]:g} to {fov_deg[1]:g}")
+    return first % count, last % count
+
+
+def batches(mode: Mode, start_ns: int, packets: int, chunk: int, phase_deg: float | None) -> Iterator[Batch]:
+    """The firings in the time of this many packets, `chunk` packets at a time.
+
+    The first packet begins with column 0, which points backwards; with a phase lock, with the column that is due.
+    Packets without a column in the azimuth window are not sent. Packet numbers count from the start of the first
+    revolution.
+    """
+    zero_ns, first = phase(mode, start_ns, phase_deg)
+    end_ns = start_ns + packets * mode.period_ns
+    for at in range(first, first + packets, chunk):
+        number = np.arange(at, min(at + chunk, first + packets))
+        number = number[in_window(mode, measurements(mode, number)).any(axis=1)]
+        number = number[column_times_ns(mode, zero_ns, number + 1)[:, 0] <= end_ns]
+        time_ns = column_times_ns(mode, zero_ns, number)
+        sent_ns = (column_times_ns(mode, zero_ns, number + 1)[:, 0] + 500) // 1000 * 1000
+        yield Batch(_firings(mode, number, time_ns), number, sent_ns)
+
+
+def measurements(mode: Mode, number: Times) -> Times:
+    """(P, C): the columns of packets with these numbers (P,)."""
+    per_packet = mode.layout.columns_per_packet
+    return np.asarray((number * per_packet)[:, None] % mode.layout.columns_per_frame + np.arange(per_packet))
+
+
+def in_window(mode: Mode, measurement: Times) -> Flags:
+    """Which columns are measured."""
+    first, last = mode.window
+    count = mode.layout.columns_per_frame
+    return np.asarray((measurement - first) % count <= (last - first) % count)
+
+
+def column_times_ns(mode: Mode, zero_ns: int, number: Times) -> Times:
+    """(P, C) when the columns of packets with these numbers (P,) are measured; the first one of all at `zero_ns`."""
+    per_packet = mode.layout.columns_per_packet
+    revolution, packet = np.divmod(number, mode.layout.packets_per_frame)
+    column = (packet * per_packet)[:, None] + np.arange(per_packet)
+    begun_ns = zero_ns + revolution * mode.revolution_ns
+    return np.asarray(begun_ns[:, None] + column * mode.revolution_ns // mode.layout.columns_per_frame)
+
+
+def phase(mode: Mode, start_ns: int, phase_deg: float | None) -> tuple[int, int]:
+    """When the first revolution begins, and the number of the first packet not before the start."""
+    if phase_deg is None:
+        return start_ns, 0
+    ahead_ns = round((phase_deg - 180) % 360 / 360 * mode.revolution_ns)  # since column 0, at each whole second
+    into_ns = (start_ns % SECOND_NS + ahead_ns) % mode.revolution_ns
+    return start_ns - into_ns, -(-into_ns // mode.period_ns)
+
+
+def _firings(mode: Mode, number: Times, time_ns: Times) -> Firings:
+    """All lasers of a column fire at once."""
+    lasers, count = mode.layout.pixels, mode.layout.columns_per_frame
+    turned = (measurements(mode, number) / count + 0.5) % 1
+    return Firings(
+        time_ns=np.repeat(time_ns.ravel(), lasers),
+        laser=np.tile(np.arange(lasers, dtype=np.uint8), time_ns.size),
+        encoder_rad=np.repeat(turned.ravel() * (2 * np.pi), lasers),
+    )

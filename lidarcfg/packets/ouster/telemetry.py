@@ -1,0 +1,381 @@
+"""What an Ouster says of itself: metadata, a JSON file without which its packets cannot be decoded; and its motion.
+
+Inertial measurements have gravity in them.
+"""
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lidarcfg.errors import PacketError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Octets, Payloads, Source
+from lidarcfg.packets.inertial import GRAVITY_M_S2, measured
+from lidarcfg.packets.ouster.layout import (
+    ALERTS,
+    PROFILES,
+    TICKS,
+    Layout,
+    PacketHeaders,
+    crc64,
+    packet_headers,
+    write_packet_headers,
+)
+from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit, phase, unit
+from lidarcfg.sensor import Beams, Sensor
+from lidarcfg.units import SECOND_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+    from lidarcfg.world.motion import Trajectory
+
+SUFFIX = ".json"  # of metadata
+USUAL_SIZES = {(name, Layout(name, pixels, 1024).size) for name in PROFILES for pixels in (16, 32, 64, 128)}
+COLUMNS_MAX = 8192
+PACKET_COLUMNS_MAX = 64
+IMAGES = {"2.3": "ousteros-image-prod-aries-v2.3.0", "3.2": "ousteros-image-prod-bootes-v3.2.0"}
+FIXED_CONFIG = {  # as in recordings of sensors that nobody has configured
+    "multipurpose_io_mode": "OFF",
+    "nmea_baud_rate": "BAUD_9600",
+    "nmea_ignore_valid_char": 0,
+    "nmea_in_polarity": "ACTIVE_HIGH",
+    "nmea_leap_seconds": 0,
+    "operating_mode": "NORMAL",
+    "signal_multiplier": 1,
+    "sync_pulse_in_polarity": "ACTIVE_HIGH",
+    "sync_pulse_out_angle": 360,
+    "sync_pulse_out_frequency": 1,
+    "sync_pulse_out_polarity": "ACTIVE_HIGH",
+    "sync_pulse_out_pulse_width": 10,
+}
+BUILT = "2026-01-01T00:00:00Z"
+IMU_PERIOD_NS = SECOND_NS // 100  # as in all recordings
+CHUNK = 1024  # packets
+IMU_PACKET = np.dtype([("time_ns", "<u8", (3,)), ("acceleration_g", "<f4", (3,)), ("rate_deg_s", "<f4", (3,))])
+IMU_MEASUREMENT = np.dtype(
+    [
+        *[("time_ns", "<u8"), ("column", "<u2"), ("status", "<u2")],
+        *[("acceleration_m_s2", "<f4", (3,)), ("rate_rad_s", "<f4", (3,))],
+    ]
+)
+FRAMED_IMU_PACKET = np.dtype(  # as ouster-sdk's parsing.cpp has it
+    [
+        *[("head", "u1", (32,)), ("nmea_ns", "<u8"), ("sentence", "S92")],
+        *[("measured", IMU_MEASUREMENT, (IMU_MEASUREMENTS,)), ("reserved", "u1", (24,)), ("crc", "<u8")],
+    ]
+)
+FRAMED_KIND = 2  # of an IMU packet, in its header
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """The contents of a metadata file that decoding needs."""
+
+    name: str  # the file's
+    layout: Layout
+    window: tuple[int, int]  # first and last column
+    elevation_rad: Array  # (L,)
+    azimuth_rad: Array  # (L,) clockwise from the encoder's angle
+    start_m: tuple[float, float]  # of the beams: ahead of the axis, and up
+    T_sensor_lidar: Array  # (4, 4)
+    line: str  # the product's: OS-1-128
+    serial: int  # 0: not known
+    init: int  # 0: not known
+    port: int | None
+    nearest_first: bool  # the order of two returns
+
+    @property
+    def model(self) -> str:
+        """The model as the catalogue names it, such as os1-128."""
+        found = re.match(r"OS-([0-9])-([0-9]+)", self.line)
+        return f"os{found[1]}-{found[2]}" if found else self.line.lower() or "ouster"
+
+
+def read_metadata(name: str, content: bytes) -> Metadata | None:
+    """The metadata in a file called `name`; None if it is another kind of JSON. Raises PacketError if it is damaged."""
+    try:
+        said = json.loads(content)
+    except (ValueError, RecursionError):
+        said = None
+    if not isinstance(said, dict) or not ({"beam_intrinsics", "beam_altitude_angles"} & said.keys()):
+        return None
+    try:
+        return _read(name, _flat(said))
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+        raise PacketError(f"{name}: not the metadata of an Ouster: {what}") from None
+
+
+def _flat(said: dict[str, Any]) -> dict[str, Any]:
+    """The keys of all parts in one flat map, as firmware before 3 writes them."""
+    flat = dict(said)
+    for part in ("beam_intrinsics", "lidar_intrinsics", "sensor_info", "config_params"):
+        flat |= said.get(part, {})
+    flat["data_format"] = said["data_format"] if "data_format" in said else said["lidar_data_format"]
+    return flat
+
+
+def _read(name: str, said: dict[str, Any]) -> Metadata:
+    form = said["data_format"]
+    elevation, azimuth = (_numbers(said, key) for key in ("beam_altitude_angles", "beam_azimuth_angles"))
+    pixels = _whole(form, "pixels_per_column", 1, LASERS_MAX)
+    if not len(elevation) == len(azimuth) == pixels:
+        raise ValueError(f"{pixels} pixels a column, {len(elevation)} altitude and {len(azimuth)} azimuth angles")
+    profile = form.get("udp_profile_lidar", "LEGACY")
+    if profile not in PROFILES:
+        raise ValueError(f"profile {profile!r} cannot be read; allowed: {', '.join(PROFILES)}")
+    if (abs(elevation) > 90).any() or len(np.unique(elevation)) < pixels:
+        raise ValueError("beam_altitude_angles are not within -90 to 90, each once")
+    count = _whole(form, "columns_per_frame", 1, COLUMNS_MAX)
+    per_packet = _whole(form, "columns_per_packet", 1, PACKET_COLUMNS_MAX)
+    if count % per_packet:
+        raise ValueError(f"{count} columns are no whole packets of {per_packet}")
+    first, last = (int(column) for column in form.get("column_window", (0, count - 1)))
+    if not (0 <= first < count and 0 <= last < count):
+        raise ValueError(f"column_window {first}, {last} is outside of {count} columns")
+    if "beam_to_lidar_transform" in said:
+        to_lidar = _matrix(said, "beam_to_lidar_transform")
+        start_mm = float(to_lidar[0, 3]), float(to_lidar[2, 3])
+    else:
+        start_mm = float(said["lidar_origin_to_beam_origin_mm"]), 0.0
+    to_sensor = _matrix(said, "lidar_to_sensor_transform")
+    to_sensor[:3, 3] /= 1000
+    if not (np.isfinite(start_mm).all() and math.hypot(*start_mm) < 1e6):
+        raise ValueError(f"beams start at {start_mm} mm")
+    port = said.get("udp_port_lidar")
+    return Metadata(
+        name=name,
+        layout=Layout(profile, pixels, count, per_packet),
+        window=(first, last),
+        elevation_rad=np.radians(elevation),
+        azimuth_rad=np.radians(azimuth),
+        start_m=(start_mm[0] / 1000, start_mm[1] / 1000),
+        T_sensor_lidar=to_sensor,
+        line=str(said.get("prod_line", "")),
+        serial=int(said.get("prod_sn") or 0),
+        init=int(said.get("initialization_id") or 0),
+        port=int(port) if port else None,
+        nearest_first=said.get("return_order") == "NEAREST_TO_FARTHEST",
+    )
+
+
+def _numbers(said: dict[str, Any], key: str) -> Array:
+    found = np.array(said[key], np.float64)
+    if found.ndim != 1 or not (abs(found) <= 360).all():
+        raise ValueError(f"{key} is no list of angles")
+    return found
+
+
+def _matrix(said: dict[str, Any], key: str) -> Array:
+    found = np.array(said[key], np.float64)
+    if found.size != 16 or not (abs(found) < 1e9).all():
+        raise ValueError(f"{key} is no 4 x 4 matrix")
+    return found.reshape(4, 4)
+
+
+def _whole(said: dict[str, Any], key: str, least: int, most: int) -> int:
+    value = said[key]
+    if not isinstance(value, int) or not least <= value <= most:
+        raise ValueError(f"{key} is {value!r}; allowed: {least} to {most}")
+    return value
+
+
+def is_lidar_packet(profile: str, payload: bytes) -> bool:
+    """Whether the first bytes are a lidar packet's."""
+    header = PROFILES[profile].header
+    if header == "legacy":
+        measurement, ticks = int.from_bytes(payload[8:10], "little"), int.from_bytes(payload[12:16], "little")
+        return ticks < TICKS and measurement <= ticks
+    return payload[:2] == b"\x01\0" if header == "standard" else payload[:1] == b"\x01"
+
+
+def matches(source: Source, size: int, payload: bytes) -> bool:
+    """By metadata beside the capture; or by size and header, so that missing metadata is reported as an error."""
+    names = [name for name, usual in USUAL_SIZES if usual == size and is_lidar_packet(name, payload)]
+    return bool(names) or any(is_lidar_packet(one.layout.name, payload) for one in _metadata_beside(source, size))
+
+
+def _metadata_beside(source: Source, size: int) -> list[Metadata]:
+    """The metadata beside the capture whose packets are of this size."""
+    found = [read_metadata(name, content) for name, content in source.sidecar_files(SUFFIX).items()]
+    return [one for one in found if one and one.layout.size == size]
+
+
+def find_metadata(source: Source, packets: Octets) -> Metadata:
+    """The metadata of the source's packets. Raises PacketError if there is none, or if several fit."""
+    size = packets.shape[1]
+    payload = packets[0].tobytes()
+    beside = _metadata_beside(source, size)
+    if not beside:
+        what = f"an Ouster's packets of {size} bytes need the sensor's metadata in a .json beside the capture"
+        there = ", ".join(source.sidecar_files(SUFFIX))
+        raise PacketError(f"{source.where}: {what}, called as it" + (f"; {there} is not that" if there else ""))
+    fit = [one for one in beside if is_lidar_packet(one.layout.name, payload)]
+    same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
+    if not same:
+        serials = ", ".join(f"{one.name} is of {one.line} {one.serial}" for one in beside)
+        said = f"{_serial(fit[0], packets)}" if fit else "another profile"
+        raise PacketError(f"{source.where}: its packets are of {said}; {serials}")
+    first = same[0]
+    if any(not _alike(first, one) for one in same[1:]):
+        names = ", ".join(one.name for one in same)
+        raise PacketError(f"{source.where}: several metadata fit its packets: {names}")
+    return first
+
+
+def _serial(one: Metadata, packets: Octets) -> int:
+    return packet_headers(one.layout, packets[:1]).serial
+
+
+def _alike(one: Metadata, other: Metadata) -> bool:
+    """Whether both metadata give the same points."""
+    return (
+        (one.layout, one.start_m, one.window) == (other.layout, other.start_m, other.window)
+        and np.array_equal(one.elevation_rad, other.elevation_rad)
+        and np.array_equal(one.azimuth_rad, other.azimuth_rad)
+        and np.array_equal(one.T_sensor_lidar, other.T_sensor_lidar)
+    )
+
+
+def unknown_sensor(found: Metadata, like: Sensor) -> Sensor:
+    """A sensor outside the catalogue, for decoding only: beams from the metadata, all else from another model."""
+    beams = Beams(
+        source=found.name,
+        elevation_deg=tuple(np.degrees(found.elevation_rad).tolist()),
+        azimuth_offset_deg=tuple(np.degrees(found.azimuth_rad).tolist()),
+    )
+    section = unit(like).facts.model_dump()
+    return Sensor.model_validate(
+        {"name": found.model, "maker": "Ouster", "beams": beams, "codec": "ouster", "ouster": section}
+    )
+
+
+def metadata_file(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
+    """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
+    layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
+    ahead_mm, up_mm = unit.start_mm
+    azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
+    said: dict[str, Any] = {
+        "beam_intrinsics": {
+            "beam_altitude_angles": list(beams.elevation_deg),
+            "beam_azimuth_angles": list(azimuth_deg),
+            "beam_to_lidar_transform": _translation(ahead_mm, 0, 0),
+            "lidar_origin_to_beam_origin_mm": ahead_mm,
+        },
+        "calibration_status": {"reflectivity": {"timestamp": BUILT[:-1], "valid": True}},
+        "config_params": _config(unit, mode, mount),
+        "imu_intrinsics": {"imu_to_sensor_transform": _translation(*unit.facts.imu.position_mm)},
+        "lidar_data_format": {
+            "column_window": list(mode.window),
+            "columns_per_frame": layout.columns_per_frame,
+            "columns_per_packet": layout.columns_per_packet,
+            "pixel_shift_by_row": [round(angle / 360 * layout.columns_per_frame) for angle in azimuth_deg],
+            "pixels_per_column": layout.pixels,
+            "udp_profile_imu": mode.settings.imu_profile,
+            "udp_profile_lidar": layout.name,
+        },
+        "lidar_intrinsics": {"lidar_to_sensor_transform": [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, up_mm, 0, 0, 0, 1]},
+        "sensor_info": {
+            "build_date": BUILT,
+            "build_rev": f"v{firmware}.0",
+            "image_rev": IMAGES[firmware],
+            "initialization_id": mode.init,
+            "prod_line": unit.facts.product.line,
+            "prod_pn": unit.facts.product.number,
+            "prod_sn": str(mode.serial),
+            "status": "RUNNING",
+        },
+    }
+    if mode.settings.imu_profile != "LEGACY":
+        said["imu_data_format"] = {
+            "imu_measurements_per_packet": IMU_MEASUREMENTS,
+            "imu_packets_per_frame": mode.imu_packets,
+        }
+    return (json.dumps(said, indent=2) + "\n").encode()
+
+
+def _config(unit: Unit, mode: Mode, mount: "Mount") -> dict[str, Any]:
+    """How a mount's sensor is configured."""
+    layout, (first, last) = mode.layout, mode.window
+    step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
+    whole = (last + 1) % layout.columns_per_frame == first
+    edges = [0, 360_000] if whole else [round(360_000 - last * step) % 360_000, round(360_000 - first * step) % 360_000]
+    config = FIXED_CONFIG | {
+        "azimuth_window": edges,
+        "columns_per_packet": layout.columns_per_packet,
+        "lidar_mode": f"{layout.columns_per_frame}x{round(mode.rpm / 60)}",
+        "phase_lock_enable": mount.phase_deg is not None,
+        "phase_lock_offset": round((180 - (mount.phase_deg or 180)) % 360 * 1000),
+        "timestamp_mode": "TIME_FROM_PTP_1588",
+        "udp_dest": unit.facts.headers.destination_ip,
+        "udp_port_imu": mount.telemetry_port,
+        "udp_port_lidar": mount.data_port,
+        "udp_profile_imu": mode.settings.imu_profile,
+        "udp_profile_lidar": layout.name,
+    }
+    if mode.nearest_first:
+        config["return_order"] = "NEAREST_TO_FARTHEST"
+    if mode.modern:
+        config["min_range_threshold_cm"] = round(unit.range.reported_m[0] * 100)
+    if mode.settings.imu_profile != "LEGACY":
+        config["imu_packets_per_frame"] = mode.imu_packets
+    return config
+
+
+def _translation(x: float, y: float, z: float) -> list[float]:
+    return [1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, z, 0, 0, 0, 1]
+
+
+def legacy_imu_payloads(
+    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+) -> Iterator[Payloads]:
+    """A packet of 48 bytes every 10 ms: three equal times, of the system and both sensors, then the values."""
+    total = -(-duration_ns // IMU_PERIOD_NS)
+    for first in range(0, total, CHUNK):
+        time_ns = start_ns + np.arange(first, min(first + CHUNK, total)) * IMU_PERIOD_NS
+        packets = np.zeros(len(time_ns), IMU_PACKET)
+        packets["time_ns"] = time_ns[:, None]
+        packets["acceleration_g"], packets["rate_deg_s"] = measured(mount, trajectory, _position_m(unit), time_ns)
+        sent_ns = (time_ns + 500) // 1000 * 1000
+        headers, octets = unit.facts.headers, packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
+        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
+
+
+def framed_imu_payloads(
+    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+) -> Iterator[Payloads]:
+    """Packets of profile ACCEL32_GYRO32_NMEA, which count revolutions as the lidar's do; without a sentence."""
+    zero_ns, _ = phase(mode, start_ns, mount.phase_deg)
+    period_ns = mode.revolution_ns // mode.imu_packets
+    begin, end = -(-(start_ns - zero_ns) // period_ns), (start_ns + duration_ns - zero_ns) // period_ns
+    for first in range(begin, end, CHUNK):
+        number = np.arange(first, min(first + CHUNK, end))
+        revolution, place = np.divmod(number, mode.imu_packets)
+        sample = place[:, None] * IMU_MEASUREMENTS + np.arange(IMU_MEASUREMENTS)
+        since_ns = sample * mode.revolution_ns // (mode.imu_packets * IMU_MEASUREMENTS)
+        packets = np.zeros(len(number), FRAMED_IMU_PACKET)
+        values = packets["measured"]
+        values["time_ns"] = zero_ns + revolution[:, None] * mode.revolution_ns + since_ns
+        values["column"] = sample * mode.layout.columns_per_frame // (mode.imu_packets * IMU_MEASUREMENTS)
+        values["status"] = 1
+        at_ns = values["time_ns"].ravel().astype(np.int64)
+        acceleration_g, rate_deg_s = measured(mount, trajectory, _position_m(unit), at_ns)
+        values["acceleration_m_s2"] = (acceleration_g * GRAVITY_M_S2).reshape(*sample.shape, 3)
+        values["rate_rad_s"] = np.radians(rate_deg_s).reshape(*sample.shape, 3)
+        octets = packets.view(np.uint8).reshape(len(packets), FRAMED_IMU_PACKET.itemsize)
+        write_packet_headers(mode.layout, octets, PacketHeaders(revolution, mode.init, mode.serial, ALERTS))
+        octets[:, 0] = FRAMED_KIND
+        packets["crc"] = crc64(octets)
+        sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
+        headers, fragments = unit.facts.headers, mode.settings.fragments
+        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
+
+
+def _position_m(unit: Unit) -> Array:
+    """(3,): where the inertial sensor is in the sensor's frame."""
+    return np.array(unit.facts.imu.position_mm) / 1000

@@ -1,0 +1,147 @@
+"""DIFOP packets, in which a sensor describes itself once a second; returns are decoded with their angles."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Payloads, Source
+from lidarcfg.packets.robosense.layout import (
+    ANGLE,
+    DIFOP,
+    DIFOP_ID,
+    DIFOP_TAIL,
+    MODES,
+    PTP,
+    PTP_LOCKED,
+    SIZE,
+    Packets,
+    octets_of,
+    write_time,
+)
+from lidarcfg.packets.robosense.model import Unit
+from lidarcfg.units import SECOND_NS
+
+if TYPE_CHECKING:
+    from lidarcfg.rig import Mount
+
+
+SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
+ANGLE_MAX = 9000  # hundredths of a degree
+UNUSED = 0xFF
+
+
+@dataclass(frozen=True)
+class Difop:
+    """The contents of a DIFOP packet that decoding needs."""
+
+    elevation_rad: Array  # (L,) by laser, as many as have angles
+    azimuth_offset_rad: Array  # (L,)
+    return_mode: str  # empty: none that is known
+    full_fov: bool  # whether the sensor fires all around
+
+    @property
+    def lasers(self) -> int:
+        """The number of lasers with angles."""
+        return len(self.elevation_rad)
+
+
+def difop_payloads(unit: Unit, mount: "Mount", start_ns: int, duration_ns: int) -> Iterator[Payloads]:
+    """The DIFOP packets of a sensor, the first before anything else and one a second from then on."""
+    headers = unit.facts.headers
+    times_ns = np.arange(start_ns, start_ns + duration_ns, SECOND_NS, dtype=np.int64)
+    packets = difop_packets(unit, mount, times_ns)
+    sent_ns = times_ns // 1000 * 1000
+    yield Payloads(sent_ns, octets_of(packets), mount.telemetry_port, headers, headers.difop)
+
+
+def difop_packets(unit: Unit, mount: "Mount", times_ns: np.ndarray) -> Packets:
+    """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot hold."""
+    octets = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
+    packets: Packets = octets.view(DIFOP)[:, 0]
+    headers = unit.facts.headers
+    host = [int(part) for part in mount.host.split(".")]
+    packets["id"], packets["tail"] = DIFOP_ID, DIFOP_TAIL
+    packets["rpm"] = round(mount.rpm)
+    packets["host"], packets["destination"] = host, [int(part) for part in headers.destination_ip.split(".")]
+    packets["mac"] = [*bytes.fromhex(headers.mac_prefix.replace(":", "")), *host[1:]]
+    packets["serial"] = packets["mac"]
+    packets["msop_port"], packets["difop_port"] = mount.data_port, mount.telemetry_port
+    low, high = mount.azimuth_fov_deg or (0, 360)
+    packets["fov"] = round(low * 100), round(high * 100)
+    packets["phase"] = round(mount.phase_deg or 0) % 360
+    packets["versions"] = list(bytes.fromhex(unit.facts.difop.versions))
+    packets["zero"] = 0
+    packets["return_mode"] = MODES[mount.return_mode]
+    packets["sync"], packets["sync_state"] = PTP, PTP_LOCKED
+    write_time(packets, times_ns)
+    packets["gprmc"] = 0
+    beams = unit.sensor.beams
+    packets["vertical"][:, : unit.count] = angles(unit, "elevation_deg", beams.elevation_deg)
+    offset_deg = beams.azimuth_offset_deg or (0.0,) * unit.count
+    packets["horizontal"][:, : unit.count] = angles(unit, "azimuth_offset_deg", offset_deg)
+    return packets
+
+
+def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
+    """(L,) as DIFOP packets say them. Raises ConfigError for what is not in hundredths of a degree, to 90."""
+    hundredths = np.rint(np.array(degrees) * 100).astype(np.int64)
+    for k in np.flatnonzero((abs(hundredths / 100 - degrees) > 1e-9) | (abs(hundredths) > ANGLE_MAX)):
+        what = f"DIFOP packets cannot say {degrees[k]}; allowed: -90 to 90 in hundredths"
+        raise ConfigError(f"sensor {unit.name!r}: beams.{key}[{k}]: {what}")
+    out = np.empty(len(hundredths), ANGLE)
+    out["sign"], out["hundredths"] = hundredths < 0, abs(hundredths)
+    return out
+
+
+def find_difop(source: Source) -> Difop | None:
+    """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
+    others: list[Packets] = []
+    seen = 0
+    for octets in source.payloads(None, SIZE):
+        said = octets[: SEARCHED - seen]
+        seen += len(said)
+        found = np.ascontiguousarray(said[(said[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(DIFOP)[:, 0]
+        mine = found[found["msop_port"][:, 0] == source.port]
+        if len(mine):
+            return _read(mine[:1])
+        others.append(found)
+        if seen == SEARCHED:
+            break
+    together = np.concatenate(others) if others else np.empty(0, DIFOP)
+    alone = len(np.unique(together["serial"], axis=0)) == 1
+    return _read(together[:1]) if alone else None
+
+
+def all_difops(source: Source) -> Packets:
+    """All DIFOP packets of a source in a capture, in their order: see `find`."""
+    found = [octets[(octets[:, :8] == list(DIFOP_ID)).all(axis=1)] for octets in source.payloads(None, SIZE)]
+    said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
+    mine: Packets = said[said["msop_port"][:, 0] == source.port]
+    if len(mine):
+        return mine
+    return said if len(np.unique(said["serial"], axis=0)) == 1 else said[:0]
+
+
+def _read(packet: Packets) -> Difop:
+    """What one (1,) says."""
+    vertical, horizontal = packet["vertical"][0], packet["horizontal"][0]
+    good = (vertical["sign"] <= 1) & (vertical["hundredths"] <= ANGLE_MAX)
+    good &= (horizontal["sign"] <= 1) & (horizontal["hundredths"] <= ANGLE_MAX)
+    count = int(np.argmin(np.append(good, False)))
+    if not vertical["hundredths"][16:count].any():  # zeros where there is no laser
+        count = min(count, 16)
+    if not vertical["hundredths"][:count].any():  # not calibrated
+        count = 0
+    modes = {code: name for name, code in MODES.items()}
+    low, high = packet["fov"][0].tolist()
+    elevation, offset = (_radians(column[:count]) for column in (vertical, horizontal))
+    return Difop(elevation, offset, modes.get(int(packet["return_mode"][0]), ""), high - low >= 36000)
+
+
+def _radians(column: Packets) -> Array:
+    sign = np.where(column["sign"] == 1, -1.0, 1.0)
+    return np.asarray(np.radians(sign * column["hundredths"] / 100))

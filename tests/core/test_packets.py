@@ -1,0 +1,228 @@
+"""Packets in the core: small cases by hand, what is at the edge, what is refused."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lidarcfg.core import packets
+
+SLOTS, GROUPS = 32, 12
+MAKERS = {  # decoder, writer, size, where the blocks begin, order of bytes
+    "velodyne": (packets.VelodyneDecoder, packets.write_velodyne_returns, 1206, 0, "little"),
+    "robosense": (packets.RobosenseDecoder, packets.write_robosense_returns, 1248, 42, "big"),
+}
+LIMITS = (0.5, 100.0, 0.01, 65535.0)
+LAST = SimpleNamespace(stamp_ns=np.zeros(1, np.int64), gap_ns=np.zeros(1, np.int64), kind=np.zeros(1, np.uint8))
+
+
+def slots(**changed):
+    given = {
+        "laser": np.arange(SLOTS) % 16,
+        "fraction": np.tile(np.arange(SLOTS) / SLOTS, (GROUPS, 1)),
+        "offset_ns": np.arange(GROUPS * SLOTS).reshape(GROUPS, SLOTS),
+        "kind": np.zeros(SLOTS, np.uint8),
+        "other": np.empty(0, np.int64),
+    }
+    return SimpleNamespace(**given | changed)
+
+
+def lasers(**changed):
+    columns = ("elevation", "azimuth_offset", "forward", "left", "up", "distance_offset")
+    given = {name: np.zeros(16) for name in columns}
+    given |= {"ring": np.arange(16, dtype=np.uint8), "near_offset": np.empty((0, 2)), "focal": np.empty((0, 4))}
+    return SimpleNamespace(**given | changed)
+
+
+def returns(count, polar=0, **changed):
+    given = {"xyz_m": np.zeros((count, 3)), "range_m": np.zeros(polar), "azimuth_rad": np.zeros(polar)}
+    given |= {"time_ns": np.zeros(count, np.int64)}
+    given |= {name: np.zeros(count, np.uint8) for name in ("laser", "ring", "intensity", "return_type")}
+    return SimpleNamespace(**given | changed)
+
+
+def packet(maker, azimuths, cells):
+    """One packet of blocks with azimuths, and (block, slot): (distance, intensity)."""
+    _, _, size, first, order = MAKERS[maker]
+    out = bytearray(size)
+    for b, azimuth in enumerate(azimuths):
+        out[first + 100 * b + 2 : first + 100 * b + 4] = azimuth.to_bytes(2, order)
+    for (b, slot), (distance, intensity) in cells.items():
+        at = first + 100 * b + 4 + 3 * slot
+        out[at : at + 3] = distance.to_bytes(2, order) + bytes([intensity])
+    return np.frombuffer(bytes(out), np.uint8)[None]
+
+
+def decoded(maker, data, slots_, rows=384, polar=0):
+    decoder = MAKERS[maker][0](slots_, lasers(), 1000, 100, 0.01)
+    out, wanted = returns(rows, polar), np.ones(1, np.bool_)
+    count = decoder.decode(data, wanted, LAST.stamp_ns, LAST.gap_ns, LAST.kind, out)
+    assert count <= decoder.count(data, wanted)
+    return count, out
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_one_return(maker):
+    data = packet(maker, range(9000, 10200, 100), {(3, 5): (1000, 7)})
+    count, out = decoded(maker, data, slots(), rows=1, polar=1)
+    angle = math.radians(93 + 5 / 32)
+    assert count == 1
+    assert out.xyz_m[0] == pytest.approx([10 * math.cos(angle), -10 * math.sin(angle), 0], abs=1e-9)
+    assert (out.range_m[0], out.azimuth_rad[0]) == (10, pytest.approx(angle))
+    assert (out.time_ns[0], out.laser[0], out.ring[0], out.intensity[0]) == (3 * 32 + 5, 5, 5, 7)
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_pairs(maker):
+    """Of an identical pair the first; a weaker first one is the second strongest."""
+    pairs = slots(kind=np.repeat(np.array([0, 1], np.uint8), 16), other=np.arange(SLOTS) ^ 16)
+    cells = {(0, 0): (100, 9), (0, 16): (100, 9), (0, 1): (100, 1), (0, 17): (200, 2), (0, 18): (300, 3)}
+    count, out = decoded(maker, packet(maker, range(0, 1200, 100), cells), pairs)
+    found = list(zip(out.laser[:count].tolist(), out.return_type[:count].tolist(), strict=True))
+    assert found == [(0, 0), (1, 2), (1, 1), (2, 1)]
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+@given(data=st.binary(min_size=0, max_size=3 * 1248), rows=st.integers(0, 400), seed=st.integers(0, 99))
+def test_any_bytes(maker, data, rows, seed):
+    """Points that are finite, no more than there are rows; else it says so."""
+    decoder, size = MAKERS[maker][0](slots(), lasers(), 1000, 100, 0.01), MAKERS[maker][2]
+    count = len(data) // size
+    octets = np.frombuffer(data[: count * size], np.uint8).reshape(count, size)
+    rng = np.random.default_rng(seed)
+    stamps, gaps = rng.integers(0, 2**40, (2, count))
+    wanted, out = rng.random(count) < 0.7, returns(rows)
+    arguments = octets, wanted, stamps, gaps, np.zeros(count, np.uint8), out
+    expected = decoder.count(octets, wanted)
+    if expected > rows:
+        with pytest.raises(ValueError, match="out: fewer rows than returns"):
+            decoder.decode(*arguments)
+    else:
+        assert decoder.decode(*arguments) == expected
+        assert np.isfinite(out.xyz_m).all()
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_written_and_read(maker):
+    """What is beyond the limits, or is no number, is no return."""
+    _, write, size, _, _ = MAKERS[maker]
+    range_m = np.full((1, 384), 2.0)
+    range_m[0, :6] = [0.4, math.nan, math.inf, 101, 0.5, 100]
+    data, number = np.zeros((1, size), np.uint8), np.arange(384)
+    write(range_m, np.full((1, 384), 9, np.uint8), number, np.zeros(384), LIMITS, data)
+    count, out = decoded(maker, data, slots(), polar=384)
+    assert count == 380
+    assert out.range_m[:3].tolist() == [0.5, 100, 2]
+
+
+@given(st.lists(st.integers(0, 65535), min_size=1, max_size=24), st.integers(1, 3), st.integers(-(2**40), 2**40))
+def test_steps_are_finite(azimuths, groups, gap_ns):
+    azimuth = np.array(azimuths[: len(azimuths) // groups * groups], np.uint16).reshape(-1, groups)
+    step, late_ns = packets.velodyne_turning(azimuth, np.full(len(azimuth), gap_ns), 1000, 100)
+    assert step.shape == late_ns.shape == azimuth.shape
+    assert (abs(step) <= 18000).all()
+
+
+def test_a_gap_in_the_field_of_view():
+    """Two degrees, then eight that are not sent: what comes after is late by what the next stamp shows."""
+    azimuth = np.array([[0, 100, 200, 1000], [1100, 1200, 1300, 1400]], np.uint16)
+    step, late_ns = packets.velodyne_turning(azimuth, np.array([1100, 0]), 400, 100)
+    assert step[0].tolist() == [100, 100, 100, 100]
+    assert late_ns.tolist() == [[0, 0, 0, 700], [0, 0, 0, 0]]
+
+
+def hesai_lasers(**changed):
+    given = {"cos_elevation": np.ones(2), "sin_elevation": np.zeros(2), "cos_offset": np.ones(2)}
+    given |= {"sin_offset": np.zeros(2), "ring": np.arange(2, dtype=np.uint8)}
+    given |= {"offset_ns": np.array([[0, 5]]), "group_ns": np.array([0, 10]), "pair_ns": np.array([20])}
+    return SimpleNamespace(**given | changed)
+
+
+def fields(count=1, **changed):
+    given = {"unit_mm": np.full(count, 4, np.uint8), "stamp_ns": np.zeros(count, np.int64)}
+    given |= {"dual": np.ones(count, np.bool_), "loop": np.zeros(count, np.uint8)}
+    given |= {"near": np.zeros(count, np.uint8), "far": np.ones(count, np.uint8)}
+    return SimpleNamespace(**given | changed)
+
+
+def test_hesais_pair():
+    """The farther is the last; the identical pair of the second laser is one return."""
+    data = np.zeros((1, 12 + 2 * 10), np.uint8)
+    packets.write_hesai_returns(
+        np.array([[[10.0, 20.0], [5.0, 5.0]]]),
+        np.array([[[8, 9], [3, 3]]], np.uint8),
+        np.array([[0, 1]], np.uint8),
+        np.array([0, 1]),
+        np.ones((1, 1), np.bool_),
+        (0.5, 100.0, 0.004, 65535.0),
+        2,
+        data,
+    )
+    out = returns(4)
+    count = packets.HesaiDecoder(hesai_lasers()).decode(data, np.ones(1, np.bool_), fields(), out)
+    assert count == 3
+    assert out.xyz_m[:count, 1].tolist() == [10, 5, 20]
+    assert out.return_type[:count].tolist() == [2, 0, 1]
+    assert out.time_ns[:count].tolist() == [20, 25, 20]
+
+
+def test_crc_of_the_catalogue():
+    digits = np.frombuffer(b"--123456789", np.uint8)[None]
+    assert packets.crc32_mpeg2(digits, 2, 11).tolist() == [0x0376E6E7]
+    assert packets.crc32_mpeg2(digits, 2, 2).tolist() == [0xFFFFFFFF]
+
+
+DECODER = packets.VelodyneDecoder(slots(), lasers(), 1000, 100, 0.01)
+ONE = np.zeros((1, 1206), np.uint8)
+YES = np.ones(1, np.bool_)
+HESAI = packets.HesaiDecoder(hesai_lasers())
+REFUSED = {
+    "slots.laser: beyond": lambda: packets.VelodyneDecoder(slots(laser=np.full(32, 16)), lasers(), 1000, 100, 0.01),
+    "slots.laser: of whole": lambda: packets.VelodyneDecoder(slots(laser=np.arange(3)), lasers(), 1000, 100, 0.01),
+    "slots.fraction: of groups": lambda: packets.VelodyneDecoder(
+        slots(fraction=np.zeros((13, 32))), lasers(), 1000, 100, 0.01
+    ),
+    "slots.other": lambda: packets.VelodyneDecoder(slots(other=np.full(32, -1)), lasers(), 1000, 100, 0.01),
+    "slots.kind": lambda: packets.VelodyneDecoder(slots(kind=np.full(32, 2, np.uint8)), lasers(), 1000, 100, 0.01),
+    "lasers.focal": lambda: packets.VelodyneDecoder(slots(), lasers(focal=np.zeros((3, 4))), 1000, 100, 0.01),
+    "period_ns": lambda: packets.RobosenseDecoder(slots(), lasers(), 0, 100, 0.01),
+    "packets: of another size": lambda: DECODER.count(np.zeros((1, 1248), np.uint8), YES),
+    "wanted: one for each packet": lambda: DECODER.count(ONE, np.ones(2, np.bool_)),
+    "packets: another dtype": lambda: DECODER.count(ONE.astype(np.int8), YES),
+    "out.time_ns": lambda: DECODER.decode(ONE, YES, *vars(LAST).values(), returns(3, time_ns=np.zeros(2, np.int64))),
+    "out.azimuth_rad": lambda: DECODER.decode(ONE, YES, *vars(LAST).values(), returns(3, range_m=np.zeros(3))),
+    "number: beyond": lambda: packets.write_velodyne_returns(
+        np.zeros((1, 2)), np.zeros((1, 2), np.uint8), np.array([2]), np.zeros(1), LIMITS, ONE
+    ),
+    "limits: the unit": lambda: packets.write_velodyne_returns(
+        np.zeros((1, 2)), np.zeros((1, 2), np.uint8), np.array([0]), np.zeros(1), (0, 1, 0, 1), ONE
+    ),
+    "packets: read-only": lambda: packets.write_velodyne_returns(
+        np.zeros((1, 2)),
+        np.zeros((1, 2), np.uint8),
+        np.array([0]),
+        np.zeros(1),
+        LIMITS,
+        np.broadcast_to(ONE, (1, 1206)),
+    ),
+    "laser: beyond": lambda: packets.uncorrect_velodyne_intensities(np.array([1]), np.zeros((1, 4)), ONE),
+    "gap_ns": lambda: packets.velodyne_turning(np.zeros((2, 3), np.uint16), np.zeros(1, np.int64), 1000, 100),
+    "fields.loop": lambda: HESAI.decode(
+        np.zeros((1, 40), np.uint8), YES, fields(loop=np.ones(1, np.uint8)), returns(4)
+    ),
+    "packets: too short": lambda: HESAI.count(np.zeros((1, 31), np.uint8), YES),
+    "lasers.group_ns": lambda: packets.HesaiDecoder(hesai_lasers(group_ns=np.zeros(3, np.int64))),
+    "end": lambda: packets.crc32_mpeg2(ONE, 3, 1207),
+    "encoder_rad": lambda: packets.fire(
+        np.zeros(1), np.zeros(1, np.int64), np.zeros(2, np.int64), 0.1, np.zeros((1, 2), np.int64), np.zeros((2, 1))
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_refusals(what):
+    with pytest.raises(ValueError, match=what.replace(".", r"\.")):
+        REFUSED[what]()

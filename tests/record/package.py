@@ -1,0 +1,85 @@
+"""The names of the package that the cases need, in one place."""
+
+from pathlib import Path
+
+import yaml
+
+from lidarcfg import (
+    Region,
+    decode,
+    evaluate,
+    export,
+    load_rig,
+    load_scene,
+    load_study,
+    optimize,
+    pattern,
+)
+from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.scans import scans
+from lidarcfg.cloud import concatenate, load_cloud
+from lidarcfg.core import view
+from lidarcfg.formats.firings import save_capture, save_firings
+from lidarcfg.geometry import pose
+from lidarcfg.placement.analytic import integrate
+from lidarcfg.placement.cones import rig_lidars
+from lidarcfg.placement.details import details
+from lidarcfg.placement.front import front
+from lidarcfg.placement.returns import NOTHING, placed, returns
+from lidarcfg.placement.study import with_solver
+from lidarcfg.placement.subspace import segment
+from lidarcfg.placement.tolerance import StudyEvaluator
+from lidarcfg.rig import Rig
+from lidarcfg.simulate.export import export as packets
+from lidarcfg.simulate.tasks import START_NS
+from lidarcfg.world.motion import Trajectory, load_path, prepared
+from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.vehicle import load_vehicle
+
+fill = view.blend_triangles
+
+__all__ = [
+    "NOTHING",
+    "START_NS",
+    "Region",
+    "Rig",
+    "StudyEvaluator",
+    "Tracer",
+    "Trajectory",
+    "concatenate",
+    "decode",
+    "decode_pcap",
+    "details",
+    "evaluate",
+    "export",
+    "fill",
+    "front",
+    "integrate",
+    "load_cloud",
+    "load_path",
+    "load_rig",
+    "load_scene",
+    "load_study",
+    "load_vehicle",
+    "optimize",
+    "packets",
+    "pattern",
+    "placed",
+    "pose",
+    "prepared",
+    "returns",
+    "rig_lidars",
+    "rig_of",
+    "save_capture",
+    "save_firings",
+    "scans",
+    "segment",
+    "with_solver",
+]
+
+
+def rig_of(folder: Path, sensors: list[dict]) -> Rig:
+    """The rig of sensors as its file says them."""
+    path = folder / "rig.yaml"
+    path.write_text(yaml.safe_dump({"name": "rig", "sensors": sensors}))
+    return load_rig(path)

@@ -1,0 +1,287 @@
+"""Cases of placement: subspaces and their measures, detection, searches."""
+
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from tests.record import package
+from tests.record.answers import INPUTS, Answers, case, named
+
+PAPER = "paper-1x4", "paper-4x16", "paper-3x8"
+LIMITED = "car-max-vsr", "round", "surface"
+OBJECTIVES = "paper-3x8", "car-blind", "car-detection", "car-returns", "car-lost", "surface", "round"
+METHODS = "abc", "annealing", "cmaes", "de", "auto"
+
+
+@cache
+def study(name: str):
+    """One of the frozen studies."""
+    return package.load_study(INPUTS / "studies" / f"{name}.yaml")
+
+
+@cache
+def poses(name: str, count: int, seed: int = 1) -> np.ndarray:
+    """Poses (count, slots, 6) within the bounds of a study that keep its constraints, drawn at random."""
+    one = study(name)
+    drawn = one.poses(np.random.Generator(np.random.Philox(seed)).random((40 * count, int(one.free.sum()))))
+    kept = drawn[one.violation(drawn) == 0.0][:count]
+    assert len(kept) == count
+    return kept
+
+
+def rigs(name: str, count: int) -> list:
+    """Rigs of a study."""
+    return [study(name).rig(one) for one in poses(name, count)]
+
+
+def subspaces_of(found) -> dict[str, object]:
+    """The answers about subspaces."""
+    answers = {key: getattr(found, key) for key in ("label", "cuboids", "internal", "gap", "first")}
+    return answers | {"seen_by": found.seen_by}
+
+
+def worst_of(worst: Iterable) -> dict[str, object]:
+    """The answers about the worst subspaces."""
+    keys = "vsr_m", "volume_m3", "surface_m2", "inscribed_radius_m", "centroid_m", "min_m", "max_m", "gap"
+    return {f"worst {key}": np.array([getattr(one, key) for one in worst]) for key in keys}
+
+
+def detection_of(found) -> dict[str, object]:
+    """The answers about a detection rate."""
+    answers = {key: getattr(found, key) for key in ("rate", "places", "half_width")}
+    if found.returns:
+        answers |= {key: getattr(found.returns, key) for key in ("rate_in_worst_phase", "mean", "mean_in_worst_phase")}
+    return answers
+
+
+def evaluation_of(found) -> dict[str, object]:
+    """The answers of an evaluation."""
+    answers = subspaces_of(found.subspaces) | worst_of(found.worst)
+    answers |= {"vsr": found.vsr_m, "max vsr": found.max_vsr_m, "sphere": found.sphere_m}
+    for name, one in found.detection.items():
+        answers |= named(name, detection_of(one))
+    for name, one in found.counted.items():
+        answers |= named(name, {"detected": one.detected, "can be": one.places, "held": one.held})
+    for name, one in found.return_counts.items():
+        keys = "worst", "mean", "probability"
+        answers |= named(name, {f"returns {key}": getattr(one, key) for key in keys})
+    answers["seen by m3"] = found.blind.seen_by_m3
+    for number, one in enumerate(found.blind.contours):
+        of_contour = {"distance": one.distance_m, "edge": one.reaches_edge, "area": one.area_m2}
+        answers |= named(f"contour {number}", of_contour)
+    answers |= {f"zone {one.name}": one.max_vsr_m for one in found.zones}
+    if found.analytic:
+        answers |= {"analytic": found.analytic.max_vsr_m, "analytic error": found.analytic.error_m}
+    return answers
+
+
+def details_of(found) -> dict[str, object]:
+    """The answers of an evaluation's details."""
+    answers = {"volume": found.volume_m3, "midpoint": found.midpoint_max_vsr_m, "vehicle": found.vehicle_m}
+    answers |= {f"beams across {axis}": beams for axis, beams in zip("xyz", found.coverage.beams, strict=True)}
+    answers |= {key: getattr(found.coverage, key) for key in ("median_beams", "by_none", "by_one_sensor")}
+    for name, rings in found.rings.items():
+        answers |= named(name, {"rings detected": rings.detected, "rings places": rings.places})
+    for name, places in found.places.items():
+        answers |= named(name, {"above detected": places.detected, "above places": places.places})
+    for name, one in found.hiding.items():
+        keys = "in_worst", "subspaces", "largest_vsr_m", "nearest_m", "nearest_at_m"
+        answers |= named(name, {f"hiding {key}": getattr(one, key) for key in keys})
+    if robust := found.evaluation.robustness:
+        answers["off"] = robust.change_m
+        for one in (robust.whole, *robust.without):
+            answers |= named(f"without {one.lost}", {"max vsr": one.max_vsr_m, "objective": one.objective})
+            answers |= {f"without {one.lost} zone {zone.name}": zone.max_vsr_m for zone in one.zones}
+    return answers
+
+
+def _evaluations(name: str, count: int) -> dict[str, object]:
+    answers: dict[str, object] = {"included": study(name).region.included}
+    for number, rig in enumerate(rigs(name, count)):
+        answers |= named(f"rig {number}", evaluation_of(package.evaluate(study(name), rig)))
+        answers[f"rig {number} cost"] = study(name).cost(poses(name, count)[number])
+    return answers
+
+
+for each, count in [*((name, 4) for name in PAPER), *((name, 2) for name in LIMITED)]:
+
+    @case(f"evaluations of {each}")
+    def _evaluated(folder: Path, name: str = each, count: int = count) -> Answers:
+        return _evaluations(name, count)
+
+
+@case("a tilted and a tumbled region")
+def _odd_grids(folder: Path) -> Answers:
+    """Rows longer and shorter than a word of 64 cuboids, with holes."""
+    answers: dict[str, object] = {}
+    lidars = package.rig_lidars(rigs("paper-4x16", 1)[0])
+    draw = np.random.Generator(np.random.Philox(5))
+    for shape in ((64, 9, 7), (65, 8, 5), (130, 6, 6), (7, 40, 3), (3, 3, 70)):
+        region = package.Region(np.array([20.0, 4, 0]), np.array([40.0, 16, 4]), draw.random(shape) < 0.97)
+        found = package.segment(region, lidars)
+        answers |= named(f"{shape}", subspaces_of(found))
+        seen = package.integrate(found, lidars)
+        answers |= named(f"{shape}", {key: getattr(seen, key) for key in ("volume", "shadow", "surface", "whole")})
+    return answers
+
+
+for each in ("paper-3x8", "car-max-vsr", "round"):
+
+    @case(f"details of {each}")
+    def _detailed(folder: Path, name: str = each) -> Answers:
+        rig = rigs(name, 1)[0]
+        found = package.details(study(name), rig, package.evaluate(study(name), rig))
+        return details_of(found) | evaluation_of(found.evaluation)
+
+
+@case("analytic measure")
+def _analytic(folder: Path) -> Answers:
+    answers: dict[str, object] = {}
+    for name, tolerance in (("paper-3x8", 0.15), ("round", 0.2), ("car-max-vsr", 0.5)):
+        found = package.evaluate(study(name), rigs(name, 1)[0], tolerance).analytic
+        answers |= named(name, {"max vsr": found.max_vsr_m, "error": found.error_m, "cuboid": found.cuboid_m})
+    for name in LIMITED:
+        one, lidars = study(name), package.rig_lidars(rigs(name, 2)[1])
+        seen = package.integrate(package.segment(one.region, lidars, one.visibility), lidars, one.visibility)
+        answers |= named(name, {key: getattr(seen, key) for key in ("volume", "shadow", "surface", "whole")})
+    return answers
+
+
+@case("sight")
+def _sight(folder: Path) -> Answers:
+    """Which points and cuboids each LiDAR sees, with all that limits it, and without what hides."""
+    answers: dict[str, object] = {}
+    for name in LIMITED:
+        one, lidars = study(name), package.rig_lidars(rigs(name, 1)[0])
+        low, high = one.region.min_m, one.region.max_m
+        points = low + np.random.Generator(np.random.Philox(2)).random((3000, 3)) * (high - low)
+        for kind, sight in (("limited", one.visibility), ("transparent", one.visibility.transparent())):
+            answers[f"{name} {kind} cuboids"] = sight.seen(one.region, lidars)
+            answers[f"{name} {kind} points"] = np.array([sight.seen_points(points, lidar) for lidar in lidars])
+        answers[f"{name} outline"] = one.outline_m
+    return answers
+
+
+@case("returns of each sensor")
+def _returns(folder: Path) -> Answers:
+    """The returns at each place, from each sensor, in each phase."""
+    answers: dict[str, object] = {}
+    models = "vlp-16", "hdl-32e", "vls-128", "os0-32", "os1-64", "qt128", "pandar-xt32", "helios-16p", "hdl-64e-s3"
+    sensors = [
+        {
+            "name": model,
+            "model": str(INPUTS / "sensors" / f"{model}.yaml"),
+            "position_m": [0.4 * number - 1.6, (-1) ** number * 0.7, 1.8 + 0.1 * number],
+            "rpy_deg": [3 * number - 9, 5 - 2 * number, 40 * number],
+            **({"azimuth_fov_deg": [250, 110 + 10 * number]} if number % 3 == 1 else {}),
+        }
+        for number, model in enumerate(models)
+    ]
+    rig = package.rig_of(folder, sensors)
+    one = study("car-returns")
+    scanners, at = one.scanners(rig.mounts), package.placed(package.rig_lidars(rig))
+    for sought in one.detection_targets:
+        for kind, obstacles in (("", one.obstacles), (" in the open", package.NOTHING)):
+            found = package.returns(sought.places, sought.target, scanners, at, obstacles)
+            keys = {"counts": found.counts, "worst": found.worst, "mean": found.mean}
+            answers |= named(f"{sought.item.name}{kind}", keys)
+            for enough in (1, 7, 40):
+                answers[f"{sought.item.name}{kind} probability of {enough}"] = found.probability(enough)
+        answers[f"{sought.item.name} places"] = sought.places
+    return answers
+
+
+for each in OBJECTIVES:
+
+    @case(f"costs of {each}")
+    def _costs(folder: Path, name: str = each) -> Answers:
+        """Costs of trials around sources, also where only better ones matter, and smoothed."""
+        count = 24
+        one, every = study(name), poses(name, 6 + count, seed=3)
+        sources, trials, answers = every[:6], every[6:].copy(), {}
+        which = np.arange(count) % 6
+        trials[count // 2 :] = sources[which[count // 2 :]]
+        trials[count // 2 :, 0] = every[6 : 6 + count // 2, 0]  # one sensor moves alone
+        with package.StudyEvaluator(one, 2) as evaluator:
+            at = evaluator.costs(sources, np.arange(6), sources, np.full(6, np.inf))
+            answers["of sources"] = at
+            for number, smoothing in enumerate((0.0, 0.0, 0.05)):
+                answers[f"batch {number}"] = evaluator.costs(trials, which, sources, at[which], smoothing)
+        with package.StudyEvaluator(one, 2, skip=False) as evaluator:
+            full = evaluator.costs(trials, which, sources, at[which])
+            answers["in full"] = full
+        answers["by definition"] = np.array([one.cost(trial) for trial in trials[:2]])
+        return answers
+
+
+def found_of(found) -> dict[str, object]:
+    """The answers of a search."""
+    return {
+        "poses": np.array([[*mount.position_m, *mount.rpy_rad] for mount in found.rig.mounts]),
+        "objective": found.objective,
+        "max vsr": found.evaluation.max_vsr_m,
+        "midpoint": found.midpoint_max_vsr_m,
+        "history": np.array([[cycle.cycle, cycle.evaluations, cycle.best, cycle.mean] for cycle in found.history]),
+        "evaluations": [found.evaluations, found.first_evaluations, found.scout_evaluations, found.evaluated],
+        "told": found.log.cost,
+    }
+
+
+def _searched(name: str, threads: int, **solver: object) -> dict[str, object]:
+    changed = package.with_solver(study(name), **solver)
+    return found_of(package.optimize(changed, threads))
+
+
+for method in METHODS:
+
+    @case(f"search by {method}")
+    def _search(folder: Path, method: str = method) -> Answers:
+        answers: dict[str, object] = {}
+        for name, evaluations in (("paper-3x8", 900), ("car-max-vsr", 150)):
+            for threads in (1, 2):
+                options = {"method": method, "evaluations": evaluations, "seed": 11, "bees": 12}
+                answers |= named(f"{name} {threads}", _searched(name, threads, **options))
+        return answers
+
+
+for each in OBJECTIVES[1:]:
+
+    @case(f"search of {each}")
+    def _search_for(folder: Path, name: str = each) -> Answers:
+        return _searched(name, 2, method="abc", evaluations=40, seed=2, bees=8) | named(
+            "auto", _searched(name, 2, method="auto", evaluations=40, seed=4)
+        )
+
+
+@case("price front")
+def _front(folder: Path) -> Answers:
+    answers: dict[str, object] = {}
+    for threads in (1, 2):
+        found = package.front(study("prices"), threads)
+        for number, point in enumerate(found.points):
+            answers |= named(f"{threads} point {number}", found_of(point.placement))
+            answers[f"{threads} point {number} price"] = point.combination.price
+        history = [[part.evaluations, part.own_evaluations, part.best, part.on_front] for part in found.history]
+        answers[f"{threads} history"] = np.array(history)
+        answers[f"{threads} objectives"] = np.array([one.objective for one in found.candidates])
+    return answers
+
+
+@case("mount surfaces")
+def _surfaces(folder: Path) -> Answers:
+    """Where bases fit, how sensors sit there, and by how much poses violate that."""
+    one = study("surface")
+    unit = np.random.Generator(np.random.Philox(9)).random((200, int(one.free.sum())))
+    at = one.poses(unit)
+    off = at.copy()
+    off[:, :, :3] += 0.02 * np.random.Generator(np.random.Philox(10)).random(off[:, :, :3].shape)
+    return {
+        "poses": at,
+        "violation": one.violation(at),
+        "off": one.violation(off),
+        "midpoint": one.midpoint,
+        "lower": one.lower,
+        "upper": one.upper,
+    }

@@ -1,0 +1,104 @@
+"""Photograph the report and the page in a browser: docs/report.png, docs/view.png, docs/view-drive.png.
+
+Usage: .venv/bin/python tools/draw_screens.py report|view
+"""
+
+import re
+import shlex
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
+
+from lidarcfg.cli import cli
+from lidarcfg.commands.options import START, load_trajectory, nanoseconds
+from lidarcfg.view.manifests import DriveInputs, complete_inputs
+from lidarcfg.view.page import page_of
+from lidarcfg.view.server import Server
+from lidarcfg.view.stage import load_stage
+from tests.chromium import browser
+from tests.view.driver import click, opened, put, settled
+
+PARTS = "document.body", "document.querySelector('#blind')"  # what is at the top of each part
+FRAMES = 2, 14, 27
+FROM = (
+    "const s = lidarcfg.stage; const at = (...x) => s.orbit.target.clone().set(...x);"
+    "s.place(at(-11, -9, 13), at(11, 2, 0))"
+)
+
+
+@contextmanager
+def served(*files: str) -> Iterator[str]:
+    """The address of the page of a capture, as it was noted, and other files."""
+    paths, known = complete_inputs([Path(name) for name in files], DriveInputs(), print)
+    drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
+    stage = load_stage(paths, known.rig, None, drive, print, vehicle=known.vehicle)
+    with Server(stage, page_of(stage, by="height", served=True)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server.url
+        server.shutdown()
+
+
+def report() -> None:
+    """Place the sedan's sensors, and photograph two parts of the report."""
+    with tempfile.TemporaryDirectory() as folder, browser(700, 1300) as driver:
+        line = ["optimize", str(ROOT / "data/studies/sedan.yaml"), "-o", folder, "--evaluations", "4000", "--quiet"]
+        cli.main(line, prog_name="lidarcfg", standalone_mode=False)
+        driver.get((Path(folder) / "report.html").as_uri())
+        parts = []
+        for part in PARTS:
+            driver.execute_script(f"{part}.scrollIntoView()")
+            parts.append(np.asarray(Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB")))
+    save(Image.fromarray(np.concatenate(parts, axis=1)), "report.png", 64)
+
+
+def shot(driver: Any) -> Image.Image:
+    """What the browser shows."""
+    settled(driver)
+    return Image.open(BytesIO(driver.get_screenshot_as_png())).convert("RGB")
+
+
+def save(image: Image.Image, name: str, colours: int = 256) -> None:
+    """Write a picture of few colours, which keeps it small."""
+    image.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+        ROOT / "docs" / name, optimize=True
+    )
+    print(f"docs/{name}: {(ROOT / 'docs' / name).stat().st_size / 1000:.0f} kB")
+
+
+def view() -> None:
+    """Export what the page of the documentation does, and photograph it."""
+    text = (ROOT / "docs/view.md").read_text()
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), browser(1280, 1000) as driver:
+        Path("out").mkdir()
+        Path("curve.yaml").write_text(re.findall(r"```yaml\n(# curve.*?)```", text, re.DOTALL)[0])
+        for line in re.findall(r"^lidarcfg (export .*)$", text, re.MULTILINE):
+            cli.main(shlex.split(line), prog_name="lidarcfg", standalone_mode=False)
+        with served("out/roof.pcap", "out/roof.npz", "data/studies/sedan.yaml") as url:
+            opened(driver, url)
+            click(driver, "#rings")
+            put(driver, "#worst", 1)
+            put(driver, "#mount", 0, "change")
+            save(shot(driver), "view.png")
+        with served("out/curve.pcap") as url:
+            opened(driver, url)
+            driver.execute_script(FROM)
+            pictures = []
+            for frame in FRAMES:
+                put(driver, "#time", frame)
+                pictures.append(np.asarray(shot(driver))[120:720, 180:780])
+            save(Image.fromarray(np.concatenate(pictures, axis=1)), "view-drive.png")
+
+
+if __name__ == "__main__":
+    {"report": report, "view": view}[sys.argv[1]]()
