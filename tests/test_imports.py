@@ -128,32 +128,6 @@ def test_the_catalogue_loads_without_packets():
     assert done.stdout.strip() == "[]"
 
 
-CMA = """
-import sys
-if sys.argv[1] == "lean":
-    from lidarcfg.imports import load_cma
-    load_cma()
-    print([name for name in ("scipy.stats", "matplotlib") if name in sys.modules], file=sys.stderr)
-from lidarcfg.placement.solvers.cma_es import CmaEs
-search = CmaEs(5, 3)
-for _ in range(40):
-    asked = search.ask().x
-    search.tell(((asked - 0.3) ** 2).sum(axis=1))
-print(asked.tolist())
-import matplotlib.pyplot, scipy.stats
-"""
-
-
-def test_cma_is_the_same_without_what_it_loads_for_plots_and_surrogates():
-    """By cma as it is otherwise imported; both libraries can be imported afterwards."""
-    lean, usual = (
-        subprocess.run([sys.executable, "-c", CMA, how], cwd=PACKAGE.parent, capture_output=True, text=True, check=True)
-        for how in ("lean", "usual")
-    )
-    assert lean.stdout == usual.stdout
-    assert lean.stderr == "[]\n"
-
-
 def foreign_names(tree):
     """The names that a module has of other libraries' modules and of what these hold."""
     for node in ast.walk(tree):

@@ -118,7 +118,8 @@ def export(
         raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
     with progress(quiet, keep=False) as on_fraction:
         on_fraction(0.0, f"reading {rig} and {scene}")
-        from lidarcfg.capture.manifest import save_manifest
+        from lidarcfg.capture.manifest import manifest_path, save_manifest
+        from lidarcfg.files import check_replaceable
         from lidarcfg.rig import load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
@@ -138,17 +139,25 @@ def export(
     values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
     values |= {"vehicle": NONE} if vehicle and not bodies else {}
 
-    def record(path: Path) -> None:
+    paths = [output]
+    if split and output.suffix == ".pcap":
+        paths = [output.with_name(f"{output.stem}-{mount.name}.pcap") for mount in mounted.mounts]
+    for path in paths:  # not after hours
+        check_replaceable(manifest_path(path))
+        if path.suffix == ".pcap" and name is None:
+            check_replaceable(path)
+
+    def save(path: Path) -> None:
         save_manifest(path, files, mounted, world, bodies, values)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:
             raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
-        lines = _export_packets(drive, output, split, truth, record, rays, quiet)
+        lines = _export_packets(drive, paths, split, truth, save, rays, quiet)
     else:
         if split or truth:
             raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
-        lines = _export_points(drive, output, name, deskew, record, rays, quiet)
+        lines = _export_points(drive, output, name, deskew, save, rays, quiet)
     for line in [] if quiet else lines:
         click.echo(line)
     if stats:
@@ -194,14 +203,14 @@ def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator
 
 def _export_packets(
     drive: "Drive",
-    output: Path,
+    paths: list[Path],
     split: bool,
     truth: Path | None,
-    record: "OnPath",
+    save_manifest: "OnPath",
     rays: "Rays",
     quiet: bool,
 ) -> list[str]:
-    """Write one pcap, or one of each sensor, and what readers need besides. Returns what to print."""
+    """Write one pcap, or with `split` one of each sensor, and the files that readers need. Returns what to print."""
     from contextlib import ExitStack
 
     from lidarcfg.capture.pcap import write_pcap
@@ -215,7 +224,7 @@ def _export_packets(
     mounts = drive.rig.mounts
     names = [mount.name for mount in mounts]
     size = capture.data_bytes(drive)
-    check_room(output, size, LESS)
+    check_room(paths[0], size, LESS)
     with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
         objects = object_names(drive.scene, drive.vehicle)
         beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
@@ -230,25 +239,23 @@ def _export_packets(
             run,
         )
         if split:
-            paths = [output.with_name(f"{output.stem}-{name}.pcap") for name in names]
             counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
             pairs = zip(paths, mounts, strict=True)
             companions = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
         else:
-            paths = [output]
-            counts = [write_pcap(output, capture.in_time_order(streams))]
-            companions = capture.save_companions(output, mounts)
+            counts = [write_pcap(paths[0], capture.in_time_order(streams))]
+            companions = capture.save_companions(paths[0], mounts)
         records = beside.save() if beside else 0
         for path in paths:
-            record(path)
+            save_manifest(path)
     duration = f"{drive.duration_ns / SECOND_NS:g} s"
     lines = [f"{path}: {count:,} packets, {duration}" for path, count in zip(paths, counts, strict=True)]
-    lines += [f"{path}: what readers of the capture need besides" for path in companions]
+    lines += [f"{path}: readers of the capture need it, too" for path in companions]
     return lines + [f"{truth}: {records:,} returns"] * bool(truth)
 
 
 def _export_points(
-    drive: "Drive", output: Path, name: str | None, deskew: bool, record: "OnPath", rays: "Rays", quiet: bool
+    drive: "Drive", output: Path, name: str | None, deskew: bool, save_manifest: "OnPath", rays: "Rays", quiet: bool
 ) -> list[str]:
     """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
     from lidarcfg.cloud import row_bytes
@@ -287,7 +294,7 @@ def _export_points(
     with _run(drive.duration_ns, size, rays, quiet) as run:
         dataset = DriveDataset(drive, simulated_scans(drive, run))
         found = formats.save_dataset(output, form, dataset, deskew, warnings.append)
-        record(output)
+        save_manifest(output)
     for text in [] if quiet else warnings:
         warn(text)
     return [f"{output}: {found}, {drive.duration_ns / SECOND_NS:g} s"]

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.capture.manifest import manifest_path
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.files import loaded, remove_outdated
+from lidarcfg.files import check_replaceable, loaded, remove_outdated
 from lidarcfg.formats import formats
 from lidarcfg.formats.drive_dataset import DriveDataset
 from lidarcfg.formats.manifest import ManifestInputs
@@ -56,6 +57,7 @@ def export(
     else:
         moved = Trajectory(np.eye(4) if at is None else at, load_path(trajectory), START_NS)
     drive = Drive(rig, scene, moved, rig_vehicle(rig), START_NS, round(duration_s * SECOND_NS))
+    check_replaceable(manifest_path(output))  # not after hours
     inputs = ManifestInputs.of(drive, output, *given)
     if output.suffix != ".pcap" or to:
         form = formats.format_of("drive", output, to)

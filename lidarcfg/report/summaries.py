@@ -124,7 +124,7 @@ def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
     return ("an arc" if found.motion.arc else "a constant velocity"), ()
 
 
-def _record(path: Path) -> tuple[str, Iterable[str]]:
+def _manifest(path: Path) -> tuple[str, Iterable[str]]:
     manifest = load(path, CaptureManifest)
     for key in ("rig", "scene", "trajectory", "vehicle"):
         manifest.path(key, path)
@@ -158,5 +158,5 @@ SUMMARIES: dict[str, Callable[[Path], tuple[str, Iterable[str]]]] = {
     "sensor": _sensor,
     "vehicle": _vehicle,
     "trajectory": _trajectory,
-    CaptureManifest.kind: _record,
+    CaptureManifest.kind: _manifest,
 }

@@ -419,8 +419,14 @@ struct Signature<R (*)(A...)> {
   static constexpr std::size_t count = sizeof...(A);
 };
 
+template <class T>
+constexpr bool is_array = false;
+template <class E, std::size_t N>
+constexpr bool is_array<std::array<E, N>> = true;
+
 template <class A>
 decltype(auto) argument(nb::handle object, Held& held, const char* name) {
+  static_assert(!std::is_reference_v<A> || !is_array<std::remove_cvref_t<A>>, "arrays are taken by value");
   return From<std::conditional_t<Described<std::remove_cvref_t<A>> || !std::is_reference_v<A>, std::remove_cvref_t<A>,
                                  std::remove_reference_t<A>>>::python(object, held, Name{name});
 }

@@ -78,7 +78,7 @@ void bind_shapes(nb::module_& module) {
   scanner.def_prop_ro("phases", [](const Scanner& self) { return self.phases(); });
   nb::class_<TargetShape> target(module, "TargetShape", "An object in its own frame; it does not change.");
   init(
-      target, [](const world::Bvh& bvh, Vec3 low_m, Vec3 high_m) { return TargetShape(bvh, low_m, high_m); },
+      target, [](const world::Bvh& bvh, Vec3 low_m, Vec3 high_m) { return TargetShape{bvh, low_m, high_m}; },
       "Its hierarchy and the corners of its bounding box.", "bvh", "low_m", "high_m");
 }
 

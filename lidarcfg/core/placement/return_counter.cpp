@@ -173,7 +173,6 @@ double ReturnCounter::find_missed(Index place, View<const Sensor> sensors) {
     const View<std::int32_t> counts = counts_of(place, sensor);
     std::fill(counts.begin(), counts.end(), 0);
     aim(place, sensor);
-    beams_.tighten();
     ++traced_;
     least -= bounds.least;
     most -= bounds.most;

@@ -128,7 +128,6 @@ void count_returns(View<const Place> places, View<const std::int64_t> which, Vie
   for (const std::int64_t place : which) {
     for (Index s = 0; s < std::ssize(scanners); ++s) {
       beams.aim(*scanners[s], poses[s], target, places[place]);
-      beams.tighten();
       tracer->count(beams, obstacles, counts[place][s].first(scanners[s]->phases()));
     }
   }

@@ -5,9 +5,12 @@
 #include <limits>
 #include <numbers>
 
+<<<<<<< HEAD
 #include "maths.h"
 #include "simd.h"
 
+=======
+>>>>>>> main
 namespace lidarcfg::placement {
 namespace {
 
@@ -17,7 +20,6 @@ constexpr double ahead_m = 1e-9;   // an object's corners are all at least so fa
 constexpr double wider = 1e-9;     // of azimuths and slopes, for rounding
 constexpr double fov_rad = 1e-11;  // by which a field of view is wider, for rounding
 constexpr double steep_rad = 1.5;
-constexpr int most_slabs = 8;
 constexpr std::int32_t middle_heads = 64;  // of the surest firing, that come first
 constexpr double inf = std::numeric_limits<double>::infinity();
 
@@ -75,120 +77,30 @@ bool Scanner::is_outside(Index firing, Index head) const {
   return fov_rad_[1] + fov_rad < turned && turned < turn - fov_rad;
 }
 
-namespace {
+/// Where a box is seen from the sensor's axis: azimuths, clockwise, distances and heights.
+struct AimedBeams::Window {
+  double first_rad;
+  double last_rad;
+  double near_m;  // 0: it may be all around
+  double far_m;
+  double low_m;
+  double high_m;
 
-/// What holds the parts of shapes between two heights, seen from above: its support in eight directions.
-class Octagon {
- public:
-  void add(double x, double y, double z) {
-    for (int k = 0; k < 8; ++k) {
-      reach_[k] = std::max(reach_[k], x * directions[k][0] + y * directions[k][1]);
+  /// Whether a firing may be at the box's height at its distance.
+  bool meets(const Scanner::Firing& firing) const {
+    if (near_m == 0) {
+      return true;
     }
-    low_ = std::min(low_, z);
-    high_ = std::max(high_, z);
-  }
-
-  bool empty() const { return low_ > high_; }
-
-  Hull hull() const {
-    Hull out;
-    for (int k = 0; k < 8; ++k) {  // where two neighbouring sides meet
-      const auto& [ax, ay] = directions[k];
-      const auto& [bx, by] = directions[(k + 1) % 8];
-      const double a = reach_[k] + wider;
-      const double b = reach_[(k + 1) % 8] + wider;
-      const double area = ax * by - ay * bx;
-      out.x[k] = out.x[8 + k] = (a * by - b * ay) / area;
-      out.y[k] = out.y[8 + k] = (b * ax - a * bx) / area;
-      out.z[k] = low_ - wider;
-      out.z[8 + k] = high_ + wider;
+    const double low = low_m - firing.up_m;
+    const double high = high_m - firing.up_m;
+    if (firing.steep) {  // the object stays away from the axis
+      return firing.rise > 0 ? firing.rise * near_m <= high : firing.rise * near_m >= low;
     }
-    return out;
+    const double least = low / (low < 0 ? near_m : far_m);
+    const double most = high / (high < 0 ? far_m : near_m);
+    return least - wider * (1 + std::abs(least)) <= firing.rise && firing.rise <= most + wider * (1 + std::abs(most));
   }
-
- private:
-  static constexpr double half = std::numbers::sqrt2 / 2;
-  static constexpr double directions[8][2] = {{1, 0},  {half, half},   {0, 1},  {-half, half},
-                                              {-1, 0}, {-half, -half}, {0, -1}, {half, -half}};
-
-  double reach_[8] = {-inf, -inf, -inf, -inf, -inf, -inf, -inf, -inf};
-  double low_ = inf;
-  double high_ = -inf;
 };
-
-/// Add the part of a polygon's edge between two heights.
-void add_edge(const Vec3& from, const Vec3& to, double low_m, double high_m, Octagon& out) {
-  for (const double height : {low_m, high_m}) {
-    const double share = (height - from[2]) / (to[2] - from[2]);
-    if (0 < share && share < 1) {
-      out.add(from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1]), height);
-    }
-  }
-  if (low_m <= from[2] && from[2] <= high_m) {
-    out.add(from[0], from[1], from[2]);
-  }
-}
-
-/// Add the part of a shape between two heights.
-void add_shape(const world::Leaf& leaf, world::Kind kind, double low_m, double high_m, Octagon& out) {
-  if (kind == world::Kind::triangle) {
-    const world::Shape& shape = leaf.shape;
-    const Vec3 corners[3] = {
-        {shape[0], shape[1], shape[2]}, {shape[3], shape[4], shape[5]}, {shape[6], shape[7], shape[8]}};
-    for (int n = 0; n < 3; ++n) {
-      add_edge(corners[n], corners[(n + 1) % 3], low_m, high_m, out);
-    }
-  } else if (leaf.box.low[2] <= high_m && low_m <= leaf.box.high[2]) {
-    for (const float x : {leaf.box.low[0], leaf.box.high[0]}) {
-      for (const float y : {leaf.box.low[1], leaf.box.high[1]}) {
-        out.add(x, y, std::max<double>(leaf.box.low[2], low_m));
-        out.add(x, y, std::min<double>(leaf.box.high[2], high_m));
-      }
-    }
-  }
-}
-
-std::vector<Hull> slabs_of(const world::Bvh& bvh, double low_m, double high_m) {
-  std::vector<Hull> out;
-  for (int n = 0; n < most_slabs; ++n) {
-    Octagon octagon;
-    const double low = low_m + (high_m - low_m) * n / most_slabs;
-    const double high = n + 1 < most_slabs ? low_m + (high_m - low_m) * (n + 1) / most_slabs : inf;
-    for (Index s = 0; s < bvh.size(); ++s) {
-      add_shape(bvh.leaves[s], bvh.kind[s], n ? low : -inf, high, octagon);
-    }
-    if (!octagon.empty()) {
-      out.push_back(octagon.hull());
-    }
-  }
-  return out;
-}
-
-}  // namespace
-
-TargetShape::TargetShape(const world::Bvh& bvh, const Vec3& low_m, const Vec3& high_m)
-    : bvh(bvh), slabs(slabs_of(bvh, low_m[2], high_m[2])) {
-  for (int corner = 0; corner < Hull::size; ++corner) {
-    box.x[corner] = corner & 1 ? high_m[0] : low_m[0];
-    box.y[corner] = corner & 2 ? high_m[1] : low_m[1];
-    box.z[corner] = corner & 4 ? high_m[2] : low_m[2];
-  }
-}
-
-/// Whether a firing may be at the hull's height at its distance.
-bool AimedBeams::Window::meets(const Scanner::Firing& firing) const {
-  if (near_m == 0) {
-    return true;
-  }
-  const double low = low_m - firing.up_m;
-  const double high = high_m - firing.up_m;
-  if (firing.steep) {  // the object stays away from the axis
-    return firing.rise > 0 ? firing.rise * near_m <= high : firing.rise * near_m >= low;
-  }
-  const double least = low / (low < 0 ? near_m : far_m);
-  const double most = high / (high < 0 ? far_m : near_m);
-  return least - wider * (1 + std::abs(least)) <= firing.rise && firing.rise <= most + wider * (1 + std::abs(most));
-}
 
 void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const TargetShape& target, const Place& place) {
   scanner_ = &scanner;
@@ -204,6 +116,7 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
     M_[1][k] = c * pose.R[1][k] - s * pose.R[0][k];
     M_[2][k] = pose.R[2][k];
   }
+<<<<<<< HEAD
   const Hull& box = target.box;
   Vec3 middle;  // as seen from the sensor
   for (int k = 0; k < 3; ++k) {
@@ -215,50 +128,31 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
   to_x_ = length > 0 ? middle[0] / length : 1;
   to_y_ = length > 0 ? middle[1] / length : 0;
   centre_rad_ = -lidarcfg::atan2(to_y_, to_x_);
+=======
+>>>>>>> main
   heads_.clear();
-  box_ = window(box);
-  if (box_.near_m > scanner.most_m() * (1 + wider) + wider) {
+  const Window seen = window();
+  if (seen.near_m > scanner.most_m() * (1 + wider) + wider) {
     return;
   }
   for (Index f = 0; f < std::ssize(scanner.firings()); ++f) {
-    if (box_.meets(scanner.firings()[f])) {
-      add(box_.first_rad, box_.last_rad, f);
+    if (seen.meets(scanner.firings()[f])) {
+      add(seen, f);
     }
   }
+  put_middle_first(seen);
 }
 
-void AimedBeams::tighten() {
-  windows_.clear();
-  for (const Hull& slab : target_->slabs) {
-    windows_.push_back(window(slab));
-    if (windows_.back().near_m == 0) {
-      return;
-    }
-  }
-  heads_.clear();
-  for (Index f = 0; f < std::ssize(scanner_->firings()); ++f) {
-    double first = inf;
-    double last = -inf;
-    for (const Window& one : windows_) {
-      if (one.meets(scanner_->firings()[f])) {
-        first = std::min(first, one.first_rad);
-        last = std::max(last, one.last_rad);
-      }
-    }
-    if (first <= last) {
-      add(first, last, f);
-    }
-  }
-  put_middle_first();
-}
-
-/// Have the beams come first that are the surest to hit: those of the firing nearest to the middle of the box.
-void AimedBeams::put_middle_first() {
-  if (heads_.empty()) {
+/// Have the beams come first that are the surest to hit: those of the firing nearest to the middle of the window.
+void AimedBeams::put_middle_first(const Window& seen) {
+  if (heads_.empty() || seen.near_m == 0) {
     return;
   }
-  const double middle = (box_.low_m + box_.high_m) / (box_.near_m + box_.far_m);
-  const auto off = [&](const Heads& some) { return std::abs(scanner_->firings()[some.firing].rise - middle); };
+  const double middle = (seen.low_m + seen.high_m) / (seen.near_m + seen.far_m);
+  const auto off = [&](const Heads& some) {
+    const Scanner::Firing& one = scanner_->firings()[some.firing];
+    return std::abs(one.rise - middle);
+  };
   const auto nearest = std::min_element(heads_.begin(), heads_.end(),
                                         [&](const Heads& one, const Heads& other) { return off(one) < off(other); });
   std::swap(heads_.front(), *nearest);
@@ -271,37 +165,45 @@ void AimedBeams::put_middle_first() {
   }
 }
 
-AimedBeams::Window AimedBeams::window(const Hull& hull) const {
-  using simd::Doubles;
-  Doubles near = Doubles{} + inf;
-  Doubles far{};
-  Doubles left = Doubles{} - inf;  // tangents of angles from the middle of the box
-  Doubles right = Doubles{} + inf;
-  Doubles low = Doubles{} + inf;
-  Doubles high = Doubles{} - inf;
-  for (int n = 0; n < Hull::size; n += simd::lanes<double>) {
-    const Doubles px = simd::load<Doubles>(&hull.x[n]) - origin_[0];
-    const Doubles py = simd::load<Doubles>(&hull.y[n]) - origin_[1];
-    const Doubles pz = simd::load<Doubles>(&hull.z[n]) - origin_[2];
-    const Doubles x = M_[0][0] * px + M_[1][0] * py + M_[2][0] * pz;
-    const Doubles y = M_[0][1] * px + M_[1][1] * py + M_[2][1] * pz;
-    const Doubles z = M_[0][2] * px + M_[1][2] * py + M_[2][2] * pz;
-    const Doubles ahead = x * to_x_ + y * to_y_;
-    const Doubles aside = (y * to_x_ - x * to_y_) / ahead;
-    near = simd::min(near, ahead);
-    far = simd::max(far, x * x + y * y);
-    left = simd::max(left, aside);
-    right = simd::min(right, aside);
-    low = simd::min(low, z);
-    high = simd::max(high, z);
+AimedBeams::Window AimedBeams::window() const {
+  double x[8];
+  double y[8];
+  double z[8];
+  double u = 0;
+  double v = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    Vec3 p;
+    for (int k = 0; k < 3; ++k) {
+      p[k] = (corner >> k & 1 ? target_->high_m[k] : target_->low_m[k]) - origin_[k];
+    }
+    x[corner] = M_[0][0] * p[0] + M_[1][0] * p[1] + M_[2][0] * p[2];
+    y[corner] = M_[0][1] * p[0] + M_[1][1] * p[1] + M_[2][1] * p[2];
+    z[corner] = M_[0][2] * p[0] + M_[1][2] * p[1] + M_[2][2] * p[2];
+    u += x[corner];
+    v += y[corner];
   }
-  const double near_m = -simd::highest(-near);
-  const double low_m = -simd::highest(-low);
-  const double high_m = simd::highest(high);
+  const auto [low, high] = std::minmax_element(z, z + 8);
+  const Window everywhere{0.0, turn, 0.0, inf, *low, *high};
+  const double length = std::sqrt(u * u + v * v);
+  if (!(length > 0)) {
+    return everywhere;
+  }
+  u /= length;
+  v /= length;
   const double beside_m = scanner_->beside_m();
-  if (!(near_m > beside_m + ahead_m)) {
-    return {0.0, turn, 0.0, inf, low_m, high_m};
+  double near = inf;
+  double far_squared = 0;
+  double left = 0;  // tangents of angles from the middle of the box
+  double right = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    const double ahead = x[corner] * u + y[corner] * v;
+    const double aside = (y[corner] * u - x[corner] * v) / ahead;
+    near = std::min(near, ahead);
+    far_squared = std::max(far_squared, x[corner] * x[corner] + y[corner] * y[corner]);
+    left = std::max(left, aside);
+    right = std::min(right, aside);
   }
+<<<<<<< HEAD
   const double more = lidarcfg::asin(beside_m / near_m) + wider;
   return {centre_rad_ - lidarcfg::atan(simd::highest(left)) - more,
           centre_rad_ - lidarcfg::atan(-simd::highest(-right)) + more,
@@ -309,13 +211,26 @@ AimedBeams::Window AimedBeams::window(const Hull& hull) const {
           std::sqrt(simd::highest(far)) + beside_m,
           low_m,
           high_m};
+=======
+  if (!(near > beside_m + ahead_m)) {
+    return everywhere;
+  }
+  const double centre = -std::atan2(v, u);
+  const double more = std::asin(beside_m / near) + wider;
+  return {centre - std::atan(left) - more,
+          centre - std::atan(right) + more,
+          near - beside_m,
+          std::sqrt(far_squared) + beside_m,
+          *low,
+          *high};
+>>>>>>> main
 }
 
-/// Add the heads at which a firing points from one azimuth to another and may be in the field of view.
-void AimedBeams::add(double first_rad, double last_rad, Index firing) {
+/// Add the heads at which a firing points at a window and may be in the field of view.
+void AimedBeams::add(const Window& window, Index firing) {
   const Scanner::Firing& one = scanner_->firings()[firing];
-  double begin = wrapped(first_rad - one.offset_rad - one.lag_rad - scanner_->start_rad());
-  double end = begin + (last_rad - first_rad);
+  double begin = wrapped(window.first_rad - one.offset_rad - one.lag_rad - scanner_->start_rad());
+  double end = begin + (window.last_rad - window.first_rad);
   if (end - begin >= turn) {
     begin = 0;
     end = turn;

@@ -96,22 +96,11 @@ struct Place {
   double cos_heading, sin_heading;
 };
 
-/// The corners of a convex hull, by columns.
-struct Hull {
-  static constexpr int size = 16;
-
-  std::array<double, size> x;  // where there are fewer corners, some come twice
-  std::array<double, size> y;
-  std::array<double, size> z;
-};
-
 /// An object in its own frame, over its place; it does not change.
 struct TargetShape {
   world::Bvh bvh;
-  Hull box;                 // that bounds it
-  std::vector<Hull> slabs;  // upright prisms of eight sides, one over the other, that hold it more tightly
-
-  TargetShape(const world::Bvh& bvh, const Vec3& low_m, const Vec3& high_m);
+  Vec3 low_m;  // corners of its bounding box
+  Vec3 high_m;
 };
 
 /// The beams of a scanner at a pose that may hit an object at a place: all that point at its bounding box.
@@ -124,12 +113,7 @@ class AimedBeams {
     std::int32_t end;
   };
 
-  /// Find those that point at the bounding box.
   void aim(const Scanner& scanner, const SensorPose& pose, const TargetShape& target, const Place& place);
-
-  /// Leave out those that do not point at what holds the object more tightly; it takes longer, but not as long as to
-  /// trace them.
-  void tighten();
 
   const Scanner& scanner() const { return *scanner_; }
   const TargetShape& target() const { return *target_; }
@@ -146,21 +130,11 @@ class AimedBeams {
   Vec3 direction_in_vehicle(const Vec3& direction) const;
 
  private:
-  /// Where a hull is seen from the sensor's axis: azimuths, clockwise, distances and heights.
-  struct Window {
-    double first_rad;
-    double last_rad;
-    double near_m;  // 0: it may be all around
-    double far_m;
-    double low_m;
-    double high_m;
+  struct Window;
 
-    bool meets(const Scanner::Firing& firing) const;
-  };
-
-  Window window(const Hull& hull) const;
-  void add(double first_rad, double last_rad, Index firing);
-  void put_middle_first();
+  Window window() const;
+  void add(const Window& window, Index firing);
+  void put_middle_first(const Window& seen);
   void add_heads(Index firing, double begin_rad, double end_rad);
 
   const Scanner* scanner_ = nullptr;
@@ -168,11 +142,6 @@ class AimedBeams {
   Matrix3 M_;    // from the sensor's frame into the object's
   Vec3 origin_;  // where the sensor is in the object's frame
   Place place_;
-  double to_x_;  // unit vector from the sensor's axis to the middle of the box, in the sensor's frame
-  double to_y_;
-  double centre_rad_;  // its azimuth
-  Window box_;
-  std::vector<Window> windows_;  // of slabs
   std::vector<Heads> heads_;
   std::vector<std::int32_t> by_phase_;
 };

@@ -131,47 +131,47 @@ class Layout:
     columns_per_frame: int
     columns_per_packet: int = PACKET_COLUMNS
 
-    @property
+    @cached_property
     def profile(self) -> Profile:
         """Of the pixels."""
         return PROFILES[self.name]
 
-    @property
+    @cached_property
     def legacy(self) -> bool:
         """Whether packets have no header, and frame numbers stand in the columns."""
         return self.profile.header == "legacy"
 
-    @property
+    @cached_property
     def head(self) -> int:
         """Bytes before the columns."""
         return 0 if self.legacy else 32
 
-    @property
+    @cached_property
     def column_head(self) -> int:
         """Bytes before a column's pixels."""
         return 16 if self.legacy else 12
 
-    @property
+    @cached_property
     def column(self) -> int:
         """Bytes of a column."""
         return self.column_head + self.pixels * self.profile.pixel + 4 * self.legacy
 
-    @property
+    @cached_property
     def pixel(self) -> int:
         """Bytes of a pixel."""
         return self.profile.pixel
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Bytes of a packet."""
         return self.head + self.columns_per_packet * self.column + (0 if self.legacy else 32)
 
-    @property
+    @cached_property
     def frames(self) -> int:
         """The number of frames after which the frame counter wraps."""
         return 1 << 32 if self.profile.header == "fusa" else 1 << 16
 
-    @property
+    @cached_property
     def packets_per_frame(self) -> int:
         """Without an azimuth window."""
         return self.columns_per_frame // self.columns_per_packet
