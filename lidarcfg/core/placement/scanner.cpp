@@ -5,12 +5,8 @@
 #include <limits>
 #include <numbers>
 
-<<<<<<< HEAD
 #include "maths.h"
-#include "simd.h"
 
-=======
->>>>>>> main
 namespace lidarcfg::placement {
 namespace {
 
@@ -116,20 +112,6 @@ void AimedBeams::aim(const Scanner& scanner, const SensorPose& pose, const Targe
     M_[1][k] = c * pose.R[1][k] - s * pose.R[0][k];
     M_[2][k] = pose.R[2][k];
   }
-<<<<<<< HEAD
-  const Hull& box = target.box;
-  Vec3 middle;  // as seen from the sensor
-  for (int k = 0; k < 3; ++k) {
-    middle[k] = M_[0][k] * ((box.x[0] + box.x[7]) / 2 - origin_[0]) +
-                M_[1][k] * ((box.y[0] + box.y[7]) / 2 - origin_[1]) +
-                M_[2][k] * ((box.z[0] + box.z[7]) / 2 - origin_[2]);
-  }
-  const double length = std::sqrt(middle[0] * middle[0] + middle[1] * middle[1]);
-  to_x_ = length > 0 ? middle[0] / length : 1;
-  to_y_ = length > 0 ? middle[1] / length : 0;
-  centre_rad_ = -lidarcfg::atan2(to_y_, to_x_);
-=======
->>>>>>> main
   heads_.clear();
   const Window seen = window();
   if (seen.near_m > scanner.most_m() * (1 + wider) + wider) {
@@ -203,27 +185,17 @@ AimedBeams::Window AimedBeams::window() const {
     left = std::max(left, aside);
     right = std::min(right, aside);
   }
-<<<<<<< HEAD
-  const double more = lidarcfg::asin(beside_m / near_m) + wider;
-  return {centre_rad_ - lidarcfg::atan(simd::highest(left)) - more,
-          centre_rad_ - lidarcfg::atan(-simd::highest(-right)) + more,
-          near_m - beside_m,
-          std::sqrt(simd::highest(far)) + beside_m,
-          low_m,
-          high_m};
-=======
   if (!(near > beside_m + ahead_m)) {
     return everywhere;
   }
-  const double centre = -std::atan2(v, u);
-  const double more = std::asin(beside_m / near) + wider;
-  return {centre - std::atan(left) - more,
-          centre - std::atan(right) + more,
+  const double centre = -lidarcfg::atan2(v, u);
+  const double more = lidarcfg::asin(beside_m / near) + wider;
+  return {centre - lidarcfg::atan(left) - more,
+          centre - lidarcfg::atan(right) + more,
           near - beside_m,
           std::sqrt(far_squared) + beside_m,
           *low,
           *high};
->>>>>>> main
 }
 
 /// Add the heads at which a firing points at a window and may be in the field of view.
