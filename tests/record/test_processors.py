@@ -1,0 +1,25 @@
+"""The recorded answers on a lesser processor: without AVX2 and FMA in the core, in the system's library and in numpy."""
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LESSER = {
+    "LIDARCFG_CORE": "v2",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX2_Usable,-FMA_Usable",
+    "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL",
+}
+OWN_EXP = "not cmaes and not auto"  # cma takes numpy's exp, whose last bit is the processor's
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="there is one core for this processor")
+def test_a_lesser_processor_gives_the_same_bits():
+    words = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-W", "ignore::ImportWarning"]
+    words += ["-W", "ignore::RuntimeWarning", "-k", OWN_EXP, "tests/record/test_record.py"]
+    done = subprocess.run(words, cwd=ROOT, env=os.environ | LESSER, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
