@@ -446,7 +446,7 @@ void PacketOf<Capacity>::end_hit() {
 template <int Capacity>
 template <bool Any>
 void PacketOf<Capacity>::hits(const Bvh& bvh, std::int32_t first_slot) {
-  const Index most = count_ > 1 ? 128 + 24 * count_ : std::numeric_limits<Index>::max();
+  const Index most = count_ > 1 ? 128 + 12 * count_ : std::numeric_limits<Index>::max();
   const bool done = walk(bvh, most, [&](LeafCode leaf) {
     for (std::int32_t s = leaf.first(); s < leaf.end(); ++s) {
       const Kind kind = leaf.mixed() ? bvh.kind[s] : Kind::triangle;
