@@ -148,6 +148,8 @@ COUNTS, TWO = np.zeros((1, 2, 2), np.int32), np.array([2, 2])
         (lambda: scanner(step_rad=0.0), "step_rad"),
         (lambda: scanner(step_rad=math.nan), "step_rad"),
         (lambda: scanner(range_m=(1.0,)), "range_m"),
+        (lambda: scanner(lag_rad=np.array([0, math.nan, 0])), "lag_rad"),
+        (lambda: scanner(fov_rad=(0.0, math.inf)), "fov_rad"),
         (lambda: returns.TargetShape(None, LOW, HIGH), "bvh"),
         (lambda: returns.TargetShape(bvh(SIDE), LOW[:2], HIGH), "low_m"),
         (count_with(places=PLACES[:, :3].copy()), "places"),
