@@ -19,6 +19,7 @@ bool has_v3() {
 
 NB_MODULE(LIDARCFG_MODULE, module) {
   using namespace lidarcfg::bind;
+  nanobind::set_leak_warnings(false);  // what Python's modules still hold at exit is no leak
   module.def("has_v3", &has_v3);
   const auto add = [&](const char* name, void (*bind)(nanobind::module_&)) {
     nanobind::module_ part = module.def_submodule(name);

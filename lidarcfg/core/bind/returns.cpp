@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 
 #include "bind/arguments.h"
@@ -18,13 +19,17 @@ using placement::SensorPose;
 using placement::TargetShape;
 using Scanners = std::vector<const Scanner*>;
 
+void require_finite(View<const double> values, const char* message) {
+  require(std::all_of(values.begin(), values.end(), [](double one) { return std::isfinite(one); }), message);
+}
+
 Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, double start_rad, double step_rad,
                      std::int64_t phases, View<const double> lag_rad, View<const double> gating_rad,
                      View<const double> offset_rad, View<const double> elevation_rad, Rows<const double> start_m,
                      std::array<double, 2> range_m, std::array<double, 2> fov_rad) {
   const auto firings = lag_rad.size();
   require(cos_head.size() == sin_head.size(), "sin_head: one for each cos_head");
-  require(step_rad > 0, "step_rad: not above 0");
+  require(step_rad >= 1e-8 && step_rad <= 10, "step_rad: not from 1e-8 to 10");
   require(cos_head.size() < (std::size_t{1} << 31), "cos_head: too many heads");
   require(firings < (std::size_t{1} << 31), "lag_rad: too many firings");
   require(1 <= phases && phases <= 1 << 20, "phases: not from 1 to 2^20");
@@ -32,6 +37,13 @@ Scanner make_scanner(View<const double> cos_head, View<const double> sin_head, d
   require(offset_rad.size() == firings, "offset_rad: one for each firing");
   require(elevation_rad.size() == firings, "elevation_rad: one for each firing");
   require(start_m.rows() == std::ssize(lag_rad) && start_m.columns() == 3, "start_m: three numbers for each firing");
+  require_finite(lag_rad, "lag_rad: not finite");
+  require_finite(gating_rad, "gating_rad: not finite");
+  require_finite(offset_rad, "offset_rad: not finite");
+  require_finite(elevation_rad, "elevation_rad: not finite");
+  require_finite({start_m.data(), static_cast<std::size_t>(start_m.size())}, "start_m: not finite");
+  require_finite(fov_rad, "fov_rad: not finite");
+  require(std::isfinite(start_rad), "start_rad: not finite");
   return Scanner(ScannerColumns{cos_head, sin_head, start_rad, step_rad, phases, lag_rad, gating_rad, offset_rad,
                                 elevation_rad, start_m, range_m, fov_rad});
 }

@@ -220,30 +220,21 @@ void ShadowCaster::flush(const Bvh& bvh, View<Word> seen) {
 }
 
 /// Cast the segments of a packet, and take the targets that are hidden from `seen`.
-///
-/// The triangles that hid the last ones are tried first.
 void ShadowCaster::cast(const Bvh& bvh, Packet& packet, View<const Index> targets, View<Word> seen) {
   const int count = packet.count();
   const auto [dx, dy, dz] = packet.direction(0);
   Occluders& last = occluders_[facing(dx, dy, dz)];
   cast_count_ += count;
   packet.limit(1 - ends);
-  int hidden = 0;
-  if (is_triangle(bvh, last.older)) {
-    hidden = packet.any_hits(bvh, last.older);
-  }
-  if (hidden < count && last.latest != last.older && is_triangle(bvh, last.latest)) {
-    hidden = packet.any_hits(bvh, last.latest);
-  }
-  if (hidden < count) {
-    packet.any_hits(bvh);
-  }
+  packet.any_hits(bvh);
   for (int n = 0; n < count; ++n) {
     const std::int32_t slot = packet.slot(n);
     if (slot >= 0) {
       seen[targets[n] >> 6] &= ~(Word{1} << (targets[n] & 63));
-      if (bvh.kind[slot] == Kind::triangle && slot != last.latest) {
-        last = {last.latest, slot};
+      if (bvh.kind[slot] == Kind::triangle) {
+        const auto found = std::find(last.begin(), last.end() - 1, slot);
+        std::rotate(last.begin(), found, found + 1);
+        last[0] = slot;
       }
     }
   }
@@ -259,7 +250,7 @@ Word ShadowCaster::without_occluded(const Bvh& bvh, const TargetRow& targets, Wo
     const int bit = from_end ? 63 - std::countl_zero(word) : std::countr_zero(word);
     const double x = targets.first_x() + targets.edge_m * bit;
     const Occluders& last = occluders_[facing(x - origin_[0], targets.y - origin_[1], targets.z - origin_[2])];
-    for (const std::int32_t slot : {last.older, last.latest}) {
+    for (const std::int32_t slot : last) {
       if (is_triangle(bvh, slot)) {
         const Word hidden = word & occluded_by_triangle(bvh.leaves[slot].shape, origin_, targets);
         word &= ~hidden;

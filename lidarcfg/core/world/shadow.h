@@ -49,14 +49,19 @@ class ShadowCaster {
   std::uint64_t without_occluded(const Bvh& bvh, const TargetRow& targets, std::uint64_t word, Index row,
                                  View<std::uint64_t> seen) const;
 
-  struct Occluders {
-    std::int32_t older = -1;
-    std::int32_t latest = -1;
-  };
+  static constexpr int remembered = 8;
+  using Occluders = std::array<std::int32_t, remembered>;  // the latest first
+
+  static Occluders no_occluders() {
+    Occluders none;
+    none.fill(-1);
+    return none;
+  }
 
   Vec3 origin_{};
-  Packer<> packer_;                                                   // of segments, whose numbers are row · 64 + bit
-  std::vector<Occluders> occluders_ = std::vector<Occluders>(faces);  // slots of triangles that hid others; -1: none
+  Packer<> packer_;  // of segments, whose numbers are row · 64 + bit
+  std::vector<Occluders> occluders_ =
+      std::vector<Occluders>(faces, no_occluders());  // slots of triangles that hid others; -1: none
   std::int64_t cast_count_ = 0;
 };
 

@@ -1,0 +1,182 @@
+"""Returns from an object: the core on a small sensor, and what it refuses."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from lidarcfg.core import returns, visibility, world
+
+SIDE = np.array([[[0, -1, 0], [0, 1, 0], [0, 1, 2]], [[0, -1, 0], [0, 1, 2], [0, -1, 2]]], float)
+LOW, HIGH = np.array([0.0, -1, 0]), np.array([0.0, 1, 2])
+R, T = np.eye(3)[None], np.array([[0.0, 0, 1]])
+FIRINGS = np.radians([-10.0, 0.0, 10.0])
+
+
+class Obstacles(NamedTuple):
+    """What blocks beams."""
+
+    tree: world.Bvh
+    boxes: np.ndarray
+    origin_m: np.ndarray
+    ground_m: float
+
+
+def bvh(triangles):
+    """Of triangles (T, 3, 3)."""
+    shapes = np.asarray(triangles, float).reshape(-1, 9)
+    number = np.arange(len(shapes), dtype=np.int32)
+    return world.Bvh(shapes, np.zeros(len(shapes), np.uint8), number, number)
+
+
+def obstacles(triangles=(), ground_m=math.inf):
+    """Triangles and the ground."""
+    tree = bvh(triangles)
+    return Obstacles(tree, visibility.boxes_of(tree), np.zeros(3), ground_m)
+
+
+def scanner(phases=4, step_deg=1.0, **changes):
+    """Three beams at -10°, 0° and 10°, every degree."""
+    heads = np.radians(np.arange(0, 360, step_deg / phases))
+    none = np.zeros(3)
+    given = {
+        "cos_head": np.cos(heads), "sin_head": np.sin(heads), "start_rad": 0.0,
+        "step_rad": math.radians(step_deg / phases), "phases": phases, "lag_rad": none, "gating_rad": none,
+        "offset_rad": none, "elevation_rad": FIRINGS, "start_m": np.zeros((3, 3)), "range_m": (0.5, 100.0),
+        "fov_rad": (0.0, 2 * math.pi),
+    }  # fmt: skip
+    return returns.Scanner(**given | changes)
+
+
+TARGET = returns.TargetShape(bvh(SIDE), LOW, HIGH)
+PLACES = np.array([[5.0, 0, 0, 0], [50, 0, 0, 0], [0, 5, 0, math.pi / 2], [-5, 0, 0, math.pi]])
+
+
+def counted(one, places=PLACES, around=None, target=TARGET):
+    """(P, phases) the returns at places."""
+    counts = np.zeros((len(places), 1, one.phases), np.int32)
+    returns.count_returns(places, np.arange(len(places)), [one], R, T, target, around or obstacles(), counts)
+    return counts[:, 0]
+
+
+@pytest.mark.parametrize("phases", [1, 3, 4])
+def test_a_wall_by_hand(phases):
+    """At 5 m all three beams reach its 2 m of height; at 50 m the level one; 2 m of width are ±11.3° and ±1.15°."""
+    found = counted(scanner(phases))
+    by_head = [math.atan(1 / far) for far in (5, 50)]
+    for place, (beams, reach) in enumerate(zip((3, 1), by_head, strict=True)):
+        heads = np.radians(np.arange(-180 * phases, 180 * phases) / phases)
+        each = [(abs(heads[phase::phases]) <= reach).sum() for phase in range(phases)]
+        assert found[place].tolist() == [beams * count for count in each]
+    assert found[3].sum() == found[0].sum()
+    assert abs(int(found[2].sum()) - int(found[0].sum())) <= 6
+
+
+def test_ranges_fields_of_view_and_what_stands_before():
+    assert counted(scanner(range_m=(0.5, 4.9))).sum() == 0
+    assert counted(scanner(fov_rad=(math.radians(30), math.radians(300))))[0].sum() == 0
+    ahead = counted(scanner(fov_rad=(math.radians(300), math.radians(120))))
+    assert ahead[0].tolist() == counted(scanner())[0].tolist()
+    assert ahead[3].sum() == 0
+    assert counted(scanner(), around=obstacles((SIDE - (0, 0, 1)) * 3 + (2, 0, 1)))[:2].sum() == 0
+    low = counted(scanner(), around=obstacles(ground_m=0.5))[0]
+    assert low.sum() == counted(scanner())[0].sum() * 2 / 3
+    assert counted(scanner(), target=returns.TargetShape(bvh([]), LOW, HIGH)).sum() == 0
+    assert counted(scanner(), places=np.array([[math.nan, 0, 0, 0]])).sum() == 0
+    assert counted(scanner(), places=np.empty((0, 4))).shape == (0, 4)
+    around = returns.TargetShape(bvh(SIDE), LOW - 9, HIGH + 9)  # whose bounding box the sensor is in
+    assert np.array_equal(counted(scanner(), target=around), counted(scanner()))
+
+
+def counter(enough, scanners=None, places=PLACES, ends=(4,)):
+    """Of the wall at places."""
+    return returns.ReturnCounter(scanners or [scanner()], TARGET, places, np.array(ends), obstacles(), enough)
+
+
+def test_a_counter_knows_where_an_object_is_missed():
+    (near, far, _, _), one = counted(scanner()), np.zeros(1, np.int64)
+    assert counter(int(near.min())).missed(one, R, T, 0, math.inf) == 1.0
+    assert counter(1000).missed(one, R, T, 0, math.inf) == 4.0
+    assert counter(0).missed(one, R, T, 0, math.inf) == 0.0
+    some = counter(int(far.max()), ends=(1, 1, 4))
+    assert some.missed(one, R, T, 1, math.inf) == 0.0
+    assert some.missed(one, R, T, 2, math.inf) == (far < far.max()).mean()
+    assert some.missed_among(one, R, T, 2, 3) == (far < far.max()).mean()
+    assert some.missed_among(one, R, T, 2, 0) == 0.0
+    for n in range(600):  # more poses than are kept
+        assert some.missed(one, R, T + n * 1e-9, 0, math.inf) == 0.0
+    two = counter(int(2 * far.max()), [scanner(), scanner(3)])
+    both = np.arange(2), np.repeat(R, 2, axis=0), np.repeat(T, 2, axis=0)
+    assert 0.0 < two.missed(*both, 0, math.inf) <= 1.0
+    assert two.missed(both[0][1:], R, T, 0, math.inf) >= two.missed(*both, 0, math.inf)
+    assert two.traced > 0
+
+
+def test_probabilities():
+    counts = np.array([[[3, 5], [2, 9]], [[0, 0], [9, 0]]], np.int32)
+    assert returns.detection_probabilities(counts, np.array([2, 1]), 6).tolist() == [0.5, 1.0]
+    assert returns.detection_probabilities(counts, np.array([2, 2]), 9).tolist() == [0.5, 0.5]
+    assert returns.detection_probabilities(counts[:0], np.array([2, 2]), 9).tolist() == []
+
+
+def count_with(**changes):
+    """A call of count_returns with some arguments changed."""
+    given = {
+        "places": PLACES, "which": np.arange(4), "scanners": [scanner()], "R": R, "t": T, "target": TARGET,
+        "obstacles": obstacles(), "counts": np.zeros((4, 1, 4), np.int32),
+    }  # fmt: skip
+    return lambda: returns.count_returns(**given | changes)
+
+
+def missed_with(sensors=(0,), R=R, t=T, group=0):
+    """A call of missed with some arguments changed."""
+    return lambda: counter(1).missed(np.array(sensors, np.int64), R, t, group, 1.0)
+
+
+COUNTS, TWO = np.zeros((1, 2, 2), np.int32), np.array([2, 2])
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda: scanner(phases=4, lag_rad=np.zeros(2)), "gating_rad"),
+        (lambda: scanner(offset_rad=np.zeros(2)), "offset_rad"),
+        (lambda: scanner(elevation_rad=np.zeros(4)), "elevation_rad"),
+        (lambda: scanner(start_m=np.zeros((3, 2))), "start_m"),
+        (lambda: scanner(sin_head=np.zeros(2)), "sin_head"),
+        (lambda: scanner(step_rad=0.0), "step_rad"),
+        (lambda: scanner(step_rad=math.nan), "step_rad"),
+        (lambda: scanner(range_m=(1.0,)), "range_m"),
+        (lambda: scanner(lag_rad=np.array([0, math.nan, 0])), "lag_rad"),
+        (lambda: scanner(fov_rad=(0.0, math.inf)), "fov_rad"),
+        (lambda: returns.TargetShape(None, LOW, HIGH), "bvh"),
+        (lambda: returns.TargetShape(bvh(SIDE), LOW[:2], HIGH), "low_m"),
+        (count_with(places=PLACES[:, :3].copy()), "places"),
+        (count_with(which=np.array([4])), "which"),
+        (count_with(which=np.array([-1])), "which"),
+        (count_with(scanners=[None]), "scanners"),
+        (count_with(R=np.eye(3)), "R"),
+        (count_with(t=np.zeros((2, 3))), "t"),
+        (count_with(counts=np.zeros((4, 1, 3), np.int32)), "counts"),
+        (count_with(counts=np.zeros((3, 1, 4), np.int32)), "counts"),
+        (count_with(counts=np.zeros((4, 1, 4))), "counts"),
+        (count_with(obstacles=obstacles()._replace(origin_m=np.zeros(2))), "origin_m"),
+        (lambda: counter(-1), "enough"),
+        (lambda: counter(1, ends=(3,)), "group_ends"),
+        (lambda: counter(1, ends=()), "group_ends"),
+        (lambda: counter(1, ends=(5, 4)), "group_ends"),
+        (missed_with(sensors=(1,)), "sensors"),
+        (missed_with(sensors=(-1,)), "sensors"),
+        (missed_with((0, 0), np.repeat(R, 2, axis=0), np.repeat(T, 2, axis=0)), "sensors"),
+        (missed_with(R=np.zeros((2, 3, 3))), "R"),
+        (missed_with(group=1), "group"),
+        (lambda: returns.detection_probabilities(COUNTS, TWO[:1], 1), "phases"),
+        (lambda: returns.detection_probabilities(COUNTS, TWO + 1, 1), "phases"),
+        (lambda: returns.detection_probabilities(COUNTS - 1, TWO, 1), "counts"),
+        (lambda: returns.detection_probabilities(COUNTS, TWO, -1), "enough"),
+    ],
+)
+def test_what_is_refused_is_named(call, named):
+    with pytest.raises(ValueError, match=named):
+        call()

@@ -1,0 +1,169 @@
+"""What LiDARs see, columns of cuboids and outlines: the core on small cases, and what it refuses."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidarcfg.core import visibility, world
+
+PLATE = [[4, -1, -1, 4, 1, -1, 4, 1, 1], [4, -1, -1, 4, 1, 1, 4, -1, 1]]
+ALL_AROUND = [0, math.inf, 0, 0, 0, 0, 0, 0, 0]
+
+
+class Obstacles(NamedTuple):
+    """What blocks beams."""
+
+    tree: world.Bvh
+    boxes: np.ndarray
+    origin_m: np.ndarray
+    ground_m: float
+
+
+class Sight(NamedTuple):
+    """What a LiDAR may see."""
+
+    limits: np.ndarray
+    obstacles: Obstacles
+
+
+class Span(NamedTuple):
+    """The least and greatest gaps on lines."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+
+def bvh(triangles):
+    """Of triangles (T, 9)."""
+    shapes = np.asarray(triangles, np.float64).reshape(-1, 9)
+    number = np.arange(len(shapes), dtype=np.int32)
+    return world.Bvh(shapes, np.zeros(len(shapes), np.uint8), number, number)
+
+
+def sight(limits=ALL_AROUND, triangles=(), ground_m=math.inf):
+    """Of one LiDAR, with triangles in the way."""
+    tree = bvh(triangles)
+    return Sight(np.array([limits], float), Obstacles(tree, visibility.boxes_of(tree), np.zeros(3), ground_m))
+
+
+def seen(points, sight, start=(0.0, 0.0, 0.0)):
+    """Which points (N, 3) a LiDAR sees."""
+    out = np.empty(len(points), bool)
+    columns = np.ascontiguousarray(np.asarray(points, float).reshape(-1, 3).T)
+    visibility.see_points(columns, np.array(start), sight, out)
+    return out.tolist()
+
+
+def test_boxes_hold_all_shapes():
+    assert visibility.boxes_of(bvh([])).shape == (6, 0)
+    rng = np.random.default_rng(1)
+    for count in (1, 2, 40, 500):
+        shapes = rng.normal(size=(count, 9))
+        low, high = np.split(visibility.boxes_of(bvh(shapes)).T, 2, axis=1)
+        corners = shapes.reshape(count, 3, 3)
+        inside = (low <= corners.min(axis=1)[:, None]) & (corners.max(axis=1)[:, None] <= high)
+        assert low.shape == (16, 3)
+        assert inside.all(axis=2).any(axis=1).all()
+
+
+def test_a_plate_hides_what_is_behind_it():
+    points = [[8, 0, 0], [8, 1.9, 1.9], [8, 2.1, 0], [3.9, 0, 0], [-8, 0, 0], [4, 0, 0], [0, 0, 0], [math.nan, 0, 0]]
+    assert seen(points, sight(triangles=PLATE))[:7] == [False, False, True, True, True, True, True]
+    assert seen([], sight(triangles=PLATE)) == []
+    assert seen([[8, 0, 0]], sight(triangles=[[math.nan] * 9])) == [True]
+
+
+def test_range_ground_and_field_of_view():
+    points = [[1, 0, 0], [2, 0, 0], [5, 0, 0], [6, 0, 0]]
+    assert seen(points, sight([4, 25, 0, 0, 0, 0, 0, 0, 0])) == [False, True, True, False]
+    assert seen([[3, 0, -2], [3, 0, -1], [3, 0, 2]], sight(ground_m=-1.5)) == [False, True, True]
+    around = [[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]
+    assert seen(around, sight([0, math.inf, 1, 0, 0, 0, 1, 0, 1])) == [True, False, False, False]
+    assert seen(around, sight([0, math.inf, 1, 0, 0, 0, 1, 0, 2])) == [True, True, True, False]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_lines_of_cuboids_beside_plain_loops(seed):
+    rng = np.random.default_rng(seed)
+    nx, ny, nz = rng.integers(1, 5, 3)
+    label = rng.integers(-1, 3, (nx, ny, nz)).astype(np.int32)
+    shapes = (ny, nz), (nx, nz), (nx, ny)
+    row_of = np.array([1, -1, 0, -1])
+    lines = [np.zeros((2, *shape), np.int32) for shape in shapes]
+    visibility.count_lines(label, row_of, *lines)
+    for row, subspace in ((1, 0), (0, 2)):
+        for axis in range(3):
+            assert np.array_equal(lines[axis][row], (label == subspace).sum(axis=axis))
+    gap = rng.integers(-1, 4, (3, 2))
+    spans = [Span(np.full((2, *shape), 99, np.int32), np.full((2, *shape), -9, np.int32)) for shape in shapes]
+    visibility.widen_spans(label, gap, -1, *spans)
+    gaps = np.where(label[..., None] < 0, -1, gap[label])
+    for axis, span in enumerate(spans):
+        for lidar in range(2):
+            here = gaps[..., lidar]
+            assert np.array_equal(span.low[lidar], np.where(here < 0, 99, here).min(axis=axis))
+            assert np.array_equal(span.high[lidar], np.where(here < 0, -9, here).max(axis=axis))
+    ends = np.sort(rng.integers(0, [[nx + 1], [ny + 1], [nz + 1]], (3, 2)), axis=1)
+    found = np.zeros(4, bool)
+    visibility.mark_subspaces(label, ends, found)
+    part = label[ends[0, 0] : ends[0, 1], ends[1, 0] : ends[1, 1], ends[2, 0] : ends[2, 1]]
+    assert found.tolist() == [n in part for n in (0, 1, 2, -1)]
+
+
+def test_the_outline_of_a_square():
+    points = np.array([[2.0, 2], [-2, 2], [-2, -2], [2, -2], [math.nan, 1]])
+    out = np.zeros(8)
+    visibility.trace_outline(points, np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]]), out)
+    assert out == pytest.approx(np.where(np.arange(8) % 2, math.sqrt(8), 2.0))
+    visibility.trace_outline(points, np.empty((0, 3), np.int64), out)
+
+
+def points_with(**changes):
+    """A call of see_points with some arguments changed."""
+    given_ = {"points": np.zeros((3, 2)), "cone": np.zeros(6), "sight": sight(), "out": np.empty(2, bool)} | changes
+    return lambda: visibility.see_points(**given_)
+
+
+LABEL, LINES = np.zeros((1, 2, 3), np.int32), [np.zeros((1, *shape), np.int32) for shape in ((2, 3), (1, 3), (1, 2))]
+READ_ONLY = np.empty(2, bool)
+READ_ONLY.flags.writeable = False
+SPANS = [Span(one, one) for one in LINES]
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (points_with(points=np.zeros((2, 2))), "points"),
+        (points_with(points=np.zeros((3, 2), np.float32)), "points"),
+        (points_with(points=np.zeros((2, 3)).T), "points"),
+        (points_with(cone=np.zeros(2)), "cone"),
+        (points_with(out=np.empty(3, bool)), "out"),
+        (points_with(out=READ_ONLY), "out"),
+        (points_with(sight=sight()._replace(limits=np.empty((0, 9)))), "sight.limits"),
+        (points_with(sight=sight()._replace(limits=np.empty((1, 8)))), "sight.limits"),
+        (points_with(sight=Sight(np.zeros((1, 9)), sight().obstacles._replace(boxes=np.zeros((6, 3))))), "boxes"),
+        (points_with(sight=Sight(np.zeros((1, 9)), sight().obstacles._replace(tree=None))), "tree"),
+        (lambda: visibility.mark_subspaces(LABEL, np.array([[0, 2], [0, 2], [0, 3]]), np.zeros(2, bool)), "cells"),
+        (lambda: visibility.mark_subspaces(LABEL, np.array([[-1, 1], [0, 2], [0, 3]]), np.zeros(2, bool)), "cells"),
+        (lambda: visibility.mark_subspaces(LABEL, np.zeros((3, 3), np.int64), np.zeros(2, bool)), "cells"),
+        (lambda: visibility.mark_subspaces(LABEL + 1, np.array([[0, 1]] * 3), np.zeros(2, bool)), "label"),
+        (lambda: visibility.count_lines(LABEL, np.array([1, -1]), *LINES), "row_of"),
+        (lambda: visibility.count_lines(LABEL, np.empty(0, np.int64), *LINES), "label"),
+        (lambda: visibility.count_lines(LABEL - 2, np.array([0, -1]), *LINES), "label"),
+        (lambda: visibility.count_lines(LABEL, np.array([0, -1]), LINES[1], *LINES[1:]), "x"),
+        (lambda: visibility.widen_spans(LABEL, np.zeros((1, 2), np.int64), -1, *SPANS), "x"),
+        (lambda: visibility.widen_spans(LABEL + 1, np.zeros((1, 1), np.int64), -1, *SPANS), "label"),
+        (lambda: visibility.trace_outline(np.zeros((3, 3)), np.zeros((1, 3), np.int64), np.zeros(8)), "points"),
+        (lambda: visibility.trace_outline(np.zeros((3, 2)), np.full((1, 3), 3), np.zeros(8)), "triangles"),
+        (lambda: visibility.trace_outline(np.zeros((3, 2)), np.full((1, 3), -1), np.zeros(8)), "triangles"),
+        (lambda: visibility.trace_outline(np.zeros((3, 2)), np.zeros((1, 3), np.int64), np.zeros(0)), "out"),
+    ],
+)
+def test_what_is_refused_is_named(call, named):
+    with pytest.raises(ValueError, match=named):
+        call()
