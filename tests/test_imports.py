@@ -14,6 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "lidarcfg"
 GROUND = {
     "errors",
     "inputs",
+    "maths",
     "units",
     "files",
     "futures",

@@ -99,8 +99,8 @@ def assert_read_back(study, folder):
         for key in ("lower", "upper", "mirror"):
             np.testing.assert_array_equal(getattr(again, key), getattr(one, key))
         np.testing.assert_array_equal(again.region.included, one.region.included)
-        assert len(again.sought) == len(one.sought)
-        for sought, known in zip(again.sought, one.sought, strict=True):
+        assert len(again.detection_targets) == len(one.detection_targets)
+        for sought, known in zip(again.detection_targets, one.detection_targets, strict=True):
             assert np.array_equal(sought.places, known.places)
             assert sought.item.model_copy(update={"mesh": known.item.mesh}) == known.item
         save_rig(one.rig(one.midpoint), path.with_name("rig.yaml"))

@@ -12,11 +12,18 @@
 
 namespace lidarcfg {
 
-inline double sin(double angle_rad) { return cos_sin(angle_rad).sin; }
-inline double cos(double angle_rad) { return cos_sin(angle_rad).cos; }
+/// Both of any angle: large ones are brought to half a revolution first.
+inline CosSin cos_sin_of_any(double angle_rad) {
+  constexpr double many_revolutions_rad = 1e5;
+  const bool near = std::abs(angle_rad) < many_revolutions_rad;
+  return cos_sin(near ? angle_rad : std::remainder(angle_rad, 2 * std::numbers::pi));
+}
+
+inline double sin(double angle_rad) { return cos_sin_of_any(angle_rad).sin; }
+inline double cos(double angle_rad) { return cos_sin_of_any(angle_rad).cos; }
 
 inline double tan(double angle_rad) {
-  const auto [cosine, sine] = cos_sin(angle_rad);
+  const auto [cosine, sine] = cos_sin_of_any(angle_rad);
   return sine / cosine;
 }
 

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 import lidarcfg
+from lidarcfg import core
 from lidarcfg.config import Model, checked, error_at, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -208,6 +209,10 @@ def _update(content: "hashlib._Hash", value: Any) -> None:
         content.update(f"({len(value)}".encode())
         for item in value:
             _update(content, item)
+    elif isinstance(value, core.world.Bvh):
+        _update(content, value.__getstate__())
+    elif isinstance(value, bytes):
+        content.update(value)
     else:
         content.update(f"{getattr(value, '__qualname__', None) or repr(value)},".encode())
 

@@ -280,7 +280,7 @@ def test_a_rig_s_angles_too(tmp_path):
 def test_a_slow_objective_is_said_with_what_it_costs(tmp_path, monkeypatch):
     """By a clock that the test turns: it has no way to make one slow for certain."""
     path = study(tmp_path, constraints="objective: {inscribed_radius: 1}")
-    ticks = iter([0, 1, 2, 3, 10, 10.001, 20, 21])
+    ticks = iter([0, 0.001, 20, 21])
     monkeypatch.setattr("lidarcfg.placement.checks.time", SimpleNamespace(perf_counter=lambda: next(ticks)))
     (line,) = study_warnings(path, load_study(path))
     assert re.search(r":6:1: objective: one evaluation takes 1 s, 1000 times that of max_vsr; coarser", line)
@@ -311,7 +311,7 @@ def test_mounting_errors_cost_as_many_evaluations_as_they_draw(tmp_path, monkeyp
     """300 draws of 2 s each, though max VSR is all that is minimised; 101 of 1 s are the fewest that are slow."""
     for samples, own_s, slow in ((300, 2, 600), (101, 1, 101), (100, 1, None)):
         path = study(tmp_path, constraints=f"robust: {{position_sigma_m: 0.01, samples: {samples}}}")
-        ticks = iter([0, 1, 2, 3, 10, 11, 20, 20 + own_s])
+        ticks = iter([0, 1, 20, 20 + own_s])
         monkeypatch.setattr("lidarcfg.placement.checks.time", SimpleNamespace(perf_counter=lambda t=ticks: next(t)))
         found = list(study_warnings(path, load_study(path)))
         assert len(found) == (slow is not None)

@@ -46,6 +46,8 @@ def test_edges():
     assert mapped("log", [0.0, 1.0, math.inf]).tolist() == [-math.inf, 0.0, math.inf]
     assert mapped("asin", [1.0, -1.0]).tolist() == [math.pi / 2, -math.pi / 2]
     assert mapped("acos", [1.0, -1.0]).tolist() == [0.0, math.pi]
+    large = np.array([1e5, -3e7, 1e300])
+    assert np.allclose(mapped("sin", large) ** 2 + mapped("cos", large) ** 2, 1.0, rtol=1e-14)
     for name in ULPS:
         assert np.isnan(mapped(name, [math.nan])).all()
     assert np.isnan(mapped("log", [-1.0])).all()

@@ -26,7 +26,7 @@ def first_triangle(vertices, triangles, origins, rays):
             qx, qy, qz = sy * e[2] - sz * e[1], sz * e[0] - sx * e[2], sx * e[1] - sy * e[0]
             v = (dx * qx + dy * qy + dz * qz) / determinant
             distance = (f[0] * qx + f[1] * qy + f[2] * qz) / determinant
-        hit = (determinant != 0) & (u >= -BESIDE) & (v >= -BESIDE) & (u + v <= 1 + BESIDE)
+            hit = (determinant != 0) & (u >= -BESIDE) & (v >= -BESIDE) & (u + v <= 1 + BESIDE)
         nearer = hit & (u <= 1 + BESIDE) & (0 < distance) & (distance < ranges)
         ranges[nearer] = distance[nearer]
         which[nearer] = t

@@ -24,7 +24,7 @@ Path Path::arc(double speed_m_s, double yaw_rate_rad_s, double heading_rad) {
   Path out;
   out.kind_ = Kind::arc;
   out.arc_ = {speed_m_s, yaw_rate_rad_s};
-  const auto [cosine, sine] = cos_sin(heading_rad);
+  const auto [cosine, sine] = cos_sin_of_any(heading_rad);
   out.heading_ = {cosine, sine};
   return out;
 }
@@ -52,7 +52,7 @@ Pose Path::at(double seconds) const {
 Pose Path::along_arc(double seconds) const {
   const auto [speed_m_s, rate_rad_s] = arc_;
   const double half = seconds * rate_rad_s / 2;
-  const auto [c, s] = cos_sin(half);
+  const auto [c, s] = cos_sin_of_any(half);
   const double chord_m = speed_m_s * seconds * (half != 0 ? s / half : 1.0);
   const auto [cos_0, sin_0] = heading_;
   const double yawed = 1 - 2 * s * s;
