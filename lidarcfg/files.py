@@ -53,7 +53,7 @@ def replacing(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
     check_replaceable(place)
     make_parent(place)
     encoding, errors = (None, None) if "b" in mode else ("utf-8", "backslashreplace")  # of paths that are no UTF-8
-    with _temporary(place) as temporary:
+    with _temporary(place, place) as temporary:
         with open(temporary, mode.replace("w", "x"), encoding=encoding, errors=errors) as file:
             yield file
         commit(temporary, place)
@@ -97,7 +97,7 @@ def temporary_folder(path: Path) -> Iterator[Path]:
     """A folder beside `path`, for libraries that write files by name. The system's errors in it are those of `path`."""
     place = Path(os.path.realpath(resolve(path)))
     make_parent(place)
-    with _temporary(place) as folder:
+    with _temporary(place, path) as folder:
         folder.mkdir(0o700)
         yield folder
 
@@ -122,15 +122,15 @@ def temp_path(path: Path) -> Path:
 
 
 @contextmanager
-def _temporary(place: Path) -> Iterator[Path]:
-    """A temporary path beside `place`; what is there at the end is removed. Errors of the system name `place`."""
+def _temporary(place: Path, named: Path) -> Iterator[Path]:
+    """A temporary path beside `place`; what is there at the end is removed. Errors of the system name `named`."""
     temporary = temp_path(place)
     _TEMPORARY.add(temporary)  # before it exists, as an interrupt may come at any time
     try:
         yield temporary
     except OSError as error:
         if error.filename is None or str(error.filename).startswith(str(temporary)):  # a full disk names no file
-            raise OSError(error.errno, error.strerror or str(error), str(place)) from None
+            raise OSError(error.errno, error.strerror or str(error), str(named)) from None
         raise
     finally:
         _remove(temporary)

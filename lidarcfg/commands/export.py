@@ -143,9 +143,9 @@ def export(
     if split and output.suffix == ".pcap":
         paths = [output.with_name(f"{output.stem}-{mount.name}.pcap") for mount in mounted.mounts]
     for path in paths:  # not after hours
-        check_replaceable(manifest_path(path))
         if path.suffix == ".pcap" and name is None:
             check_replaceable(path)
+        check_replaceable(manifest_path(path))
 
     def save(path: Path) -> None:
         save_manifest(path, files, mounted, world, bodies, values)
