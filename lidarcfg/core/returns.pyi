@@ -37,7 +37,7 @@ class TargetShape:
         """Its hierarchy and the corners (3,) of its bounding box."""
 
 class ReturnCounter:
-    """In how many places an object is missed, trial after trial. Not for several threads at once."""
+    """In how many places an object is missed, trial after trial; threads share it, and so what each has found."""
 
     def __init__(
         self,

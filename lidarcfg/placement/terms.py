@@ -1,7 +1,6 @@
 """The terms of an objective: each is a figure of a trial, and can stop early once it is too large."""
 
 import math
-import threading
 from collections import Counter, deque
 from collections.abc import Sequence
 from functools import cached_property
@@ -145,27 +144,26 @@ class MissRate:
     def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner]) -> None:
         """`scanners` of all of the study's LiDARs."""
         self._target, self._scanners = target, scanners
-        self._of_thread = threading.local()
+        self._counter = MissCounter(target, scanners, NOTHING)
         self.work = 1e3 * len(target.places)
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
         """See Term."""
-        return self._counter(trial).rate(trial.kept, trial.poses, limit)
+        return self._counter_for(trial).rate(trial.kept, trial.poses, limit)
 
     def lower_bound(self, trial: Trial, share: float) -> float:
         """By the places where the object is the likeliest to be missed."""
-        return self._counter(trial).lower_bound(trial.kept, trial.poses, share)
+        return self._counter_for(trial).lower_bound(trial.kept, trial.poses, share)
 
-    def _counter(self, trial: Trial) -> MissCounter:
+    def _counter_for(self, trial: Trial) -> MissCounter:
         obstacles = trial.visibility.obstacles if trial.visibility else NOTHING
-        counter: MissCounter | None = getattr(self._of_thread, "counter", None)
-        if counter is None or counter.obstacles is not obstacles:
-            counter = MissCounter(self._target, self._scanners, obstacles)
-            self._of_thread.counter = counter
+        counter = self._counter
+        if counter.obstacles is not obstacles:
+            counter = self._counter = MissCounter(self._target, self._scanners, obstacles)
         return counter
 
     def learn(self) -> None:
-        """Nothing: each thread has a MissCounter."""
+        """Nothing."""
 
 
 class UnseenFraction:

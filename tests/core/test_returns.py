@@ -1,6 +1,7 @@
 """Returns from an object: the core on a small sensor, and what it refuses."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -111,6 +112,23 @@ def test_a_counter_knows_where_an_object_is_missed():
     assert 0.0 < two.missed(*both, 0, math.inf) <= 1.0
     assert two.missed(both[0][1:], R, T, 0, math.inf) >= two.missed(*both, 0, math.inf)
     assert two.traced > 0
+
+
+def test_threads_share_a_counter():
+    rng, one = np.random.default_rng(2), np.zeros(1, np.int64)
+    places = np.column_stack([rng.uniform(-20, 20, (60, 2)), np.zeros(60), rng.uniform(0, 7, 60)])
+    poses = [T + 0.1 * n for n in range(5)]
+    shared = counter(8, places=places, ends=(60,))
+
+    def missed(n, counter):
+        if n % 3 == 0:
+            counter.missed_among(one, R, poses[n % 5], 0, 30)
+        return counter.missed(one, R, poses[n % 5], 0, math.inf)
+
+    alone = [missed(n, counter(8, places=places, ends=(60,))) for n in range(5)]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(missed, range(200), [shared] * 200)) == alone * 40
+    assert 0 < min(alone) < max(alone) < 60
 
 
 def test_probabilities():

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <limits>
 #include <numeric>
 #include <utility>
 
@@ -9,9 +10,56 @@ namespace lidarcfg::placement {
 namespace {
 
 constexpr Index poses_kept = 256;        // of a sensor, if memory allows: as many food sources are searched around
-constexpr Index memory_bytes = 1 << 26;  // that these may take
+constexpr Index memory_bytes = 1 << 27;  // that these may take
+
+constexpr int number_bits = 31;
+constexpr std::uint64_t number_mask = (std::uint64_t{1} << number_bits) - 1;
+constexpr std::uint64_t exact_bit = std::uint64_t{1} << 62;
+constexpr std::uint64_t claimed_bit = std::uint64_t{1} << 63;  // a thread writes the counts
+constexpr auto unknown = static_cast<std::int32_t>(number_mask);
+
+std::uint64_t pack(std::int32_t least, std::int32_t most) {
+  return static_cast<std::uint64_t>(least) | static_cast<std::uint64_t>(most) << number_bits;
+}
+
+ReturnTracer::Bounds unpack(std::uint64_t packed) {
+  return {static_cast<std::int32_t>(packed & number_mask),
+          static_cast<std::int32_t>(packed >> number_bits & number_mask), (packed & exact_bit) != 0};
+}
 
 }  // namespace
+
+ReturnCounter::Known::Known(const SensorPose& pose, Index places, Index phases)
+    : pose_(pose), phases_(phases), packed_(places, pack(0, unknown)), counts_(places * phases) {}
+
+ReturnTracer::Bounds ReturnCounter::Known::bounds(Index place) const {
+  return unpack(std::atomic_ref(packed_[place]).load(std::memory_order_acquire));
+}
+
+View<const std::int32_t> ReturnCounter::Known::counts(Index place) const {
+  return {counts_.data() + place * phases_, static_cast<std::size_t>(phases_)};
+}
+
+void ReturnCounter::Known::keep(Index place, const Bounds& found, View<const std::int32_t> counts) {
+  const std::atomic_ref packed(packed_[place]);
+  std::uint64_t old = packed.load(std::memory_order_acquire);
+  std::uint64_t next;
+  do {
+    if (old & (exact_bit | claimed_bit)) {
+      return;
+    }
+    const Bounds known = unpack(old);
+    next = found.exact ? old | claimed_bit : pack(std::max(known.least, found.least), std::min(known.most, found.most));
+  } while (!packed.compare_exchange_weak(old, next, std::memory_order_acq_rel));
+  if (found.exact) {
+    std::copy(counts.begin(), counts.end(), counts_.begin() + place * phases_);
+    packed.store(pack(found.least, found.most) | exact_bit, std::memory_order_release);
+  }
+}
+
+ReturnCounter::Workspace::Workspace(Index places, Index enough) : order(places), possible(places), probability(enough) {
+  std::iota(order.begin(), order.end(), Index{0});
+}
 
 ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, std::vector<Place> places,
                              std::vector<Index> group_ends, const Obstacles& obstacles, std::int32_t enough)
@@ -20,41 +68,49 @@ ReturnCounter::ReturnCounter(std::vector<Scanner> scanners, TargetShape target, 
       places_(std::move(places)),
       group_ends_(std::move(group_ends)),
       bodies_(*obstacles.tree),
-      obstacles_(obstacles),
+      obstacles_{&bodies_, {}, obstacles.origin_m, obstacles.ground_m},
       enough_(enough),
-      known_(scanners_.size()),
-      order_(places_.size()),
-      possible_(places_.size()),
-      probability_(enough) {
-  obstacles_.boxes = {};
-  Index phases = 0;
-  for (std::size_t s = 0; s < scanners_.size(); ++s) {
-    phases += scanners_[s].phases();
+      kept_(scanners_.size()) {
+  Index of_a_place = 0;  // bytes, for a pose of each sensor
+  for (const Scanner& scanner : scanners_) {
+    of_a_place += static_cast<Index>(sizeof(std::uint64_t) + sizeof(std::int32_t) * scanner.phases());
   }
-  const Index of_a_pose =
-      std::ssize(places_) * static_cast<Index>(sizeof(Bounds) * scanners_.size() + sizeof(std::int32_t) * phases);
-  most_poses_ = std::clamp(memory_bytes / std::max<Index>(of_a_pose, 1), Index{2}, poses_kept);
-  std::iota(order_.begin(), order_.end(), Index{0});
+  most_poses_ = std::clamp(memory_bytes / std::max<Index>(of_a_place * std::ssize(places_), 1), Index{2}, poses_kept);
 }
 
-/// What is known of a sensor at a pose; at a new one nothing is, in the place of the pose that was not used longest.
-ReturnCounter::Known& ReturnCounter::known_at(std::int64_t sensor, const SensorPose& pose) {
-  std::vector<Known>& kept = known_[sensor];
-  auto found = std::find_if(kept.begin(), kept.end(), [&](const Known& one) { return one.pose == pose; });
+std::unique_ptr<ReturnCounter::Workspace> ReturnCounter::take_workspace() {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!idle_.empty()) {
+      std::unique_ptr<Workspace> found = std::move(idle_.back());
+      idle_.pop_back();
+      return found;
+    }
+  }
+  return std::make_unique<Workspace>(std::ssize(places_), enough_);
+}
+
+void ReturnCounter::give_back(std::unique_ptr<Workspace> workspace) {
+  const std::lock_guard lock(mutex_);
+  idle_.push_back(std::move(workspace));
+}
+
+/// What is known of a sensor at a pose; nothing at a new one, in the place of the pose that was not used longest.
+std::shared_ptr<ReturnCounter::Known> ReturnCounter::known_at(std::int64_t sensor, const SensorPose& pose) {
+  const std::lock_guard lock(mutex_);
+  std::vector<Kept>& kept = kept_[sensor];
+  auto found = std::find_if(kept.begin(), kept.end(), [&](const Kept& one) { return one.known->pose() == pose; });
   if (found == kept.end()) {
     if (std::ssize(kept) < most_poses_) {
-      kept.reserve(most_poses_);
       found = kept.emplace(kept.end());
     } else {
       found = std::min_element(kept.begin(), kept.end(),
-                               [](const Known& one, const Known& other) { return one.last_use < other.last_use; });
+                               [](const Kept& one, const Kept& other) { return one.last_use < other.last_use; });
     }
-    found->pose = pose;
-    found->bounds.assign(places_.size(), nothing);
-    found->counts.assign(places_.size() * scanners_[sensor].phases(), 0);
+    found->known = std::make_shared<Known>(pose, std::ssize(places_), scanners_[sensor].phases());
   }
   found->last_use = ++uses_;
-  return *found;
+  return found->known;
 }
 
 /// Whether sums of probabilities are exact, whatever the order: multiples of a power of two, and not too many.
@@ -70,118 +126,110 @@ bool ReturnCounter::sums_exactly(View<const std::int64_t> sensors, Index places)
   return bits <= std::numeric_limits<double>::digits;
 }
 
-/// Look up what is known of some sensors at poses, and have the likeliest misses come first if these are others.
-void ReturnCounter::begin(View<const std::int64_t> sensors, View<const SensorPose> poses, View<Index> order) {
-  const std::vector<Sensor> before = std::exchange(sensors_now_, {});
-  for (Index n = 0; n < std::ssize(sensors); ++n) {
-    sensors_now_.push_back({sensors[n], &known_at(sensors[n], poses[n])});
-  }
-  if (!sums_exactly(sensors, std::ssize(order))) {
-    std::sort(order.begin(), order.end());
-  } else if (sensors_now_ != before) {
-    std::stable_sort(order.begin(), order.end(),
-                     [&](Index one, Index other) { return possible_[one] < possible_[other]; });
-  }
-}
-
-View<Index> ReturnCounter::order_of(Index group) {
+/// Look up what is known of some sensors at poses; returns the places of a group in the order in which to look at them.
+View<const Index> ReturnCounter::begin(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group,
+                                       Workspace& workspace) {
+  std::vector<Sensor>& now = workspace.sensors;
   const Index first = group ? group_ends_[group - 1] : 0;
-  return {order_.data() + first, static_cast<std::size_t>(group_ends_[group] - first)};
+  const View<Index> order(workspace.order.data() + first, workspace.order.data() + group_ends_[group]);
+  const bool exactly = sums_exactly(sensors, std::ssize(order));
+  bool same = now.size() == sensors.size();
+  for (std::size_t n = 0; same && n < sensors.size(); ++n) {
+    same = now[n].number == sensors[n] && now[n].known->pose() == poses[n];
+  }
+  if (!exactly) {
+    std::sort(order.begin(), order.end());
+  } else if (!same) {
+    const std::vector<Index>& possible = workspace.possible;
+    std::stable_sort(order.begin(), order.end(),
+                     [&](Index one, Index other) { return possible[one] < possible[other]; });
+  }
+  now.resize(sensors.size());
+  for (std::size_t n = 0; !same && n < sensors.size(); ++n) {
+    now[n].number = sensors[n];
+    now[n].known = known_at(sensors[n], poses[n]);
+    now[n].counted.resize(scanners_[sensors[n]].phases());
+  }
+  return order;
 }
 
 double ReturnCounter::missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, double most) {
-  const View<Index> order = order_of(group);
-  begin(sensors, poses, order);
+  std::unique_ptr<Workspace> workspace = take_workspace();
   double missed = 0.0;
-  for (std::size_t n = 0; n < order.size() && missed < most; ++n) {
-    missed += missed_at(order[n], sensors_now_);
+  for (const Index place : begin(sensors, poses, group, *workspace)) {
+    missed += missed_at(place, *workspace);
+    if (missed >= most) {
+      break;
+    }
   }
+  give_back(std::move(workspace));
   return missed;
 }
 
 double ReturnCounter::missed_among(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group,
                                    Index count) {
-  const View<Index> order = order_of(group);
-  if (!sums_exactly(sensors, std::ssize(order))) {
+  const Index places = group_ends_[group] - (group ? group_ends_[group - 1] : 0);
+  if (!sums_exactly(sensors, places)) {
     return 0.0;
   }
-  begin(sensors, poses, order);
+  std::unique_ptr<Workspace> workspace = take_workspace();
   double missed = 0.0;
-  for (const Index place : order.first(std::min(count, std::ssize(order)))) {
-    missed += missed_at(place, sensors_now_);
+  for (const Index place : begin(sensors, poses, group, *workspace).first(std::min(count, places))) {
+    missed += missed_at(place, *workspace);
   }
+  give_back(std::move(workspace));
   return missed;
-}
-
-void ReturnCounter::aim(Index place, const Sensor& sensor) {
-  beams_.aim(scanners_[sensor.number], sensor.known->pose, target_, places_[place]);
-}
-
-View<std::int32_t> ReturnCounter::counts_of(Index place, const Sensor& sensor) {
-  const Index phases = scanners_[sensor.number].phases();
-  return {sensor.known->counts.data() + place * phases, static_cast<std::size_t>(phases)};
-}
-
-/// The sensor of which the most returns are possible at a place, of those whose returns are not counted; or none.
-const ReturnCounter::Sensor* ReturnCounter::most_promising(Index place, View<const Sensor> sensors) {
-  const Sensor* found = nullptr;
-  for (const Sensor& sensor : sensors) {
-    const Bounds& bounds = sensor.known->bounds[place];
-    if (!bounds.exact && (!found || bounds.most > found->known->bounds[place].most)) {
-      found = &sensor;
-    }
-  }
-  return found;
 }
 
 /// The probability that the object is missed at a place.
-double ReturnCounter::missed_at(Index place, View<const Sensor> sensors) {
-  const double missed = find_missed(place, sensors);
-  Index possible = 0;
-  for (const Sensor& sensor : sensors) {
-    possible += sensor.known->bounds[place].most;
+double ReturnCounter::missed_at(Index place, Workspace& workspace) {
+  for (Sensor& sensor : workspace.sensors) {
+    sensor.bounds = sensor.known->bounds(place);
+    sensor.counts = sensor.known->counts(place);
   }
-  possible_[place] = missed > 0.0 ? -1 : possible;
+  const double missed = find_missed(place, workspace);
+  Index possible = 0;
+  for (const Sensor& sensor : workspace.sensors) {
+    possible += sensor.bounds.most;
+  }
+  workspace.possible[place] = missed > 0.0 ? -1 : possible;
   return missed;
 }
 
-double ReturnCounter::find_missed(Index place, View<const Sensor> sensors) {
+double ReturnCounter::find_missed(Index place, Workspace& workspace) {
+  std::vector<Sensor>& sensors = workspace.sensors;
   Index least = 0;
   for (const Sensor& sensor : sensors) {
-    least += sensor.known->bounds[place].least;
+    least += sensor.bounds.least;
   }
   if (least >= enough_) {
     return 0.0;
   }
   Index most = 0;
-  for (const Sensor& sensor : sensors) {
-    Bounds& bounds = sensor.known->bounds[place];
-    if (bounds.most == unknown) {
-      aim(place, sensor);
-      bounds.most = beams_.most_of_a_phase();
-      bounds.exact = bounds.most == 0;
+  for (Sensor& sensor : sensors) {
+    if (sensor.bounds.most == unknown) {
+      workspace.beams.aim(scanners_[sensor.number], sensor.known->pose(), target_, places_[place]);
+      sensor.bounds = {0, workspace.beams.most_of_a_phase(), false};
+      sensor.known->keep(place, sensor.bounds, {});
     }
-    most += bounds.most;
+    most += sensor.bounds.most;
   }
   while (most >= enough_) {
-    const Sensor* const next = most_promising(place, sensors);
+    Sensor* next = nullptr;  // of which the most returns are possible, of those whose returns are not counted
+    for (Sensor& sensor : sensors) {
+      if (!sensor.bounds.exact && (!next || sensor.bounds.most > next->bounds.most)) {
+        next = &sensor;
+      }
+    }
     if (!next) {
       break;
     }
-    const Sensor& sensor = *next;
-    Bounds& bounds = sensor.known->bounds[place];
-    const View<std::int32_t> counts = counts_of(place, sensor);
-    std::fill(counts.begin(), counts.end(), 0);
-    aim(place, sensor);
-    ++traced_;
-    least -= bounds.least;
-    most -= bounds.most;
-    obstacles_.tree = &bodies_;
-    const Bounds found = tracer_.count_until(beams_, obstacles_, static_cast<std::int32_t>(enough_ - least),
-                                             static_cast<std::int32_t>(enough_ - most), counts);
-    bounds = {std::max(bounds.least, found.least), std::min(bounds.most, found.most), found.exact};
-    least += bounds.least;
-    most += bounds.most;
+    least -= next->bounds.least;
+    most -= next->bounds.most;
+    count(place, static_cast<std::int32_t>(enough_ - least), static_cast<std::int32_t>(enough_ - most), *next,
+          workspace);
+    least += next->bounds.least;
+    most += next->bounds.most;
     if (least >= enough_) {
       return 0.0;
     }
@@ -189,11 +237,22 @@ double ReturnCounter::find_missed(Index place, View<const Sensor> sensors) {
   if (most < enough_) {
     return 1.0;
   }
-  counts_now_.clear();
+  workspace.counts.clear();
   for (const Sensor& sensor : sensors) {
-    counts_now_.push_back(counts_of(place, sensor));
+    workspace.counts.push_back(sensor.counts);
   }
-  return 1.0 - probability_.of(counts_now_);
+  return 1.0 - workspace.probability.of(workspace.counts);
+}
+
+/// Count the returns of a sensor from a place; see ReturnTracer::count_until.
+void ReturnCounter::count(Index place, std::int32_t enough, std::int32_t wanted, Sensor& sensor, Workspace& workspace) {
+  std::fill(sensor.counted.begin(), sensor.counted.end(), 0);
+  workspace.beams.aim(scanners_[sensor.number], sensor.known->pose(), target_, places_[place]);
+  const Bounds found = workspace.tracer.count_until(workspace.beams, obstacles_, enough, wanted, sensor.counted);
+  sensor.bounds = {std::max(sensor.bounds.least, found.least), std::min(sensor.bounds.most, found.most), found.exact};
+  sensor.counts = sensor.counted;
+  sensor.known->keep(place, sensor.bounds, sensor.counted);
+  ++traced_;
 }
 
 }  // namespace lidarcfg::placement

@@ -6,14 +6,16 @@
 /// were missed lately come first, so that a trial that is worse is soon known to be.
 #pragma once
 
-#include <limits>
+#include <atomic>
+#include <memory>
+#include <mutex>
 #include <vector>
 
 #include "placement/return_counts.h"
 
 namespace lidarcfg::placement {
 
-/// Not for several threads at once.
+/// Threads share it, and so what each has found.
 class ReturnCounter {
  public:
   /// For an object that is detected by `enough` returns, which stands at places, and for scanners in front of which
@@ -26,8 +28,8 @@ class ReturnCounter {
   Index sensors() const { return std::ssize(scanners_); }
   Index groups() const { return std::ssize(group_ends_); }
 
-  /// In how many places of a group the object is missed, by the mean over phases, by some of the
-  /// sensors, whose numbers ascend, at poses. Or, as soon as it is known to be at least `most`, any number that is.
+  /// In how many places of a group the object is missed, by the mean over phases, by some of the sensors, whose numbers
+  /// ascend, at poses. Or, as soon as it is known to be at least `most`, any number that is.
   double missed(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group, double most);
 
   /// The same among `count` of these places, those that are the likeliest to be missed: no more than `missed`.
@@ -39,32 +41,67 @@ class ReturnCounter {
 
  private:
   using Bounds = ReturnTracer::Bounds;
-  static constexpr std::int32_t unknown = std::numeric_limits<std::int32_t>::max();
-  static constexpr Bounds nothing{0, unknown, false};  // is known
 
-  struct Known {
-    SensorPose pose;
-    std::int64_t last_use = 0;
-    std::vector<Bounds> bounds;        // (places,)
-    std::vector<std::int32_t> counts;  // (places, phases) where bounds are exact
+  /// What is known of a sensor's returns at a pose. Threads read and write it at once.
+  class Known {
+   public:
+    Known(const SensorPose& pose, Index places, Index phases);
+
+    const SensorPose& pose() const { return pose_; }
+
+    /// Between how many returns there are in any phase.
+    Bounds bounds(Index place) const;
+
+    /// (phases,) the returns, where bounds are exact.
+    View<const std::int32_t> counts(Index place) const;
+
+    /// Keep what was found, with counts (phases,) where it is exact.
+    void keep(Index place, const Bounds& found, View<const std::int32_t> counts);
+
+   private:
+    SensorPose pose_;
+    Index phases_;
+    mutable std::vector<std::uint64_t> packed_;  // (places,) bounds
+    std::vector<std::int32_t> counts_;           // (places, phases)
   };
+
+  /// A pose that is kept of a sensor.
+  struct Kept {
+    std::shared_ptr<Known> known;
+    std::int64_t last_use;
+  };
+
+  /// A sensor of a trial, and what is known at the place that is looked at.
   struct Sensor {
     std::int64_t number;
-    Known* known;
-
-    bool operator==(const Sensor&) const = default;
+    std::shared_ptr<Known> known;
+    Bounds bounds;
+    View<const std::int32_t> counts;         // where bounds are exact
+    std::vector<std::int32_t> counted = {};  // here
   };
 
-  void begin(View<const std::int64_t> sensors, View<const SensorPose> poses, View<Index> order);
-  /// The places of a group, in the order in which they are asked.
-  View<Index> order_of(Index group);
-  Known& known_at(std::int64_t sensor, const SensorPose& pose);
-  static const Sensor* most_promising(Index place, View<const Sensor> sensors);
-  double missed_at(Index place, View<const Sensor> sensors);
-  double find_missed(Index place, View<const Sensor> sensors);
-  void aim(Index place, const Sensor& sensor);
-  View<std::int32_t> counts_of(Index place, const Sensor& sensor);
+  /// What a call works with.
+  struct Workspace {
+    Workspace(Index places, Index enough);
+
+    std::vector<Index> order;     // of places: those missed lately, then those of the fewest possible returns
+    std::vector<Index> possible;  // (places,) returns lately; -1: it was missed
+    std::vector<Sensor> sensors;
+    std::vector<View<const std::int32_t>> counts;
+    DetectionProbability probability;
+    ReturnTracer tracer;
+    AimedBeams beams;
+  };
+
+  std::unique_ptr<Workspace> take_workspace();
+  void give_back(std::unique_ptr<Workspace> workspace);
+  std::shared_ptr<Known> known_at(std::int64_t sensor, const SensorPose& pose);
   bool sums_exactly(View<const std::int64_t> sensors, Index places) const;
+  View<const Index> begin(View<const std::int64_t> sensors, View<const SensorPose> poses, Index group,
+                          Workspace& workspace);
+  double missed_at(Index place, Workspace& workspace);
+  double find_missed(Index place, Workspace& workspace);
+  void count(Index place, std::int32_t enough, std::int32_t wanted, Sensor& sensor, Workspace& workspace);
 
   std::vector<Scanner> scanners_;
   TargetShape target_;
@@ -73,18 +110,13 @@ class ReturnCounter {
   world::Bvh bodies_;
   Obstacles obstacles_;
   std::int32_t enough_;
+  Index most_poses_;  // that are kept of a sensor
+  std::atomic<std::int64_t> traced_ = 0;
 
-  Index most_poses_;                       // that are kept of a sensor
-  std::vector<std::vector<Known>> known_;  // by sensor
-  std::vector<Index> order_;               // of places: those missed lately, then those of the fewest possible returns
-  std::vector<Index> possible_;            // (places,) returns lately; -1: it was missed
-  std::vector<Sensor> sensors_now_;
-  std::vector<View<const std::int32_t>> counts_now_;
-  DetectionProbability probability_;
-  ReturnTracer tracer_;
-  AimedBeams beams_;
+  std::mutex mutex_;                     // of what follows
+  std::vector<std::vector<Kept>> kept_;  // by sensor
   std::int64_t uses_ = 0;
-  std::int64_t traced_ = 0;
+  std::vector<std::unique_ptr<Workspace>> idle_;
 };
 
 }  // namespace lidarcfg::placement
