@@ -85,7 +85,7 @@ def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
 
 def _facets(radius_m: float, tolerance_m: float) -> int:
     """The number of sides of a polygon within a tolerance of its circle; even, 16 to 512."""
-    half = maths.acos(max(1 - tolerance_m / radius_m, 0.0))
+    half: float = maths.acos(max(1 - tolerance_m / radius_m, 0.0))
     return min(max(2 * math.ceil(math.pi / half / 2), 16), 512)
 
 
