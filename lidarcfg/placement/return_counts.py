@@ -195,7 +195,8 @@ def return_counts(
 class MissCounter:
     """1 − the detection rate of an object, trial after trial.
 
-    What is known of sensors at their latest poses is kept, so that a trial counts the returns of those that moved. Threads share it.
+    What is known of sensors at their latest poses is kept, so that a trial counts the returns of those that moved.
+    Threads share it.
     """
 
     def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner], obstacles: Obstacles) -> None:

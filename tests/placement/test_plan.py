@@ -76,7 +76,7 @@ def test_each_study_is_that_of_a_file_with_the_value_in_it(asks, tmp_path):
     assert found.file == expected.file
     assert (found.lower == expected.lower).all()
     assert found.solver == expected.solver
-    assert found.visibility.obstacles.tree.number.tolist() == expected.visibility.obstacles.tree.number.tolist()
+    assert (found.visibility.obstacles.tree.shapes == expected.visibility.obstacles.tree.shapes).all()
 
 
 def test_an_inline_study(asks):

@@ -95,8 +95,8 @@ void bind_shapes(nb::module_& module) {
 }
 
 void bind_counter(nb::module_& module) {
-  nb::class_<ReturnCounter> counter(
-      module, "ReturnCounter", "In how many places an object is missed, trial after trial; threads share it.");
+  nb::class_<ReturnCounter> counter(module, "ReturnCounter",
+                                    "In how many places an object is missed, trial after trial; threads share it.");
   init(
       counter,
       [](Scanners scanners, const TargetShape& target, Rows<const double> places, View<const std::int64_t> group_ends,
