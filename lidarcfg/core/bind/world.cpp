@@ -92,10 +92,6 @@ void bind_bvh(nb::module_& module) {
     return nb::cast(nb::ndarray<nb::numpy, const double>(first, {leaves.size(), 9}, self,
                                                          {sizeof(world::Leaf) / sizeof(double), 1}));
   });
-  bvh.def("__reduce__", [](nb::handle self) {  // it is built again, over the same shapes
-    return nb::make_tuple(self.type(), nb::make_tuple(self.attr("shapes").attr("copy")(), self.attr("kind"),
-                                                      self.attr("number"), self.attr("object")));
-  });
   def(
       module, "first_hits",
       [](const Bvh& bvh, Rows<const double> origins, Rows<const double> directions, double limit_m,
