@@ -142,7 +142,7 @@ def export(
     paths = [output]
     if split and output.suffix == ".pcap":
         paths = [output.with_name(f"{output.stem}-{mount.name}.pcap") for mount in mounted.mounts]
-    for path in paths:  # not after hours
+    for path in paths if output.parent.is_dir() else ():  # not after hours
         check_replaceable(manifest_path(path))
         if path.suffix == ".pcap" and name is None:
             check_replaceable(path)
