@@ -57,7 +57,8 @@ def export(
     else:
         moved = Trajectory(np.eye(4) if at is None else at, load_path(trajectory), START_NS)
     drive = Drive(rig, scene, moved, rig_vehicle(rig), START_NS, round(duration_s * SECOND_NS))
-    check_replaceable(manifest_path(output))  # not after hours
+    if output.parent.is_dir():
+        check_replaceable(manifest_path(output))  # not after hours
     inputs = ManifestInputs.of(drive, output, *given)
     if output.suffix != ".pcap" or to:
         form = formats.format_of("drive", output, to)
