@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
 import lidarcfg
+from lidarcfg import core
 from lidarcfg.config import Model, checked, error_at, fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -194,6 +195,8 @@ def _update(content: "hashlib._Hash", value: Any) -> None:
     if isinstance(value, np.ndarray):
         content.update(f"{value.dtype} {value.shape}".encode())
         content.update(np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, core.world.Bvh):
+        _update(content, (value.shapes, value.kind, value.number, value.object))
     elif isinstance(value, BaseModel):
         content.update(value.model_dump_json().encode())
     elif is_dataclass(value):
