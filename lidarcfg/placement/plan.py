@@ -195,6 +195,8 @@ def _update(content: "hashlib._Hash", value: Any) -> None:
     if isinstance(value, np.ndarray):
         content.update(f"{value.dtype} {value.shape}".encode())
         content.update(np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, core.world.Bvh):
+        _update(content, (value.shapes, value.kind, value.number, value.object))
     elif isinstance(value, BaseModel):
         content.update(value.model_dump_json().encode())
     elif is_dataclass(value):
