@@ -211,10 +211,6 @@ def _update(content: "hashlib._Hash", value: Any) -> None:
         content.update(f"({len(value)}".encode())
         for item in value:
             _update(content, item)
-    elif isinstance(value, core.world.Bvh):
-        _update(content, value.__getstate__())
-    elif isinstance(value, bytes):
-        content.update(value)
     else:
         content.update(f"{getattr(value, '__qualname__', None) or repr(value)},".encode())
 
