@@ -87,9 +87,6 @@ def validation_error(what: str, *at: str | int) -> PydanticCustomError:
     return PydanticCustomError("fault", "{what}", {"what": what, "at": at})
 
 
-fault = validation_error
-
-
 def check_names(names: Iterable[str], what: str, *at: str | int) -> None:
     """A model's validator: each name stands once in the list `at`."""
     seen: set[str] = set()

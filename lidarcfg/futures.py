@@ -18,6 +18,3 @@ def ordered_results(jobs: Iterator["Future[T]"], ahead: int) -> Iterator[T]:
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
-
-
-in_order = ordered_results

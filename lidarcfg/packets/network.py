@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from lidarcfg.config import Model, fault
+from lidarcfg.config import Model, validation_error
 from lidarcfg.sensor import Byte
 
 MAC = "^[0-9a-f]{{2}}(:[0-9a-f]{{2}}){{{}}}$"
@@ -15,7 +15,7 @@ def _check_address(value: str) -> str:
     try:
         return str(ipaddress.IPv4Address(value))
     except ValueError:
-        raise fault(f"{value!r} is not an IPv4 address such as 255.255.255.255") from None
+        raise validation_error(f"{value!r} is not an IPv4 address such as 255.255.255.255") from None
 
 
 class Header(Model):

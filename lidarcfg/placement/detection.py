@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidarcfg import core, maths
-from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, fault, with_defaults
+from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, validation_error, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
@@ -61,18 +61,20 @@ class DetectionObject(Model):
         if self.returns is None:
             for key in ("mesh", "step_m", "headings_deg"):
                 if getattr(self, key) is not None:
-                    raise fault("is for objects that are detected by returns; give returns", key)
+                    raise validation_error("is for objects that are detected by returns; give returns", key)
             if self.size_m is None:
-                raise fault("missing", "size_m")
+                raise validation_error("missing", "size_m")
             return self
         one_of(self, "size_m", "mesh")
         if self.threshold is not None:
-            raise fault("conflicts with returns; give only one of them", "threshold")
+            raise validation_error("conflicts with returns; give only one of them", "threshold")
         if not self.on_ground:
-            raise fault("false is not allowed beside returns; the object is on the region's floor", "on_ground")
+            raise validation_error(
+                "false is not allowed beside returns; the object is on the region's floor", "on_ground"
+            )
         for key in ("step_m", "headings_deg"):
             if self.samples and getattr(self, key) is not None:
-                raise fault("conflicts with samples, which are drawn anywhere, at any heading", key)
+                raise validation_error("conflicts with samples, which are drawn anywhere, at any heading", key)
         return self
 
     @property

@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field, model_validator
 
 import lidarcfg
 from lidarcfg import core
-from lidarcfg.config import Model, checked, error_at, fault
+from lidarcfg.config import Model, checked, error_at, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.firing import Patterns
@@ -64,34 +64,36 @@ class PlanFile(Model):
     @model_validator(mode="after")
     def _check(self) -> "PlanFile":
         if not isinstance(self.study, str | dict):
-            raise fault("is neither the name of a study's file nor a study", "study")
+            raise validation_error("is neither the name of a study's file nor a study", "study")
         if not self.vary and not self.together:
-            raise fault("missing; give vary or together")
+            raise validation_error("missing; give vary or together")
         for i, row in enumerate(self.together):
             if not row or row.keys() != self.together[0].keys():
-                raise fault(
+                raise validation_error(
                     "other keys than in the first row; every row gives the same, and at least one", "together", i
                 )
         _check_values(self.together, ("together",))
         for path, values in self.vary.items():
             if not values:
-                raise fault("has no values; allowed: at least one", "vary", path)
+                raise validation_error("has no values; allowed: at least one", "vary", path)
             _check_values(values, ("vary", path))
             if self.together and path in self.together[0]:
-                raise fault("is also in together; give it in only one of them", "vary", path)
+                raise validation_error("is also in together; give it in only one of them", "vary", path)
         self._check_paths()
         if self.count > RUNS_MAX:
             what = f"asks for {self.count:,} runs; allowed: at most {RUNS_MAX:,}"
-            raise fault(what, "vary" if self.vary else "together")
+            raise validation_error(what, "vary" if self.vary else "together")
         return self
 
     def _check_paths(self) -> None:
         for path, at in self.paths.items():
             if not PATH.fullmatch(path):
-                raise fault("is not the path of a key, such as sensors[0].count", *at)
+                raise validation_error("is not the path of a key, such as sensors[0].count", *at)
         for above, path in permutations(self.paths, 2):
             if parsed(above) == parsed(path)[: len(parsed(above))]:
-                raise fault(f"is a part of {above}, which also varies; vary only one of them", *self.paths[path])
+                raise validation_error(
+                    f"is a part of {above}, which also varies; vary only one of them", *self.paths[path]
+                )
 
 
 def _check_values(values: tuple[Any, ...], at: Key) -> None:
@@ -99,7 +101,7 @@ def _check_values(values: tuple[Any, ...], at: Key) -> None:
     seen = set()
     for i, value in enumerate(values):
         if (text := json.dumps(_normal(value), sort_keys=True)) in seen:
-            raise fault(f"{shown(value)} is there already; each may be given once", *at, i)
+            raise validation_error(f"{shown(value)} is there already; each may be given once", *at, i)
         seen.add(text)
 
 

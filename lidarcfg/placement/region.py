@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import COORDINATE_MAX_M, Model, Position, fault
+from lidarcfg.config import COORDINATE_MAX_M, Model, Position, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
@@ -41,7 +41,7 @@ class BoxFile(Model):
         for axis in range(3):
             if not self.min_m[axis] < self.max_m[axis]:
                 what = f"{self.max_m[axis]:g} is not above min_m's {self.min_m[axis]:g}"
-                raise fault(what, "max_m", axis)
+                raise validation_error(what, "max_m", axis)
         return self
 
 
@@ -59,16 +59,16 @@ class RegionFile(BoxFile):
             count = max(round(length / edge), 1) if length / edge <= CUBOIDS_MAX else CUBOIDS_MAX + 1
             total *= count
             if total > CUBOIDS_MAX:
-                raise fault(f"makes more than the {CUBOIDS_MAX:,} cuboids allowed", "cuboid_m")
+                raise validation_error(f"makes more than the {CUBOIDS_MAX:,} cuboids allowed", "cuboid_m")
             far = max(abs(self.min_m[axis]), abs(self.max_m[axis]))
             least = max(NEAREST_M, NEAREST * far)
             if edge < least:
                 what = f"{edge:g} is too little for coordinates up to {far:g}; allowed: at least {least:g}"
-                raise fault(what, "cuboid_m", axis)
+                raise validation_error(what, "cuboid_m", axis)
             if abs(count * edge - length) > 1e-9 * length + math.ulp(far):  # the corners are rounded, too
                 near = " and ".join(f"{size:.12g}" for size in _sizes(length, edge))
                 what = f"{edge:g} does not divide the region's {length:g} along {AXES[axis]}"
-                raise fault(f"{what}; sizes that do: {near}", "cuboid_m", axis)
+                raise validation_error(f"{what}; sizes that do: {near}", "cuboid_m", axis)
         return self
 
 

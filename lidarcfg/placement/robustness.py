@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, fault, with_defaults
+from lidarcfg.config import Model, validation_error, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, angles, turned
 
@@ -45,12 +45,12 @@ class Robust(Model):
         if sigmas == [None, None]:
             for key in ("samples", "quantile"):
                 if getattr(self, key) is not None:
-                    raise fault(f"needs errors to draw; give {' or '.join(SIGMAS)}", key)
+                    raise validation_error(f"needs errors to draw; give {' or '.join(SIGMAS)}", key)
             if self.lost is None:
-                raise fault(f"asks for nothing; allowed: lost, {', '.join(SIGMAS)}")
+                raise validation_error(f"asks for nothing; allowed: lost, {', '.join(SIGMAS)}")
         elif not any(sigmas):
             key = SIGMAS[0] if self.position_sigma_m is not None else SIGMAS[1]
-            raise fault("all errors are 0; allowed: at least one of the sigmas above 0", key)
+            raise validation_error("all errors are 0; allowed: at least one of the sigmas above 0", key)
         return self
 
     @property

@@ -8,7 +8,17 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from lidarcfg import maths
-from lidarcfg.config import COORDINATE_MAX_M, Angle, Angles, FileName, Metres, Model, Position, check_names, fault
+from lidarcfg.config import (
+    COORDINATE_MAX_M,
+    Angle,
+    Angles,
+    FileName,
+    Metres,
+    Model,
+    Position,
+    check_names,
+    validation_error,
+)
 from lidarcfg.geometry import Array
 from lidarcfg.placement.detection import DetectionObject
 from lidarcfg.placement.objective import SIGHT, Objective
@@ -31,7 +41,7 @@ ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
 def _check_turn(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] > value[1]:
-        raise fault(f"{value[1]:g} is below {value[0]:g}; allowed: at or above it", 1)
+        raise validation_error(f"{value[1]:g} is below {value[0]:g}; allowed: at or above it", 1)
     return value
 
 
@@ -79,28 +89,28 @@ class GroupFile(Model):
         one_of(self, "model", "elevation_deg", "choose")
         for i, model in enumerate(self.choose or ()):
             if model in (self.choose or ())[:i]:
-                raise fault(f"{model!r} is a choice already; each may be given once", "choose", i)
+                raise validation_error(f"{model!r} is a choice already; each may be given once", "choose", i)
         if self.choose == (NONE,):
-            raise fault("the only choice is none; give a model, or remove the sensor", "choose")
+            raise validation_error("the only choice is none; give a model, or remove the sensor", "choose")
         if self.mirror_y_m is not None and self.count % 2:
-            raise fault(f"needs pairs, and count is {self.count}; allowed: an even count", "mirror_y_m")
+            raise validation_error(f"needs pairs, and count is {self.count}; allowed: an even count", "mirror_y_m")
         self._check_place()
         for i, (low, high) in enumerate(zip(*self.bounds, strict=True)):
             if low > high:
-                raise fault(f"its {COORDINATES[i]} is below min's; allowed: at or above it", "max")
+                raise validation_error(f"its {COORDINATES[i]} is below min's; allowed: at or above it", "max")
         return self
 
     def _check_place(self) -> None:
         for key in ("min", "max"):
             if self.on and getattr(self, key):
-                raise fault("conflicts with on; give min and max, or on", key)
+                raise validation_error("conflicts with on; give min and max, or on", key)
             if not self.on and not getattr(self, key):
-                raise fault("missing; give min and max, or on", key)
+                raise validation_error("missing; give min and max, or on", key)
         for key in ANGLES:
             if getattr(self, key) and not self.on:
-                raise fault("goes with on; otherwise min and max bound the angles", key)
+                raise validation_error("goes with on; otherwise min and max bound the angles", key)
             if getattr(self, key) and self.on and not self.on.upright and key != "yaw_deg":
-                raise fault("goes with upright: true; this sensor's axis is the normal", key)
+                raise validation_error("goes with upright: true; this sensor's axis is the normal", key)
 
     @property
     def bounds(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -188,41 +198,43 @@ class StudyFile(Model):
         check_names(names, "an object", "detection")
         for i, group in enumerate(self.sensors):
             if group.on and not self.vehicle:
-                raise fault("needs the study's vehicle, and there is none", "sensors", i, "on")
+                raise validation_error("needs the study's vehicle, and there is none", "sensors", i, "on")
         for i, zone in enumerate(self.zones):
             if zone.name == ELSEWHERE:
-                raise fault(f"{ELSEWHERE!r} is what lies in no zone; give another name", "zones", i, "name")
+                raise validation_error(f"{ELSEWHERE!r} is what lies in no zone; give another name", "zones", i, "name")
         check_names((zone.name for zone in self.zones), "a zone", "zones")
         if not self.limits_sight:
             for key in SIGHT:
                 if getattr(self.objective, key) is not None:
                     what = "is the same for every rig where nothing limits the sight"
-                    raise fault(f"{what}; give a vehicle, surroundings or ranges", "objective", key)
+                    raise validation_error(f"{what}; give a vehicle, surroundings or ranges", "objective", key)
         _check_constraints(self)
         for name in self.objective.detection:
             if name not in names:
                 allowed = ", ".join(names) or "none, as the study has no detection"
-                raise fault(f"no such object; allowed: {allowed}", "objective", "detection", name)
+                raise validation_error(f"no such object; allowed: {allowed}", "objective", "detection", name)
         return self
 
     def _check_prices(self) -> None:
         prices = self.prices or {}
         if NONE in prices:
-            raise fault("costs nothing; remove its price", "prices", NONE)
+            raise validation_error("costs nothing; remove its price", "prices", NONE)
         if all(group.choose is None for group in self.sensors):
             return
         for i, group in enumerate(self.sensors):
             if group.elevation_deg is not None:
                 what = "has no model, so no price, and others are to choose; write its elevations into a sensor's file"
-                raise fault(what, "sensors", i, "elevation_deg")
+                raise validation_error(what, "sensors", i, "elevation_deg")
             for n, model in enumerate(group.choose or (group.model,)):
                 if model != NONE and model not in prices:
                     key = ("choose", n) if group.choose else ("model",)
-                    raise fault(f"{model!r} has no price; give it one in prices", "sensors", i, *key)
+                    raise validation_error(f"{model!r} has no price; give it one in prices", "sensors", i, *key)
         count = self.combinations
         if count > COMBINATIONS_MAX:
             some = f"{count:,}" if count < COUNTED else f"more than {COUNTED:,}"
-            raise fault(f"the choices allow {some} combinations; allowed: at most {COMBINATIONS_MAX:,}", "sensors")
+            raise validation_error(
+                f"the choices allow {some} combinations; allowed: at most {COMBINATIONS_MAX:,}", "sensors"
+            )
 
     @property
     def combinations(self) -> int:
@@ -250,7 +262,7 @@ def _check_constraints(file: StudyFile) -> None:
         least_deg = math.degrees(maths.acos(max(a * b for a, b in product(roll, pitch))))
         if least_deg > limit_deg + 1e-6:
             what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more within its bounds"
-            raise fault(what, "constraints", "max_tilt_deg")
+            raise validation_error(what, "constraints", "max_tilt_deg")
         box = low[:3] - reach_m, high[:3] + reach_m
         if NONE in (group.choose or ()):  # without it the others may keep apart
             continue
@@ -260,7 +272,7 @@ def _check_constraints(file: StudyFile) -> None:
         if most_m < apart_m:
             which = f"two of sensors[{i}]" if i == j else f"sensors[{i}] and sensors[{j}]"
             what = f"{apart_m:g} is impossible: {which} are at most {most_m:.4g} m apart within their bounds"
-            raise fault(what, "constraints", "min_distance_m")
+            raise validation_error(what, "constraints", "min_distance_m")
 
 
 def _cosines(low: float, high: float) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from lidarcfg import maths
-from lidarcfg.config import COORDINATE_MAX_M, Model, Position, error_at, fault
+from lidarcfg.config import COORDINATE_MAX_M, Model, Position, error_at, validation_error
 from lidarcfg.geometry import Array, leaning, level, up
 from lidarcfg.sensor import Metres, Sensor
 from lidarcfg.world.tracer import Hits, Tracer
@@ -55,7 +55,7 @@ class WithinFile(Model):
     def _check(self) -> "WithinFile":
         for axis, (low, high) in enumerate(zip(self.min_m, self.max_m, strict=True)):
             if low > high:
-                raise fault(f"{high:g} is below min_m's {low:g}; allowed: at or above it", "max_m", axis)
+                raise validation_error(f"{high:g} is below min_m's {low:g}; allowed: at or above it", "max_m", axis)
         return self
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from lidarcfg.capture.pcap import TIME_END_NS
 from lidarcfg.config import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
-from lidarcfg.futures import in_order
+from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Pace, Timing, types
 from lidarcfg.packets.families import timing
@@ -221,7 +221,7 @@ def worked(task: Task, crew: Crew, make: Callable[[Batch, Echoes], T]) -> Iterat
     with crew.workers.pool() as pool:
         batches = timing.schedule(mount, task.start_ns, total, packets)
         jobs = (pool.submit(work, batch, first) for batch, first in _numbered(batches))
-        for number, chunk in enumerate(in_order(jobs, AHEAD), 1):
+        for number, chunk in enumerate(ordered_results(jobs, AHEAD), 1):
             if chunk:
                 made = [chunk[0]]
                 crew.on_rays(chunk[1])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, Vec3, fault, load
+from lidarcfg.config import Model, Vec3, load, validation_error
 from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -50,10 +50,10 @@ class TimedPose(Model):
     @model_validator(mode="after")
     def _check(self) -> "TimedPose":
         if self.rpy_deg is not None and self.quaternion_xyzw is not None:
-            raise fault("conflicts with rpy_deg; give only one of them", "quaternion_xyzw")
+            raise validation_error("conflicts with rpy_deg; give only one of them", "quaternion_xyzw")
         length = np.linalg.norm(self.quaternion_xyzw or (1,))
         if not abs(length - 1) <= UNIT:
-            raise fault(f"is of length {length:g}; allowed: 1", "quaternion_xyzw")
+            raise validation_error(f"is of length {length:g}; allowed: 1", "quaternion_xyzw")
         return self
 
 
@@ -74,10 +74,10 @@ class Motion(Model):
         given = [key for key in ("velocity_m_s", "arc", "poses") if getattr(self, key) is not None]
         if len(given) != 1:
             what = f"conflicts with {given[0]}" if given else "missing"
-            raise fault(f"{what}; give one of velocity_m_s, arc, poses", *given[1:2])
+            raise validation_error(f"{what}; give one of velocity_m_s, arc, poses", *given[1:2])
         for i, (before, after) in enumerate(zip(self.poses or (), (self.poses or ())[1:], strict=False), 1):
             if not after.time_s > before.time_s:
-                raise fault(f"{after.time_s:g} is not after {before.time_s:g}", "poses", i, "time_s")
+                raise validation_error(f"{after.time_s:g} is not after {before.time_s:g}", "poses", i, "time_s")
         return self
 
 

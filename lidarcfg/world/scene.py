@@ -18,8 +18,8 @@ from lidarcfg.config import (
     Positive,
     Vec3,
     errors_at,
-    fault,
     load,
+    validation_error,
 )
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
@@ -113,16 +113,16 @@ class HeightField(SceneObject):
     @model_validator(mode="after")
     def _check(self) -> "HeightField":
         if (self.file is None) == (self.heights_m is None):
-            raise fault(
+            raise validation_error(
                 "conflicts with file; give only one of them" if self.file else "missing; or give a file", "heights_m"
             )
         if self.heights_m and self.scale != 1.0:
-            raise fault("belongs to a file; heights_m are metres", "scale")
+            raise validation_error("belongs to a file; heights_m are metres", "scale")
         rows = self.heights_m or ()
         for i, row in enumerate(rows):
             if len(row) != max(len(rows[0]), 2):
                 allowed = f"{len(rows[0])}, as in the first row" if i else "at least 2"
-                raise fault(f"has {len(row)} heights; allowed: {allowed}", "heights_m", i)
+                raise validation_error(f"has {len(row)} heights; allowed: {allowed}", "heights_m", i)
         return self
 
 
@@ -182,7 +182,9 @@ def check_names(file: Model) -> None:
     for kind in dict.fromkeys((*KINDS, *FILES)):
         for i, item in enumerate(getattr(file, kind, ())):
             if item.name in names:
-                raise fault(f"{item.name!r} is an object already; each name may be given once", kind, i, "name")
+                raise validation_error(
+                    f"{item.name!r} is an object already; each name may be given once", kind, i, "name"
+                )
             names.add(item.name)
 
 

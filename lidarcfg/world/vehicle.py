@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import model_validator
 
-from lidarcfg.config import Model, Position, Section, error_at, fault, load
+from lidarcfg.config import Model, Position, Section, error_at, load, validation_error
 from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
@@ -100,7 +100,7 @@ class VehicleFile(Model):
     def _check(self) -> "VehicleFile":
         check_names(self)
         if not any(getattr(self, kind) for kind in KINDS):
-            raise fault(f"has no body; give some of {', '.join(KINDS)}")
+            raise validation_error(f"has no body; give some of {', '.join(KINDS)}")
         return self
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, fault
+from lidarcfg.config import Model, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Firings, Flags, Octets, Times
@@ -46,9 +46,9 @@ class Firing(Model):
     def _check(self) -> "Firing":
         for i, loop in enumerate(self.loops):
             if max((offset for offset in loop if offset is not None), default=0) >= self.period_ns:
-                raise fault(f"a firing lies beyond the period's {self.period_ns} ns", "loops", i)
+                raise validation_error(f"a firing lies beyond the period's {self.period_ns} ns", "loops", i)
         if len({sum(offset is not None for offset in loop) for loop in self.loops}) > 1:
-            raise fault("the loops have different numbers of lasers that fire", "loops")
+            raise validation_error("the loops have different numbers of lasers that fire", "loops")
         return self
 
 
@@ -61,7 +61,7 @@ class Pair(Model):
     @model_validator(mode="after")
     def _check(self) -> "Pair":
         if sorted(self.blocks) != sorted(COLUMNS[self.mode]):
-            raise fault(f"are not {' and '.join(COLUMNS[self.mode])}, in either order", "blocks")
+            raise validation_error(f"are not {' and '.join(COLUMNS[self.mode])}, in either order", "blocks")
         return self
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from lidarcfg.config import Model, Positive, fault
+from lidarcfg.config import Model, Positive, validation_error
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
 from lidarcfg.packets.network import Header, Network
@@ -38,10 +38,12 @@ class Calibration(Model):
     @model_validator(mode="after")
     def _check(self) -> "Calibration":
         if bool(self.near_x_offset_mm) != bool(self.near_y_offset_mm):
-            raise fault("stand without the other; give both or neither of near_x_offset_mm and near_y_offset_mm")
+            raise validation_error(
+                "stand without the other; give both or neither of near_x_offset_mm and near_y_offset_mm"
+            )
         focal = [bool(v) for v in (self.focal_distance_mm, self.focal_slope, self.intensity_min, self.intensity_max)]
         if len(set(focal)) > 1:
-            raise fault("stand without each other; give all or none of focal_* and intensity_*")
+            raise validation_error("stand without each other; give all or none of focal_* and intensity_*")
         return self
 
 
@@ -55,7 +57,7 @@ class ReturnModes(Model):
     @model_validator(mode="after")
     def _check(self) -> "ReturnModes":
         if not self.codes:
-            raise fault("is empty; give the code of strongest, last or dual")
+            raise validation_error("is empty; give the code of strongest, last or dual")
         return self
 
     @property
@@ -108,7 +110,7 @@ class Packet(Model):
     def _check(self) -> "Packet":
         given = (self.product_id is not None, self.return_modes is not None, self.status is None)
         if len(set(given)) > 1:
-            raise fault("give product_id and return_modes, or status")
+            raise validation_error("give product_id and return_modes, or status")
         return self
 
     @property
@@ -155,9 +157,9 @@ class Facts(Model):
         flags = self.packet.block_flags
         if len(flags) not in GROUP_BLOCKS:
             what = f"has {len(flags)} values; allowed: {', '.join(map(str, GROUP_BLOCKS))}"
-            raise fault(f"{what}, which divide a packet's {BLOCKS} blocks", "packet", "block_flags")
+            raise validation_error(f"{what}, which divide a packet's {BLOCKS} blocks", "packet", "block_flags")
         if self.position_packet and self.headers and not self.headers.position:
-            raise fault("missing, as there is a position_packet", "headers", "position")
+            raise validation_error("missing, as there is a position_packet", "headers", "position")
         return self
 
 
@@ -171,7 +173,7 @@ class Settings(Model):
     @classmethod
     def _check(cls, value: Any) -> Any:
         if value is True:  # which Python takes for 1
-            raise fault("true is not a whole number")
+            raise validation_error("true is not a whole number")
         return value
 
 
