@@ -112,6 +112,8 @@ class Document:
             mark = error.problem_mark or error.context_mark
             place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
             what = " ".join(str(error.problem or error.context or "not YAML").split())
+            if "nesting depth" in what:  # some releases of libyaml have a limit of their own
+                raise ConfigError(f"{name}:{place}: nested too deeply") from None
             raise ConfigError(f"{name}:{place}: not YAML: {what}") from None
         except (yaml.YAMLError, ValueError) as error:
             raise ConfigError(f"{name}:1:1: not YAML: {' '.join(str(error).split())}") from None

@@ -136,4 +136,4 @@ def test_a_kill_while_it_saves_leaves_a_whole_file(path, times):
         assert found <= before | set(heights)
         with served(path) as (ask, _, _):
             assert ask("POST", "/save", poses(1.5))[0] == 200
-        assert [one.name for one in path.parent.iterdir()] == ["rig.yaml"]
+        assert [one.name for one in path.parent.iterdir() if not one.name.startswith(".")] == ["rig.yaml"]
