@@ -159,12 +159,10 @@ def main() -> None:
         name = names[rng.integers(len(names))]
         function, given, named = seen.calls[name][rng.integers(len(seen.calls[name]))]
         given, named = copy.copy(_copied(given)), _copied(named)
-        for _ in range(rng.integers(1, 3)):
-            if given and (not named or rng.random() < 0.8):
-                given = changed(given, rng)
-            elif named:
-                named = changed(named, rng)
-        print(name, file=sys.stderr, flush=True) if arguments.seconds < 0 else None
+        if given and (not named or rng.random() < 0.8):
+            given = changed(given, rng)
+        elif named:
+            named = changed(named, rng)
         try:
             function(*given, **named)
             outcomes["results"] += 1
