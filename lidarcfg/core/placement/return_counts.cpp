@@ -128,7 +128,9 @@ void count_returns(View<const Place> places, View<const std::int64_t> which, Vie
   for (const std::int64_t place : which) {
     for (Index s = 0; s < std::ssize(scanners); ++s) {
       beams.aim(*scanners[s], poses[s], target, places[place]);
-      tracer->count(beams, obstacles, counts[place][s].first(scanners[s]->phases()));
+      const View<std::int32_t> by_phase = counts[place][s].first(scanners[s]->phases());
+      std::ranges::fill(by_phase, 0);
+      tracer->count(beams, obstacles, by_phase);
     }
   }
 }
