@@ -4,3 +4,4 @@ MICROSECOND_NS = 10**3
 SECOND_NS = 10**9
 MINUTE_NS = 60 * SECOND_NS
 HOUR_NS = 3600 * SECOND_NS
+TIME_END_NS = 2**32 * SECOND_NS  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC

@@ -10,11 +10,11 @@ import pytest
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import frames as frames_of
 from lidarcfg.capture.pcap import Datagram, read_datagrams, write_pcap
-from lidarcfg.cloud import concatenate
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.velodyne.layout import POSITION
-from lidarcfg.rig import Mount, Rig
-from lidarcfg.sensor import Sensor, load_sensor
+from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.world.scene import Scene, load_scene
 from tests.packets.velodyne.shaped import facts, with_facts
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from lidarcfg.cli import main
+from lidarcfg.cli.main import main
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGPIPE") if hasattr(signal, name)]
 

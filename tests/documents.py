@@ -9,8 +9,9 @@ import numpy as np
 import yaml
 from hypothesis import strategies as st
 
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.config import load
+from lidarcfg.config.models import load
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.placement.cones import rig_lidars
@@ -19,9 +20,8 @@ from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import StudyFile, load_study
 from lidarcfg.placement.subspace import segment
-from lidarcfg.rig import Rig, load_rig, save_rig
-from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.sensors.rig import Rig, load_rig, save_rig
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import PLY, datagrams_of, mount, room

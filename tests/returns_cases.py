@@ -8,8 +8,8 @@ import numpy as np
 from lidarcfg.geometry import pose, transform
 from lidarcfg.packets.families import codec, pattern
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.rig import Mount, Rig
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 from lidarcfg.world.motion import standing

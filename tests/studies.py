@@ -3,8 +3,8 @@
 from lidarcfg.placement.study import load_study
 
 
-def study_of(folder, text, patterns=None):
+def study_of(folder, text):
     """The study that a YAML text in a folder's study.yaml says."""
     path = folder / "study.yaml"
     path.write_text(text)
-    return load_study(path, patterns)
+    return load_study(path)

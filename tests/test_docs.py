@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 
 import lidarcfg
-from lidarcfg.cli import cli
-from lidarcfg.config import Model, load
+from lidarcfg.cli.main import cli
+from lidarcfg.config.models import Model, load
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.placement.plan import PlanFile
 from lidarcfg.placement.study_file import StudyFile
-from lidarcfg.realism import Realism
 from lidarcfg.report.summaries import summary
-from lidarcfg.rig import RigFile
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import RigFile
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene import SceneFile
 
@@ -409,7 +409,7 @@ def test_mesh_files_that_the_page_names(suffix, project):
 
 def test_the_sensor_of_the_page_decodes_as_it_fired(project):
     """Its capture decodes to the ground truth of each return."""
-    from lidarcfg.cloud import load_cloud
+    from lidarcfg.clouds.cloud import load_cloud
 
     for name, text in named_files(DOCS / "sensors.md").items():
         Path(name).write_text(text)

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import lidarcfg
+from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, remove_outdated, remove_temporary, replacing, replacing_folder, shipped
-from lidarcfg.simulate.ground_truth import TruthFile
 
 ROOT = Path(__file__).parents[1]
 

@@ -12,24 +12,25 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg import inputs, yaml_document
+from lidarcfg import inputs
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.cloud import load_cloud, read_arrays, save_clouds
-from lidarcfg.config import load
+from lidarcfg.clouds.cloud import load_cloud, read_arrays, save_clouds
+from lidarcfg.config.document import LARGE, Document
+from lidarcfg.config.models import document as yaml_document
+from lidarcfg.config.models import load
 from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
-from lidarcfg.formats.kitti import load_kitti
-from lidarcfg.formats.las import load_las
+from lidarcfg.io.kitti import load_kitti
+from lidarcfg.io.las import load_las
 from lidarcfg.placement import evaluator
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
-from lidarcfg.rig import RigFile
-from lidarcfg.sensor import Beams
+from lidarcfg.sensors.rig import RigFile
+from lidarcfg.sensors.sensor import Beams
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.motion import load_path
-from lidarcfg.yaml_document import LARGE, Document
 from tests.capture_fixtures import no_warning
 from tests.command_line import lidarcfg
 from tests.test_cloud import cloud
@@ -216,7 +217,7 @@ def test_a_limit_of_addresses(tmp_path, megabytes, words, what):
     (tmp_path / "study.yaml").write_text(SMALL_STUDY)
     (tmp_path / "large.yaml").write_text(SMALL_STUDY.replace("[1, 1, 1]", "[0.01, 0.008, 0.01]"))
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({megabytes * 10**6},) * 2)"
-    code = f"{limit}; import sys; sys.argv[1:] = {words.split()!r}; from lidarcfg.cli import main; main()"
+    code = f"{limit}; import sys; sys.argv[1:] = {words.split()!r}; from lidarcfg.cli.main import main; main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert re.match(f"lidarcfg: {what}", done.stderr)

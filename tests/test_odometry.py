@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lidarcfg
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.models import read_parts

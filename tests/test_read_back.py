@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 
 import lidarcfg as library
 from lidarcfg.capture.manifest import CaptureManifest, FileDigest
-from lidarcfg.config import load, loads, whole_values
+from lidarcfg.cli.templates import vehicles, write_template
+from lidarcfg.config.document import Document, document, inline, yaml_text
+from lidarcfg.config.kinds import kind_of
+from lidarcfg.config.models import load, loads, whole_values
 from lidarcfg.errors import ConfigError
-from lidarcfg.kinds import kind_of
 from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.results import fingerprint
-from lidarcfg.rig import load_rig, save_rig
-from lidarcfg.templates import vehicles, write_template
+from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene import SceneFile
-from lidarcfg.yaml_document import Document, document, inline, yaml_text
 from tests.command_line import lidarcfg
 from tests.studies import study_of
 from tests.test_docs import PAGES, blocks, named_files
@@ -116,7 +116,7 @@ def test_shipped_studies(path, tmp_path):
 
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
 def test_the_studies_of_plans(path, tmp_path):
-    plan = load_plan(path, library.pattern)
+    plan = load_plan(path)
     for run in plan.runs[:: max(len(plan.runs) // 3, 1)]:
         study = plan.studies.of(run.file)
         assert_read_back(study, tmp_path)
@@ -145,7 +145,7 @@ def test_studies_that_pages_show(page, text, tmp_path):
         (tmp_path / "data" / name).symlink_to(ROOT / "data" / name)
     for name, other in named_files(page).items():
         (folder / name).write_text(other)
-    assert_read_back(study_of(folder, text, library.pattern), tmp_path)
+    assert_read_back(study_of(folder, text), tmp_path)
 
 
 def test_an_example_named_from_a_folder_without_it(tmp_path, monkeypatch):
@@ -159,7 +159,7 @@ def test_an_example_named_from_a_folder_without_it(tmp_path, monkeypatch):
 
 def test_nothing_is_said_of_an_object_that_it_may_not_say(tmp_path):
     """Of one with returns no threshold, and that it is on the ground; null is what is missing."""
-    study = study_of(with_files(tmp_path / "it"), RETURNS, library.pattern)
+    study = study_of(with_files(tmp_path / "it"), RETURNS)
     child, crate, box = study.file["detection"]
     assert child == {
         "name": "child", "mesh": str(tmp_path / "it/near/child.ply"), "returns": 12, "on_ground": True, "step_m": 4.0,
@@ -168,7 +168,7 @@ def test_nothing_is_said_of_an_object_that_it_may_not_say(tmp_path):
     assert box == {"name": "box", "size_m": [1.0, 1.0, 1.0], "threshold": 1, "on_ground": False}
     nulls = RETURNS.replace("size_m: [1, 1, 1]", "size_m: [1, 1, 1], threshold: null, returns: null")
     nulls += "robust: {angle_sigma_deg: 1, samples: null, quantile: null}\n"
-    loaded = study_of(tmp_path / "it", nulls, library.pattern)
+    loaded = study_of(tmp_path / "it", nulls)
     assert loaded.file["detection"][2] == box
     assert loaded.file["robust"] == {"angle_sigma_deg": 1.0, "samples": 16, "quantile": 0.9}
     assert_read_back(loaded, tmp_path)
@@ -199,13 +199,13 @@ def test_the_points_of_a_front(searched, tmp_path):
         study = library.load_study(there / "study.yaml")
         assert study.file == known[point["name"]].file
         shown = complete_study((there / "report.html").read_text())
-        assert study_of(tmp_path, shown, library.pattern).file == study.file
+        assert study_of(tmp_path, shown).file == study.file
         words = ("evaluate", there / "study.yaml", there / "rig.yaml")
         found = json.loads(lidarcfg(*words, "--json", cwd=tmp_path).stdout)
         assert (found["max_vsr_m"], found["detection"]) == (point["max_vsr_m"], point["detection"])
         lidarcfg(*words, "-o", "evaluated", "--quiet", cwd=tmp_path)
         shown = complete_study((tmp_path / "evaluated/report.html").read_text())
-        assert study_of(tmp_path, shown, library.pattern).file == study.file
+        assert study_of(tmp_path, shown).file == study.file
         before = len(np.load(there / "search.npz")["cost"])
         more = ("--evaluations", before + 200)
         lidarcfg("optimize", there / "study.yaml", "--resume", there, *more, "--threads", 2, cwd=tmp_path)
@@ -218,7 +218,7 @@ def test_the_study_of_a_front_and_of_a_comparison(searched, tmp_path):
     rig = next((searched / "out/points").glob("*/rig.yaml"))
     lidarcfg("compare", rig, ROOT / "data/rigs/roof.yaml", "--study", "study.yaml", "-o", tmp_path, cwd=searched)
     for text in (front, complete_study((tmp_path / "compare.html").read_text())):
-        again = study_of(tmp_path, text, library.pattern)
+        again = study_of(tmp_path, text)
         assert again.file == study.file
         assert fingerprint(again) == fingerprint(study)
 

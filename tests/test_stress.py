@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
@@ -27,8 +28,7 @@ from lidarcfg.placement.solvers.bee_colony import BeeColony
 from lidarcfg.placement.solvers.lshade import Lshade
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
-from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.sensors.rig import Rig
 from tests import oracle
 from tests.capture_fixtures import PLY, datagrams_of, mount, no_warning, room, scene
 from tests.packets.velodyne.shaped import decode, firings, packet_period_ns, rays

@@ -21,14 +21,14 @@ import numpy as np
 import open3d as o3d
 from page import ROOT, machine
 
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
 from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import codec
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Mount, Rig, load_rig
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.tasks import CHUNK_RAYS, START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
@@ -266,11 +266,11 @@ LONG = """
 import sys, time
 import numpy as np
 from pathlib import Path
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.simulate.tasks import Run
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.world.scene import load_scene
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 folder, minutes = Path(sys.argv[1]), float(sys.argv[2]) / 60
 began, marks = time.perf_counter(), [m for m in (1, 5) if m < minutes] + [minutes]
 def peak_mb():

@@ -32,7 +32,7 @@ from lidarcfg.packets.rotating import firings
 from lidarcfg.packets.velodyne.encode import encode
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.model import unit
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.sensor import load_sensor
 
 RUNS, PACKETS = 7, 40_000
 START_NS = 1_767_225_600 * 10**9

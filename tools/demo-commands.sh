@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lidarcfg.capture.pcap import read_datagrams
-from lidarcfg.cloud import load_cloud
+from lidarcfg.clouds.cloud import load_cloud
 
 out = Path(sys.argv[1])
 result = json.loads((out / "result.json").read_text())

@@ -16,15 +16,15 @@ from matplotlib.patches import Arc, Rectangle, Wedge
 from PIL import Image, ImageDraw
 from suburb_road import road
 
-from lidarcfg.cli import cli
-from lidarcfg.cloud import PointCloud, load_cloud
+from lidarcfg.cli.main import cli
+from lidarcfg.clouds.cloud import PointCloud, load_cloud
 from lidarcfg.geometry import pose, rotation, transform
 from lidarcfg.placement.cones import Lidar, gaps_at, lidar
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.scene import load_scene
 

@@ -20,14 +20,14 @@ from PIL import Image
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from lidarcfg.cli import cli
-from lidarcfg.commands.options import START, load_trajectory, nanoseconds
-from lidarcfg.view.manifests import DriveInputs, complete_inputs
-from lidarcfg.view.page import page_of
-from lidarcfg.view.server import Server
-from lidarcfg.view.stage import load_stage
+from lidarcfg.cli.main import cli
+from lidarcfg.cli.options import START, load_trajectory, nanoseconds
+from lidarcfg.viewer.manifests import DriveInputs, complete_inputs
+from lidarcfg.viewer.page import page_of
+from lidarcfg.viewer.server import Server
+from lidarcfg.viewer.stage import load_stage
 from tests.chromium import browser
-from tests.view.driver import click, opened, put, settled
+from tests.viewer.driver import click, opened, put, settled
 
 PARTS = "document.body", "document.querySelector('#blind')"  # what is at the top of each part
 FRAMES = 2, 14, 27

@@ -56,10 +56,10 @@ with (
     from lidarcfg.packets.velodyne.layout import PACKET, packets_of
     from lidarcfg.packets.velodyne.model import unit
     from tools import fuzz_makers
-from lidarcfg.cloud import PointCloud, concatenate
+from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.rig import Mount, Rig
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.sensors.sensor import load_sensor
 
 MODELS = ("vlp-16", "puck-hi-res", "vlp-32c", "hdl-32e", "vls-128", "hdl-64e-s2", "hdl-64e-s3")
 MODES = ("strongest", "last", "dual")

@@ -10,11 +10,11 @@ import numpy as np
 
 from lidarcfg.capture.frames import ETHERNET_HEADER, RECORD, frames
 from lidarcfg.capture.pcap import FILE_HEADER, read_batches
-from lidarcfg.config import Section
+from lidarcfg.config.models import Section
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
-from lidarcfg.rig import Mount, Rig, ports
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.rig import Mount, Rig, ports
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import standing
 from lidarcfg.world.scene import GeoOrigin

@@ -6,7 +6,7 @@
     .venv/bin/python tools/stress.py --quick          a hundredth of the cases
 
 Prints the table of docs/evidence/accuracy.md. A short run is part of the tests (tests/test_stress.py and
-tests/test_documents.py), which have smaller cases besides. Exits with 1 if anything failed.
+tests/config/test_document.py), which have smaller cases besides. Exits with 1 if anything failed.
 """
 
 import argparse

@@ -24,7 +24,7 @@ from scipy.stats import qmc, rankdata
 
 import lidarcfg
 from lidarcfg import core
-from lidarcfg.config import COORDINATE_MAX_M
+from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.geometry import Array, rotation
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.analytic import level
@@ -37,7 +37,7 @@ from lidarcfg.placement.returns import NOTHING, Poses, Scanner, Target, compiled
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.report import COLOURS, new_figure, save_figure
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.world.meshes import read_mesh
 
 STUDIES = tuple(ROOT / f"data/studies/{name}.yaml" for name in ("sedan", "truck", "liu2018-4x16"))

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import lidarcfg
-from lidarcfg.formats.carla import carla
-from lidarcfg.formats.launch import launch
-from lidarcfg.formats.nuscenes import nuscenes
-from lidarcfg.formats.urdf import urdf
+from lidarcfg.io.carla import carla
+from lidarcfg.io.launch import launch
+from lidarcfg.io.nuscenes import nuscenes
+from lidarcfg.io.urdf import urdf
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)

@@ -9,12 +9,12 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate, load_cloud, save_clouds
-from lidarcfg.simulate.export import export, in_time_order
-from lidarcfg.view.page import page_of, save_html
-from lidarcfg.view.stage import Stage
-from lidarcfg.view.still import save_still
+from lidarcfg.clouds.cloud import concatenate, load_cloud, save_clouds
+from lidarcfg.viewer.page import page_of, save_html
+from lidarcfg.viewer.stage import Stage
+from lidarcfg.viewer.still import save_still
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 import lidarcfg
+from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.pcap import read_datagrams, write_pcap
 from lidarcfg.geometry import pose
-from lidarcfg.simulate.export import export, in_time_order
-from lidarcfg.simulate.ground_truth import TruthFile
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)

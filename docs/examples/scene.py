@@ -9,10 +9,10 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.simulate.export import export, in_time_order
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)

@@ -10,10 +10,10 @@ import yaml
 
 import lidarcfg
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
-from lidarcfg.sensor import catalogue
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.clouds.cloud import concatenate
+from lidarcfg.sensors.sensor import catalogue
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)

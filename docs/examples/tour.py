@@ -10,8 +10,8 @@ import numpy as np
 import lidarcfg
 from lidarcfg.geometry import pose
 from lidarcfg.placement.study import with_solver
-from lidarcfg.view.stage import Stage
-from lidarcfg.view.still import save_still
+from lidarcfg.viewer.stage import Stage
+from lidarcfg.viewer.still import save_still
 
 out = Path("out/examples")
 out.mkdir(parents=True, exist_ok=True)

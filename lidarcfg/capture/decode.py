@@ -18,15 +18,15 @@ from lidarcfg.capture.manifest import load_manifest, manifest_path, rig_file
 from lidarcfg.capture.pcap import read_batches
 from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window_ns
 from lidarcfg.capture.stream import ENOUGH, OnHeads, Place, SourceStats, Stream
-from lidarcfg.cloud import PointCloud, concatenate
+from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.futures import ordered_results
 from lidarcfg.inputs import read_regular
 from lidarcfg.packets.codec import Codec, Decoder, Known, Octets, Source, Times
 from lidarcfg.packets.families import FAMILIES, codec, family
 from lidarcfg.packets.point_fields import asked
-from lidarcfg.rig import Rig, load_rig
-from lidarcfg.sensor import Sensor, catalogue, load_sensor
+from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.sensor import Sensor, catalogue, load_sensor
 
 CHUNK_PACKETS = 1024
 CHUNK_BYTES = 1 << 21  # of packets

@@ -3,41 +3,24 @@
 import hashlib
 import math
 import os
-from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import numpy as np
 
 import lidarcfg
-from lidarcfg.config import Model, Positive, error_at, load
+from lidarcfg.config.models import Model, Positive, error_at, load
 from lidarcfg.errors import ConfigError, reason
-from lidarcfg.files import example, replacing
+from lidarcfg.files import example
 from lidarcfg.geometry import Array, angles, pose
-from lidarcfg.rig import ReturnMode, Rig
-from lidarcfg.sensor import catalogue
+from lidarcfg.sensors.rig import NO_VEHICLE, ReturnMode
+from lidarcfg.sensors.sensor import catalogue
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory, load_path
-from lidarcfg.world.scene import Scene, files_of
-from lidarcfg.world.vehicle import NONE, Vehicle
-from lidarcfg.yaml_document import yaml_text
 
 SUFFIX = ".yaml"  # appended to the capture's name, so that it differs from a rig of that name
-SIDECAR_SUFFIXES = (
-    ".rig.yaml",
-    ".scene.yaml",
-    ".trajectory.yaml",
-    ".trajectory.tum",
-)  # likewise: inputs that were in no file
 READ = 1 << 20  # bytes of a file at once
-
-
-class SidecarInput(NamedTuple):
-    """An input that is in no file: it is written beside the capture."""
-
-    suffix: str  # behind the capture's name
-    text: str
 
 
 class FileDigest(Model):
@@ -50,9 +33,7 @@ class FileDigest(Model):
     def of(cls, path: Path, manifest: Path) -> "FileDigest":
         """The file at `path`, as a manifest names it. Raises OSError."""
         path = example(path)
-        return cls(
-            file=os.path.relpath(os.path.realpath(path), os.path.realpath(manifest.parent)), sha256=_sha256(path)
-        )
+        return cls(file=os.path.relpath(os.path.realpath(path), os.path.realpath(manifest.parent)), sha256=sha256(path))
 
 
 class Input(FileDigest):
@@ -89,14 +70,14 @@ class CaptureManifest(Model):
             at = (key, "file") if i == 0 else (key, "files", i - 1, "file")
             path = manifest.parent / part.file
             try:
-                same = _sha256(path) == part.sha256
+                same = sha256(path) == part.sha256
             except OSError as error:
                 raise error_at(manifest, at, f"{path}: {reason(error)}; {hint}") from None
             if not same:
                 raise error_at(manifest, at, f"{path} has changed since the export; {hint}")
         known = catalogue()
         for name, digest in (self.models or {}).items() if key == "rig" else ():
-            if name not in known or _sha256(known[name]) != digest:
+            if name not in known or sha256(known[name]) != digest:
                 what = f"{name} differs between this catalogue and that of the export; {hint}"
                 raise error_at(manifest, ("models", name), what)
         return manifest.parent / given.file
@@ -147,7 +128,7 @@ def rig_file(capture: Path, given: str | Path | None) -> Path | None:
     Raises ConfigError if that has changed since.
     """
     if given is not None:
-        return None if str(given) == NONE else Path(given)
+        return None if str(given) == NO_VEHICLE else Path(given)
     beside = manifest_path(capture)
     return (
         load_manifest(capture).path(
@@ -163,65 +144,7 @@ def manifest_path(capture: Path) -> Path:
     return capture.with_name(capture.name + SUFFIX)
 
 
-def _sensor_files(rig: Rig) -> list[Path]:
-    """The files of its sensors that are not the catalogue's."""
-    known = catalogue()
-    return [Path(mount.model) for mount in rig.mounts if mount.model and mount.model not in known]
-
-
-def _models(rig: Rig) -> dict[str, str] | None:
-    """The catalogue's sensors in a rig, with the checksums of their files."""
-    known = catalogue()
-    names = sorted({mount.model for mount in rig.mounts if mount.model and mount.model in known})
-    return {name: _sha256(known[name]) for name in names} or None
-
-
-def save_manifest(
-    capture: Path,
-    files: Mapping[str, Path | SidecarInput | None],
-    rig: Rig,
-    scene: Scene,
-    vehicle: Vehicle | None,
-    values: Mapping[str, Any],
-) -> None:
-    """Write the manifest beside a capture: its input files, and the other keys of `CaptureManifest`.
-
-    Rig, scene and vehicle are what was read of the files; the files that they name are in the manifest, too.
-    """
-    path = manifest_path(capture)
-    scene_file = files["scene"]
-    named = {"rig": _sensor_files(rig)}
-    named["scene"] = files_of(scene.file, example(scene_file).parent) if isinstance(scene_file, Path) else []
-    owner = "vehicle" if files.get("vehicle") else "rig"
-    named[owner] = [*named.get(owner, ()), *(files_of(vehicle.file, Path()) if vehicle else ())]
-    inputs: dict[str, Any] = {"models": _models(rig)}
-    for key, given in files.items():
-        if given:
-            own = _written(given, capture) if isinstance(given, SidecarInput) else FileDigest.of(given, path)
-            others = dict.fromkeys(
-                one
-                for one in named.get(key, ())
-                if isinstance(given, SidecarInput) or os.path.realpath(one) != os.path.realpath(example(given))
-            )
-            parts = tuple(FileDigest.of(one, path) for one in others)
-            inputs[key] = Input(**own.model_dump(), files=parts or None)
-    manifest = CaptureManifest.model_validate(
-        {**inputs, **{key: value for key, value in values.items() if value is not None}}
-    )
-    with replacing(path) as out:
-        out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
-
-
-def _written(given: SidecarInput, capture: Path) -> FileDigest:
-    """Write an input beside a capture, and name it as the manifest does."""
-    path = capture.with_name(capture.name + given.suffix)
-    content = given.text.encode()
-    with replacing(path, "wb") as out:
-        out.write(content)
-    return FileDigest(file=path.name, sha256=hashlib.sha256(content).hexdigest())
-
-
-def _sha256(path: Path) -> str:
+def sha256(path: Path) -> str:
     digest = hashlib.sha256()
     with open(path, "rb") as file:
         while part := file.read(READ):

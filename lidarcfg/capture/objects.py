@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.cloud import PointCloud, read_arrays
+from lidarcfg.clouds.cloud import PointCloud, read_arrays
 from lidarcfg.errors import CloudError
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
 LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64

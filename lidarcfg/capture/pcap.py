@@ -22,7 +22,6 @@ from lidarcfg.packets.codec import Octets, Times
 from lidarcfg.units import SECOND_NS
 
 SNAPLEN = 65535
-TIME_END_NS = 2**32 * 10**9  # a pcap counts its seconds in 32 bits: 2106-02-07 06:28:16 UTC
 RECORD_MAX = 262144  # bytes; libpcap allows no longer record
 PCAP_MAGIC = {  # byte order, and nanoseconds in a unit of the fraction
     struct.pack(order + "I", magic): (order, unit_ns)

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.decode import CHUNK_PACKETS, Capture, DecodeMetadata, OnSource
-from lidarcfg.cloud import PointCloud, concatenate
+from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Times
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 BACK_RAD = math.radians(1)  # a drop of the azimuth by more means that the head has passed 0
 LATE_NS = 10**8  # a packet later than this was not overtaken; instead, the clock was set back

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from lidarcfg.cloud import PointCloud
+from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import Array, transform
 from lidarcfg.packets.codec import Decoder, Flags, Octets, Times

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.config import Model
+from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
-from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.point_fields import TIMED, PointField
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.scene import GeoOrigin
 

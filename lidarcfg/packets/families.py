@@ -4,13 +4,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.firing import Pattern
 from lidarcfg.packets.codec import Codec, Timing
 from lidarcfg.packets.generic import GenericTiming
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 FAMILIES = {  # module and class, loaded when they are needed
     "velodyne": "lidarcfg.packets.velodyne:Velodyne",

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.firing import Pattern
 from lidarcfg.packets.codec import Batch, Pace, Timing
 from lidarcfg.packets.rotating import FiringSchedule, batches, pattern
-from lidarcfg.sensor import FIRING, Sensor
+from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.sensor import FIRING, Sensor
 from lidarcfg.units import MINUTE_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 LASERS_MAX = 256  # a byte says which one
 

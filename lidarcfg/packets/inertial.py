@@ -9,7 +9,7 @@ from lidarcfg.packets.codec import Times
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
 
 STEP_NS = SECOND_NS // 200  # before and after, over which motion is taken

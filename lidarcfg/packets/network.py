@@ -5,8 +5,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from lidarcfg.config import Model, validation_error
-from lidarcfg.sensor import Byte
+from lidarcfg.config.models import Model, validation_error
+from lidarcfg.sensors.sensor import Byte
 
 MAC = "^[0-9a-f]{{2}}(:[0-9a-f]{{2}}){{{}}}$"
 

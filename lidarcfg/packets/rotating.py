@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from lidarcfg.core import packets as core
-from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Codec, Firings, Pace, Times
+from lidarcfg.sensors.firing import Pattern
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lidarcfg.config import Model, Section
+from lidarcfg.config.models import Model, Section
 from lidarcfg.errors import ConfigError
-from lidarcfg.sensor import Range, Sensor
+from lidarcfg.sensors.sensor import Range, Sensor
 
 Nanoseconds = Annotated[int, Field(ge=-(10**9), le=10**9)]
 F = TypeVar("F", bound=Model)

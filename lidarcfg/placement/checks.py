@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.config import all_errors_at, load
+from lidarcfg.config.document import Key
+from lidarcfg.config.models import all_errors_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import unused_prices
@@ -20,8 +21,7 @@ from lidarcfg.placement.return_counts import DetectionTarget, return_counts
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
 from lidarcfg.placement.terms import Trial
-from lidarcfg.rig import MountFile, RigFile
-from lidarcfg.yaml_document import Key
+from lidarcfg.sensors.rig import MountFile, RigFile
 
 Suspect = tuple[Key, str]  # where something looks wrong, and what
 LINES = 10  # of one file

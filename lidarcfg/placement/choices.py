@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidarcfg.config import error_at
+from lidarcfg.config.models import error_at
 from lidarcfg.placement.study_file import NONE, StudyFile
 from lidarcfg.placement.surfaces import Surface
-from lidarcfg.rig import resolve_sensor
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.rig import resolve_sensor
+from lidarcfg.sensors.sensor import Sensor
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
 from typing import Any
 
-from lidarcfg.config import NAME_MAX
+from lidarcfg.config.models import NAME_MAX
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.choices import Choice
 from lidarcfg.placement.slots import Slot, slot_name

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
-from lidarcfg.rig import Rig
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.rig import Rig
+from lidarcfg.sensors.sensor import Sensor
 
 FIRST = 6  # the column of the lowest beam in a row of `cone_rows`
 

@@ -17,7 +17,7 @@ from lidarcfg.placement.metric import volume_m3
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import robustness
 from lidarcfg.placement.study import Study
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 CHEAP_CUBOIDS = 100_000  # up to this size another evaluation takes a fraction of a second
 ONE_HALVING = 1.0  # a tolerance that the first halving of the cuboids always reaches

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lidarcfg import core, maths
-from lidarcfg.config import COORDINATE_MAX_M, FileName, Model, Name, Positive, validation_error, with_defaults
+from lidarcfg.config.models import COORDINATE_MAX_M, FileName, Model, Name, Positive, validation_error, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.region import AXES, Region, cuboids_needed
 from lidarcfg.placement.subspace import Subspaces
-from lidarcfg.rig import one_of
+from lidarcfg.sensors.rig import one_of
 
 Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]

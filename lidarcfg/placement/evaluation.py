@@ -3,9 +3,11 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import Analytic, analytic
 from lidarcfg.placement.blind_spots import HEIGHTS_M, BlindSpots, contour, seen_by_any, seen_by_m3
@@ -14,10 +16,10 @@ from lidarcfg.placement.detection import Counted, Detection, counted_places, det
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
 from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
-from lidarcfg.placement.study import Study
+from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
-from lidarcfg.rig import Rig
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import check_outside
 
 WORST = 10  # how many of the worst subspaces an evaluation lists
@@ -64,18 +66,21 @@ class Evaluation:
 
 
 def evaluate(
-    study: Study,
-    rig: Rig,
+    study: Study | str | Path,
+    rig: Rig | str | Path,
     tolerance: float | None = None,
     worst_count: int = WORST,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> Evaluation:
     """A rig's max VSR, worst subspaces and detection rates; the study's bounds are not enforced.
 
-    With a relative tolerance also the analytic max VSR, to that tolerance. `on_progress` is told the fraction done of
-    the objects that are detected by returns, which take longest. Raises ConfigError where the tolerance is not
-    above 0, or where the region has too many cuboids to refine; and where a sensor is inside the study's vehicle.
+    Study and rig are files, or what is loaded from them. With a relative tolerance also the analytic max VSR, to
+    that tolerance. `on_progress` is told the fraction done of the objects that are detected by returns, which take
+    longest. Raises ConfigError where the tolerance is not above 0, or where the region has too many cuboids to
+    refine; and where a sensor is inside the study's vehicle.
     """
+    study = loaded(study, load_study)
+    rig = loaded(rig, load_rig)
     started = time.perf_counter()
     if study.vehicle:
         check_outside(study.vehicle, rig.mounts)

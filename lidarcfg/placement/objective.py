@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from lidarcfg.config import COORDINATE_MAX_M, Model
+from lidarcfg.config.models import COORDINATE_MAX_M, Model
 from lidarcfg.placement.zones import Weight
 
 SIGHT = ("blind_volume", "seen_by_two", "blind_spot_m")  # terms that tell rigs apart only where something limits sight

@@ -5,19 +5,21 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import Evaluation, evaluate
 from lidarcfg.placement.evaluator import Evaluator, max_vsr
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials, checked
-from lidarcfg.placement.study import Study
+from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.study_file import Solver
 from lidarcfg.placement.tolerance import StudyEvaluator
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
 
@@ -68,7 +70,7 @@ class Placement:
 
 
 def optimize(
-    study: Study,
+    study: Study | str | Path,
     threads: int | None = None,
     on_cycle: Callable[[Cycle, Rig, Log], None] | None = None,
     log: Log | None = None,
@@ -77,11 +79,14 @@ def optimize(
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
-    `on_evaluations` is called from time to time, also within a cycle, with the number of evaluations so far. `log`
-    resumes an earlier search, which ends where an uninterrupted one would (unless its budget is in seconds). Without
-    `skip` every trial is evaluated in full, which changes only the time. An interrupt (Ctrl-C) ends the search and
-    keeps the best rig so far. Raises ConfigError if nothing is free to move, or if no rig meets the constraints.
+    The study is a file, or what is loaded from it. `on_cycle` gets the state of the search, the best rig and the
+    log at the end of each cycle. `on_evaluations` is called from time to time, also within a cycle, with the number
+    of evaluations so far. `log` resumes an earlier search, which ends where an uninterrupted one would (unless its
+    budget is in seconds). Without `skip` every trial is evaluated in full, which changes only the time. An
+    interrupt (Ctrl-C) ends the search and keeps the best rig so far. Raises ConfigError if nothing is free to move,
+    or if no rig meets the constraints.
     """
+    study = loaded(study, load_study)
     if study.to_choose:
         raise ConfigError("the study has models to choose; `front` searches for the best rig of each price")
     dimensions = int(study.free.sum())

@@ -17,13 +17,12 @@ from pydantic import BaseModel, Field, model_validator
 
 import lidarcfg
 from lidarcfg import core
-from lidarcfg.config import Model, checked, error_at, validation_error
+from lidarcfg.config.document import Document, Key, document
+from lidarcfg.config.models import Model, checked, error_at, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.firing import Patterns
 from lidarcfg.placement.study import Study, study_of
 from lidarcfg.placement.study_file import StudyFile
-from lidarcfg.yaml_document import Document, Key, document
 
 RUNS_MAX = 100_000
 PATH = re.compile(r"[^.\[\]]+(\[\d{1,9}\])*(\.[^.\[\]]+(\[\d{1,9}\])*)*")
@@ -149,9 +148,9 @@ class Plan:
 class Studies:
     """Makes the studies of a plan's runs; keeps the last few in memory."""
 
-    def __init__(self, path: Path, patterns: Patterns | None) -> None:
+    def __init__(self, path: Path) -> None:
         """`path` is the file of the base study; for an inline study, the plan's."""
-        self.path, self._patterns = path, patterns
+        self.path = path
         self._kept: dict[str, Study] = {}
         self._digests: dict[str, str] = {}
         self._versions = versions()
@@ -161,7 +160,7 @@ class Studies:
         key = file.model_dump_json(exclude={"solver"})
         if key not in self._kept:
             self._kept = dict([*self._kept.items()][1 - KEPT :])
-            self._kept[key] = study_of(file, self.path, self._patterns)
+            self._kept[key] = study_of(file, self.path)
         solver = {"solver": file.solver.model_dump(mode="json", exclude_none=True)}
         return replace(self._kept[key], solver=file.solver, file=self._kept[key].file | solver)
 
@@ -179,7 +178,7 @@ class Studies:
                 study.scanners(study.rig(study.lower).mounts)  # an error comes before the search
             content = hashlib.sha256()
             for field in fields(study):
-                if field.name not in ("solver", "patterns"):  # sensors' versions and files say where they fire
+                if field.name != "solver":
                     _update(content, getattr(study, field.name) if field.name != "file" else study.file | {"solver": 0})
             self._digests[key] = content.hexdigest()
         text = json.dumps([self._digests[key], file.solver.model_dump_json(), self._versions])
@@ -217,9 +216,7 @@ def _update(content: "hashlib._Hash", value: Any) -> None:
         content.update(f"{getattr(value, '__qualname__', None) or repr(value)},".encode())
 
 
-def load_plan(
-    path: str | Path, patterns: Patterns | None = None, on_checked: Callable[[int, int], None] | None = None
-) -> Plan:
+def load_plan(path: str | Path, on_checked: Callable[[int, int], None] | None = None) -> Plan:
     """The plan in a YAML file. Every study of it is read; `on_checked` is told how many of how many runs are.
 
     Raises ConfigError with file, line and key.
@@ -228,7 +225,7 @@ def load_plan(
     plan = document(path)
     file = checked(plan, PlanFile)
     inline = isinstance(file.study, dict)
-    studies = Studies(path if inline else path.parent / file.study, patterns)
+    studies = Studies(path if inline else path.parent / file.study)
     base = plan.replaced((), plan, ("study",)) if inline else _named(plan, studies.path)
     for varied, at in file.paths.items():
         _check_place(base, varied, plan, at)

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from lidarcfg import core, maths
 from lidarcfg.errors import ConfigError
-from lidarcfg.firing import Pattern, Patterns
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
+from lidarcfg.packets.families import pattern
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.sight import UNLIMITED_SIGHT, Obstacles
-from lidarcfg.rig import Mount
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.tracer import TRIANGLE
 
@@ -43,15 +44,14 @@ class Scanner:
     azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise; None: all around
 
 
-def scanner(mount: Mount, patterns: Patterns) -> Scanner:
+def scanner(mount: Mount) -> Scanner:
     """The scanner of a mount's sensor. Raises ConfigError if the sensor's file lacks facts."""
     sensor, range_m = mount.sensor, mount.range_m
-    pattern = patterns(mount)
     if range_m is None:
         if sensor.range is None:
             raise ConfigError(f"sensor {sensor.name!r} has no range facts")
         range_m = sensor.range.min_m, sensor.range.max_m
-    return Scanner(sensor, pattern, range_m, mount.azimuth_fov_deg)
+    return Scanner(sensor, pattern(mount), range_m, mount.azimuth_fov_deg)
 
 
 @dataclass(frozen=True)

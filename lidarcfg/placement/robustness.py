@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, validation_error, with_defaults
+from lidarcfg.config.models import Model, validation_error, with_defaults
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, angles, turned
 

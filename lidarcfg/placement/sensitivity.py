@@ -13,7 +13,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import Subspaces
 from lidarcfg.placement.terms import Trial
 from lidarcfg.placement.zones import ELSEWHERE, rest_max_vsr_m
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 CUBOIDS_MAX = 1_000_000  # for larger regions it is omitted
 STEP_M, STEP_DEG, OFFSETS = 0.01, 0.1, (-5, -1, 1, 5)  # steps by which a coordinate is off

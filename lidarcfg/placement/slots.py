@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.config import NAME_MAX, error_at
+from lidarcfg.config.models import NAME_MAX, error_at
 from lidarcfg.geometry import Array
 from lidarcfg.placement.choices import Choices
 from lidarcfg.placement.cones import Lidar, sensor_lidar
 from lidarcfg.placement.study_file import NONE, GroupFile, StudyFile
 from lidarcfg.placement.surfaces import Surface, on_surface
-from lidarcfg.rig import HOSTS, resolve_sensor
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.rig import HOSTS, resolve_sensor
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import Vehicle
 
 BETWEEN_DEG = 10.0  # by so much a sensor may tilt less between the places of its surface that were tried

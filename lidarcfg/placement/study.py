@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core, maths
-from lidarcfg.config import NAME_MAX, error_at, errors_at, load, whole_values
+from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_values
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.firing import Patterns
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.attitudes import freely_tilted, upright_in_the_middle
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
@@ -36,7 +35,7 @@ from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.terms import MissRate, Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
-from lidarcfg.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
+from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, vehicle
 
@@ -61,7 +60,6 @@ class Study:
     robust: Robust | None = None  # what a rig has to withstand
     zones: tuple[Zone, ...] = ()
     detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
-    patterns: Patterns | None = None  # where sensors fire; needed for these
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
 
     @property
@@ -199,13 +197,10 @@ class Study:
 
     def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
-        if self.patterns is None:
-            what = "detection by returns needs to know where sensors fire"
-            raise ConfigError(f"{what}; lidarcfg.studies loads it with that")
         found = []
         for mount in mounts:
             try:
-                found.append(scanner(mount, self.patterns))
+                found.append(scanner(mount))
             except ConfigError as error:
                 raise error.of(mount.name) from None
         return compiled(found)
@@ -281,16 +276,13 @@ class Study:
         return Rig(self.name[:NAME_MAX], tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
-def load_study(path: str | Path, patterns: Patterns | None = None) -> Study:
-    """The study in a YAML file. Raises ConfigError with file, line and key.
-
-    Objects that are detected by returns need `patterns`, which say where sensors fire: `lidarcfg.studies` knows.
-    """
+def load_study(path: str | Path) -> Study:
+    """The study in a YAML file. Raises ConfigError with file, line and key."""
     path = example(path)
-    return study_of(load(path, StudyFile), path, patterns)
+    return study_of(load(path, StudyFile), path)
 
 
-def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> Study:
+def study_of(file: StudyFile, path: Path) -> Study:
     """The study of a file's values. Errors name `path`, and paths in the file are relative to it."""
     choices = choices_of(file, path)
     bodies = vehicle(file.vehicle, path) if file.vehicle else None
@@ -325,10 +317,9 @@ def study_of(file: StudyFile, path: Path, patterns: Patterns | None = None) -> S
         robust=file.robust,
         zones=zones,
         detection_targets=detection_targets,
-        patterns=patterns,
         file=_resolved(file, slots.slots, choices, path),
     )
-    if detection_targets and patterns:
+    if detection_targets:
         for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
             for sensor in [choice.sensor for choice in slot.choices if choice] or [slot.sensor]:
                 with errors_at(path, "sensors", number):

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from lidarcfg import maths
-from lidarcfg.config import (
+from lidarcfg.config.models import (
     COORDINATE_MAX_M,
     Angle,
     Angles,
@@ -26,8 +26,8 @@ from lidarcfg.placement.region import RegionFile
 from lidarcfg.placement.robustness import Robust
 from lidarcfg.placement.surfaces import SurfaceFile
 from lidarcfg.placement.zones import ELSEWHERE, ZoneFile
-from lidarcfg.rig import SENSORS_MAX, MountName, Range, angles_rad, one_of
-from lidarcfg.sensor import AzimuthFov, Elevations
+from lidarcfg.sensors.rig import SENSORS_MAX, MountName, Range, angles_rad, one_of
+from lidarcfg.sensors.sensor import AzimuthFov, Elevations
 from lidarcfg.world.vehicle import VehicleFile
 
 BUDGETS = {"cycles", "evaluations", "seconds"}

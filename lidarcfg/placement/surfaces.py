@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, model_validator
 
 from lidarcfg import maths
-from lidarcfg.config import COORDINATE_MAX_M, Model, Position, error_at, validation_error
+from lidarcfg.config.document import Key
+from lidarcfg.config.models import COORDINATE_MAX_M, Model, Position, error_at, validation_error
 from lidarcfg.geometry import Array, leaning, level, up
-from lidarcfg.sensor import Metres, Sensor
+from lidarcfg.sensors.sensor import Metres, Sensor
 from lidarcfg.world.tracer import Hits, Tracer
 from lidarcfg.world.vehicle import Solid, Vehicle
-from lidarcfg.yaml_document import Key
 
 Side = Literal["above", "front", "rear", "left", "right"]
 OUT: dict[str, tuple[int, int]] = {"above": (2, 1), "front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1)}

@@ -14,7 +14,7 @@ from lidarcfg.placement.plan import Plan, Run, versions
 from lidarcfg.placement.study import Study, with_solver
 from lidarcfg.placement.study_file import Solver, StudyFile
 from lidarcfg.placement.workers import Workers, check_versions
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 ATTEMPTS = 5  # of a run whose workers are killed
 LOOK_S = 2.0  # between two checks of the workers

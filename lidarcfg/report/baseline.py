@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from lidarcfg.placement.details import Details
 from lidarcfg.report.html import Figure, Table
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 Row = Sequence[object]
 COUNT = re.compile(r"^\d+ ")  # before a name, such as that of the first sensor

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lidarcfg.names import truncate
 from lidarcfg.packets.families import codec
+from lidarcfg.report.names import truncate
 from lidarcfg.report.plots import COLOURS, new_figure
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -26,7 +26,7 @@ from lidarcfg.report.canvas import (
     thinned,
 )
 from lidarcfg.report.html import Table
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,11 +11,11 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
-from lidarcfg.names import DRAWN, truncate
 from lidarcfg.placement.region import Region
 from lidarcfg.report.html import printable
+from lidarcfg.report.names import DRAWN, truncate
 from lidarcfg.report.plots import COLOURS, new_figure
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

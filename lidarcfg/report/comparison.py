@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from lidarcfg import __version__
+from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.names import DRAWN, HEAD, truncate
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
@@ -19,6 +19,7 @@ from lidarcfg.report.baseline import Baseline
 from lidarcfg.report.blind_spots import compare_contours
 from lidarcfg.report.document import Commands
 from lidarcfg.report.html import Best, Figure, Table, render
+from lidarcfg.report.names import DRAWN, HEAD, truncate
 from lidarcfg.report.results import evaluation_dict, to_json
 from lidarcfg.report.robustness import FAR, draw_lost
 from lidarcfg.report.words import (
@@ -32,8 +33,7 @@ from lidarcfg.report.words import (
     region_rows,
     versions,
 )
-from lidarcfg.rig import Rig
-from lidarcfg.yaml_document import yaml_text
+from lidarcfg.sensors.rig import Rig
 
 RIGS_MAX = 10
 COMPARED = ("compare.json", "compare.html")  # the files of a comparison

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lidarcfg import __version__
-from lidarcfg.names import summarize, truncate
+from lidarcfg.config.document import yaml_text
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import Details
 from lidarcfg.placement.detection import Rings
@@ -18,6 +18,7 @@ from lidarcfg.report import drawings
 from lidarcfg.report.baseline import Baseline, beside, figures_beside
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
 from lidarcfg.report.html import Figure, Table, render
+from lidarcfg.report.names import summarize, truncate
 from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
 from lidarcfg.report.surfaces import draw_surfaces
 from lidarcfg.report.words import (
@@ -38,8 +39,7 @@ from lidarcfg.report.words import (
     vector,
     versions,
 )
-from lidarcfg.rig import Rig, rig_to_dict
-from lidarcfg.yaml_document import yaml_text
+from lidarcfg.sensors.rig import Rig, rig_to_dict
 
 Facts = list[tuple[str, object]]
 

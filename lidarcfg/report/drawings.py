@@ -43,7 +43,7 @@ from lidarcfg.report.canvas import (
     thinned,
 )
 from lidarcfg.report.plots import COLOURS, history_top
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

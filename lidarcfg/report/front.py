@@ -13,7 +13,8 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from lidarcfg import __version__
-from lidarcfg.cloud import read_arrays
+from lidarcfg.clouds.cloud import read_arrays
+from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.placement.details import details
@@ -26,7 +27,6 @@ from lidarcfg.report.html import Figure, Table, render
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import FRONT, RESULTS, fingerprint, save_placement, to_json, write_history, write_text
 from lidarcfg.report.words import counted, date, describe_objective, describe_solver, price, versions
-from lidarcfg.yaml_document import yaml_text
 
 STUDY = "study.yaml"
 POINT = (STUDY, *RESULTS)  # the files of a point

@@ -7,10 +7,10 @@ import numpy as np
 from markupsafe import Markup
 
 from lidarcfg.geometry import Array
-from lidarcfg.names import DRAWN, truncate
 from lidarcfg.placement.front import Front, Point
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
+from lidarcfg.report.names import DRAWN, truncate
 from lidarcfg.report.plots import CUT_OFF, new_figure
 from lidarcfg.report.words import price
 

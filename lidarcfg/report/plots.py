@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
-from lidarcfg.names import DRAWN, summarize, truncate
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
-from lidarcfg.rig import Rig
+from lidarcfg.report.names import DRAWN, summarize, truncate
+from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from lidarcfg import __version__
-from lidarcfg.cloud import read_arrays
+from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.placement.blind_spots import Contour
@@ -26,7 +26,7 @@ from lidarcfg.placement.study_file import BUDGETS, COORDINATES
 from lidarcfg.report.baseline import Baseline
 from lidarcfg.report.document import Commands, report
 from lidarcfg.report.plots import draw_convergence, draw_rig, save_figure
-from lidarcfg.rig import Rig, rig_to_dict, save_rig
+from lidarcfg.sensors.rig import Rig, rig_to_dict, save_rig
 
 
 def evaluation_dict(study: Study, rig: Rig, found: Evaluation) -> dict[str, Any]:

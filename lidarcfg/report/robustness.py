@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from lidarcfg.names import truncate
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Left, Robustness, ZoneVsr
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
-from lidarcfg.rig import Rig
+from lidarcfg.report.names import truncate
+from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

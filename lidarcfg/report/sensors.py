@@ -9,7 +9,7 @@ from rich.table import Table
 
 from lidarcfg.packets.families import codec
 from lidarcfg.report.terminal import terminal
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.sensor import Sensor
 
 TABLE_KEYS = {"elevation_deg", "azimuth_offset_deg", "vertical_offset_mm", "offset_ns", "source"}
 

@@ -6,17 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lidarcfg.capture.manifest import CaptureManifest
-from lidarcfg.config import load, load_keys
+from lidarcfg.config.kinds import DISCRIMINATING_KEYS, kind_of
+from lidarcfg.config.models import load, load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
-from lidarcfg.kinds import DISCRIMINATING_KEYS, kind_of
 from lidarcfg.packets.families import codec
 from lidarcfg.placement.checks import rig_warnings, study_warnings
 from lidarcfg.placement.combinations import combinations
+from lidarcfg.placement.plan import load_plan
+from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
-from lidarcfg.rig import Mount, load_rig
-from lidarcfg.sensor import Sensor, load_sensor
-from lidarcfg.studies import load_plan, load_study
+from lidarcfg.sensors.rig import Mount, load_rig
+from lidarcfg.sensors.sensor import Sensor, load_sensor
 from lidarcfg.world.motion import load_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_vehicle

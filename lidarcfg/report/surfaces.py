@@ -10,7 +10,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.surfaces import Surface
 from lidarcfg.report.canvas import LABELS_IN, WIDTH_IN, colour, drawing, height_in
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

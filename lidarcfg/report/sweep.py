@@ -13,7 +13,7 @@ from lidarcfg.placement.sweep import Outcome
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import check_writable, to_json
 from lidarcfg.report.sweep_plot import draw_sweep
-from lidarcfg.rig import save_rig
+from lidarcfg.sensors.rig import save_rig
 
 Row = dict[str, Any]  # of the table, by column
 PLAN = "plan.json"

@@ -7,16 +7,16 @@ import numpy as np
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from lidarcfg.names import MANY, summarize, truncate
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
+from lidarcfg.report.names import MANY, summarize, truncate
 from lidarcfg.report.robustness import robust_lines
 from lidarcfg.report.terminal import terminal
 from lidarcfg.report.words import counted, describe_returns, price
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:
     from lidarcfg.placement.front import Front  # which loads CMA-ES, and so matplotlib

@@ -12,7 +12,6 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.names import truncate
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, Returns
 from lidarcfg.placement.hiding import Hiding
@@ -21,7 +20,8 @@ from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
-from lidarcfg.rig import Rig
+from lidarcfg.report.names import truncate
+from lidarcfg.sensors.rig import Rig
 
 PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
-from lidarcfg.realism import Realism
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.noise import CELL, lose, roughen, uniforms
 from lidarcfg.world.scene import Weather
 

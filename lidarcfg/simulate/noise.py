@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.geometry import Array
-from lidarcfg.realism import Realism
+from lidarcfg.sensors.realism import Realism
 
 if TYPE_CHECKING:
     from lidarcfg.simulate.echoes import Echoes

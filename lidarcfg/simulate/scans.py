@@ -10,13 +10,13 @@ from itertools import chain
 import numpy as np
 
 from lidarcfg import maths
-from lidarcfg.cloud import PointCloud, concatenate
+from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.codec import Batch, Firings, Octets, Times, types
 from lidarcfg.packets.families import timing
-from lidarcfg.rig import Mount
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import (
     CHUNK_RAYS,

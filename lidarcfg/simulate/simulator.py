@@ -10,9 +10,9 @@ from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Firings
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Mount
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.echoes import CELLS, REPORTED, Echoes, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import laser_errors_m, separate
 from lidarcfg.world.motion import Trajectory

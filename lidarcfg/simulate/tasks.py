@@ -9,18 +9,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from lidarcfg.capture.pcap import TIME_END_NS
-from lidarcfg.config import COORDINATE_MAX_M
+from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Pace, Timing, types
 from lidarcfg.packets.families import timing
-from lidarcfg.rig import Mount, Rig
-from lidarcfg.sensor import Range
+from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.simulator import Counts, Simulator
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.tracer import Tracer

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.cloud import NPZ_ERRORS
-from lidarcfg.config import COORDINATE_MAX_M
+from lidarcfg.clouds.cloud import NPZ_ERRORS
+from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory

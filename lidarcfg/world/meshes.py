@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import maths
-from lidarcfg.config import COORDINATE_MAX_M, Vec3
+from lidarcfg.config.models import COORDINATE_MAX_M, Vec3
 from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.inputs import check_regular

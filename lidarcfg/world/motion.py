@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, Vec3, load, validation_error
+from lidarcfg.config.models import Model, Vec3, load, validation_error
 from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example

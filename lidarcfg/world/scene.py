@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lidarcfg.config import (
+from lidarcfg.config.document import Key
+from lidarcfg.config.models import (
     COORDINATE_MAX_M,
     FileName,
     Metres,
@@ -24,7 +25,7 @@ from lidarcfg.config import (
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
-from lidarcfg.sensor import Byte
+from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.categories import Category
 from lidarcfg.world.gltf import buffers
 from lidarcfg.world.height_field import height_field_mesh
@@ -32,7 +33,6 @@ from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed,
 from lidarcfg.world.models import model_objects
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.surfels import surfels_mesh
-from lidarcfg.yaml_document import Key
 
 DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
 GROUND = "ground"

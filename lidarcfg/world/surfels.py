@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import maths
-from lidarcfg.cloud import read_arrays
-from lidarcfg.cloud_las import read_xyz
-from lidarcfg.cloud_rows import read_rows
+from lidarcfg.clouds.cloud import read_arrays
+from lidarcfg.clouds.las import read_xyz
+from lidarcfg.clouds.rows import read_rows
 from lidarcfg.errors import CloudError, ConversionError, SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory

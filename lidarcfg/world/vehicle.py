@@ -13,14 +13,15 @@ from typing import ClassVar
 import numpy as np
 from pydantic import model_validator
 
-from lidarcfg.config import Model, Position, Section, error_at, load, validation_error
+from lidarcfg.config.document import Key
+from lidarcfg.config.kinds import OTHERS
+from lidarcfg.config.models import Model, Position, Section, error_at, load, validation_error
 from lidarcfg.core import world
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
-from lidarcfg.kinds import OTHERS
-from lidarcfg.rig import Mount, Rig
-from lidarcfg.sensor import Byte
+from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
+from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.meshes import Mesh
 from lidarcfg.world.scene import (
     KINDS,
@@ -37,13 +38,11 @@ from lidarcfg.world.scene import (
 )
 from lidarcfg.world.solids import Inside, holds, inside, inside_points, open_edges, parts, welded
 from lidarcfg.world.tracer import NO_SHAPES, Tracer, shapes_of
-from lidarcfg.yaml_document import Key
 
 MANY = 500_000  # triangles: reading and checking them takes seconds
 LEAST_M, TYPICAL_M, MOST_M = 0.05, 5.0, 40.0  # sizes of a vehicle's mesh: a part of one, a car, the longest bus
 UNITS = {1.0: "metre", 0.001: "millimetre", 0.01: "centimetre", 0.0254: "inch"}  # by the scale that makes them metres
 ORIGIN = 0.0, 0.0, 0.0
-NONE = "none"  # in place of a file: no vehicle, whatever the rig says
 
 
 class Body(Model):
@@ -266,7 +265,7 @@ def carried(rig: Rig | None, path: Path | None) -> Vehicle | None:
     """The vehicle in a file, or the rig's if `path` is None; no vehicle if it is `none`. Raises ConfigError."""
     if path is None:
         return rig_vehicle(rig) if rig else None
-    return None if str(path) == NONE else load_vehicle(path)
+    return None if str(path) == NO_VEHICLE else load_vehicle(path)
 
 
 def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = None) -> None:

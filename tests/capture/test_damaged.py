@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order, save_companions
 from lidarcfg.capture.pcap import Datagram, write_pcap
-from lidarcfg.cloud import FIELDS, concatenate
+from lidarcfg.clouds.cloud import FIELDS, concatenate
 from lidarcfg.errors import PacketError
-from lidarcfg.rig import load_rig
-from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, write_datagrams

@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from lidarcfg.capture.manifest import load_manifest, manifest_path
-from lidarcfg.cloud import load_cloud
+from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.errors import ConfigError
-from lidarcfg.sensor import catalogue
+from lidarcfg.sensors.sensor import catalogue
 from tests.command_line import lidarcfg
 
 

@@ -12,15 +12,15 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order, save_companions
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import replay
 from lidarcfg.capture.selection import Selection
-from lidarcfg.cloud import concatenate
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import PacketError
 from lidarcfg.geometry import inverse, pose, transform
-from lidarcfg.realism import Realism
-from lidarcfg.rig import load_rig
-from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, prepared
 from lidarcfg.world.scene import load_scene

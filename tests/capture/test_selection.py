@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from lidarcfg.capture.pcap import Datagram, read_batches
 from lidarcfg.capture.selection import Selection
-from lidarcfg.cli import cli
-from lidarcfg.cloud import FIELDS, load_cloud
+from lidarcfg.cli.main import cli
+from lidarcfg.clouds.cloud import FIELDS, load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.velodyne.layout import PACKET
 from tests.capture_fixtures import datagrams_of, decoded, no_warning, recording, tilted_rig, write_datagrams

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order, save_companions
+from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.objects import load_objects
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate, load_cloud
+from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.geometry import inverse, transform
-from lidarcfg.realism import Realism
-from lidarcfg.rig import load_rig, save_rig
-from lidarcfg.simulate.export import export, in_time_order, save_companions
-from lidarcfg.simulate.ground_truth import TruthFile
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, no_warning
 from tests.command_line import lidarcfg

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export
 from lidarcfg.capture.pcap import read_datagrams
-from lidarcfg.cli import cli
-from lidarcfg.cloud import concatenate, load_cloud
+from lidarcfg.cli.main import cli
+from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import inverse, transform
 from lidarcfg.packets.families import FAMILIES
-from lidarcfg.rig import load_rig
-from lidarcfg.simulate.export import export
+from lidarcfg.sensors.rig import load_rig
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import no_warning, write_datagrams
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from lidarcfg.config import Model, loads
+from lidarcfg.config.models import Model, loads
 from lidarcfg.geometry import directions
 from lidarcfg.packets.codec import Decoder, DecodeStatistics, Payloads, Returns
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.sensor import Sensor
 
 RETURN = np.dtype([("time_ns", "<i8"), ("azimuth", "<f8"), ("range_mm", "<u4"), ("laser", "u1"), ("strength", "u1")])
 NETWORK = Network(source="", mac_prefix="02:00:00", destination_mac="ff:ff:ff:ff:ff:ff", destination_ip="10.0.0.1")

@@ -16,7 +16,7 @@ from scipy import ndimage
 from skimage import measure
 
 from lidarcfg import report
-from lidarcfg.cli import cli
+from lidarcfg.cli.main import cli
 from lidarcfg.core import analytic as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import up
@@ -25,7 +25,7 @@ from lidarcfg.placement.cones import Lidar, gaps_at, rig_lidars
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 from tests.naive import placement as naive
 
 STUDIES = Path(__file__).parents[2] / "data/studies"

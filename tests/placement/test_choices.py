@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.config import load
+from lidarcfg.config.models import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.evaluator import max_vsr

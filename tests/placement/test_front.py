@@ -11,7 +11,7 @@ from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.front import FrontRun, delay, front, on_front
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.sensor import load_sensor
 from tests.naive import placement as naive
 from tests.studies import study_of
 

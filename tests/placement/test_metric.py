@@ -97,7 +97,7 @@ PEAK = """
 import sys
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.study import load_study
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 peaks = []
 for path in sys.argv[2:]:
     evaluate(load_study(path), load_rig(sys.argv[1]))

@@ -4,7 +4,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from lidarcfg.config import loads
+from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.region import Region, RegionFile, cuboids_needed
 from tests.refusals import exchanged, refused

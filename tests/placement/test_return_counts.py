@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import lidarcfg
 from lidarcfg import inputs, report
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement import checks
@@ -50,10 +49,10 @@ detection:
 """
 
 
-def study(tmp_path, objective="max_vsr: 1", sensor="vlp-16", patterns=lidarcfg.pattern, change=("", "")):
+def study(tmp_path, objective="max_vsr: 1", sensor="vlp-16", change=("", "")):
     mesh = str(ROOT / "data/objects/child.ply")
     text = STUDY.replace("OBJECTIVE", objective).replace("SENSOR", sensor).replace("MESH", mesh)
-    return study_of(tmp_path, text.replace(*change), patterns)
+    return study_of(tmp_path, text.replace(*change))
 
 
 def rig_of(loaded):
@@ -242,18 +241,11 @@ def test_what_is_not_allowed_is_said_in_one_line(tmp_path, change, message):
     text = STUDY.replace(*change).replace("OBJECTIVE", "max_vsr: 1").replace("SENSOR", "vlp-16").replace("MESH", mesh)
     path.write_text(text)
     with pytest.raises(ConfigError) as raised:
-        load_study(path, lidarcfg.pattern)
+        load_study(path)
     said = str(raised.value)
     assert "\n" not in said
     assert said.startswith(f"{path}:")
     assert message in said
-
-
-def test_without_patterns_it_says_what_is_missing(tmp_path):
-    loaded = study(tmp_path, patterns=None)
-    with pytest.raises(ConfigError, match=r"lidarcfg\.studies loads it with that"):
-        evaluate(loaded, rig_of(loaded))
-    assert study(tmp_path, patterns=None, sensor="fan-4").region.included.any()
 
 
 def test_objects_that_look_alike_are_counted_once_and_are_what_each_is_alone(tmp_path, monkeypatch):

@@ -15,7 +15,7 @@ from lidarcfg.files import shipped
 from lidarcfg.geometry import leaning, rotation, up
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
-from lidarcfg.view.bodies import bases_m, seats_m, violations
+from lidarcfg.viewer.bodies import bases_m, seats_m, violations
 from tests.naive import surfaces as naive
 from tests.studies import study_of
 

@@ -16,11 +16,12 @@ from lidarcfg import (
     pattern,
 )
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export as packets
 from lidarcfg.capture.scans import scans
-from lidarcfg.cloud import concatenate, load_cloud
+from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
-from lidarcfg.formats.firings import save_capture, save_firings
 from lidarcfg.geometry import pose
+from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.placement.analytic import integrate
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.details import details
@@ -29,8 +30,7 @@ from lidarcfg.placement.returns import NOTHING, placed, returns
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.tolerance import StudyEvaluator
-from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import export as packets
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Trajectory, load_path, prepared
 from lidarcfg.world.tracer import Tracer

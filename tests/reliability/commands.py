@@ -17,7 +17,9 @@ SECONDS, MEGABYTES = 10.0, 1000.0  # of a processor and of memory: a bad input i
 HANGS_S = 300
 MARKS = "first", "second"  # the rig or study that a file is of
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["lidarcfg.cli", "lidarcfg.report", "lidarcfg.view.page", "matplotlib.figure", "open3d"])
+FORKS.set_forkserver_preload(
+    ["lidarcfg.cli.main", "lidarcfg.report", "lidarcfg.viewer.page", "matplotlib.figure", "open3d"]
+)
 TIMES = re.compile(rb'(?<="seconds": )[-+\d.e]+|(?<=seconds</th><td>)[-+\d.e]+')  # that a run took
 
 STUDY = """
@@ -134,7 +136,7 @@ def _child(words, folder, file_bytes, kill_at, environment, encoding):
         resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
     if kill_at is not None:
         _watch(Path(folder).resolve(), kill_at)
-    from lidarcfg.cli import main
+    from lidarcfg.cli.main import main
 
     before = resource.getrusage(resource.RUSAGE_SELF)
     sys.argv = ["lidarcfg", *words]

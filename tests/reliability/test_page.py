@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 
 RIG = "name: r\nsensors:\n" + "".join(
     f"  - {{name: {name}, model: vlp-16, position_m: [0, {y}, 1.9]}}\n" for name, y in (("left", 1), ("right", -1))
@@ -33,9 +33,9 @@ SIZES = "-1", "1e3", str(2**20 + 1), "9" * 400, "", "x", "+5"
 
 
 def _serve(path, sender):
-    from lidarcfg.view.page import page_of
-    from lidarcfg.view.server import Server
-    from lidarcfg.view.stage import load_stage
+    from lidarcfg.viewer.page import page_of
+    from lidarcfg.viewer.server import Server
+    from lidarcfg.viewer.stage import load_stage
 
     stage = load_stage([path], None, None, np.eye(4), lambda warning: None)
     with Server(stage, page_of(stage)) as server:

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from lidarcfg.report import draw_sensor
-from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.command_line import lidarcfg
 
 FIRES_US = {  # by laser, as the manuals' formulas and tables have it; counted from the first one or from the stamp

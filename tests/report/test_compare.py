@@ -7,7 +7,7 @@ import click
 import pytest
 
 from lidarcfg import report
-from lidarcfg.cli import cli
+from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.details import details
@@ -15,7 +15,7 @@ from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import Spheres
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import rows
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 from tests.report.test_report import STUDY, read
 
@@ -167,7 +167,7 @@ def test_a_study_without_objects(folder):
     ],
 )
 def test_mistakes_are_one_line(folder, words, message, monkeypatch):
-    """How such errors are printed, and that they end with 2, tests/commands/test_cli.py shows."""
+    """How such errors are printed, and that they end with 2, tests/cli/test_cli.py shows."""
     monkeypatch.chdir(folder)
     before = set(folder.iterdir())
     with pytest.raises((LidarcfgError, click.ClickException, OSError)) as caught:

@@ -14,7 +14,7 @@ from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report import load_front_logs, save_front_log
 from lidarcfg.report.front_plot import draw_front
 from lidarcfg.report.words import price
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 from tests.command_line import lidarcfg
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [8, 6, 3], cuboid_m: [1, 0.5, 0.5]}

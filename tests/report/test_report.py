@@ -11,15 +11,15 @@ import pytest
 
 from lidarcfg import report
 from lidarcfg.errors import ConfigError
-from lidarcfg.names import truncate
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.drawings import least_detected
+from lidarcfg.report.names import truncate
 from lidarcfg.report.tables import print_evaluation
 from lidarcfg.report.words import bounds_table, date, describe_constraints, mounts_table
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 from tests.chromium import LACKING, asked_for, browser, complaints
 from tests.command_line import lidarcfg
 

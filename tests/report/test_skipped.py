@@ -15,7 +15,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.report.document import _detection, _skipped
 from lidarcfg.report.words import describe_skips
-from lidarcfg.rig import load_rig
+from lidarcfg.sensors.rig import load_rig
 
 STUDY = """
 region: {min_m: [-4, -3, 0], max_m: [4, 3, 2], cuboid_m: [1, 1, 0.5]}

@@ -16,7 +16,7 @@ from lidarcfg.capture.decode import Capture, Recorded
 from lidarcfg.geometry import Array, directions
 from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.families import codec
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.sensor import Sensor
 
 REVOLUTIONS = 4  # of a recording that are looked at, evenly spread
 PLANES, THICK_M, FEWEST = 12, 0.06, 300  # in a revolution; half of a plane's slab; points of a plane

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lidarcfg.core import simulate
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Rig
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate import simulator
 from lidarcfg.simulate.echoes import Echoes, SubRays
 from lidarcfg.simulate.tasks import Drive, prepared

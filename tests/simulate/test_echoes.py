@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lidarcfg.realism import Realism
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.echoes import CANDIDATES, REPORTED, SubRays, beam, echoes, extinction_per_m, single
 from lidarcfg.simulate.noise import uniforms
 from lidarcfg.world.scene import Weather

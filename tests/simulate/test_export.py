@@ -14,18 +14,18 @@ import pytest
 import velodyne_decoder as vd
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.pcap import TIME_END_NS, write_pcap
-from lidarcfg.cloud import FIELDS
+from lidarcfg.capture.export import data_bytes, export, in_time_order
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.clouds.cloud import FIELDS
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.files import shipped
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.inputs import check_room
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Rig, load_rig
-from lidarcfg.sensor import custom_sensor
-from lidarcfg.simulate.export import data_bytes, export, in_time_order
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.sensor import custom_sensor
 from lidarcfg.simulate.tasks import START_NS, Drive, Run
-from lidarcfg.units import SECOND_NS
+from lidarcfg.units import SECOND_NS, TIME_END_NS
 from lidarcfg.world.motion import Arc, Motion, Trajectory, prepared, standing
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import yaml
 
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
-from lidarcfg.formats.firings import ANY_RANGE
+from lidarcfg.io.firings import ANY_RANGE
 from lidarcfg.placement.cones import sensor_lidar
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Rig, load_rig, save_rig
-from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Rig, load_rig, save_rig
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.export import export, in_time_order
 from lidarcfg.simulate.noise import laser_errors_m, roughen, separate
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene

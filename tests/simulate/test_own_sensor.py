@@ -10,12 +10,12 @@ import pytest
 import yaml
 
 from lidarcfg import inputs
-from lidarcfg.cloud import load_cloud, row_bytes
+from lidarcfg.clouds.cloud import load_cloud, row_bytes
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.packets.families import pattern
 from lidarcfg.placement.study import load_study
-from lidarcfg.rig import load_rig
-from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.sensors.rig import load_rig
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.scans import most_returns, simulated_scans
 from lidarcfg.simulate.tasks import Drive
 from lidarcfg.world.motion import Trajectory, load_path

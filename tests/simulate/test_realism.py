@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import yaml
 
+from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import load_cloud
+from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.geometry import inverse, transform
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import export, in_time_order
-from lidarcfg.simulate.ground_truth import TruthFile
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS, Run
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene

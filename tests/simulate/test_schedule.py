@@ -7,7 +7,7 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.families import codec
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.sensor import load_sensor
 from tests.naive.capture import firing_ns, head_deg
 from tests.packets.velodyne.shaped import firings, packet_period_ns
 

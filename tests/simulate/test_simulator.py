@@ -10,8 +10,8 @@ from lidarcfg.core import simulate
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose
 from lidarcfg.packets.codec import Firings
-from lidarcfg.realism import Realism
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.tracer import Tracer

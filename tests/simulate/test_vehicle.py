@@ -7,12 +7,12 @@ import numpy as np
 import open3d as o3d
 import pytest
 
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation, transform
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Rig, load_rig, save_rig
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.simulate.tasks import START_NS, object_names
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import STANDING, Arc, Motion, TimedPose, Trajectory, prepared

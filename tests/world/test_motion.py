@@ -7,13 +7,13 @@ import pytest
 import velodyne_decoder as vd
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
-from lidarcfg.config import Section
+from lidarcfg.clouds.cloud import concatenate
+from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose, rotation
-from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Arc, Motion, TimedPose, Trajectory, load_motion, load_path, prepared, timed

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from lidarcfg import inputs
-from lidarcfg.cloud import save_clouds
+from lidarcfg.clouds.cloud import save_clouds
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.formats.las import save_las
+from lidarcfg.io.las import save_las
 from lidarcfg.world.height_field import read_heights
 from lidarcfg.world.models import read_parts
 from lidarcfg.world.surfels import CORNER, read_points

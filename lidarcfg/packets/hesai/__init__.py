@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import (
     Batch,
@@ -31,12 +30,13 @@ from lidarcfg.packets.hesai import decode, encode, telemetry
 from lidarcfg.packets.hesai.layout import octets_of
 from lidarcfg.packets.hesai.model import Facts, Settings, Unit, batches, unit
 from lidarcfg.packets.point_fields import STAMPED
-from lidarcfg.rig import SINGLE
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.rig import SINGLE
+from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.units import MINUTE_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 __all__ = ["Facts", "Hesai", "Settings", "Unit", "unit"]
 

@@ -35,7 +35,7 @@ from lidarcfg.packets.hesai.layout import (
     octets_of,
 )
 from lidarcfg.packets.hesai.model import Unit
-from lidarcfg.rig import SINGLE
+from lidarcfg.sensors.rig import SINGLE
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
 LASERS = {16, 32, 40, 64, 128}

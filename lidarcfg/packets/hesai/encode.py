@@ -26,7 +26,7 @@ from lidarcfg.packets.hesai.model import Unit, within
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 
 COLUMNS = ("time_ns", "laser", "encoder_rad")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from lidarcfg.config import Model, validation_error
+from lidarcfg.config.models import Model, validation_error
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import Batch, Firings, Flags, Octets, Times
@@ -15,11 +15,11 @@ from lidarcfg.packets.hesai.layout import Packets, Protocol, packet
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.rotating import revolutions
 from lidarcfg.packets.unit import SensorInstance
-from lidarcfg.sensor import Byte, Sensor
+from lidarcfg.sensors.sensor import Byte, Sensor
 from lidarcfg.units import MINUTE_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 
 Nanoseconds = Annotated[int, Field(ge=0, le=10**9)]

@@ -8,8 +8,8 @@ from pydantic import ValidationError
 from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Source
 from lidarcfg.packets.hesai.model import Unit
-from lidarcfg.rig import Mount
-from lidarcfg.sensor import Beams
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import Beams
 
 SUFFIX = "-angles.csv"
 NAMED = re.compile(r"-\d+\.\d+\.\d+\.\d+-\d+-angles\.csv$")  # whose they are, by address and port

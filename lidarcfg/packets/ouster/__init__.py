@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import PacketError
-from lidarcfg.firing import Pattern
 from lidarcfg.geometry import Array
 from lidarcfg.packets.codec import (
     Batch,
@@ -30,10 +29,11 @@ from lidarcfg.packets.codec import (
 from lidarcfg.packets.ouster import decode, encode, telemetry
 from lidarcfg.packets.ouster.model import Facts, Mode, Settings, Unit, batches, mode, unit
 from lidarcfg.packets.point_fields import OUSTER
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.firing import Pattern
+from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.scene import GeoOrigin
 

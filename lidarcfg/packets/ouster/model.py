@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from lidarcfg.config import Model
+from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
 from lidarcfg.packets.codec import Batch, Firings, Flags, Times
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
 from lidarcfg.packets.unit import SensorInstance
-from lidarcfg.sensor import Millimetres, Sensor
+from lidarcfg.sensors.sensor import Millimetres, Sensor
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 ProfileName = Literal[
     "LEGACY",

@@ -27,11 +27,11 @@ from lidarcfg.packets.ouster.layout import (
     write_packet_headers,
 )
 from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit, phase, unit
-from lidarcfg.sensor import Beams, Sensor
+from lidarcfg.sensors.sensor import Beams, Sensor
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
 
 SUFFIX = ".json"  # of metadata

@@ -18,10 +18,10 @@ from lidarcfg.packets.robosense import decode, encode, telemetry
 from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, octets_of, packets_of
 from lidarcfg.packets.robosense.model import Facts, Unit, unit
 from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
-from lidarcfg.sensor import Sensor
+from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.scene import GeoOrigin
 

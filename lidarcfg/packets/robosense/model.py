@@ -6,14 +6,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from lidarcfg.config import Model
+from lidarcfg.config.models import Model
 from lidarcfg.packets import blocks
 from lidarcfg.packets.codec import Times
 from lidarcfg.packets.network import Header, Network
 from lidarcfg.packets.robosense.layout import BLOCK, BLOCKS, MSOP, RETURN, SLOTS
 from lidarcfg.packets.rotating import FiringSchedule
 from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
-from lidarcfg.sensor import Byte, Sensor
+from lidarcfg.sensors.sensor import Byte, Sensor
 
 
 class Packet(Model):

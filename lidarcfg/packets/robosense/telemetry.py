@@ -26,7 +26,7 @@ from lidarcfg.packets.robosense.model import Unit
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
 
 
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns

@@ -18,10 +18,10 @@ from lidarcfg.packets.velodyne import decode, encode, telemetry
 from lidarcfg.packets.velodyne.layout import PACKET, octets_of, packets_of
 from lidarcfg.packets.velodyne.model import Facts, Settings, Status, Unit, unit
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
-from lidarcfg.sensor import Sensor, catalogue
+from lidarcfg.sensors.sensor import Sensor, catalogue
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.scene import GeoOrigin
 

@@ -39,11 +39,11 @@ from lidarcfg.packets.velodyne.model import (
     Status,
     Unit,
 )
-from lidarcfg.sensor import Beams
+from lidarcfg.sensors.sensor import Beams
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.rig import Mount
+    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.scene import GeoOrigin
 

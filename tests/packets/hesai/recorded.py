@@ -10,8 +10,8 @@ from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai import telemetry
 from lidarcfg.packets.hesai.layout import device_time_ns, encoder_rad
 from lidarcfg.packets.hesai.model import Unit
-from lidarcfg.rig import Mount
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import no_warning, recording
 
 

@@ -4,11 +4,11 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from lidarcfg.capture.export import export, in_time_order, save_companions
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.scans import scans
-from lidarcfg.formats.bag import save_bag
-from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.io.bag import save_bag
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, mount, no_warning
 from tests.packets.hesai.recorded import mount as hesai

@@ -7,14 +7,14 @@ import pytest
 from hydra4.decoders.pandar_xt32 import PandarXT32
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order, save_companions
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
-from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene

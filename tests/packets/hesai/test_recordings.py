@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.cloud import concatenate
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.core import packets as core
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.hesai.decode import decode

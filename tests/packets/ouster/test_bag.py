@@ -5,7 +5,7 @@ import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from lidarcfg.formats.bag import save_bag
+from lidarcfg.io.bag import save_bag
 from tests.packets.ouster.judge import judged
 from tests.packets.ouster.test_decode import DUAL, LOW, SINGLE, files
 

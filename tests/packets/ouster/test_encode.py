@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import export, in_time_order, save_companions
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.scans import scans
-from lidarcfg.cloud import concatenate
-from lidarcfg.config import Section
+from lidarcfg.clouds.cloud import concatenate
+from lidarcfg.config.models import Section
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose
-from lidarcfg.realism import Realism
-from lidarcfg.rig import Mount, Rig, load_rig
-from lidarcfg.sensor import catalogue, load_sensor
-from lidarcfg.simulate.export import export, in_time_order, save_companions
+from lidarcfg.sensors.realism import Realism
+from lidarcfg.sensors.rig import Mount, Rig, load_rig
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Motion, Trajectory, prepared, standing
 from lidarcfg.world.scene import load_scene

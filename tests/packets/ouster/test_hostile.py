@@ -10,12 +10,12 @@ import pytest
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.cloud import concatenate
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.ouster.telemetry import Metadata, read_metadata
-from lidarcfg.rig import Mount
+from lidarcfg.sensors.rig import Mount
 from tests.packets.ouster.test_encode import START_NS, mount
 
 ODD = (None, True, -1, 0, 3, 1e300, -1e300, float("nan"), "", "a", "LEGACY", [], {}, [1, 2], {"a": 1}, 10**30)

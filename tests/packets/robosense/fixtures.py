@@ -1,7 +1,7 @@
 """What the tests of RoboSense's packets share."""
 
-from lidarcfg.rig import Mount
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.sensor import load_sensor
 
 
 def mount(model: str, **options) -> Mount:

@@ -4,10 +4,10 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.pcap import write_pcap
-from lidarcfg.formats.bag import save_bag
-from lidarcfg.rig import Rig
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.io.bag import save_bag
+from lidarcfg.sensors.rig import Rig
 from tests.capture_fixtures import decoded, no_warning, scene
 from tests.packets.robosense.fixtures import mount
 

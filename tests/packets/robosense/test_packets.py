@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.export import check_exportable, export, in_time_order
 from lidarcfg.capture.pcap import Datagram, write_pcap
-from lidarcfg.cli import cli
-from lidarcfg.cloud import concatenate
+from lidarcfg.cli.main import cli
+from lidarcfg.clouds.cloud import concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.families import codec
-from lidarcfg.rig import Rig
-from lidarcfg.sensor import load_sensor
-from lidarcfg.simulate.export import check_exportable, export, in_time_order
+from lidarcfg.sensors.rig import Rig
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.tasks import START_NS
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, no_warning, scene, write_datagrams
 from tests.naive import robosense as naive

@@ -13,7 +13,7 @@ from lidarcfg.errors import PacketError
 from lidarcfg.packets.codec import Batch, Firings
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.robosense.model import unit
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import datagrams_of, decoded_with_stats, recording, write_datagrams
 from tests.naive import robosense as naive
 from tests.packets.robosense.fixtures import mount

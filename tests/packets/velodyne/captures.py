@@ -4,7 +4,7 @@ import numpy as np
 import velodyne_decoder as vd
 
 from lidarcfg.capture.pcap import Datagram
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.sensor import load_sensor
 from tests.capture_fixtures import AT_NS
 from tests.capture_fixtures import write_datagrams as write_pcap
 from tests.packets.velodyne.shaped import encode, firings, packet_stamps_ns

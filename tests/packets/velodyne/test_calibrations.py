@@ -10,18 +10,18 @@ import velodyne_decoder as vd
 import yaml
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.cli import cli
-from lidarcfg.cloud import load_cloud
+from lidarcfg.capture.export import export
+from lidarcfg.capture.ground_truth import records
+from lidarcfg.cli.main import cli
+from lidarcfg.clouds.cloud import load_cloud
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.geometry import transform
 from lidarcfg.packets.velodyne.encode import sent as are_sent
 from lidarcfg.packets.velodyne.model import unit as unit_of
 from lidarcfg.packets.velodyne.telemetry import calibration
-from lidarcfg.rig import Rig, load_rig
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.export import export
-from lidarcfg.simulate.ground_truth import records
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer

@@ -12,6 +12,7 @@ import velodyne_decoder as vd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.frames import Frames, frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
@@ -19,9 +20,8 @@ from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.packets.velodyne.telemetry import calibration
-from lidarcfg.rig import Rig, load_rig
-from lidarcfg.sensor import catalogue, load_sensor
-from lidarcfg.simulate.export import export, in_time_order
+from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.tasks import START_NS, Run
 from lidarcfg.units import SECOND_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene

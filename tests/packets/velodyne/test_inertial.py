@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.packets.families import codec
-from lidarcfg.sensor import load_sensor
+from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Motion, Trajectory, prepared
 from lidarcfg.world.scene import GeoOrigin

@@ -20,7 +20,7 @@ from lidarcfg.packets.velodyne.layout import (
     stamp_us,
 )
 from lidarcfg.packets.velodyne.telemetry import gprmc, position_packets
-from lidarcfg.sensor import Reported, load_sensor
+from lidarcfg.sensors.sensor import Reported, load_sensor
 from lidarcfg.units import HOUR_NS, SECOND_NS
 from lidarcfg.world.geodesy import geographic
 from lidarcfg.world.scene import GeoOrigin

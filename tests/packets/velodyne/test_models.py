@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.capture.pcap import read_datagrams
 from lidarcfg.capture.stream import SourceStats
-from lidarcfg.cloud import FIELDS, concatenate
+from lidarcfg.clouds.cloud import FIELDS, concatenate
 from lidarcfg.errors import ConfigError, PacketError
 from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import codec
@@ -20,8 +20,8 @@ from lidarcfg.packets.velodyne.decode import measurements
 from lidarcfg.packets.velodyne.encode import packed
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.model import unit as unit_of
-from lidarcfg.rig import Rig
-from lidarcfg.sensor import catalogue, load_sensor
+from lidarcfg.sensors.rig import Rig
+from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.capture_fixtures import AT_NS, decoded, mount, no_warning, recording
 from tests.capture_fixtures import write_datagrams as write_pcap
 from tests.packets.velodyne.captures import MODES, OTHERS, agree, calibrating, elsewhere, sent, write

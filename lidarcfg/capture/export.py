@@ -1,0 +1,166 @@
+"""The packets of a rig's sensors on a vehicle that stands or drives in a scene."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.capture.frames import Frames, frames
+from lidarcfg.capture.ground_truth import RECORD, records
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import replacing
+from lidarcfg.geometry import Array
+from lidarcfg.packets.codec import Batch, types
+from lidarcfg.packets.families import codec
+from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, fired_fraction, prepared, worked
+from lidarcfg.world.motion import Trajectory, standing
+from lidarcfg.world.scene import GeoOrigin, Scene
+from lidarcfg.world.vehicle import Vehicle
+
+OnTruth = Callable[[NDArray[np.void]], None]
+
+
+def export(
+    rig: Rig,
+    scene: Scene,
+    at: Array | Trajectory,
+    duration_ns: int,
+    start_ns: int = START_NS,
+    on_truth: OnTruth | None = None,
+    vehicle: Vehicle | None = None,
+    run: Run | None = None,
+) -> list[Iterator[Frames]]:
+    """The frames that each sensor of the rig sends, in time order. `in_time_order` merges the streams.
+
+    `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
+    The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
+    Sensor i of n starts i/n of a packet after the first, so that packets interleave.
+    `on_truth` is called with the records of `ground_truth`; like the functions of `run`, in the reader's thread.
+    Raises ConfigError.
+    """
+    run = run or Run()
+    trajectory = at if isinstance(at, Trajectory) else standing(at)
+    _check_all(rig.mounts, duration_ns)
+    tasks = prepared(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), run.chunk_ns)
+    crew, origin = Crew.of(run, len(tasks)), scene.file.geo_origin
+    return [
+        in_time_order([_data_stream(task, crew, on_truth), _housekeeping_stream(task, trajectory, origin)])
+        for task in tasks
+    ]
+
+
+def save_companions(path: Path, mounts: Sequence[Mount]) -> list[Path]:
+    """Write the files that readers need beside the capture at `path`, and return them."""
+    written = []
+    for mount in mounts:
+        infix = f"-{mount.name}" if len(mounts) > 1 else ""
+        for suffix, content in codec(mount.sensor).sidecar_files(mount).items():
+            written.append(path.with_name(f"{path.stem}{infix}{suffix}"))
+            with replacing(written[-1], "wb") as file:
+                file.write(content)
+    return written
+
+
+def data_bytes(drive: Drive) -> int:
+    """About how many bytes of a capture the sensors' data packets take, as Ethernet frames. Raises ConfigError."""
+    _check_all(drive.rig.mounts, drive.duration_ns)
+    total = 0.0
+    for mount in drive.rig.mounts:
+        maker, everywhere = codec(mount.sensor), replace(mount, azimuth_fov_deg=None)
+        batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
+        shape = len(batch.firings.time_ns), len(types(mount.return_mode))
+        packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
+        packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
+        total += packets * sum(map(len, frames(mount.host, packet).records))
+    return round(total)
+
+
+def _check_all(mounts: Sequence[Mount], duration_ns: int) -> None:
+    """Raises ConfigError unless all mounts can be exported: a capture of some would look like one of the whole rig."""
+    for mount in mounts:
+        try:
+            check_exportable(mount, duration_ns)
+        except ConfigError as error:
+            without = [one.name for one in mounts if not one.sensor.codec]
+            if mount.sensor.codec or len(without) == len(mounts):
+                raise
+            others = f"for packets of the other sensors, export a rig without {', '.join(without)}"
+            raise ConfigError(f"{error}; {others}") from None
+
+
+def check_exportable(mount: Mount, duration_ns: int) -> None:
+    """Raises ConfigError unless the mount's sensor has packets and can be exported for this long."""
+    sensor = mount.sensor
+    try:
+        codec(sensor)
+    except ConfigError as error:
+        hint = "" if sensor.codec else "; write points instead: .ply, .pcd, .npz, .mcap or a folder"
+        raise error if error.at else ConfigError(f"{mount.name}: {error}{hint}") from None
+    for key in ("rotation", "range"):
+        if getattr(sensor, key) is None:
+            raise ConfigError(f"{mount.name}: sensor {sensor.name!r} is for placement only: it has no {key} facts")
+    checked_timing(mount, duration_ns)
+
+
+def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
+    """Merge streams that are each in time order; at equal times, in the order of the streams."""
+    sources = list(streams)
+    heads: dict[int, Frames] = {}
+    while True:
+        for i, source in enumerate(sources):
+            if i not in heads and (some := next(source, None)):
+                heads[i] = some
+        if not heads:
+            return
+        until_ns, last = min((int(head.time_ns[-1]), i) for i, head in heads.items())
+        times_ns, records = [], []
+        for i, head in sorted(heads.items()):
+            count = int(np.searchsorted(head.time_ns, until_ns, "right" if i <= last else "left"))
+            times_ns.append(head.time_ns[:count])
+            records += head.records[:count]
+            if count < len(head.records):
+                heads[i] = Frames(head.time_ns[count:], head.records[count:])
+            else:
+                del heads[i]
+        together_ns = np.concatenate(times_ns)
+        order = np.argsort(together_ns, kind="stable")
+        yield Frames(together_ns[order], [records[k] for k in order.tolist()])
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """A traced chunk."""
+
+    frames: Frames
+    truth: NDArray[np.void]  # empty if not wanted
+
+
+def _data_stream(task: Task, crew: Crew, on_truth: OnTruth | None) -> Iterator[Frames]:
+    """The data packets completed within the duration, each sent when complete."""
+    maker, mount = codec(task.mount.sensor), task.mount
+
+    def make(batch: Batch, found: Echoes) -> _Chunk:
+        range_m = found.range_m + found.noise_m
+        payloads = maker.encode(mount, batch, range_m, found.reflectivity)
+        truth = np.empty(0, RECORD)
+        if on_truth:
+            types, sent = maker.return_types(mount, range_m, found.reflectivity), maker.sent(mount, batch, payloads)
+            truth = records(task.index, types, batch.firings, found, sent)
+        return _Chunk(frames(mount.host, payloads), truth)
+
+    for chunk in worked(task, crew, make):
+        if on_truth:
+            on_truth(chunk.truth)
+        yield chunk.frames
+
+
+def _housekeeping_stream(task: Task, trajectory: Trajectory, origin: GeoOrigin) -> Iterator[Frames]:
+    """The sensor's other packets."""
+    mount = task.mount
+    payloads = codec(mount.sensor).housekeeping(mount, trajectory, origin, task.start_ns, task.duration_ns)
+    for some in payloads:
+        yield frames(mount.host, some)

@@ -1,0 +1,191 @@
+"""The manifest of an export from Python: it names the files that were given, and new ones for all other inputs."""
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lidarcfg.capture.manifest import CaptureManifest, FileDigest, Input, manifest_path, place_text, sha256
+from lidarcfg.config.document import yaml_text
+from lidarcfg.config.models import load
+from lidarcfg.errors import ConfigError
+from lidarcfg.files import example, replacing
+from lidarcfg.geometry import Array
+from lidarcfg.sensors.rig import Rig, load_rig, rig_text
+from lidarcfg.sensors.sensor import catalogue
+from lidarcfg.simulate.tasks import Drive
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.motion import Trajectory
+from lidarcfg.world.scene import Scene, SceneFile, files_of
+from lidarcfg.world.vehicle import Vehicle
+
+SIDECAR_SUFFIXES = (
+    ".rig.yaml",
+    ".scene.yaml",
+    ".trajectory.yaml",
+    ".trajectory.tum",
+)  # likewise: inputs that were in no file
+
+
+class SidecarInput(NamedTuple):
+    """An input that is in no file: it is written beside the capture."""
+
+    suffix: str  # behind the capture's name
+    text: str
+
+
+@dataclass(frozen=True)
+class ManifestInputs:
+    """The inputs of a drive, as a manifest names them; None where it cannot."""
+
+    files: dict[str, Path | SidecarInput | None]
+    at: str | None
+
+    @classmethod
+    def of(
+        cls, drive: Drive, output: Path, rig: Path | None, scene: Path | None, trajectory: Path | None
+    ) -> "ManifestInputs":
+        """Those of a drive, of which these files were given."""
+        at = drive.trajectory.T_world_start
+        moved = None
+        if not trajectory:
+            at, moved = _motion(drive.trajectory, drive.start_ns)
+        files: dict[str, Path | SidecarInput | None] = {
+            "rig": rig or _rig(drive.rig, output.parent),
+            "scene": scene or _scene(drive.scene),
+            "trajectory": trajectory or moved,
+        }
+        return cls(files, place_text(at))
+
+    def outdated(self, output: Path) -> list[Path]:
+        """The files of an earlier export beside the output that this one neither writes nor was given."""
+        kept = {os.path.realpath(given) for given in self.files.values() if isinstance(given, Path)}
+        if not self._lacks:
+            suffixes = [given.suffix for given in self.files.values() if isinstance(given, SidecarInput)]
+            kept |= {os.path.realpath(output.with_name(output.name + suffix)) for suffix in suffixes}
+            kept.add(os.path.realpath(manifest_path(output)))
+        own = [manifest_path(output), *(output.with_name(output.name + suffix) for suffix in SIDECAR_SUFFIXES)]
+        return [path for path in own if os.path.realpath(path) not in kept]
+
+    def save(self, output: Path, drive: Drive, on_warning: Callable[[str], None]) -> None:
+        """Write the manifest and the files beside it, or warn of what is missing."""
+        manifest = manifest_path(output)
+        if self._lacks:
+            on_warning(f"{manifest}: is not written, as {self._lacks}; decode needs to be told")
+            return
+        if not self.files["scene"]:
+            on_warning(f"{manifest}: names no scene, which is in no file; view and convert need it")
+        start = datetime.fromtimestamp(drive.start_ns // SECOND_NS, UTC).replace(tzinfo=None).isoformat()
+        values = {"at": self.at, "start": start, "duration_s": drive.duration_ns / SECOND_NS}
+        save_manifest(output, self.files, drive.rig, drive.scene, drive.vehicle, values)
+
+    @property
+    def _lacks(self) -> str | None:
+        """Why there can be no manifest."""
+        if not self.files["rig"]:
+            return "sensors of the rig are in no file"
+        return None if self.at else "the vehicle's pose is not rigid"
+
+
+def _rig(rig: Rig, folder: Path) -> SidecarInput | None:
+    """A file of a rig, for a folder, if it says all of it."""
+    with TemporaryDirectory() as scratch:
+        path = Path(scratch) / "rig.yaml"
+        path.write_text(rig_text(rig), "utf-8")
+        try:
+            whole = load_rig(path) == rig
+        except ConfigError:
+            whole = False
+    return SidecarInput(".rig.yaml", rig_text(rig, Path(os.path.realpath(folder)))) if whole else None
+
+
+def _scene(scene: Scene) -> Path | SidecarInput | None:
+    """The file that a scene was loaded from; one of its own if that is another now and the scene names no others."""
+    with suppress(ConfigError):
+        if scene.path and load(scene.path, SceneFile) == scene.file:
+            return scene.path
+    if files_of(scene.file, Path()):
+        return None
+    values = scene.file.model_dump(mode="json", exclude_none=True)
+    return SidecarInput(".scene.yaml", yaml_text(values, blocks=True))
+
+
+def _motion(moved: Trajectory, start_ns: int) -> tuple[Array, SidecarInput | None]:
+    """Where a trajectory starts, T_world_vehicle (4, 4), and a file of the motion from there, with its time 0 then."""
+    path = moved.path
+    if path.is_static:
+        return moved.T_world_start, None
+    if not len(path.times_s):  # the same wherever it is described from
+        values = path.motion.model_dump(mode="json", exclude_none=True)
+        return moved.pose(start_ns), SidecarInput(".trajectory.yaml", yaml_text(values, blocks=True))
+    from scipy.spatial.transform import Rotation
+
+    times_s = path.times_s + (moved.zero_ns - start_ns) / SECOND_NS
+    rows = np.column_stack([times_s, path.positions_m, Rotation.from_matrix(path.rotations).as_quat()])
+    lines = (" ".join(map(repr, row)) for row in rows.tolist())
+    return moved.T_world_start, SidecarInput(".trajectory.tum", "".join(f"{line}\n" for line in lines))
+
+
+def _sensor_files(rig: Rig) -> list[Path]:
+    """The files of its sensors that are not the catalogue's."""
+    known = catalogue()
+    return [Path(mount.model) for mount in rig.mounts if mount.model and mount.model not in known]
+
+
+def _models(rig: Rig) -> dict[str, str] | None:
+    """The catalogue's sensors in a rig, with the checksums of their files."""
+    known = catalogue()
+    names = sorted({mount.model for mount in rig.mounts if mount.model and mount.model in known})
+    return {name: sha256(known[name]) for name in names} or None
+
+
+def save_manifest(
+    capture: Path,
+    files: Mapping[str, Path | SidecarInput | None],
+    rig: Rig,
+    scene: Scene,
+    vehicle: Vehicle | None,
+    values: Mapping[str, Any],
+) -> None:
+    """Write the manifest beside a capture: its input files, and the other keys of `CaptureManifest`.
+
+    Rig, scene and vehicle are what was read of the files; the files that they name are in the manifest, too.
+    """
+    path = manifest_path(capture)
+    scene_file = files["scene"]
+    named = {"rig": _sensor_files(rig)}
+    named["scene"] = files_of(scene.file, example(scene_file).parent) if isinstance(scene_file, Path) else []
+    owner = "vehicle" if files.get("vehicle") else "rig"
+    named[owner] = [*named.get(owner, ()), *(files_of(vehicle.file, Path()) if vehicle else ())]
+    inputs: dict[str, Any] = {"models": _models(rig)}
+    for key, given in files.items():
+        if given:
+            own = _written(given, capture) if isinstance(given, SidecarInput) else FileDigest.of(given, path)
+            others = dict.fromkeys(
+                one
+                for one in named.get(key, ())
+                if isinstance(given, SidecarInput) or os.path.realpath(one) != os.path.realpath(example(given))
+            )
+            parts = tuple(FileDigest.of(one, path) for one in others)
+            inputs[key] = Input(**own.model_dump(), files=parts or None)
+    manifest = CaptureManifest.model_validate(
+        {**inputs, **{key: value for key, value in values.items() if value is not None}}
+    )
+    with replacing(path) as out:
+        out.write(yaml_text(manifest.model_dump(mode="json", exclude_none=True), blocks=True))
+
+
+def _written(given: SidecarInput, capture: Path) -> FileDigest:
+    """Write an input beside a capture, and name it as the manifest does."""
+    path = capture.with_name(capture.name + given.suffix)
+    content = given.text.encode()
+    with replacing(path, "wb") as out:
+        out.write(content)
+    return FileDigest(file=path.name, sha256=hashlib.sha256(content).hexdigest())

@@ -1,0 +1,70 @@
+"""lidarcfg compare: rigs side by side."""
+
+from pathlib import Path
+
+import click
+import cloup
+
+from lidarcfg.cli.evaluate import check_rig
+from lidarcfg.cli.options import FILE, command_line, json_option, quiet_option, tolerance_option, warn_of
+from lidarcfg.cli.progress import progress
+
+
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg compare out/two/rig.yaml data/rigs/roof.yaml \\
+          --study data/studies/sedan.yaml -o out/compared
+    """
+)
+@cloup.argument(
+    "rigs", type=FILE, nargs=-1, metavar="RIG RIG...", help="2 to 10 rigs; the same one may be given twice."
+)
+@cloup.option("--study", type=FILE, required=True, metavar="STUDY", help="The region and the objects.")
+@tolerance_option
+@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for compare.html and compare.json.")
+@json_option
+@quiet_option
+def compare(
+    rigs: tuple[Path, ...], study: Path, as_json: bool, output: Path | None, tolerance: float | None, quiet: bool
+) -> None:
+    """Evaluate rigs side by side in one study.
+
+    Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
+    on the poses are not enforced.
+    """
+    from lidarcfg import report
+    from lidarcfg.placement.details import details
+    from lidarcfg.placement.evaluation import evaluate as evaluation
+    from lidarcfg.placement.study import load_study
+    from lidarcfg.sensors.rig import load_rig
+
+    report.check_count(len(rigs))
+    loaded = load_study(study)
+    mounted = [load_rig(rig) for rig in rigs]
+    warn_of(loaded.vehicle)
+    for path, rig in zip(rigs, mounted, strict=True):
+        check_rig(loaded, path, rig)
+    if output:
+        report.check_writable(output, report.COMPARED)
+    named = []
+    with progress(quiet or as_json) as on_progress:
+        for n, (path, rig) in enumerate(zip(rigs, mounted, strict=True)):
+
+            def on_evaluated(fraction: float, n: int = n, path: Path = path) -> None:
+                on_progress((n + fraction) / len(rigs), str(path))
+
+            on_evaluated(0.0)
+            found = evaluation(loaded, rig, tolerance, on_progress=on_evaluated)
+            shown = details(loaded, rig, found, cheap_cuboids=0).without_cuboids()
+            named.append((str(path), rig, shown))
+    compared = report.contenders(named)
+    if output:
+        report.save_comparison(loaded, compared, output, report.Commands(command_line(), command_line()))
+    if as_json:
+        click.echo(report.to_json(report.comparison_dict(loaded, compared)))
+    elif not quiet:
+        report.print_comparison(loaded, compared)
+        if output:
+            click.echo(f"written to {output}/: compare.html compare.json")

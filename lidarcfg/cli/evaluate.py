@@ -1,0 +1,108 @@
+"""lidarcfg evaluate: how well a rig sees."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import cloup
+
+from lidarcfg.cli.options import FILE, command_line, json_option, quiet_option, tolerance_option, warn, warn_of
+from lidarcfg.cli.progress import progress
+
+if TYPE_CHECKING:
+    from lidarcfg.placement.study import Study
+    from lidarcfg.report import Baseline
+    from lidarcfg.sensors.rig import Rig
+
+baseline_option = cloup.option("--baseline", type=FILE, metavar="RIG", help="Compare the result with this rig.")
+OnProgress = Callable[[float, str], None]
+
+
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg evaluate data/studies/sedan.yaml data/rigs/roof.yaml --json
+    """
+)
+@cloup.argument("study", type=FILE, help="YAML: the region and the objects.")
+@cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
+@tolerance_option
+@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for report.html, result.json and rig.png.")
+@baseline_option
+@json_option
+@quiet_option
+def evaluate(
+    study: Path,
+    rig: Path,
+    as_json: bool,
+    output: Path | None,
+    tolerance: float | None,
+    baseline: Path | None,
+    quiet: bool,
+) -> None:
+    """Evaluate a rig: max VSR, worst subspaces, detection rates.
+
+    The study's bounds on the poses are not enforced. The cuboids' faces overestimate the surface of a subspace;
+    --tolerance refines them until the max VSR of the smooth subspaces is known to this relative error.
+    """
+    with progress(quiet or as_json, keep=False) as on_progress:
+        on_progress(0.0, f"reading {study}")
+        from lidarcfg import report
+        from lidarcfg.placement.details import details
+        from lidarcfg.placement.evaluation import evaluate as evaluation
+        from lidarcfg.placement.sensitivity import robustness
+        from lidarcfg.placement.study import load_study
+        from lidarcfg.sensors.rig import load_rig
+
+        loaded = load_study(study)
+        mounted = load_rig(rig)
+    warn_of(loaded.vehicle)
+    check_rig(loaded, rig, mounted)
+    if output:
+        report.check_writable(output, report.EVALUATED)
+    with progress(quiet or as_json, keep=False) as on_progress:
+        beside = baseline_of(loaded, baseline, on_progress)
+        on_progress(0.0, f"evaluating {rig}")
+        found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
+        shown = details(loaded, mounted, found) if output or beside else None
+        found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
+        if output and shown:
+            commands = report.Commands(command_line(), command_line())
+            report.save_evaluation(loaded, mounted, shown, output, commands, beside)
+    if as_json:
+        values = report.evaluation_dict(loaded, mounted, found)
+        values |= {"baseline": report.baseline_dict(loaded, beside)} if beside else {}
+        click.echo(report.to_json(values))
+    elif not quiet:
+        report.print_evaluation(mounted, found)
+        if shown and beside:
+            report.print_comparison(loaded, report.with_baseline(mounted, rig, shown, beside))
+
+
+def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "Baseline | None":
+    """The rig to compare with, evaluated. Raises ConfigError if it cannot be evaluated in the study."""
+    from lidarcfg import report
+    from lidarcfg.placement.details import details
+    from lidarcfg.placement.evaluation import evaluate as evaluation
+    from lidarcfg.sensors.rig import load_rig
+
+    if path is None:
+        return None
+    on_progress(0.0, f"evaluating {path}")
+    rig = load_rig(path)
+    check_rig(study, path, rig)
+    return report.Baseline(rig, str(path), details(study, rig, evaluation(study, rig)).without_cuboids())
+
+
+def check_rig(study: "Study", path: Path, rig: "Rig") -> None:
+    """Print what looks wrong with a rig. Raises ConfigError if it cannot be evaluated in a study."""
+    from lidarcfg.placement.checks import rig_warnings
+    from lidarcfg.world.vehicle import check_outside
+
+    for message in rig_warnings(path):
+        warn(message)
+    if study.vehicle:
+        check_outside(study.vehicle, rig.mounts, path)

@@ -1,0 +1,314 @@
+"""lidarcfg export: what a rig's sensors send or see in a scene."""
+
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import cloup
+
+from lidarcfg.cli.options import (
+    FILE,
+    START,
+    START_HELP,
+    PositiveNumber,
+    load_trajectory,
+    nanoseconds,
+    quiet_option,
+    warn,
+    warn_of,
+)
+from lidarcfg.cli.progress import progress
+from lidarcfg.units import SECOND_NS
+
+KNOWN = 0.02  # of an export, after which the fraction of rays that return is known
+COPIES = 2  # of a cloud on the disk, while it is written: its points are in a file of their own first
+LESS = "a shorter time or fewer sensors need less"
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from lidarcfg.sensors.rig import ReturnMode, Rig
+    from lidarcfg.simulate.simulator import Counts
+    from lidarcfg.simulate.tasks import Drive, Run
+
+    OnPath = Callable[[Path], None]
+    Size = Callable[[float], str]  # of the files, as far as it is known when a fraction of the work is done
+
+
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg export out/two/rig.yaml --scene data/scenes/street.yaml \\
+          --at=-30,-10,0 --duration 1 -o out/two.pcap
+    """
+)
+@cloup.argument("rig", type=FILE, help="YAML: the sensors and their poses.")
+@cloup.option_group(
+    "Scene and motion",
+    cloup.option("--scene", type=FILE, required=True, help="The scene's YAML."),
+    cloup.option(
+        "--at", default="0,0,0", metavar="X,Y,YAW_DEG", help="Pose of the vehicle in the scene.  [default: 0,0,0]"
+    ),
+    cloup.option("--trajectory", type=FILE, help="The vehicle's motion from there: YAML, or timed poses as .tum."),
+    cloup.option(
+        "--vehicle",
+        type=FILE,
+        metavar="FILE|none",
+        help="The vehicle's body: YAML, or a mesh.  [default: the rig's]",
+    ),
+    cloup.option("--start", metavar="TIME", help=START_HELP),
+    cloup.option(
+        "--return-mode",
+        type=click.Choice(["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]),
+        metavar="MODE",
+        help="For every sensor: strongest, last, first or dual; Hesai's sensors also allow first-last, first-strongest "
+        "and two-strongest.  [default: the rig's]",
+    ),
+    cloup.option("--duration", type=PositiveNumber(86_400), metavar="SECONDS", required=True, help="Simulated time."),
+)
+@cloup.option_group(
+    "Output",
+    cloup.option("-o", "--output", type=FILE, required=True, help="The file or folder to write; see above."),
+    cloup.option("--to", "name", metavar="FORMAT", help="The format, if the suffix does not name it."),
+    cloup.option("--split", is_flag=True, help="Write one file per sensor: NAME-SENSOR.pcap."),
+    cloup.option("--truth", type=FILE, help="Write the ground truth of each return, as .npz: object, range, noise."),
+    cloup.option("--deskew", is_flag=True, help="Write points in the world frame; only for .ply, .pcd and .npz."),
+    cloup.option("--stats", is_flag=True, help="Print how many rays were traced and how many hit."),
+    quiet_option,
+)
+def export(
+    rig: Path,
+    scene: Path,
+    duration: float,
+    output: Path,
+    name: str | None,
+    split: bool,
+    at: str,
+    start: str | None,
+    return_mode: "ReturnMode | None",
+    trajectory: Path | None,
+    vehicle: Path | None,
+    truth: Path | None,
+    deskew: bool,
+    stats: bool,
+    quiet: bool,
+) -> None:
+    """Simulate what a rig's sensors send or see in a scene.
+
+    A pcap holds their packets; the other formats hold points with the ground truth. The vehicle stands, or moves
+    along a trajectory. The same input gives the same bytes. A YAML file beside the output, the manifest, names
+    rig, scene and trajectory, so that `decode --deskew` and `view` find them.
+
+    \b
+    OUTPUT      FORMAT
+    .pcap       packets
+    .ply .npz   one cloud, each point's object, boxes
+    .pcd        the same without boxes
+    .mcap       points, objects, boxes, /tf of ROS 2
+    .bag        rosbag1: the same of ROS 1
+    folder      rosbag2, rosbag2-mcap: of ROS 2
+    folder      kitti-odometry, kitti-object,
+                nuscenes: each needs --to
+    """
+    if not output.name:
+        raise click.BadParameter(f"{str(output)!r} names neither a file nor a folder to write", param_hint="-o")
+    with progress(quiet, keep=False) as on_fraction:
+        on_fraction(0.0, f"reading {rig} and {scene}")
+        from lidarcfg.capture.manifest import manifest_path
+        from lidarcfg.capture.manifest_writer import save_manifest
+        from lidarcfg.files import check_replaceable
+        from lidarcfg.sensors.rig import NO_VEHICLE, load_rig
+        from lidarcfg.simulate.tasks import START_NS, Drive
+        from lidarcfg.world.scene import load_scene
+        from lidarcfg.world.vehicle import carried, check_outside
+
+        mounted = _in_mode(load_rig(rig), return_mode)
+        world = load_scene(scene)
+        bodies = carried(mounted, vehicle)
+        if bodies:
+            check_outside(bodies, mounted.mounts, rig)
+    warn_of(bodies)
+    start_ns = nanoseconds(start) if start else START_NS
+    moved = load_trajectory(trajectory, at, start_ns)
+    drive = Drive(mounted, world, moved, bodies, start_ns, round(duration * SECOND_NS))
+    rays = Rays()
+    files = {"rig": rig, "scene": scene, "trajectory": trajectory, "vehicle": vehicle if bodies else None}
+    values = {"at": at, "start": start or START, "duration_s": duration, "return_mode": return_mode}
+    values |= {"vehicle": NO_VEHICLE} if vehicle and not bodies else {}
+
+    paths = [output]
+    if split and output.suffix == ".pcap":
+        paths = [output.with_name(f"{output.stem}-{mount.name}.pcap") for mount in mounted.mounts]
+    for path in paths:  # not after hours
+        if path.suffix == ".pcap" and name is None:
+            check_replaceable(path)
+        check_replaceable(manifest_path(path))
+
+    def save(path: Path) -> None:
+        save_manifest(path, files, mounted, world, bodies, values)
+
+    if output.suffix == ".pcap" and name is None:
+        if deskew:
+            raise click.UsageError("--deskew is for points; packets stay as a sensor sends them")
+        lines = _export_packets(drive, paths, split, truth, save, rays, quiet)
+    else:
+        if split or truth:
+            raise click.UsageError("--split and --truth are for a .pcap; points have their objects")
+        lines = _export_points(drive, output, name, deskew, save, rays, quiet)
+    for line in [] if quiet else lines:
+        click.echo(line)
+    if stats:
+        click.echo(f"{rays.traced:,} rays traced, of which {rays.hits:,} ({rays.fraction:.1%}) hit something in range")
+
+
+@dataclass
+class Rays:
+    """The rays of an export so far."""
+
+    traced: int = 0
+    hits: int = 0
+
+    def add(self, counts: "Counts") -> None:
+        """Count those of a chunk."""
+        self.traced += counts.rays
+        self.hits += counts.hits
+
+    @property
+    def fraction(self) -> float:
+        """That hit something in range."""
+        return self.hits / max(self.traced, 1)
+
+
+@contextmanager
+def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[Run]":
+    """A run with a progress bar, which says how large the files will be, and counts the rays."""
+    from lidarcfg.simulate.tasks import Run
+
+    began = time.perf_counter()
+
+    with progress(quiet) as on_fraction:
+
+        def on_progress(done_ns: int) -> None:
+            rate = done_ns / SECOND_NS / max(time.perf_counter() - began, 1e-9)
+            done_s = done_ns / SECOND_NS
+            said = f"{done_s:.1f} s simulated, {rate:.1f}× real time; {size(done_ns / duration_ns)} in all"
+            on_fraction(done_ns / duration_ns, said)
+
+        on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size(0.0)} in all")
+        yield Run(on_progress, rays.add)
+
+
+def _export_packets(
+    drive: "Drive",
+    paths: list[Path],
+    split: bool,
+    truth: Path | None,
+    save_manifest: "OnPath",
+    rays: "Rays",
+    quiet: bool,
+) -> list[str]:
+    """Write one pcap, or with `split` one of each sensor, and the files that readers need. Returns what to print."""
+    from contextlib import ExitStack
+
+    from lidarcfg.capture import export as capture
+    from lidarcfg.capture.ground_truth import TruthFile
+    from lidarcfg.capture.pcap import write_pcap
+    from lidarcfg.inputs import check_room, format_bytes
+    from lidarcfg.simulate.tasks import object_names
+
+    if truth and truth.suffix != ".npz":
+        raise click.BadParameter(f"{str(truth)!r} does not end in .npz", param_hint="--truth")
+    mounts = drive.rig.mounts
+    names = [mount.name for mount in mounts]
+    size = capture.data_bytes(drive)
+    check_room(paths[0], size, LESS)
+    with _run(drive.duration_ns, lambda done: f"about {format_bytes(size)}", rays, quiet) as run, ExitStack() as stack:
+        objects = object_names(drive.scene, drive.vehicle)
+        beside = stack.enter_context(TruthFile(truth, names, objects)) if truth else None
+        streams = capture.export(
+            drive.rig,
+            drive.scene,
+            drive.trajectory,
+            drive.duration_ns,
+            drive.start_ns,
+            beside.add if beside else None,
+            drive.vehicle,
+            run,
+        )
+        if split:
+            counts = [write_pcap(path, stream) for path, stream in zip(paths, streams, strict=True)]
+            pairs = zip(paths, mounts, strict=True)
+            companions = [one for path, mount in pairs for one in capture.save_companions(path, [mount])]
+        else:
+            counts = [write_pcap(paths[0], capture.in_time_order(streams))]
+            companions = capture.save_companions(paths[0], mounts)
+        records = beside.save() if beside else 0
+        for path in paths:
+            save_manifest(path)
+    duration = f"{drive.duration_ns / SECOND_NS:g} s"
+    lines = [f"{path}: {count:,} packets, {duration}" for path, count in zip(paths, counts, strict=True)]
+    lines += [f"{path}: readers of the capture need it, too" for path in companions]
+    return lines + [f"{truth}: {records:,} returns"] * bool(truth)
+
+
+def _export_points(
+    drive: "Drive", output: Path, name: str | None, deskew: bool, save_manifest: "OnPath", rays: "Rays", quiet: bool
+) -> list[str]:
+    """Write points and their ground truth, in the format that suffix or name say. Returns what to print."""
+    from lidarcfg.clouds.cloud import row_bytes
+    from lidarcfg.errors import LidarcfgError
+    from lidarcfg.inputs import format_bytes, free_bytes
+    from lidarcfg.io import formats
+    from lidarcfg.io.drive_dataset import DriveDataset
+    from lidarcfg.sensors.sensor import FIRING
+    from lidarcfg.simulate.scans import most_returns, simulated_scans
+
+    form = formats.format_of("drive", output, name)
+    if deskew and form.name not in formats.CLOUDS:
+        raise click.UsageError(f"--deskew is for {', '.join(formats.CLOUDS)}")
+    warnings = [
+        f"{mount.name}: {mount.sensor.name} has no firing facts; all lasers fire at once, every {FIRING.step_deg:g} deg"
+        for mount in drive.rig.mounts
+        if not (mount.sensor.codec or mount.sensor.firing)
+    ]
+    most = most_returns(drive)
+    free = free_bytes(output)
+
+    def size(done: float) -> str:
+        known = done >= KNOWN
+        points = most * rays.fraction
+        if form.name not in formats.CLOUDS:
+            return f"about {points:,.0f} points" if known else f"at most {most:,} points"
+        needed = row_bytes(output) * (points if known else most)
+        if known and COPIES * needed > free:
+            sizes = f"needs {format_bytes(COPIES * needed)} on the disk while it is written"
+            raise LidarcfgError(f"{output}: {sizes}; {format_bytes(free)} are free; {LESS}")
+        return f"{'about' if known else 'at most'} {format_bytes(needed)}"
+
+    for text in [] if quiet else warnings:
+        warn(text)
+    warnings.clear()
+    with _run(drive.duration_ns, size, rays, quiet) as run:
+        dataset = DriveDataset(drive, simulated_scans(drive, run))
+        found = formats.save_dataset(output, form, dataset, deskew, warnings.append)
+        save_manifest(output)
+    for text in [] if quiet else warnings:
+        warn(text)
+    return [f"{output}: {found}, {drive.duration_ns / SECOND_NS:g} s"]
+
+
+def _in_mode(rig: "Rig", return_mode: "ReturnMode | None") -> "Rig":
+    """The rig with the return mode of all of its sensors replaced."""
+    if return_mode is None:
+        return rig
+    from dataclasses import replace
+
+    mounts = tuple(replace(one, return_mode=return_mode) for one in rig.mounts)
+    thin = [one.name for one in mounts if one.dual and not (one.realism and one.realism.divergence)]
+    if thin:
+        warn(f"{', '.join(thin)}: beams without divergence have one echo, so that both returns are the same")
+    return replace(rig, mounts=mounts)

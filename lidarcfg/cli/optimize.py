@@ -1,0 +1,178 @@
+"""lidarcfg optimize: where the sensors should sit."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import cloup
+
+from lidarcfg.cli.evaluate import OnProgress, baseline_of, baseline_option
+from lidarcfg.cli.front import find_front
+from lidarcfg.cli.interrupts import Interrupts
+from lidarcfg.cli.options import (
+    FILE,
+    SAVE_EVERY_S,
+    PositiveNumber,
+    command_line,
+    quiet_option,
+    warn,
+    warn_of,
+)
+from lidarcfg.cli.progress import progress
+
+if TYPE_CHECKING:
+    from lidarcfg.placement.details import Details
+    from lidarcfg.placement.optimize import Cycle, Log, Placement
+    from lidarcfg.placement.study import Study
+    from lidarcfg.placement.study_file import Solver
+    from lidarcfg.sensors.rig import Rig
+
+QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on the screen
+
+
+@cloup.command(
+    epilog="""
+    \b
+    Example:
+      lidarcfg optimize data/studies/liu2018-4x16.yaml -o out/four \\
+          --seed 3 --seconds 60
+    """
+)
+@cloup.argument("study", type=FILE, help="YAML: the region, the sensors and their bounds.")
+@cloup.option_group(
+    "Search",
+    cloup.option(
+        "--solver",
+        type=click.Choice(["auto", "abc", "annealing", "cmaes", "de"]),
+        help="Search method.  [default: the study's]",
+    ),
+    cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Random seed.  [default: the study's]"),
+    cloup.option(
+        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Does not change the result.  [default: all cores]"
+    ),
+    cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
+)
+@cloup.option_group(
+    "Budget",
+    cloup.option("--cycles", type=click.IntRange(1), metavar="N", help="Stop after N cycles of the swarm."),
+    cloup.option("--evaluations", type=click.IntRange(1), metavar="N", help="Stop after N evaluated rigs."),
+    cloup.option("--seconds", type=PositiveNumber(10**9), metavar="SECONDS", help="Stop after this time."),
+    help="These replace the study's budget.",
+)
+@cloup.option("-o", "--output", type=FILE, metavar="DIR", help="Folder for the results.  [default: out/STUDY]")
+@baseline_option
+@quiet_option
+def optimize(
+    study: Path,
+    output: Path | None,
+    seed: int | None,
+    threads: int | None,
+    solver: str | None,
+    cycles: int | None,
+    evaluations: int | None,
+    seconds: float | None,
+    resume: Path | None,
+    baseline: Path | None,
+    quiet: bool,
+) -> None:
+    """Find the poses that minimise the largest unseen subspace.
+
+    Ctrl-C ends the search and keeps the best rig found. rig.yaml and search.npz are updated every few seconds, so
+    --resume can continue even a search that was killed.
+
+    If the study lets sensors be chosen (`choose`), the result is a front: the rigs that no other rig beats in both
+    price and objective. front.html shows them, and points/ has a folder for each. All combinations share the budget.
+    """
+    with progress(quiet, keep=False) as on_progress:
+        on_progress(0.0, f"reading {study}")
+        from lidarcfg import report
+        from lidarcfg.placement.checks import study_warnings
+        from lidarcfg.placement.study import load_study, with_solver
+
+        budget = {"cycles": cycles, "evaluations": evaluations, "seconds": seconds}
+        loaded = with_solver(load_study(study), seed=seed, method=solver, **budget)
+        messages = list(study_warnings(study, loaded))
+    warn_of(loaded.vehicle)
+    for message in messages:
+        warn(message)
+    folder = output or resume or Path("out") / loaded.name
+    if loaded.to_choose:
+        if baseline:
+            raise click.UsageError(
+                "--baseline is for one rig, and this study has a front of them; compare these with it"
+            )
+        find_front(loaded, study, folder, resume, threads, quiet)
+        return
+    log = report.load_log(loaded, resume) if resume else None
+    report.check_writable(folder, report.RESULTS)
+    with progress(quiet, keep=False) as on_progress:
+        beside = baseline_of(loaded, baseline, on_progress)
+    with progress(quiet) as on_progress:
+        found, shown = _search(loaded, threads, log, folder, on_progress)
+        on_progress(1.0, f"writing {folder}")
+        again = _repeat_command(study, folder, loaded.solver, found)
+        report.save_placement(loaded, found, shown, folder, report.Commands(command_line(), again), beside)
+    if not quiet:
+        report.print_placement(found, shown.evaluation)
+        if beside:
+            report.print_comparison(loaded, report.with_baseline(found.rig, folder / "rig.yaml", shown, beside))
+        files = "report.html rig.yaml result.json history.csv convergence.png rig.png search.npz"
+        click.echo(f"written to {folder}/: {files}")
+    if found.interrupted:
+        click.echo("interrupted; the best rig found is kept", err=True)
+        sys.exit(130)
+
+
+def _search(
+    study: "Study", threads: int | None, log: "Log | None", folder: Path, on_progress: OnProgress
+) -> "tuple[Placement, Details]":
+    """The best rig, with progress; what is found so far is saved every few seconds."""
+    import time
+
+    from lidarcfg import report
+    from lidarcfg.placement.details import details
+    from lidarcfg.placement.optimize import Budget
+    from lidarcfg.placement.optimize import optimize as search
+
+    saved = told = time.monotonic()
+    fraction = 0.0
+
+    def on_cycle(cycle: "Cycle", rig: "Rig", log: "Log") -> None:
+        nonlocal saved, told, fraction
+        fraction = min(budget.fraction(cycle.evaluations, cycle.cycle), 1.0)
+        on_progress(fraction, _search_line(cycle))
+        told = time.monotonic()
+        if told - saved > SAVE_EVERY_S:
+            report.save_progress(study, rig, log, folder)
+            saved = time.monotonic()
+
+    def on_evaluations(count: int) -> None:
+        nonlocal told
+        if time.monotonic() - told > QUIET_S:  # a cycle takes long
+            on_progress(max(fraction, min(budget.fraction(count, 0), 1.0)), f"{count:,} rigs evaluated")
+            told = time.monotonic()
+
+    on_progress(0.0, "searching")
+    budget = Budget.of(study.solver)
+    found = search(study, threads, on_cycle, log, on_evaluations=on_evaluations)
+    if found.interrupted:
+        click.get_current_context().ensure_object(Interrupts).take()
+    on_progress(1.0, "evaluating the best rig")
+    return found, details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+
+
+def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
+    """The command that gives the same rig on any machine, however the search ended."""
+    budget = ("--evaluations", max(found.evaluations, 1))
+    if solver.cycles is not None and found.history[-1].cycle >= solver.cycles:
+        budget = ("--cycles", solver.cycles)
+    words = ("lidarcfg", "optimize", study, "-o", folder, "--solver", solver.method, "--seed", solver.seed, *budget)
+    return shlex.join(map(str, words))
+
+
+def _search_line(cycle: "Cycle") -> str:
+    """The state of the search."""
+    state = f"cycle {cycle.cycle}  best {cycle.best:.4f}  mean {cycle.mean:.4f}"
+    return f"{state}  {cycle.evaluations / cycle.seconds:,.0f} evaluations/s"

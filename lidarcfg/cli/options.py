@@ -1,0 +1,161 @@
+"""What the commands share: option types, options, completion, and values parsed from text."""
+
+import math
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+import cloup
+from click.shell_completion import CompletionItem
+
+from lidarcfg.errors import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lidarcfg.world.motion import Trajectory
+    from lidarcfg.world.vehicle import Vehicle
+
+T = TypeVar("T")
+FILE = click.Path(path_type=Path)
+SAVE_EVERY_S = 5.0  # between two saves of a running search
+START = "2026-01-01T00:00:00"
+START_HELP = f"ISO 8601; UTC unless it names a zone.  [default: {START}]"
+
+
+class Png(click.Path):
+    """A file to draw into: its name ends in .png."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Raises click.BadParameter for another suffix."""
+        if Path(value).suffix.lower() != ".png":
+            self.fail(f"{str(value)!r} does not end in .png", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class PositiveNumber(click.FloatRange):
+    """A number above zero; click's own range lets NaN pass."""
+
+    def __init__(self, most: float) -> None:
+        super().__init__(0, most, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or click's error."""
+        number = float(super().convert(value, param, ctx))
+        if math.isnan(number):
+            self.fail(f"{value} is not a number", param, ctx)
+        return number
+
+
+class Factor(PositiveNumber):
+    """A factor above zero: 2, 2x or 0.5×."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or click's error."""
+        return super().convert(value.rstrip("xX×") if isinstance(value, str) else value, param, ctx)
+
+
+def complete_model(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The catalogue's sensors whose names start with `incomplete`; files if there are none."""
+    from lidarcfg.sensors.sensor import catalogue
+
+    names = [CompletionItem(name) for name in catalogue() if name.startswith(incomplete)]
+    return names or [CompletionItem(incomplete, type="file")]
+
+
+def complete_mount(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """The mounts of the rig given by --rig whose names start with `incomplete`; nothing if it cannot be read."""
+    from lidarcfg.errors import LidarcfgError
+    from lidarcfg.sensors.rig import load_rig
+
+    try:
+        names = [mount.name for mount in load_rig(ctx.params["rig"]).mounts] if ctx.params.get("rig") else []
+    except LidarcfgError:
+        names = []
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+model_option = cloup.option(
+    "--model",
+    metavar="MODEL",
+    shell_complete=complete_model,
+    help="Use this sensor model, whatever the packets say: a name from the catalogue, or a YAML file.",
+)
+from_option = cloup.option(
+    "--from",
+    "from_s",
+    type=float,
+    default=0.0,
+    metavar="SECONDS",
+    help="Start this long after the first packet.  [default: 0]",
+)
+to_option = cloup.option(
+    "--to",
+    "to_s",
+    type=float,
+    default=math.inf,
+    metavar="SECONDS",
+    help="Stop this long after the first packet.  [default: the end]",
+)
+sensor_option = cloup.option(
+    "--sensor",
+    "sensors",
+    multiple=True,
+    metavar="NAME",
+    shell_complete=complete_mount,
+    help="Use only this mount, or host:port. May be repeated.",
+)
+json_option = cloup.option("--json", "as_json", is_flag=True, help="Print one JSON document and nothing else.")
+tolerance_option = cloup.option(
+    "--tolerance",
+    type=PositiveNumber(1),
+    metavar="FRACTION",
+    help="Also compute the analytic max VSR to this relative error.",
+)
+quiet_option = cloup.option("--quiet", is_flag=True, help="Print only errors.")
+
+
+def command_line() -> str:
+    """The command as it was typed, quoted for a shell."""
+    return shlex.join(["lidarcfg", *sys.argv[1:]])
+
+
+def warn(message: str) -> None:
+    """Print a warning of one line to stderr."""
+    click.echo(f"lidarcfg: warning: {one_line(message)}", err=True)
+
+
+def warn_of(vehicle: "Vehicle | None") -> None:
+    """Print the warnings about a vehicle's meshes."""
+    for message in vehicle.warnings if vehicle else ():
+        warn(message)
+
+
+def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
+    """The vehicle's motion, which starts at X,Y,YAW_DEG; without a file the vehicle stands there."""
+    from lidarcfg.capture.manifest import place
+    from lidarcfg.world.motion import Trajectory, load_path
+
+    return Trajectory(_parsed(place, at, "--at"), load_path(path), start_ns)
+
+
+def nanoseconds(start: str) -> int:
+    """Nanoseconds since 1970 (UTC) of a time in ISO 8601."""
+    from lidarcfg.capture.manifest import time_ns
+
+    return _parsed(time_ns, start, "--start")
+
+
+def _parsed(read: "Callable[[str], T]", text: str, option: str) -> "T":
+    """The value of an option's text. Raises click.BadParameter."""
+    from lidarcfg.errors import ConfigError
+
+    try:
+        return read(text)
+    except ConfigError as error:
+        raise click.BadParameter(str(error), param_hint=option) from None

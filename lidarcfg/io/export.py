@@ -1,0 +1,71 @@
+"""From a rig and a scene, or their files, to a capture or to points with ground truth, in one call."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from lidarcfg.capture import export as packets
+from lidarcfg.capture.manifest import manifest_path
+from lidarcfg.capture.manifest_writer import ManifestInputs
+from lidarcfg.capture.pcap import write_pcap
+from lidarcfg.errors import LidarcfgError
+from lidarcfg.files import check_replaceable, loaded, remove_outdated
+from lidarcfg.geometry import Array
+from lidarcfg.io import formats
+from lidarcfg.io.drive_dataset import DriveDataset
+from lidarcfg.sensors.rig import Rig, load_rig
+from lidarcfg.simulate.scans import simulated_scans
+from lidarcfg.simulate.tasks import START_NS, Drive
+from lidarcfg.units import SECOND_NS
+from lidarcfg.world.motion import Trajectory, load_path
+from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.vehicle import rig_vehicle
+
+
+def export(
+    rig: Rig | str | Path,
+    scene: Scene | str | Path,
+    output: str | Path,
+    duration_s: float,
+    at: Array | Trajectory | None = None,
+    to: str | None = None,
+    on_warning: Callable[[str], None] = print,
+    trajectory: str | Path | None = None,
+) -> None:
+    """Write what a rig's sensors send, or see, in a scene: the formats of `lidarcfg export`, by suffix or `to`.
+
+    The vehicle stands at `at`, T_world_vehicle (4, 4), at the origin without it; or it moves from there as the file
+    `trajectory` says, or along a trajectory. The rig's own vehicle travels along and blocks beams. Simulated time
+    begins at START_NS. A manifest beside the output names all this for `decode`, as the command's does.
+
+    Inputs that are in no file are written beside it, too: OUTPUT.rig.yaml, OUTPUT.scene.yaml, OUTPUT.trajectory.yaml or
+    .tum. That cannot say a pose that is not rigid, sensors that are in no file but have more than elevations, and a
+    scene that is no longer that of its file but names others: `on_warning` gets a line about what the manifest lacks
+    then, or why there is none. Raises LidarcfgError.
+    """
+    if not 0 < duration_s <= 86_400:
+        raise LidarcfgError(f"duration_s is {duration_s:g}; allowed: above 0, at most 86400")
+    if trajectory is not None and isinstance(at, Trajectory):
+        raise LidarcfgError("at is a trajectory, and a file of another is given; allowed: one of them")
+    output = Path(output)
+    given = [Path(one) if isinstance(one, str | Path) else None for one in (rig, scene, trajectory)]
+    rig = loaded(rig, load_rig)
+    scene = loaded(scene, load_scene)
+    if isinstance(at, Trajectory):
+        moved = at
+    else:
+        moved = Trajectory(np.eye(4) if at is None else at, load_path(trajectory), START_NS)
+    drive = Drive(rig, scene, moved, rig_vehicle(rig), START_NS, round(duration_s * SECOND_NS))
+    if output.parent.is_dir():
+        check_replaceable(manifest_path(output))  # not after hours
+    inputs = ManifestInputs.of(drive, output, *given)
+    if output.suffix != ".pcap" or to:
+        form = formats.format_of("drive", output, to)
+        formats.save_dataset(output, form, DriveDataset(drive, simulated_scans(drive)), False, on_warning)
+    else:
+        streams = packets.export(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
+        write_pcap(output, packets.in_time_order(streams))
+        packets.save_companions(output, rig.mounts)
+    remove_outdated(inputs.outdated(output))
+    inputs.save(output, drive, on_warning)

@@ -1,0 +1,233 @@
+"""The formats, what converts to what, and the conversion."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from lidarcfg.clouds.cloud import PointCloud, load_cloud, save_clouds
+from lidarcfg.errors import ConversionError
+from lidarcfg.files import replacing, replacing_folder
+from lidarcfg.sensors.rig import load_rig
+
+if TYPE_CHECKING:
+    from lidarcfg.io.drive_dataset import DriveDataset
+
+Kind = Literal["rig", "cloud", "capture", "firings", "drive"]
+OnWarning = Callable[[str], None]
+
+INPUTS: dict[Kind, tuple[str, ...]] = {
+    "rig": (".yaml", ".yml", ".json"),
+    "cloud": (".ply", ".pcd", ".npz", ".las", ".laz", ".bin"),
+    "capture": (".pcap", ".pcapng"),
+}
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format that one kind of input converts to."""
+
+    name: str  # as --to has it
+    kind: Kind  # of the input
+    suffix: str  # of the output; none: a folder
+    lacks: str = ""  # what the input has and this format cannot hold
+
+
+POSES_ALONE = "beams, network, speed or return mode"
+DATASETS = {  # folders of drives, and what they cannot hold
+    "kitti-odometry": "ring, time of each point or return type",
+    "kitti-object": "ring, time of each point, objects of points or return type",
+    "nuscenes": "time of each point, objects of points or return type",
+}
+FORMATS = (
+    Format("urdf", "rig", ".urdf", POSES_ALONE),
+    Format("launch", "rig", ".py", POSES_ALONE),
+    Format("carla", "rig", ".json", "firing order, network or return mode"),
+    Format("nuscenes", "rig", "", POSES_ALONE),
+    Format("ply", "cloud", ".ply"),
+    Format("pcd", "cloud", ".pcd"),
+    Format("npz", "cloud", ".npz"),
+    Format("las", "cloud", ".las"),
+    Format("laz", "cloud", ".laz"),
+    Format("kitti", "cloud", ".bin", "ring, time, sensor or return type"),
+    Format("rosbag2", "capture", "", "return type"),
+    Format("rosbag2-mcap", "capture", "", "return type"),
+    Format("mcap", "capture", ".mcap", "return type"),
+    Format("rosbag1", "capture", ".bag", "return type"),
+    *(Format(name, "capture", "", lost) for name, lost in DATASETS.items()),
+    Format("firings", "capture", ".npz"),
+    Format("pcap", "firings", ".pcap"),
+    Format("pcapng", "firings", ".pcapng"),
+    Format("ply", "drive", ".ply"),
+    Format("npz", "drive", ".npz"),
+    Format("pcd", "drive", ".pcd", "boxes of objects"),
+    Format("mcap", "drive", ".mcap"),
+    Format("rosbag2", "drive", ""),
+    Format("rosbag2-mcap", "drive", ""),
+    Format("rosbag1", "drive", ".bag"),
+    *(Format(name, "drive", "", lost) for name, lost in DATASETS.items()),
+)
+CLOUDS = ("ply", "npz", "pcd")
+FOLDERS = {  # what stands in those of a drive
+    "kitti-odometry": ("sequences", "poses"),
+    "kitti-object": ("training",),
+    "nuscenes": ("v1.0-lidarcfg", "maps", "samples"),
+}
+STORAGES = {"rosbag1": "ros1", "rosbag2": "sqlite3", "rosbag2-mcap": "mcap"}
+
+
+def chosen(source: Path, output: Path, name: str | None) -> Format:
+    """The format called `name`, or the first with OUTPUT's suffix. Raises ConversionError."""
+    return format_of(_kind(source), output, name)
+
+
+def format_of(kind: Kind, output: Path, name: str | None) -> Format:
+    """The format for an input of a known kind."""
+    formats = [form for form in FORMATS if form.kind == kind]
+    if name:
+        for form in formats:
+            if form.name == name:
+                if form.suffix and output.suffix.lower() != form.suffix:
+                    raise ConversionError(f"{output}: does not end in {form.suffix}, as {name} does")
+                return form
+        raise ConversionError(f"{_failed(kind)} {name}; allowed: {', '.join(form.name for form in formats)}")
+    for form in formats:
+        if form.suffix == output.suffix.lower():
+            return form
+    allowed = ", ".join(form.suffix for form in formats if form.suffix)
+    folder = "" if kind == "cloud" else ", or a folder, which has no suffix"
+    hint = "; lidarcfg decode turns it into a cloud" if kind == "capture" else ""
+    if kind == "drive":
+        allowed = f".pcap, {allowed}"
+        hint = ""
+    what = f"{_failed(kind)} {output.name!r}; allowed: {allowed}{folder}; or say which with --to{hint}"
+    raise ConversionError(what)
+
+
+def _failed(kind: Kind) -> str:
+    return "an export is not written as" if kind == "drive" else f"a {kind} does not convert to"
+
+
+def _kind(source: Path) -> Kind:
+    if source.suffix.lower() == ".npz":
+        from lidarcfg.io.firings import is_firings
+
+        return "firings" if is_firings(source) else "cloud"
+    for kind, suffixes in INPUTS.items():
+        if source.suffix.lower() in suffixes:
+            return kind
+    allowed = "; ".join(f"{kind}: {' '.join(suffixes)}" for kind, suffixes in INPUTS.items())
+    raise ConversionError(f"{source}: not a rig, a cloud or a capture by its suffix; {allowed}")
+
+
+def convert(
+    source: Path, output: Path, form: Format, rig: Path | None, model: str | None, on_warning: OnWarning
+) -> str:
+    """Write `source` as `output` in the format, whole or not at all, and return what it holds.
+
+    `rig` and `model` are for captures: the sensors' poses, and their model whatever their packets say. `on_warning`
+    gets what the format cannot hold. Raises LidarcfgError.
+    """
+    if form.lacks:
+        on_warning(f"{output}: {form.name} has no {form.lacks}")
+    if form.kind == "rig":
+        return _convert_rig(source, output, form.name, on_warning)
+    if form.kind == "cloud":
+        return _convert_cloud(source, output, form.name, on_warning)
+    if "firings" in (form.name, form.kind):
+        return _convert_firings(source, output, form, model, on_warning)
+    from lidarcfg.io.bag import save_bag, save_mcap
+
+    mounted = load_rig(rig) if rig else None
+    if form.name == "mcap":
+        count = save_mcap(output, source, mounted, model, on_warning)
+    else:
+        count = save_bag(output, source, STORAGES[form.name], mounted, model, on_warning)
+    return f"{count:,} messages"
+
+
+def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bool, on_warning: OnWarning) -> str:
+    """Write a drive in a format, whole or not at all, and return what it holds. Raises LidarcfgError."""
+    if form.lacks:
+        on_warning(f"{output}: {form.name} has no {form.lacks}")
+    if form.name in CLOUDS:
+        from lidarcfg.io.points import save_points
+
+        return f"{save_points(output, dataset, deskew):,} points"
+    if form.name in FOLDERS:
+        return f"{_save_folder(output, form.name, dataset):,} scans"
+    from lidarcfg.io.bag import of_dataset, write_bag, write_mcap
+
+    made = of_dataset(dataset, output, on_warning)
+    if form.name == "mcap":
+        return f"{write_mcap(output, made):,} messages"
+    return f"{write_bag(output, STORAGES[form.name], made):,} messages"
+
+
+def _save_folder(output: Path, name: str, dataset: "DriveDataset") -> int:
+    from lidarcfg.io.kitti_folders import save_objects, save_odometry
+    from lidarcfg.io.nuscenes_tables import save_tables
+
+    save = {"kitti-odometry": save_odometry, "kitti-object": save_objects, "nuscenes": save_tables}[name]
+    with replacing_folder(output, *FOLDERS[name]) as folder:
+        folder.mkdir()
+        return save(folder, dataset)
+
+
+def _convert_rig(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
+    from lidarcfg.io.carla import carla
+    from lidarcfg.io.launch import launch
+    from lidarcfg.io.nuscenes import nuscenes
+    from lidarcfg.io.urdf import urdf
+
+    rig = load_rig(source)
+    if name == "nuscenes":
+        tables = nuscenes(rig)
+        with replacing_folder(output, *tables) as folder:
+            folder.mkdir()
+            for table, text in tables.items():
+                (folder / table).write_text(text, encoding="utf-8")
+    else:
+        text = {"urdf": urdf, "launch": launch, "carla": carla}[name](rig, on_warning)
+        with replacing(output) as file:
+            file.write(text)
+    return f"{len(rig.mounts):,} sensors"
+
+
+def _convert_firings(source: Path, output: Path, form: Format, model: str | None, on_warning: OnWarning) -> str:
+    from lidarcfg.io.firings import save_capture, save_firings
+
+    if form.kind == "firings":
+        return f"{save_capture(output, source):,} packets of firings"
+    made = save_firings(output, source, model, on_warning)
+    return f"{made.firings:,} firings of {made.packets:,} packets, and {made.rest:,} bytes of theirs beside them"
+
+
+def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
+    cloud = _load(source, on_warning)
+    if cloud.object is not None and name in ("las", "laz", "kitti"):
+        on_warning(f"{output}: {name} has no objects of points")
+    if name in ("las", "laz"):
+        from lidarcfg.io.las import save_las
+
+        save_las(output, cloud)
+    elif name == "kitti":
+        from lidarcfg.io.kitti import save_kitti
+
+        save_kitti(output, cloud, on_warning)
+    else:
+        save_clouds(output, [cloud])
+    return f"{len(cloud.xyz):,} points"
+
+
+def _load(source: Path, on_warning: OnWarning) -> PointCloud:
+    suffix = source.suffix.lower()
+    if suffix in (".las", ".laz"):
+        from lidarcfg.io.las import load_las
+
+        return load_las(source, on_warning)
+    if suffix == ".bin":
+        from lidarcfg.io.kitti import load_kitti
+
+        return load_kitti(source, on_warning)
+    return load_cloud(source, on_warning, allow_empty=True)

@@ -1,0 +1,9 @@
+from .firing import Pattern as Pattern
+from .realism import Realism as Realism
+from .rig import Mount as Mount
+from .rig import Rig as Rig
+from .rig import load_rig as load_rig
+from .rig import save_rig as save_rig
+from .sensor import Sensor as Sensor
+from .sensor import catalogue as catalogue
+from .sensor import load_sensor as load_sensor

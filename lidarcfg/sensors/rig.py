@@ -1,0 +1,352 @@
+"""A rig: sensors mounted on a vehicle, each with its pose and its place on the network."""
+
+import ipaddress
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
+
+from lidarcfg.config.document import yaml_text
+from lidarcfg.config.models import (
+    COORDINATE_MAX_M,
+    NAME_MAX,
+    Angles,
+    Model,
+    Name,
+    Position,
+    Positive,
+    Section,
+    Vec3,
+    check_names,
+    error_at,
+    errors_at,
+    load,
+    unknown_key,
+    validation_error,
+)
+from lidarcfg.files import example, replacing
+from lidarcfg.geometry import Array, pose
+from lidarcfg.sensors.realism import Realism, RealismOrName, resolved
+from lidarcfg.sensors.sensor import Azimuth, AzimuthFov, Elevations, Port, Sensor, catalogue, custom_sensor, load_sensor
+
+Distance = Annotated[float, Field(ge=0, le=COORDINATE_MAX_M)]
+SENSORS_MAX = 1000
+MOUNT_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # it becomes part of file names
+MountName = Annotated[str, Field(pattern=MOUNT_NAME, max_length=NAME_MAX)]
+ReturnMode = Literal["strongest", "last", "first", "dual", "first-last", "first-strongest", "two-strongest"]
+SINGLE: tuple[ReturnMode, ...] = ("strongest", "last", "first")  # all others report two returns of a firing
+FIRST_HOST = ipaddress.IPv4Address("192.168.1.201")
+LAST_HOST = ipaddress.IPv4Address("192.168.1.254")
+HOSTS = int(LAST_HOST) - int(FIRST_HOST) + 1
+DATA_PORT = 2368  # the defaults where neither rig nor sensor gives others
+TELEMETRY_PORT = 8308
+RPM = 600.0
+NO_VEHICLE = "none"  # in place of a vehicle's file: no vehicle, whatever the rig says
+RETURN_MODE: ReturnMode = "strongest"
+
+
+def _check_range(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise validation_error(f"{value[0]:g} is not below {value[1]:g}", 0)
+    return value
+
+
+Range = Annotated[tuple[Distance, Distance], AfterValidator(_check_range)]  # least, greatest
+
+
+class MountFile(Model):
+    """One sensor of a rig, as its file says it. A key called as the sensor's codec holds that codec's settings."""
+
+    model_config = ConfigDict(extra="allow")
+    renamed: ClassVar[dict[str, str]] = {"sector_deg": "azimuth_fov_deg", "pps": "velodyne: {pps: ...}"}
+    name: MountName
+    model: str | None = None
+    elevation_deg: Elevations | None = None
+    position_m: Position
+    rpy_rad: Angles | None = None
+    rpy_deg: Angles | None = None
+    host: str | None = None
+    data_port: Port | None = None  # none: as the sensor's file says
+    telemetry_port: Port | None = None
+    rpm: Positive = RPM
+    return_mode: ReturnMode = RETURN_MODE
+    azimuth_fov_deg: AzimuthFov | None = None
+    range_m: Range | None = None  # none: the sensor's
+    phase_deg: Azimuth | None = None
+    realism: RealismOrName | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            for key, value in data.items():
+                if key not in cls.model_fields and (key in cls.renamed or not isinstance(value, dict)):
+                    raise validation_error(unknown_key(str(key), cls), str(key))
+        return data
+
+    @model_validator(mode="after")
+    def _check(self) -> "MountFile":
+        one_of(self, "model", "elevation_deg")
+        if self.phase_deg is not None and self.rpm % 60:
+            raise validation_error(
+                f"needs whole revolutions a second; {self.rpm:g} rpm is no multiple of 60", "phase_deg"
+            )
+        if self.rpy_rad is not None and self.rpy_deg is not None:
+            raise validation_error("conflicts with rpy_rad; give only one of them", "rpy_deg")
+        if self.host is not None:
+            try:
+                ipaddress.IPv4Address(self.host)
+            except ValueError:
+                raise validation_error(f"{self.host!r} is not an IPv4 address such as {FIRST_HOST}", "host") from None
+        return self
+
+
+class RigFile(Model):
+    """A rig, as its file says it."""
+
+    kind: ClassVar[str] = "rig"
+    name: Name
+    sensors: Annotated[tuple[MountFile, ...], Field(min_length=1, max_length=SENSORS_MAX)]
+    vehicle: dict[str, Any] | None = None  # the keys of world/vehicle.py's VehicleFile
+
+    @model_validator(mode="after")
+    def _check(self) -> "RigFile":
+        check_names((mount.name for mount in self.sensors), "a sensor", "sensors")
+        return self
+
+
+def one_of(model: Model, *keys: str) -> None:
+    """A model's validator: exactly one of some keys is given."""
+    given = [k for k in keys if getattr(model, k) is not None]
+    if len(given) > 1:
+        raise validation_error(f"conflicts with {given[0]}; give only one of them", given[1])
+    if not given:
+        raise validation_error(f"missing; give {', '.join(keys[:-1])} or {keys[-1]}")
+
+
+def angles_rad(rpy_rad: Vec3 | None, rpy_deg: Vec3 | None) -> Vec3:
+    """Roll, pitch, yaw in radians, from whichever is given; zeros if neither is."""
+    if rpy_deg is None:
+        return rpy_rad or (0.0, 0.0, 0.0)
+    roll, pitch, yaw = (math.radians(angle) for angle in rpy_deg)
+    return roll, pitch, yaw
+
+
+@dataclass(frozen=True)
+class Mount:
+    """A sensor on the vehicle."""
+
+    name: str
+    sensor: Sensor
+    position_m: Vec3  # of the sensor's origin in the vehicle frame
+    rpy_rad: Vec3  # roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll)
+    model: str | None  # the sensor's name in files; None: its beams are given inline
+    host: str  # the address it sends from
+    data_port: int
+    telemetry_port: int
+    rpm: float
+    return_mode: ReturnMode
+    azimuth_fov_deg: tuple[float, float] | None = None  # from, to, clockwise, where it fires; None: all around
+    range_m: tuple[float, float] | None = None  # least, greatest, in placement; None: the sensor's
+    phase_deg: float | None = None  # where the head points at each whole second; None: at 0 when it starts
+    settings: Section = field(default_factory=lambda: Section({}))  # what the sensor's codec reads
+    realism: Realism | None = None  # None: exact
+
+    @property
+    def dual(self) -> bool:
+        """Whether its packets hold two returns per firing."""
+        return self.return_mode not in SINGLE
+
+    @property
+    def T_vehicle_sensor(self) -> Array:
+        """(4, 4), sensor → vehicle."""
+        return pose(self.position_m, self.rpy_rad)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Sensors mounted on a vehicle."""
+
+    name: str
+    mounts: tuple[Mount, ...]
+    vehicle: Section | None = None  # what they are mounted on, as world/vehicle.py reads it; None: not known
+
+
+def resolve_sensor(
+    path: Path, index: int, model: str | None, elevation_deg: tuple[float, ...] | None, *at: str | int
+) -> tuple[Sensor, str | None]:
+    """The sensor of entry `index` of the file's `sensors`, and its model as a catalogue name or an absolute path.
+
+    `at` is where the entry names the model, if not at its key `model`.
+    """
+    if model is None:
+        return custom_sensor(elevation_deg or ()), None
+    with errors_at(path, "sensors", index, *(at or ("model",))):
+        sensor = load_sensor(model, path.parent)
+    return sensor, model if model in catalogue() else os.path.realpath(path.parent / model)
+
+
+def ports(sensor: Sensor) -> tuple[int, int]:
+    """The default UDP ports of a sensor's data and telemetry."""
+    return (sensor.ports.data, sensor.ports.telemetry) if sensor.ports else (DATA_PORT, TELEMETRY_PORT)
+
+
+def default_host(index: int) -> str | None:
+    """The default address of sensor number `index`: 192.168.1.201 and following; None after the last one."""
+    host = FIRST_HOST + index
+    return str(host) if host <= LAST_HOST else None
+
+
+def load_rig(path: str | Path) -> Rig:
+    """The rig in a YAML file. Raises ConfigError with file, line and key."""
+    path = example(path)
+    file = load(path, RigFile)
+    mounts: list[Mount] = []
+    known: dict[tuple[str | None, tuple[float, ...] | None], tuple[Sensor, str | None]] = {}  # read once each
+    for i, given in enumerate(file.sensors):
+        which = given.model, given.elevation_deg
+        if which not in known:
+            known[which] = resolve_sensor(path, i, *which)
+        mount = _mount(path, i, given, *known[which])
+        for other in mounts:
+            _check_endpoints(path, i, mount, other)
+        mounts.append(mount)
+    vehicle = None if file.vehicle is None else Section(_whole(file.vehicle, path.parent), str(path), ("vehicle",))
+    return Rig(file.name, tuple(mounts), vehicle)
+
+
+def _mount(path: Path, index: int, given: MountFile, sensor: Sensor, model: str | None) -> Mount:
+    """The mount that entry `index` of the file's `sensors` describes. Raises ConfigError."""
+    at = ("sensors", index)
+    host = given.host or default_host(index)
+    if host is None:
+        raise error_at(path, at, f"no default address is left after {LAST_HOST}; give a host")
+    if sensor.rotation and not sensor.rotation.rpm_min <= given.rpm <= sensor.rotation.rpm_max:
+        allowed = f"{sensor.rotation.rpm_min:g} to {sensor.rotation.rpm_max:g}"
+        raise error_at(path, (*at, "rpm"), f"{given.rpm:g} is outside {sensor.name}'s {allowed}")
+    realism = _realism(path, index, given.realism, sensor)
+    try:
+        azimuth_fov_deg = sensor.field_of_view_deg(given.azimuth_fov_deg)
+    except ValueError as error:
+        raise error_at(path, (*at, "azimuth_fov_deg"), str(error)) from None
+    sections = given.model_extra or {}
+    for key in sections:
+        if key != sensor.codec:
+            raise error_at(path, (*at, key), unknown_key(key, MountFile))
+    data_port, telemetry_port = ports(sensor)
+    return Mount(
+        name=given.name,
+        sensor=sensor,
+        position_m=given.position_m,
+        rpy_rad=angles_rad(given.rpy_rad, given.rpy_deg),
+        model=model,
+        host=host,
+        data_port=given.data_port or data_port,
+        telemetry_port=given.telemetry_port or telemetry_port,
+        rpm=given.rpm,
+        return_mode=given.return_mode,
+        azimuth_fov_deg=azimuth_fov_deg,
+        range_m=given.range_m,
+        phase_deg=given.phase_deg,
+        settings=Section(sections.get(sensor.codec or "", {}), str(path), (*at, sensor.codec or "")),
+        realism=realism,
+    )
+
+
+def _check_endpoints(path: Path, index: int, mount: Mount, other: Mount) -> None:
+    """Raises ConfigError if two mounts, of which this is entry `index` of the file, share an address and a port."""
+    host = mount.host
+    data_port = mount.data_port
+    if host != other.host:
+        return
+    if data_port == other.data_port:
+        what = f"{host}:{data_port} is already used by {other.name!r}; give each sensor its own address and port"
+        raise error_at(path, ("sensors", index), what)
+    if data_port == other.telemetry_port or mount.telemetry_port == other.data_port:
+        shared = data_port if data_port == other.telemetry_port else mount.telemetry_port
+        both = f"this and {other.name!r}"
+        what = f"{host}:{shared} is the data_port of one and the telemetry_port of the other, {both}"
+        raise error_at(path, ("sensors", index), what)
+
+
+def _realism(path: Path, index: int, given: Realism | None, sensor: Sensor) -> Realism | None:
+    """A mount's realism; `measured` stands for the values in the sensor's file. Raises ConfigError."""
+    if given and given.preset:
+        if sensor.realism is None:
+            known = ", ".join(name for name in catalogue() if load_sensor(name).realism)
+            what = (
+                f"nothing has been measured of sensor {sensor.name!r}; allowed: its own values, or a model of {known}"
+            )
+            raise error_at(path, ("sensors", index, "realism"), what)
+        given = resolved(given, sensor.realism)
+    if given and given.divergence is True and not sensor.optics:
+        what = f"sensor {sensor.name!r} has no optics facts"
+        raise error_at(path, ("sensors", index, "realism", "divergence"), what)
+    return given
+
+
+def _whole(vehicle: Mapping[str, Any], base: Path) -> dict[str, Any]:
+    """A vehicle's keys, with absolute paths instead of paths relative to `base`."""
+    return _with_files(vehicle, lambda file: os.path.realpath(base / file))
+
+
+def _with_files(vehicle: Mapping[str, Any], change: Callable[[str], str]) -> dict[str, Any]:
+    """A vehicle's keys with the paths of its meshes changed; invalid values are left for the reader to report."""
+
+    def changed(mesh: Any) -> Any:
+        has_file = isinstance(mesh, dict) and isinstance(mesh.get("file"), str)
+        return mesh | {"file": change(mesh["file"])} if has_file else mesh
+
+    meshes = vehicle.get("meshes")
+    return dict(vehicle) | ({"meshes": tuple(map(changed, meshes))} if isinstance(meshes, tuple) else {})
+
+
+def rig_to_dict(rig: Rig, base: Path | None = None) -> dict[str, object]:
+    """The rig as the values of its file; paths are relative to the folder `base`, or absolute without it."""
+    sensors = []
+    for mount in rig.mounts:
+        beams: dict[str, object]
+        if mount.model is None:
+            beams = {"elevation_deg": list(mount.sensor.beams.elevation_deg)}
+        elif mount.model in catalogue():
+            beams = {"model": mount.model}
+        else:
+            beams = {"model": os.path.relpath(mount.model, base) if base else mount.model}
+        sensors.append(
+            {
+                "name": mount.name,
+                **beams,
+                "position_m": list(mount.position_m),
+                "rpy_rad": list(mount.rpy_rad),
+                "host": mount.host,
+                "data_port": mount.data_port,
+                "telemetry_port": mount.telemetry_port,
+                "rpm": mount.rpm,
+                "return_mode": mount.return_mode,
+                **({"azimuth_fov_deg": list(mount.azimuth_fov_deg)} if mount.azimuth_fov_deg else {}),
+                **({"range_m": list(mount.range_m)} if mount.range_m else {}),
+                **({"phase_deg": mount.phase_deg} if mount.phase_deg is not None else {}),
+                **({str(mount.sensor.codec): dict(mount.settings.values)} if mount.settings.values else {}),
+                **({"realism": mount.realism.model_dump(exclude_none=True)} if mount.realism else {}),
+            }
+        )
+    out: dict[str, object] = {"name": rig.name, "sensors": sensors}
+    if rig.vehicle:
+        out["vehicle"] = _with_files(rig.vehicle.values, lambda file: os.path.relpath(file, base) if base else file)
+    return out
+
+
+def save_rig(rig: Rig, path: str | Path) -> None:
+    """Write the rig as YAML; floats read back bit for bit."""
+    path = Path(path)
+    with replacing(path) as file:
+        file.write(rig_text(rig, Path(os.path.realpath(path.parent))))
+
+
+def rig_text(rig: Rig, base: Path | None = None) -> str:
+    """The rig as YAML; paths are relative to the folder `base`, or absolute without it."""
+    return yaml_text(rig_to_dict(rig, base))

@@ -1,0 +1,308 @@
+"""The page: its data for a stage, and the whole page as one file that needs neither server nor network."""
+
+import base64
+import json
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg import __version__
+from lidarcfg.errors import CloudError
+from lidarcfg.files import replacing
+from lidarcfg.geometry import Array, transform
+from lidarcfg.placement.evaluation import WORST
+from lidarcfg.placement.study import Study
+from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.viewer import colours
+from lidarcfg.viewer.bodies import faces, has_its_sensors, mirrored_pairs, seats_m
+from lidarcfg.viewer.camera import Camera
+from lidarcfg.viewer.colours import COLOUR_BY, By, colour
+from lidarcfg.viewer.evaluation import evaluations
+from lidarcfg.viewer.packed import packed_mesh, packed_quads
+from lidarcfg.viewer.scenery import parts
+from lidarcfg.viewer.seats import seats
+from lidarcfg.viewer.shades import span
+from lidarcfg.viewer.stage import Stage
+from lidarcfg.viewer.still import GROUND_M
+from lidarcfg.viewer.timeline import Timeline, timeline, tracks
+
+ASSETS = Path(__file__).parent / "web"
+MODULES = {"three": "vendor/three.js"} | {
+    f"lidarcfg/{name}": f"{name}.js"
+    for name in (
+        *("main", "data", "stage", "colours", "cloud", "points", "raster", "labels", "bodies", "sensors"),
+        *("handles", "history", "rig", "measure", "time", "tracks", "guides", "panel", "keys"),
+    )
+}
+BINS = 256  # of time: in each the points are in random order, so that a part of it is a fair sample
+SURROUNDINGS_M = 40.0  # shown around the vehicle in a scene
+ALONE_M = 4.0  # shown around sensors without anything else
+SIDES = np.array(list(np.ndindex(3, 3, 3))) - 1.0  # to look for outermost places
+PIECE = 3 << 22  # bytes of an array in one script of a standalone file
+
+
+@dataclass(frozen=True)
+class Page:
+    """A stage as the page reads it."""
+
+    about: dict[str, Any]  # JSON
+    arrays: dict[str, NDArray[Any]]  # of the points, little-endian
+
+
+def page_of(
+    stage: Stage, by: By = "sensor", camera: Camera | None = None, worst: int = 3, served: bool = False
+) -> Page:
+    """All that the page shows; if it is served it asks for detection rates itself.
+
+    Raises CloudError if there is nothing to show, or the colour is unknown.
+    """
+    if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
+        raise CloudError("the cloud is empty; there is nothing to show")
+    if by == "object" and stage.objects is None:
+        raise CloudError("objects are known only from ground truth; give the .npz of export --truth, too")
+    line = timeline(stage)
+    points, arrays = _points(stage, line) if line and len(stage.cloud.xyz) else (None, {})
+    if line:
+        arrays["tracks"] = np.ascontiguousarray(tracks(stage, line), "<f8")
+    shown = evaluations(stage.study, stage.rigs[0], WORST, not served) if stage.study else [None, None]
+    about = {
+        "version": __version__,
+        "by": by,
+        "worst": worst,
+        "camera": camera
+        and {"eye_m": camera.eye_m.tolist(), "target_m": camera.target_m.tolist(), "field_deg": camera.field_deg},
+        "opening": _opening(stage, shown[0], worst).tolist(),
+        "colours": {
+            "background": colours.NIGHT,
+            "scale": list(colours.SCALE),
+            "bright": list(colours.BRIGHT),
+            "retro": colours.RETRO,
+            "unknown": colours.UNKNOWN,
+            "worst": colours.WORST,
+            "excluded": colours.EXCLUDED,
+            "blind": colours.BLIND,
+            "vehicle": colours.VEHICLE,
+            "seat": colours.SEAT,
+            "base": colours.BASE,
+            "zone": colours.ZONE,
+        },
+        "sensors": [{"name": name, "colour": code} for name, code in stage.colours.items()],
+        "points": points,
+        "timeline": line and _timeline(line, stage),
+        "rigs": [{"name": rig.name, "mounts": [_mount(m) for m in rig.mounts]} for rig in stage.rigs],
+        "study": stage.study and _study(stage.study, stage.rigs[0]),
+        "mirrored": mirrored_pairs(stage.study, stage.rigs[0]) if stage.study else [],
+        "seated": seats(stage.study, stage.rigs[0]) if stage.study else [],
+        "evaluation": shown[0],
+        "transparent": shown[1],
+        "vehicle": stage.vehicle and {"mesh": packed_mesh(*stage.vehicle.scene.mesh())},
+        "ground_m": _ground_m(stage),
+        "scenes": _scenes(stage),
+    }
+    return Page(about, arrays)
+
+
+def html(page: Page | None) -> str:
+    """The page: as a server sends it, or with everything inside it."""
+    modules = {name: f"./page/{file}" for name, file in MODULES.items()}
+    data: list[str] = []
+    if page:
+        modules = {name: _data_url((ASSETS / file).read_bytes()) for name, file in MODULES.items()}
+        about = json.dumps(page.about, allow_nan=False).replace("<", "\\u003c")
+        data.append(f'<script id="about" type="application/json">{about}</script>')
+        for name, array in page.arrays.items():
+            raw = array.tobytes()
+            for first in range(0, len(raw), PIECE):
+                piece = base64.b64encode(raw[first : first + PIECE]).decode()  # compressing it would gain a fifth
+                data.append(f'<script data-array="{name}" type="text/plain">{piece}</script>')
+    text = (ASSETS / "index.html").read_text("utf-8")
+    for key, value in (
+        ("style", (ASSETS / "style.css").read_text("utf-8")),
+        ("modules", json.dumps({"imports": modules}, indent=1)),
+        ("data", "\n".join(data)),
+    ):
+        text = text.replace(f"{{{{{key}}}}}", value)
+    return text
+
+
+def save_html(page: Page, path: str | Path) -> None:
+    """Write the page as one file, whole or not at all."""
+    with replacing(path) as file:
+        file.write(html(page))
+
+
+def _data_url(code: bytes) -> str:
+    return f"data:text/javascript;base64,{base64.b64encode(code).decode()}"
+
+
+def _points(stage: Stage, line: Timeline) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    cloud = stage.cloud
+    time = ((cloud.time_ns - line.start_ns) // line.unit_ns).astype(np.uint32)
+    bins = (time * (BINS / (line.end + 1))).astype(np.uint8)
+    order = np.random.default_rng(1).permutation(len(time))
+    order = order[np.argsort(bins[order], kind="stable")]
+    origin = np.round(np.median(cloud.xyz[:: max(len(time) // 10_000, 1)], axis=0))
+    fact = np.empty((len(time), 4), np.uint8)
+    fact[:, 0] = cloud.intensity
+    fact[:, 1] = cloud.ring
+    fact[:, 2] = cloud.sensor & 255
+    fact[:, 3] = cloud.sensor >> 8
+    arrays: dict[str, NDArray[Any]] = {
+        "position": (cloud.xyz - origin).astype("<f4")[order],
+        "time": time.astype("<u4", copy=False)[order],
+        "fact": fact[order],
+    }
+    if stage.objects:
+        arrays["thing"] = stage.objects.index.astype("<u2", copy=False)[order]
+    counts = np.bincount(cloud.sensor, minlength=len(cloud.sensor_names))
+    about = {
+        "count": len(time),
+        "origin_m": origin.tolist(),
+        "bins": [0, *np.cumsum(np.bincount(bins, minlength=BINS)).tolist()],
+        "unit_s": line.unit_ns / 1e9,
+        "end": line.end,
+        "sensors": [
+            {"name": name, "count": int(count)} for name, count in zip(cloud.sensor_names, counts, strict=True)
+        ],
+        "objects": _objects(stage),
+        "spans": {by: span(stage, by) for by in COLOUR_BY if by not in ("sensor", "object")},
+    }
+    return about, arrays
+
+
+def _timeline(line: Timeline, stage: Stage) -> dict[str, Any]:
+    return {
+        "start": _utc(line.start_ns),
+        "unit_s": line.unit_ns / 1e9,
+        "end": line.end,
+        "frame": line.frame,
+        "frames": line.frames.tolist(),
+        "drives": not stage.trajectory.path.is_static,
+    }
+
+
+def _objects(stage: Stage) -> list[dict[str, Any]] | None:
+    if not stage.objects:
+        return None
+    counts = np.bincount(stage.objects.index, minlength=len(stage.objects.names)).tolist()
+    shown = [*(colour(i) for i in range(len(counts) - 1)), colours.UNKNOWN]
+    return [
+        {"name": name, "count": count, "colour": code}
+        for name, count, code in zip(stage.objects.names, counts, shown, strict=True)
+    ]
+
+
+def _utc(time_ns: int) -> str:
+    seconds, rest_ns = divmod(time_ns, 10**9)
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}.{rest_ns // 1000:06d} UTC"
+    except (ValueError, OverflowError, OSError):  # years beyond the calendar
+        return f"{seconds} s since 1970"
+
+
+def _opening(stage: Stage, found: dict[str, Any] | None, worst: int) -> Array:
+    """(n, 3) outermost places of what the page shows whole when it opens: the vehicle, its sensors and the worst
+    subspaces; without a study also most of the points, or the scene around."""
+    corners = [np.array([mount.position_m for rig in stage.rigs for mount in rig.mounts]).reshape(-1, 3)]
+    if stage.vehicle:
+        corners.append(stage.vehicle.scene.mesh()[0])
+    if stage.study and found:
+        corners += [_corners(body["mesh"]) for body in found["worst"][:worst]]
+    elif len(stage.cloud.xyz):
+        some = stage.cloud.xyz[:: max(len(stage.cloud.xyz) // 10_000, 1)]
+        middle = corners[0].mean(axis=0) if len(corners[0]) else np.median(some, axis=0)
+        away = np.linalg.norm(some - middle, axis=1)
+        corners.append(some[away <= np.clip(np.percentile(away, 70), 2.0, 60.0)])
+    elif stage.scenes or not len(corners[0]):
+        corners.append(SIDES * (SURROUNDINGS_M, SURROUNDINGS_M, 0))
+    else:
+        corners += [at + ALONE_M * SIDES for at in corners[0]]
+    return np.concatenate([some[np.argmax(some @ SIDES.T, axis=0)] for some in corners if len(some)])
+
+
+def _corners(mesh: dict[str, Any]) -> Array:
+    """(V, 3) the vertices of a packed mesh."""
+    vertices = np.frombuffer(base64.b64decode(mesh["vertices"]), "<f4").reshape(-1, 3)
+    return np.asarray(vertices + np.array(mesh["origin_m"]), np.float64)
+
+
+def _ground_m(stage: Stage) -> float:
+    """The height of the grid and of the range rings: the region's floor, or the ground's, or 0."""
+    if stage.study:
+        return float(stage.study.region.min_m[2])
+    heights = [_ground_center_m(stage, scene.file.ground.z_m)[2] for scene in stage.scenes if scene.file.ground]
+    return heights[0] if heights else 0.0
+
+
+def _mount(mount: Mount) -> dict[str, Any]:
+    return {
+        "name": mount.name,
+        "model": mount.sensor.name,
+        "position_m": list(mount.position_m),
+        "rpy_rad": list(mount.rpy_rad),
+        "elevation_deg": sorted(mount.sensor.beams.elevation_deg),
+        "azimuth_fov_deg": mount.azimuth_fov_deg and list(mount.azimuth_fov_deg),
+        "range_m": mount.sensor.range and mount.sensor.range.max_m,
+    }
+
+
+def _study(study: Study, rig: Rig) -> dict[str, Any]:
+    ours = has_its_sensors(study, rig)
+    return {
+        "name": study.name,
+        "min_m": study.region.min_m.tolist(),
+        "max_m": study.region.max_m.tolist(),
+        "cuboid_m": study.region.cuboid_m.tolist(),
+        "cuboids": int(study.region.included.sum()),
+        "excluded": packed_quads(faces(study.region, ~study.region.included)),
+        "bounds": [
+            {"min_m": low[:3].tolist(), "max_m": high[:3].tolist()}
+            for low, high, mirror in zip(study.lower, study.upper, study.mirror, strict=True)
+            if np.isnan(mirror)
+        ]
+        if ours
+        else [],
+        "seats": packed_quads(seats_m(study)) if ours else None,
+        "zones": [
+            {"name": zone.name, "weight": zone.weight, "min_m": zone.box_m[0].tolist(), "max_m": zone.box_m[1].tolist()}
+            for zone in study.zones
+        ],
+        "detects": len(study.detection) > 0,
+    }
+
+
+def _scenes(stage: Stage) -> list[dict[str, Any]]:
+    """The scenes: what is static in the page's frame, and dynamic objects in their own, each with its track."""
+    found = []
+    T = stage.T_vehicle_world
+    track = 0  # the first track is the vehicle's
+    for scene in stage.scenes:
+        static = None
+        dynamic = []
+        for part in parts(scene):
+            if part.path:
+                track += 1
+                dynamic.append({"mesh": packed_mesh(*part.mesh), "track": track})
+            else:
+                static = packed_mesh(transform(T, part.mesh[0]), part.mesh[1])
+        ground = scene.file.ground
+        found.append(
+            {
+                "name": scene.file.name,
+                "objects": len(scene.names),
+                "mesh": static,
+                "dynamic": dynamic,
+                "ground": ground and {"center_m": _ground_center_m(stage, ground.z_m), "half_m": GROUND_M},
+            }
+        )
+    return found
+
+
+def _ground_center_m(stage: Stage, z_m: float) -> list[float]:
+    """The place of a scene's ground under the vehicle."""
+    below = transform(stage.T_vehicle_world, [[*stage.T_world_vehicle[:2, 3], z_m]])[0]
+    return [float(value) for value in below]

@@ -1,0 +1,396 @@
+"""Stills: a stage drawn without a screen, a GPU or a display server."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg.core import view as core
+from lidarcfg.errors import CloudError
+from lidarcfg.files import replacing
+from lidarcfg.geometry import Array, transform
+from lidarcfg.inputs import check_memory
+from lidarcfg.report.names import truncate
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.viewer.bodies import bases_m, faces, has_its_sensors, score, seats_m
+from lidarcfg.viewer.camera import Camera
+from lidarcfg.viewer.colours import (
+    BACKGROUND,
+    BASE,
+    EXCLUDED,
+    NIGHT,
+    RETRO,
+    SEAT,
+    UNKNOWN,
+    VEHICLE,
+    WORST,
+    ZONE,
+    By,
+    colour,
+    rgb,
+    scaled,
+)
+from lidarcfg.viewer.scenery import mesh_at
+from lidarcfg.viewer.shades import point_colours, span
+from lidarcfg.viewer.stage import Stage
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIZE = (1920, 1080)
+PIXEL_BYTES = 22  # of memory to draw one, measured
+BAND = 256  # rows of pixels that labels and lines are blended into at a time
+NEAR_M = 0.05
+GROUND_M = 200.0  # of the ground, to each side of the vehicle
+AXIS_M = 0.6
+SEAT_AHEAD_M = 0.5  # before the triangles of the body that a sensor sits on
+AXES_COLOURS = ("#FF7F50", "#2ED9A3", "#56B4E9")  # x, y, z
+PERSPECTIVE_FRACTION = 0.58  # of the height of a picture without a camera; the rest is the view from above
+ABOVE = (0.04, 0.055, 0.95, 0.35)  # its left, bottom, width and height in such a picture
+LABELS_EM = 6.0  # at its left, where that is more
+
+
+def save_still(
+    stage: Stage,
+    path: str | Path,
+    size: tuple[int, int] = SIZE,
+    camera: Camera | None = None,
+    by: By = "sensor",
+    worst: int = 1,
+) -> None:
+    """Draw the stage as a PNG of `size` pixels, from the camera; or without one in perspective and from above.
+
+    Raises CloudError if there is nothing to draw, or nothing in view; LidarcfgError where memory
+    does not hold the picture.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    if not (len(stage.cloud.xyz) or stage.rigs or stage.study or stage.scenes):
+        raise CloudError("the cloud is empty; there is nothing to draw")
+    width, height = size
+    check_memory(f"a picture of {width} x {height} pixels", PIXEL_BYTES * width * height)
+    colours = point_colours(stage, by)
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor="none")  # lines and labels only
+    canvas: Any = FigureCanvasAgg(figure)  # matplotlib has no types here
+    pixels = np.full((height, width, 3), rgb([NIGHT])[0], np.uint8)
+    if camera:
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        _draw_perspective(axes, pixels, stage, colours, camera, worst)
+    else:
+        center, reach_m = _center(stage)
+        axes = figure.add_axes((0.0, 1 - PERSPECTIVE_FRACTION, 1.0, PERSPECTIVE_FRACTION))
+        camera = Camera(center + np.array([-21.0, -7.0, 7.5]), center + np.array([8.0, 0.5, 0.5]), 74.0)
+        _draw_perspective(axes, pixels[: round(height * PERSPECTIVE_FRACTION)], stage, colours, camera, worst)
+        left, bottom, wide, high = np.round(np.multiply(ABOVE, (width, height, width, height))).astype(int)
+        more = min(max(round(LABELS_EM * _text_pt(height) * 100 / 72) - left, 0), wide // 2)
+        left += more
+        wide -= more
+        above = pixels[height - bottom - high : height - bottom, left : left + wide]
+        place = left / width, bottom / height, wide / width, high / height
+        _draw_above(figure.add_axes(place), above, stage, colours, center, reach_m, height, worst)
+    _legend(axes, stage, by, height, worst)
+    drawn, _ = canvas.print_to_buffer()  # RGBA
+    _blend(np.frombuffer(drawn, np.uint8).reshape(height, width, 4), pixels)
+    with replacing(path, "wb") as file:
+        Image.fromarray(pixels).save(file, format="png")
+
+
+def _blend(drawn: NDArray[np.uint8], pixels: NDArray[np.uint8]) -> None:
+    """Blend what was drawn, (H, W, 4) with its opacity last, into pixels (H, W, 3)."""
+    for top in range(0, len(pixels), BAND):
+        band = slice(top, top + BAND)
+        opacity = drawn[band, :, 3:].astype(np.uint32)
+        pixels[band] = (drawn[band, :, :3] * opacity + pixels[band] * (255 - opacity) + 127) // 255
+
+
+def _faded(colours: NDArray[np.uint8], depth: Array) -> NDArray[np.uint8]:
+    """The colours (N, 3), fading into the background with distance (N,)."""
+    near = np.clip(1.1 - depth / 110, 0.35, 1.0)[:, None]
+    return np.asarray(near * colours + (1 - near) * np.array(BACKGROUND), np.uint8)
+
+
+def _mounts(stage: Stage) -> list[Mount]:
+    return [mount for rig in stage.rigs for mount in rig.mounts]
+
+
+def _center(stage: Stage) -> tuple[Array, float]:
+    """(3,) the picture's center on the ground, by the sensors or else the points; and how much to show to each side."""
+    low = [float(np.percentile(stage.cloud.xyz[:, 2], 5))] if len(stage.cloud.xyz) else []
+    if stage.study:
+        low.append(float(stage.study.region.min_m[2]))
+    mounts = _mounts(stage)
+    if mounts:
+        about = np.array([mount.position_m for mount in mounts]).mean(axis=0)
+    elif len(stage.cloud.xyz):
+        about = np.median(stage.cloud.xyz, axis=0)
+    elif stage.study:
+        about = (stage.study.region.min_m + stage.study.region.max_m) / 2
+    else:
+        about = np.zeros(3)
+    return np.array([about[0], about[1], min(low, default=0.0)]), 48.0
+
+
+def _draw_perspective(
+    axes: "Axes", pixels: NDArray[np.uint8], stage: Stage, colours: NDArray[np.uint8], camera: Camera, worst: int
+) -> None:
+    height, width = pixels.shape[:2]
+    column, row, depth = camera.project(stage.cloud.xyz, width, height)
+    faded = _faded(colours, depth)
+    image = np.full((height, width, 3), BACKGROUND, np.float32)
+    nearest_m = np.full((height, width), np.inf, np.float32)
+    seen = np.flatnonzero((depth > 0.5) & (column > -3) & (column < width) & (row > -3) & (row < height))
+    seen = seen[np.argsort(-depth[seen], kind="stable")]  # far first, so that near points cover them
+    for side in range(3):  # the nearer a point, the larger its square
+        near = seen[depth[seen] < (np.inf, 60.0, 22.0)[side]]
+        for step_row, step_column in np.ndindex(side + 1, side + 1):
+            if max(step_row, step_column) == side:
+                r = row[near].astype(int) + step_row
+                c = column[near].astype(int) + step_column
+                fits = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+                image[r[fits], c[fits]] = faded[near[fits]]
+                nearest_m[r[fits], c[fits]] = depth[near[fits]]
+    drawn = int(np.isfinite(nearest_m).sum()) + _draw_bodies(image, nearest_m, stage, camera, worst)
+    pixels[:] = image
+    axes.set(xlim=(0, width), ylim=(height, 0))
+    axes.axis("off")
+    drawn += _draw_region(axes, stage, camera, width, height) + _draw_mounts(axes, stage, camera, width, height)
+    if not drawn:
+        eye, target = (",".join(f"{v:g}" for v in point) for point in (camera.eye_m, camera.target_m))
+        raise CloudError(f"nothing is in view of a camera at {eye} that looks at {target}")
+
+
+class Shape(NamedTuple):
+    """A translucent body."""
+
+    triangles: Array  # (T, 3, 3)
+    colour: str
+    opacity: float
+    ahead_m: float = 0.0  # of what is as far away, in the order of drawing
+
+
+def _draw_bodies(
+    image: NDArray[np.float32], nearest_m: NDArray[np.float32], stage: Stage, camera: Camera, worst: int
+) -> int:
+    """Blend the translucent bodies into the image in front of its points; returns the number of pixels."""
+    shapes = _shapes(stage, worst)
+    if not shapes:
+        return 0
+    triangles = camera.view(np.concatenate([shape.triangles for shape in shapes]))
+    sizes = [len(shape.triangles) for shape in shapes]
+    colours = np.repeat(rgb([shape.colour for shape in shapes]).astype(np.float64), sizes, axis=0)
+    alpha, ahead_m = (np.repeat([shape[i] for shape in shapes], sizes) for i in (2, 3))
+    sides = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    with np.errstate(invalid="ignore"):
+        light = 0.6 + 0.4 * abs(np.nan_to_num(sides[:, 2] / np.linalg.norm(sides, axis=1)))
+    order = np.argsort(ahead_m - triangles[:, :, 2].mean(axis=1), kind="stable")
+    focal_px = camera.focal_px(image.shape[1])
+    shaded = (colours * light[:, None])[order]
+    return core.blend_triangles(image, nearest_m, triangles[order], shaded, alpha[order], focal_px, NEAR_M)
+
+
+def _shapes(stage: Stage, worst: int) -> list[Shape]:
+    """Scenes, the vehicle with the bases and where they fit, exclusions of the region, worst subspaces."""
+    shapes: list[Shape] = []
+    for scene in stage.scenes:
+        vertices, corners_of = mesh_at(scene, stage.first_ns - stage.zero_ns)
+        shapes.append(Shape(transform(stage.T_vehicle_world, vertices)[corners_of], EXCLUDED, 0.13))
+        if scene.file.ground:
+            corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_M
+            corners[:, 2] = transform(stage.T_vehicle_world, [[0, 0, scene.file.ground.z_m]])[0, 2]
+            shapes.append(Shape(_halved(corners[None]), EXCLUDED, 0.05))
+    if stage.vehicle:
+        vertices, corners_of = stage.vehicle.scene.mesh()
+        shapes.append(Shape(vertices[corners_of], VEHICLE, 0.8))
+    if stage.study and has_its_sensors(stage.study, stage.rigs[0]):
+        shapes.append(Shape(_halved(seats_m(stage.study)), SEAT, 0.7, SEAT_AHEAD_M))
+        shapes.append(Shape(bases_m(stage.study, stage.rigs[0]), BASE, 0.9, SEAT_AHEAD_M))
+    return shapes + [Shape(_halved(quads), code, 0.28) for quads, code in _bodies(stage, worst)]
+
+
+def _bodies(stage: Stage, worst: int) -> list[tuple[Array, str]]:
+    """Faces (F, 4, 3) and colour of what the region excludes and of the worst subspaces."""
+    if not stage.study:
+        return []
+    excluded = faces(stage.study.region, ~stage.study.region.included)
+    return [(excluded, EXCLUDED), *((body.faces_m, WORST) for body in score(stage.study, stage.rigs[0], worst).worst)]
+
+
+def _halved(quads: Array) -> Array:
+    """(2F, 3, 3) triangles of quads (F, 4, 3)."""
+    return np.concatenate([quads[:, (0, 1, 2)], quads[:, (0, 2, 3)]])
+
+
+def _draw_lines(axes: "Axes", ends_m: Array, camera: Camera, width: int, height: int, **look: Any) -> int:
+    """Draw lines (L, 2, 3), clipped at the camera; returns how many are in the picture."""
+    from matplotlib.collections import LineCollection
+
+    view = camera.view(ends_m)
+    ahead = view[..., 2] >= NEAR_M
+    view = view[ahead.any(axis=1)]
+    ahead = ahead[ahead.any(axis=1)]
+    for here, there in ((0, 1), (1, 0)):  # clip at the near plane
+        a = view[~ahead[:, here], here]
+        b = view[~ahead[:, here], there]
+        view[~ahead[:, here], here] = a + ((NEAR_M - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
+    flat = view[..., :2] / view[..., 2:] * camera.focal_px(width)
+    ends = np.stack([width / 2 + flat[..., 0], height / 2 - flat[..., 1]], axis=-1)
+    axes.add_collection(LineCollection(list(ends), **look), autolim=False)
+    low = ends.min(axis=1)
+    high = ends.max(axis=1)
+    return int(((high >= 0) & (low <= (width, height))).all(axis=1).sum())
+
+
+def _draw_region(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
+    """The edges of the region and of its zones, and the zones' names."""
+    if not stage.study:
+        return 0
+    region = stage.study.region
+    seen = 0
+    boxes = [(region.min_m, region.max_m, EXCLUDED), *((*zone.box_m, ZONE) for zone in stage.study.zones)]
+    for low, high, code in boxes:
+        seen += _draw_lines(axes, _edges(low, high), camera, width, height, colors=code, linewidths=0.8)
+    for zone in stage.study.zones:
+        top = np.array([*np.mean(zone.box_m, axis=0)[:2], zone.box_m[1][2]])
+        x, y, depth = camera.project(top[None], width, height)
+        if depth[0] >= NEAR_M and 0 <= x[0] <= width and 0 <= y[0] <= height:
+            axes.annotate(
+                truncate(zone.name), (x[0], y[0]), ha="center", color=ZONE, fontsize=5 + height / 125, parse_math=False
+            )
+    return seen
+
+
+def _edges(low: Array, high: Array) -> Array:
+    """(12, 2, 3) the edges of a box."""
+    unit = np.array(list(np.ndindex(2, 2, 2)))
+    pairs = [(i, j) for i in range(8) for j in range(i) if abs(unit[i] - unit[j]).sum() == 1]
+    edges: Array = (low + unit * (high - low))[np.array(pairs)]
+    return edges
+
+
+def _draw_mounts(axes: "Axes", stage: Stage, camera: Camera, width: int, height: int) -> int:
+    """Each sensor: its position, a line down to the ground, its axes and its name."""
+    mounts = _mounts(stage)
+    seen = 0
+    if not mounts:
+        return 0
+    ground_m = _center(stage)[0][2]
+    size = height / 626
+    for i, mount in enumerate(mounts):
+        at = np.array(mount.position_m)
+        T = mount.T_vehicle_sensor
+        lines = np.stack(
+            [np.repeat(at[None], 4, axis=0), [*(at + AXIS_M * T[:3, :3].T), [at[0], at[1], ground_m]]], axis=1
+        )
+        _draw_lines(axes, lines, camera, width, height, colors=[*AXES_COLOURS, "#FFFFFFA0"], linewidths=0.8 + size)
+        x, y, depth = camera.project(at[None], width, height)
+        if depth[0] < NEAR_M or not (0 <= x[0] <= width and 0 <= y[0] <= height):
+            continue
+        seen += 1
+        axes.plot(x, y, "o", color=stage.colours[mount.name], ms=3 + 8 * size, mec="w", mew=0.8 + size)
+        axes.annotate(
+            truncate(mount.name),
+            (x[0], y[0]),
+            (0, (26 + 22 * (i % 2)) * size),
+            textcoords="offset points",
+            ha="center",
+            color="w",
+            fontsize=5 + 5 * size,
+            parse_math=False,
+            annotation_clip=True,
+        )
+    return seen
+
+
+def _text_pt(picture_height: int) -> float:
+    """The size of letters beside the view from above."""
+    return 3 + 7 * picture_height / 1080
+
+
+def _draw_above(
+    axes: "Axes",
+    pixels: NDArray[np.uint8],
+    stage: Stage,
+    colours: NDArray[np.uint8],
+    center: Array,
+    reach_m: float,
+    picture_height: int,
+    worst: int,
+) -> None:
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Rectangle
+
+    xyz = stage.cloud.xyz
+    height, width = pixels.shape[:2]
+    scale = width / (2 * reach_m)
+    column = np.floor((xyz[:, 0] - center[0]) * scale + width / 2).astype(int)
+    row = np.floor(height / 2 - (xyz[:, 1] - center[1]) * scale).astype(int)
+    pixels[:] = BACKGROUND
+    fits = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
+    fits = fits[np.argsort(xyz[fits, 2], kind="stable")]  # low first
+    pixels[row[fits], column[fits]] = colours[fits]
+    side = height / 2 / scale
+    extent = (center[0] - reach_m, center[0] + reach_m, center[1] - side, center[1] + side)
+    for quads, code in _bodies(stage, worst):
+        flat = quads[np.ptp(quads[..., 2], axis=1) == 0][..., :2]
+        axes.add_collection(PolyCollection(list(flat), facecolors=code, alpha=0.2, linewidths=0), autolim=False)
+    if stage.study:
+        low = stage.study.region.min_m
+        edges = stage.study.region.max_m - stage.study.region.min_m
+        axes.add_patch(Rectangle((low[0], low[1]), edges[0], edges[1], fill=False, ec=EXCLUDED, lw=0.8))
+    for mount in _mounts(stage):
+        at = mount.position_m
+        axes.plot(
+            at[0], at[1], "o", color=stage.colours[mount.name], ms=1 + 6 * picture_height / 1080, mec="w", mew=1.2
+        )
+    text = _text_pt(picture_height)
+    axes.set(xlim=extent[:2], ylim=extent[2:], facecolor="none")
+    axes.set_xlabel("x (m)", color="0.8", fontsize=text)
+    axes.set_ylabel("y (m)", color="0.8", fontsize=text)
+    axes.tick_params(colors="0.8", labelsize=text)
+
+
+def _legend(axes: "Axes", stage: Stage, by: By, height: int, worst: int) -> None:
+    """What the colours mean: sensors or objects with their counts, or the colour scale."""
+    from matplotlib.lines import Line2D
+
+    entries: list[tuple[str, str]] = []
+    if by in ("sensor", "object") and len(stage.cloud.xyz):
+        if by == "object" and stage.objects:
+            names = stage.objects.names
+            index = stage.objects.index
+            shown = [*(colour(i) for i in range(len(names) - 1)), UNKNOWN]
+        else:
+            names = stage.cloud.sensor_names
+            index = stage.cloud.sensor
+            shown = [stage.colours[name] for name in names]
+        counts = np.bincount(index, minlength=len(names))
+        most = np.argsort(-counts, kind="stable")[:12] if by == "object" else np.arange(len(names))
+        entries = [
+            (f"{truncate(names[i])}: {counts[i]:,} points", shown[i])
+            for i in most.tolist()
+            if counts[i] or by == "sensor"
+        ]
+    elif len(stage.cloud.xyz):
+        low, high = span(stage, by)
+        unit = {"intensity": " %", "height": " m", "time": " s"}.get(by, "")
+        for fraction in (1.0, 0.5, 0.0):
+            code = scaled([fraction], 0.0, 1.0)[0].astype(int)
+            value = round(low + fraction * (high - low), 3) + 0.0  # no -0
+            entries.append((f"{by} {value:.4g}{unit}", "#{:02x}{:02x}{:02x}".format(*code)))
+        if by == "intensity":
+            entries.append(("retro-reflector", RETRO))
+    if stage.study and worst:
+        found = score(stage.study, stage.rigs[0], 1)
+        entries.append((f"worst subspace: max VSR {found.max_vsr_m:.4f} m", WORST))
+    if not entries:
+        return
+    dots = [Line2D([], [], ls="", marker="o", color=code, label=text) for text, code in entries]
+    size = 5 + 8 * min(height / 1080, 1.5)
+    legend = axes.legend(
+        handles=dots, loc="upper left", facecolor=NIGHT, edgecolor="0.4", labelcolor="w", fontsize=size
+    )
+    for text in legend.get_texts():
+        text.set_parse_math(False)

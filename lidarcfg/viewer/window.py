@@ -1,0 +1,70 @@
+"""Open3D's own window, for machines with a screen."""
+
+import os
+import sys
+from typing import Any
+
+import numpy as np
+
+from lidarcfg.errors import CloudError
+from lidarcfg.geometry import transform
+from lidarcfg.viewer.bodies import faces, score
+from lidarcfg.viewer.colours import BACKGROUND, EXCLUDED, WORST, By, rgb
+from lidarcfg.viewer.scenery import mesh_at
+from lidarcfg.viewer.shades import point_colours
+from lidarcfg.viewer.stage import Stage
+
+
+def has_screen() -> bool:
+    """Whether windows can open here."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def show_window(stage: Stage, by: By) -> None:
+    """Open Open3D's window on the stage. Raises CloudError where there is no screen."""
+    import open3d as o3d
+
+    if not has_screen():
+        raise CloudError("there is no screen for a window; --png FILE draws a still without one")
+    window = o3d.visualization.Visualizer()
+    if not window.create_window("lidarcfg"):
+        raise CloudError("Open3D could not open a window on this screen; --png FILE draws a still")
+    for part in parts(stage, by):
+        window.add_geometry(part)
+    window.get_render_option().background_color = np.array(BACKGROUND) / 255.0
+    window.get_render_option().point_size = 2.0
+    window.get_render_option().mesh_show_back_face = True
+    window.run()
+    window.destroy_window()
+
+
+def parts(stage: Stage, by: By) -> list[Any]:
+    """The stage as Open3D's geometries, bodies as the edges of their faces, as the window draws nothing translucent."""
+    import open3d as o3d
+
+    found: list[Any] = [o3d.geometry.TriangleMesh.create_coordinate_frame(1.0)]
+    if len(stage.cloud.xyz):
+        points = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(stage.cloud.xyz))
+        points.colors = o3d.utility.Vector3dVector(point_colours(stage, by) / 255.0)
+        found.append(points)
+    found += [
+        o3d.geometry.TriangleMesh.create_coordinate_frame(0.5).transform(mount.T_vehicle_sensor)
+        for rig in stage.rigs
+        for mount in rig.mounts
+    ]
+    for scene in stage.scenes:
+        vertices, triangles = mesh_at(scene, stage.first_ns - stage.zero_ns)
+        mesh = o3d.geometry.TriangleMesh(
+            o3d.utility.Vector3dVector(transform(stage.T_vehicle_world, vertices)),
+            o3d.utility.Vector3iVector(triangles),
+        )
+        found.append(mesh.compute_vertex_normals().paint_uniform_color(rgb([EXCLUDED])[0] / 255.0))
+    if stage.study:
+        bodies = [(body.faces_m, WORST) for body in score(stage.study, stage.rigs[0], 1).worst]
+        for quads, code in (*bodies, (faces(stage.study.region, ~stage.study.region.included), EXCLUDED)):
+            corners = quads.reshape(-1, 3)
+            first = 4 * np.arange(len(quads))[:, None]
+            ends = (first[:, :, None] + np.array([[0, 1], [1, 2], [2, 3], [3, 0]])).reshape(-1, 2)
+            lines = o3d.geometry.LineSet(o3d.utility.Vector3dVector(corners), o3d.utility.Vector2iVector(ends))
+            found.append(lines.paint_uniform_color(rgb([code])[0] / 255.0))
+    return found

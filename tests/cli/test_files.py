@@ -1,0 +1,438 @@
+"""init, validate and schema; what is warned about before a search, and files in the wrong place."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import jsonschema
+import numpy as np
+import open3d as o3d
+import pytest
+import trimesh
+from PIL import Image
+
+from lidarcfg.cli.schemas import KINDS, schema
+from lidarcfg.cli.templates import KINDS as TEMPLATES
+from lidarcfg.cli.templates import vehicles, write_template
+from lidarcfg.config.document import Document
+from lidarcfg.config.kinds import kind_of
+from lidarcfg.errors import ConfigError, SceneError
+from lidarcfg.files import shipped
+from lidarcfg.placement.checks import rig_warnings, study_warnings
+from lidarcfg.placement.combinations import combinations
+from lidarcfg.placement.region import RegionFile, _sizes
+from lidarcfg.placement.study import load_study
+from lidarcfg.report.summaries import summary
+from lidarcfg.sensors.rig import load_rig
+from lidarcfg.sensors.sensor import load_sensor
+from lidarcfg.world.meshes import read_mesh
+from lidarcfg.world.scene import load_scene
+from tests.command_line import lidarcfg
+
+ROOT = Path(__file__).parents[2]
+FILES = sorted([*ROOT.glob("data/*/*.yaml"), *ROOT.glob("sensors/*.yaml")])
+
+
+def values(path):
+    """A file's values as JSON has them."""
+
+    def plain(value):
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        return [plain(one) for one in value] if isinstance(value, tuple) else value
+
+    return plain(Document(path.read_text(), str(path), own=True).value)
+
+
+@pytest.fixture(scope="module")
+def validators():
+    for kind in KINDS:
+        jsonschema.Draft202012Validator.check_schema(schema(kind))
+    return {kind: jsonschema.Draft202012Validator(schema(kind)) for kind in KINDS}
+
+
+def kind_by_folder(path):
+    if path.stem == "trend":
+        return "plan"
+    return {"studies": "study", "rigs": "rig", "scenes": "scene", "sensors": "sensor"}[path.parent.name]
+
+
+def test_every_file_that_comes_along_is_of_its_kind_and_keeps_its_schema(validators):
+    assert len(FILES) > 40
+    for path in FILES:
+        kind = kind_by_folder(path)
+        found = Document(path.read_text(), str(path), own=True).value
+        assert kind_of(found) == kind, path
+        validators[kind].validate(values(path))
+
+
+@pytest.mark.parametrize(
+    ("file", "change"),
+    [
+        ("data/studies/sedan.yaml", lambda v: v["region"].update(cuboids_m=[1, 1, 1])),
+        ("data/studies/sedan.yaml", lambda v: v["sensors"][0].update(count=0)),
+        ("data/studies/sedan.yaml", lambda v: v["region"].update(min_m=[0, 0])),
+        ("data/rigs/roof.yaml", lambda v: v["sensors"][0].update(data_port=70000)),
+        ("data/rigs/roof.yaml", lambda v: v["sensors"][0].update(velodyne={"pps": "odd"})),
+        ("data/rigs/roof.yaml", lambda v: v["sensors"][0].update(nothing={})),
+        ("data/rigs/roof.yaml", lambda v: v.update(vehicle={"boxes": [{"name": "body"}]})),
+        ("sensors/os1-64.yaml", lambda v: v["ouster"].update(unknown=1)),
+        ("data/scenes/street.yaml", lambda v: v["boxes"][0].update(reflectivity=300)),
+    ],
+)
+def test_a_schema_finds_what_our_reader_refuses(validators, file, change):
+    changed = values(ROOT / file)
+    validators[kind_by_folder(ROOT / file)].validate(changed)
+    change(changed)
+    assert list(validators[kind_by_folder(ROOT / file)].iter_errors(changed))
+
+
+@pytest.mark.parametrize("kind", TEMPLATES)
+def test_a_template_is_valid_with_and_without_what_is_optional(tmp_path, kind):
+    (path,) = write_template(kind, tmp_path / "folder" / f"my-{kind}.yaml")
+    assert (summary(path).kind, summary(path).warnings) == (kind, ())
+    text = path.read_text()
+    assert str(path) in text.splitlines()[0] + text.splitlines()[1]  # the command that takes it
+    optional = re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", text, flags=re.M)
+    assert optional.count("\n#") <= 4  # what is left says what the file is
+    (tmp_path / "folder/scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
+    for name in ("tree.ply", "depot.ply"):
+        (tmp_path / "folder" / name).write_bytes((ROOT / "data/scenes/meshes/tree.ply").read_bytes())
+    Image.fromarray(np.eye(3, dtype=np.uint8)).save(tmp_path / "folder/land.png")
+    block = trimesh.creation.box()
+    block.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(name="glass"))
+    block.export(tmp_path / "folder/block.glb")
+    path.write_text(optional)
+    assert summary(path).kind == kind
+    assert len(values(path)) + str(values(path)).count(":") > len(Document(text, "").value) + text.count("#")
+
+
+@pytest.mark.parametrize("name", vehicles())
+def test_what_is_optional_in_a_study_with_a_vehicle_is_valid_too(tmp_path, name):
+    study, _ = write_template("study", tmp_path / "study.yaml", name)
+    (tmp_path / "scene.yaml").write_text("name: wall\nground: {reflectivity: 10}\n")
+    study.write_text(re.sub(r"^#(?=\s*(- \{?)?[a-z])", "", study.read_text(), flags=re.M))
+    loaded = load_study(study)
+    assert {"choose", "on"} <= {key for group in loaded.file["sensors"] for key in group}
+    assert {"robust", "zones", "prices", "constraints", "objective", "surroundings"} <= loaded.file.keys()
+    kept = [one.study.violation(one.study.midpoint[None])[0] for one in combinations(loaded)]
+    assert kept == [0.0] * 3  # a model, the other, none
+
+
+@pytest.mark.parametrize("name", vehicles())
+def test_a_study_begins_with_a_vehicle_and_can_be_searched(tmp_path, name):
+    study, body = write_template("study", tmp_path / "study.yaml", name)
+    assert body.read_bytes() == (ROOT / f"data/vehicles/{name}.ply").read_bytes()
+    loaded = load_study(study)
+    corners = [loaded.poses(np.full((1, int(loaded.free.sum())), value)) for value in (0.0, 0.5, 1.0)]
+    assert max(float(loaded.violation(poses)[0]) for poses in corners) == 0
+    assert list(study_warnings(study, loaded)) == []
+    assert (loaded.region.min_m < loaded.vehicle.scene.vertices_m.min(axis=0) + 1e-9).all()
+    (own,) = write_template("study", tmp_path / "deep/er/study.yaml", str(body))
+    assert np.array_equal(load_study(own).upper, loaded.upper)
+
+
+def test_a_mesh_in_millimetres_makes_the_study_of_the_mesh_in_metres(tmp_path):
+    """As CAD has it; but for a comment and the scale, the text is the same."""
+    body = o3d.io.read_triangle_mesh(str(ROOT / "data/vehicles/truck.ply"))
+    o3d.io.write_triangle_mesh(str(tmp_path / "mm.ply"), body.scale(1000, np.zeros(3)))
+    (study,) = write_template("study", tmp_path / "study.yaml", str(tmp_path / "mm.ply"))
+    (usual,) = write_template("study", tmp_path / "usual.yaml", str(ROOT / "data/vehicles/truck.ply"))
+    assert "#     By its size the file's unit is the millimetre; scale makes it metres\n" in study.read_text()
+    own, known = load_study(study), load_study(usual)
+    assert own.vehicle.warnings == ()
+    assert np.array_equal(own.upper, known.upper)
+    assert own.region.included.sum() == known.region.included.sum() == 47_630
+
+
+def test_a_template_replaces_nothing(tmp_path):
+    write_template("study", tmp_path / "study.yaml", "truck")
+    with pytest.raises(ConfigError, match=r"study.yaml: exists already"):
+        write_template("study", tmp_path / "study.yaml")
+    (tmp_path / "truck.ply").write_text("mine")
+    with pytest.raises(ConfigError, match=r"truck.ply: exists already"):
+        write_template("study", tmp_path / "other.yaml", "truck")
+    assert not (tmp_path / "other.yaml").exists()
+    with pytest.raises(
+        ConfigError, match=r"no vehicle is called 'truk'; allowed: sedan, shuttle, truck, or a mesh file"
+    ):
+        write_template("study", tmp_path / "other.yaml", "truk")
+    with pytest.raises(ConfigError, match=r"gone.ply: no such file"):
+        write_template("study", tmp_path / "other.yaml", "gone.ply")
+
+
+def test_files_are_summed_up(tmp_path):
+    done = lidarcfg("validate", "data/studies/sedan.yaml", "data/rigs/roof.yaml", cwd=ROOT)
+    assert done.stdout.splitlines() == [
+        "data/studies/sedan.yaml: study: 47,930 cuboids, 4 × vlp-16, 4 objects; auto searches 18 free coordinates for "
+        "20,000 evaluations, to minimise max VSR",
+        "data/rigs/roof.yaml: rig: 2 × vlp-16, no vehicle; can be exported",
+    ]
+    front = summary(ROOT / "data/studies/truck-prices.yaml").text
+    assert " 17 combinations of sensors, 2 objects" in front
+    (tmp_path / "odd.yaml").write_text("colour: red\n")
+    (tmp_path / "arc.yaml").write_text("arc: {speed_m_s: 5, yaw_rate_deg_s: 10}\n")
+    (tmp_path / "body.yaml").write_text("boxes: [{name: body, size_m: [4, 2, 1]}]\n")
+    done = lidarcfg("validate", tmp_path / "odd.yaml", tmp_path / "arc.yaml", tmp_path / "body.yaml", code=2)
+    assert re.search(
+        r"odd.yaml: is not one of lidarcfg's files; allowed: capture manifest, plan, rig, scene, sensor, study, trajectory",
+        done.stderr,
+    )
+    assert re.search(r"arc.yaml: trajectory: an arc\n.*body.yaml: vehicle: a vehicle of 1 body with 12", done.stdout)
+    assert lidarcfg("init", "rig", "--vehicle", "truck", "-o", tmp_path / "r.yaml", code=2).stderr.startswith(
+        "lidarcfg: --vehicle is for a study, not for a rig"
+    )
+
+
+def test_init_writes_the_study_and_the_body_or_neither(tmp_path):
+    """On a disk that is full at 100,000 bytes; the body has more."""
+    code = "import resource as r, signal as s; s.signal(s.SIGXFSZ, s.SIG_IGN); r.setrlimit(r.RLIMIT_FSIZE, (100_000,) * 2);"
+    code += "from lidarcfg.cli.templates import write_template as w; from pathlib import Path;"
+    code += f"w('study', Path({str(tmp_path / 'study.yaml')!r}), 'truck')"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "File too large" in ended.stderr
+    assert (shipped("data") / "vehicles/truck.ply").stat().st_size > 100_000
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("read", "file", "what"),
+    [
+        (load_study, "data/rigs/roof.yaml", "2:1: this is a rig; a study belongs here"),
+        (load_study, "data/scenes/street.yaml", "this is a scene; a study belongs here"),
+        (load_rig, "data/studies/sedan.yaml", "this is a study; a rig belongs here"),
+        (load_rig, "sensors/vlp-16.yaml", "this is a sensor; a rig belongs here"),
+    ],
+)
+def test_a_file_in_the_place_of_another_is_named(read, file, what):
+    with pytest.raises(ConfigError, match=re.escape(what)):
+        read(ROOT / file)
+
+
+STUDY = """\
+region: {min_m: [-6, -6, 0], max_m: [6, 6, 4], cuboid_m: [1, 1, 1], exclude: [EXCLUDE]}
+vehicle: {boxes: [{name: body, center_m: [0, 0, 1], size_m: [4, 2, 2]}]}
+sensors:
+  - {model: vlp-16, min: {position_m: [0, 0, 2.5], rpy_deg: [0, 0, 0]}, max: {position_m: [1, 1, 3], rpy_deg: [0, 0, 0]}}
+  - {model: vlp-16, min: {position_m: [2.1, 0, 1], rpy_deg: [0, 0, 0]}, max: {position_m: [3, 1, 1.5], rpy_deg: [9, 9, 0]}}
+CONSTRAINTS
+"""
+
+
+def study(tmp_path, *changes, exclude="", constraints=""):
+    text = STUDY.replace("EXCLUDE", exclude).replace("CONSTRAINTS", constraints)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "exclude", "what"),
+    [
+        ([("[0, 0, 2.5]", "[0, 0, 1.8]")], "", r":4:5: sensors\[0\]: 16% of the places within its bounds are inside"),
+        (
+            [("rpy_deg: [9, 9, 0]", "rpy_rad: [9, 9, 0]")],
+            "",
+            r":5:\d+: sensors\[1\].max.rpy_rad: \[9.0, 9.0, 0.0\] is m",
+        ),
+        ([("[9, 9, 0]", "[0.262, 0, 0]")], "", r":5:\d+: sensors\[1\].max.rpy_deg: 0.262 looks like 15° in radians"),
+        ([("[9, 9, 0]", "[0, 0, 3.1416]")], "", r"3.1416 looks like 180° in radians, which go to rpy_rad"),
+        (
+            [("model: vlp-16", "elevation_deg: [-0.2, 0, 0.2]")],
+            "",
+            r":4:\d+: sensors\[0\].elevation_deg: all within 0.2°; if these are radians",
+        ),
+        (
+            [],
+            "{min_m: [0, 0, 2], max_m: [2.4, 2, 4]}",
+            r"sensors\[0\]: its bounds are inside region.exclude\[0\], which|exclude\[0\]: excludes whole cuboids: x 0 to 2 m",
+        ),
+        ([], "{min_m: [4.6, 4.6, 0], max_m: [5.4, 5, 1]}", r"exclude\[0\]: excludes nothing: .* along x"),
+    ],
+)
+def test_what_looks_wrong_is_a_warning(tmp_path, changes, exclude, what):
+    path = study(tmp_path)
+    assert list(study_warnings(path, load_study(path))) == []
+    path = study(tmp_path, *changes, exclude=exclude)
+    found = list(study_warnings(path, load_study(path)))
+    assert len(found) == what.count("|") + 1, found
+    for line in found:
+        assert re.search(what, line), line
+        assert line.startswith(f"{path}:")
+
+
+def test_a_rig_s_angles_too(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(
+        "name: one\nsensors:\n  - {name: a, model: vlp-16, position_m: [0, 0, 1], rpy_deg: [0, 0, 1.5708]}\n"
+    )
+    assert list(rig_warnings(path)) == [
+        f"{path}:3:53: sensors[0].rpy_deg: 1.5708 looks like 90° in radians, which go to rpy_rad"
+    ]
+    assert list(rig_warnings(ROOT / "data/rigs/roof.yaml")) == []
+
+
+def test_a_slow_objective_is_said_with_what_it_costs(tmp_path, monkeypatch):
+    """By a clock that the test turns: it has no way to make one slow for certain."""
+    path = study(tmp_path, constraints="objective: {inscribed_radius: 1}")
+    ticks = iter([0, 0.001, 20, 21])
+    monkeypatch.setattr("lidarcfg.placement.checks.time", SimpleNamespace(perf_counter=lambda: next(ticks)))
+    (line,) = study_warnings(path, load_study(path))
+    assert re.search(r":6:1: objective: one evaluation takes 1 s, 1000 times that of max_vsr; coarser", line)
+
+
+def test_of_very_many_warnings_the_first_are_said_and_the_others_counted(tmp_path):
+    """A hundred excluded boxes of half a cuboid."""
+    boxes = ", ".join(
+        f"{{min_m: [{x}, {y}, 0], max_m: [{x + 0.5}, {y + 1}, 1]}}" for x in range(-5, 5) for y in range(-5, 5)
+    )
+    path = study(tmp_path, exclude=boxes)
+    lines = list(study_warnings(path, load_study(path)))
+    assert len(lines) == 11
+    assert all(re.search(r"region.exclude\[\d\]: excludes", line) for line in lines[:10])
+    assert lines[10] == f"{path}: 90 more warnings"
+
+
+def test_a_search_on_very_many_cuboids_is_not_tried_to_say_that_it_is_slow(tmp_path, monkeypatch):
+    """By the region's own size: 12 × 12 × 4 m in cubes of 1 m."""
+    path = study(tmp_path, constraints="objective: {inscribed_radius: 1}")
+    monkeypatch.setattr("lidarcfg.placement.checks.MANY_CUBOIDS", 575)
+    monkeypatch.setattr("lidarcfg.placement.checks.max_vsr", None)  # would be called to take the time
+    (line,) = study_warnings(path, load_study(path))
+    assert ": region.cuboid_m: 576 cuboids: a search evaluates thousands of rigs" in line
+
+
+def test_mounting_errors_cost_as_many_evaluations_as_they_draw(tmp_path, monkeypatch):
+    """300 draws of 2 s each, though max VSR is all that is minimised; 101 of 1 s are the fewest that are slow."""
+    for samples, own_s, slow in ((300, 2, 600), (101, 1, 101), (100, 1, None)):
+        path = study(tmp_path, constraints=f"robust: {{position_sigma_m: 0.01, samples: {samples}}}")
+        ticks = iter([0, 1, 20, 20 + own_s])
+        monkeypatch.setattr("lidarcfg.placement.checks.time", SimpleNamespace(perf_counter=lambda t=ticks: next(t)))
+        found = list(study_warnings(path, load_study(path)))
+        assert len(found) == (slow is not None)
+        for line in found:
+            assert f":6:1: robust: one evaluation takes {samples * own_s} s, {slow} times that of max_vsr; " in line
+            assert line.endswith("or fewer samples cost less")
+
+
+def test_a_sensor_inside_the_body_that_its_rig_names_is_an_error_at_its_line(tmp_path):
+    """It could not be exported: half the height of a box above its middle is its top."""
+    path = tmp_path / "rig.yaml"
+    text = "name: one\nvehicle: {boxes: [{name: body, center_m: [0, 0, 1], size_m: [4, 2, 1]}]}\nsensors:\n"
+    path.write_text(text + "  - {name: a, model: vlp-16, position_m: [0, 0, 1.501]}\n")
+    assert summary(path).text == "1 × vlp-16, a vehicle of 1 body with 12 triangles; can be exported"
+    path.write_text(text + "  - {name: a, model: vlp-16, position_m: [0, 0, 1.499]}\n")
+    scene = ROOT / "data/scenes/street.yaml"
+    for words in (("validate", path), ("export", path, "--scene", scene, "--duration", 1, "-o", tmp_path / "a.pcap")):
+        line = lidarcfg(*words, code=2).stderr
+        assert line.startswith(f"lidarcfg: {path}:4:5: sensors[0]: a is inside the vehicle's 'body'; move it"), line
+
+
+@pytest.mark.parametrize(
+    ("model", "more", "said", "code"),
+    [
+        ("jt128", "", "cannot be exported: no range of a", 2),
+        ("jt128", ", range_m: [1, 50]", "a exported as points: no packets", 0),
+        ("ot128", "", "a exported as points: no packets", 0),
+    ],
+)
+def test_a_sensor_without_packets_is_exported_if_its_range_is_known(tmp_path, model, more, said, code):
+    """As validate says, export does; so does the catalogue's list."""
+    (tmp_path / "rig.yaml").write_text(
+        f"name: r\nsensors: [{{name: a, model: {model}, position_m: [0, 0, 2]{more}}}]\n"
+    )
+    assert summary(tmp_path / "rig.yaml").text.endswith(f"; {said}")
+    scene = ROOT / "data/scenes/room.yaml"
+    words = (
+        "export",
+        tmp_path / "rig.yaml",
+        "--scene",
+        scene,
+        "--duration",
+        0.002,
+        "-o",
+        tmp_path / "a.ply",
+        "--quiet",
+    )
+    lidarcfg(*words, code=code)
+    listed = next(line for line in lidarcfg("sensors", "list").stdout.splitlines() if line.split()[:1] == [model])
+    assert ("as points" in listed) == (model == "ot128")
+
+
+@pytest.mark.parametrize(
+    ("changes", "constraints", "what"),
+    [
+        ([("[2.1, 0, 1], rpy_deg: [0, 0, 0]", "[2.1, 0, 1], rpy_deg: [5, 3, 0]")], "{max_tilt_deg: 5}", r"6:15: constraints.max_tilt_deg: 5 is impossible: sensors\[1\] tilts by 5.829 or more"),
+        ([], "{min_distance_m: 3.9}", r"constraints.min_distance_m: 3.9 is impossible: sensors\[0\] and sensors\[1\] are at most 3.742 m apart"),
+        ([("model: vlp-16", "count: 2, mirror_y_m: 0, model: vlp-16")], "{min_distance_m: 2.4}", r"two of sensors\[0\] are at most 2.291 m apart"),
+    ],
+)  # fmt: skip
+def test_constraints_that_nothing_keeps_are_refused_before_the_search(tmp_path, changes, constraints, what):
+    load_study(study(tmp_path, *changes))
+    with pytest.raises(ConfigError, match=what):
+        load_study(study(tmp_path, *changes, constraints=f"constraints: {constraints}"))
+
+
+def test_no_constraints_that_random_poses_keep_are_refused(tmp_path):
+    """Bounds at random: the least tilt among many poses within them is never below what is taken for the least."""
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        low = rng.uniform(-400, 400, 2)
+        high = low + rng.uniform(0, 300, 2)
+        roll, pitch = np.radians(rng.uniform(low, high, (2000, 2))).T
+        least = float(np.degrees(np.arccos(np.cos(roll) * np.cos(pitch))).min())
+        changes = [
+            ("[2.1, 0, 1], rpy_deg: [0, 0, 0]", f"[2.1, 0, 1], rpy_deg: [{low[0]}, {low[1]}, 0]"),
+            ("[9, 9, 0]", f"[{high[0]}, {high[1]}, 0]"),
+        ]
+        load_study(study(tmp_path, *changes, constraints=f"constraints: {{max_tilt_deg: {least}}}"))
+        if least > 12:
+            with pytest.raises(ConfigError, match="max_tilt_deg"):
+                load_study(study(tmp_path, *changes, constraints=f"constraints: {{max_tilt_deg: {least - 12}}}"))
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("vlp32c", "vlp-32c"), ("VLP-16", "vlp-16"), ("OS1_64", "os1-64"), ("xt32", "xt32m2x|pandar-xt32")],
+)
+def test_a_sensor_s_name_spelled_otherwise_is_understood_but_not_taken(name, meant):
+    with pytest.raises(ConfigError, match=rf"no sensor is called '{name}'; did you mean ({meant})\?"):
+        load_sensor(name)
+    with pytest.raises(ConfigError, match=r"no sensor is called 'zebra'; allowed: fan-16"):
+        load_sensor("zebra")
+
+
+@pytest.mark.parametrize(
+    ("length", "edge", "sizes"), [(60, 0.7, [0.6, 0.75]), (20, 0.3, [0.25, 0.4]), (4, 9, [4]), (4, 0.3, [0.25, 0.4])]
+)
+def test_cuboid_sizes_that_are_proposed_are_round_and_divide(length, edge, sizes):
+    assert np.allclose(_sizes(length, edge), sizes)
+    for size in _sizes(length, edge):
+        RegionFile(min_m=(0.0, 0.0, 0.0), max_m=(float(length), 1.0, 1.0), cuboid_m=(size, 1.0, 1.0))
+
+
+def test_maps_that_are_no_meshes_are_refused_by_name(tmp_path):
+    for name in ("bus.step", "bus.dae"):
+        (tmp_path / name).write_text("x")
+        with pytest.raises(SceneError, match=rf"{name}: a .*; export (a mesh of it, .*STL|the mesh as .*STL)"):
+            read_mesh(tmp_path / name)
+    for name, what in (("town.xodr", "OpenDRIVE map has lanes"), ("scan.pcd", "point cloud has no surfaces")):
+        (tmp_path / name).write_text("x")
+        with pytest.raises(SceneError, match=f"{name}: an? .*{what}"[:40]):
+            read_mesh(tmp_path / name)
+        with pytest.raises(ConfigError, match=f"{name}: .*, no YAML; .* under (meshes|surfels)"):
+            load_scene(tmp_path / name)
+        with pytest.raises(ConfigError, match=f"{name}: .*, no YAML; "):
+            summary(tmp_path / name)
+    (tmp_path / "points.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 1\n"
+    )
+    with pytest.raises(
+        SceneError, match=r"points.ply: no triangles that Open3D can read; a point cloud has no surfaces"
+    ):
+        read_mesh(tmp_path / "points.ply")
