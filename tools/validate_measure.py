@@ -33,12 +33,13 @@ from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.detection import DetectionObject, detection_by_distance
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.returns import NOTHING, Poses, Scanner, Target, compiled
 from lidarcfg.placement.study import Study, load_study, with_solver
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.report import COLOURS, new_figure, save_figure
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.simulate.returns import Poses, Scanner, Target, compiled
 from lidarcfg.world.meshes import read_mesh
+from lidarcfg.world.obstacles import NO_OBSTACLES
 
 STUDIES = tuple(ROOT / f"data/studies/{name}.yaml" for name in ("sedan", "truck", "liu2018-4x16"))
 MESHES = ROOT / "data/objects"
@@ -153,7 +154,7 @@ def undetected(study: Study, rig: Rig, targets: dict[str, Target], where: dict[s
     firing = compiled(scanners(rig))
     R = np.array([rotation(mount.rpy_rad) for mount in rig.mounts])
     poses = Poses(R, np.array([mount.position_m for mount in rig.mounts], np.float64))
-    obstacles = study.visibility.obstacles if study.visibility else NOTHING
+    obstacles = study.visibility.obstacles if study.visibility else NO_OBSTACLES
     out = np.empty((len(targets), len(RINGS)))
     for n, (name, target) in enumerate(targets.items()):
         for ring, places in enumerate(where[name]):

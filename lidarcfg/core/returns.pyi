@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarcfg.core.world import Bvh
 from lidarcfg.geometry import Array
-from lidarcfg.placement.sight import Obstacles
+from lidarcfg.world.obstacles import Obstacles
 
 class Scanner:
     """A sensor's firing pattern, whatever its pose: H heads of all phases, F firings a cycle; it does not change."""

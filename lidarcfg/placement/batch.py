@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.grid import Counts, Words
-from lidarcfg.placement.sight import Obstacles
+from lidarcfg.world.obstacles import Obstacles
 
 Flags = NDArray[np.bool_]
 

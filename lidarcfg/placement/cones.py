@@ -20,6 +20,7 @@ from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.simulate.returns import Poses
 
 FIRST = 6  # the column of the lowest beam in a row of `cone_rows`
 
@@ -67,6 +68,13 @@ def rig_lidars(rig: Rig) -> tuple[Lidar, ...]:
         placed(sensor_lidar(mount.sensor, mount.range_m, mount.azimuth_fov_deg), mount.position_m, mount.rpy_rad)
         for mount in rig.mounts
     )
+
+
+def poses(lidars: Sequence[Lidar]) -> Poses:
+    """The poses of LiDARs, which say where their x axes point."""
+    levels = [one.level for one in lidars if one.level is not None]
+    R = np.array([np.column_stack([level, one.axis]) for level, one in zip(levels, lidars, strict=True)])
+    return Poses(R, np.array([one.position_m for one in lidars], np.float64))
 
 
 def cone_rows(lidars: Sequence[Lidar]) -> Array:

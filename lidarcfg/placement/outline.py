@@ -17,8 +17,8 @@ import numpy as np
 from lidarcfg import maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
-from lidarcfg.placement.sight import Obstacles
 from lidarcfg.placement.visibility import Visibility
+from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.solids import places
 from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE
 

@@ -12,6 +12,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.detection import (
     Counts,
     Detection,
@@ -24,9 +25,9 @@ from lidarcfg.placement.detection import (
     ring,
 )
 from lidarcfg.placement.region import AXES, Region
-from lidarcfg.placement.returns import Poses, Target, placed, returns
-from lidarcfg.placement.sight import Obstacles
+from lidarcfg.simulate.returns import Poses, Target, returns
 from lidarcfg.world.meshes import box_mesh, read_mesh
+from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.scene import Box
 from lidarcfg.world.solids import open_edges, welded
 
@@ -173,7 +174,7 @@ def return_counts(
     for number, one in enumerate(targets):
         alike.setdefault(one.item.appearance, []).append(number)
     first = [targets[numbers[0]] for numbers in alike.values()]
-    poses = placed(lidars)
+    poses = sensor_poses(lidars)
     total = sum(len(one.places) for one in first)
     done = 0
 

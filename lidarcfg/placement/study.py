@@ -25,9 +25,7 @@ from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
-from lidarcfg.placement.returns import NOTHING, compiled, scanner
 from lidarcfg.placement.robustness import Robust, mounted
-from lidarcfg.placement.sight import Obstacles
 from lidarcfg.placement.slots import Slot, check_bounds, slots_of
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
@@ -36,6 +34,8 @@ from lidarcfg.placement.terms import MissRate, Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
+from lidarcfg.simulate.returns import compiled, scanner
+from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, vehicle
 
@@ -208,7 +208,7 @@ class Study:
     @property
     def obstacles(self) -> Obstacles:
         """The obstacles between sensors and objects."""
-        return self.visibility.obstacles if self.visibility else NOTHING
+        return self.visibility.obstacles if self.visibility else NO_OBSTACLES
 
     @cached_property
     def reference_m(self) -> Array:

@@ -11,15 +11,16 @@ import numpy as np
 from lidarcfg import core
 from lidarcfg.placement.blind_spots import Directions, fraction_below, largest_m, looked_at, seen_by_any
 from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.cones import poses as poses_of
 from lidarcfg.placement.detection import DetectionObject, free_places, undetected
 from lidarcfg.placement.metric import Node, Spheres, clearance_m
 from lidarcfg.placement.region import Region, cuboids_needed
 from lidarcfg.placement.return_counts import DetectionTarget, MissCounter
-from lidarcfg.placement.returns import NOTHING, Poses
-from lidarcfg.placement.returns import placed as poses_of
 from lidarcfg.placement.subspace import Links, Subspaces, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Weights, worth_m
+from lidarcfg.simulate.returns import Poses
+from lidarcfg.world.obstacles import NO_OBSTACLES
 
 RECENT = 32  # how many of the findings that settled past trials are tried first in new ones
 T = TypeVar("T", bound=Node | int)
@@ -144,7 +145,7 @@ class MissRate:
     def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner]) -> None:
         """`scanners` of all of the study's LiDARs."""
         self._target, self._scanners = target, scanners
-        self._counter = MissCounter(target, scanners, NOTHING)
+        self._counter = MissCounter(target, scanners, NO_OBSTACLES)
         self.work = 1e3 * len(target.places)
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
@@ -156,7 +157,7 @@ class MissRate:
         return self._counter_for(trial).lower_bound(trial.kept, trial.poses, share)
 
     def _counter_for(self, trial: Trial) -> MissCounter:
-        obstacles = trial.visibility.obstacles if trial.visibility else NOTHING
+        obstacles = trial.visibility.obstacles if trial.visibility else NO_OBSTACLES
         counter = self._counter
         if counter.obstacles is not obstacles:
             counter = self._counter = MissCounter(self._target, self._scanners, obstacles)

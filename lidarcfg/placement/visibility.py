@@ -15,7 +15,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar, cone_rows
 from lidarcfg.placement.grid import seen_words, unpack
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sight import BEYOND, LIMITS, UNLIMITED_SIGHT, WITHIN, Obstacles, Sight
+from lidarcfg.placement.sight import BEYOND, LIMITS, UNLIMITED_SIGHT, WITHIN, Sight
+from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import obstacles
 

@@ -154,7 +154,7 @@ def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
     assert [row["cost"] == "" for row in found] == [False] * 3 + [True] * 3
     assert all("found no rig that keeps the constraints" in row["error"] for row in found[3:])
     assert command("sweep", tmp_path / "plan.yaml", "-o", tmp_path / "out").stdout.startswith("6 runs, 6 of them done")
-    again = load_plan(tmp_path / "plan.yaml", lidarcfg.pattern)
+    again = load_plan(tmp_path / "plan.yaml")
     folder, run = SweepFolder(tmp_path / "out", again), again.runs[0]
     assert folder.row(run)["run"] == 1
     for damaged in ("", "null", "[1]", '{"cost": 1'):

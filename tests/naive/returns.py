@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from lidarcfg.placement import returns as placement
+from lidarcfg.simulate import returns as placement
 
 
 def hit_m(origin, direction, corners):

@@ -12,12 +12,12 @@ from lidarcfg import inputs, report
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement import checks
 from lidarcfg.placement import return_counts as return_counts_module
+from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.return_counts import MissCounter, return_counts
-from lidarcfg.placement.returns import placed
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.terms import Trial
 from lidarcfg.report.words import describe_object
@@ -142,7 +142,7 @@ def test_the_objective_is_one_minus_the_rate_and_refutes_exactly(tmp_path, name)
     assert value == 1.0 - evaluate(loaded, loaded.rig(poses)).detection[name].rate
     one = next(one for one in loaded.detection_targets if one.item.name == name)
     scanners, lidars = loaded.scanners(loaded.rig(poses).mounts), loaded.lidars(poses)
-    numbers, at = range(len(lidars)), placed(lidars)
+    numbers, at = range(len(lidars)), sensor_poses(lidars)
     for limit in (0.2 * value, value, np.nextafter(value, 0), np.nextafter(value, 1), 1.5 * value):
         found = MissCounter(one, scanners, loaded.obstacles).rate(numbers, at, limit)
         assert found >= limit if value >= limit else found == value
@@ -163,7 +163,7 @@ def test_a_limit_that_no_rate_reaches_refutes_nothing(tmp_path, name, limit):
     scanners, lidars = loaded.scanners(rig.mounts), rig_lidars(rig)
     (seen,) = return_counts([one], scanners, lidars, loaded.obstacles)
     counter = MissCounter(one, scanners, loaded.obstacles)
-    found = counter.rate(range(len(lidars)), placed(lidars), limit)
+    found = counter.rate(range(len(lidars)), sensor_poses(lidars), limit)
     assert 0 < found < 1
     assert found == 1.0 - seen.detection.rate
 

@@ -9,7 +9,6 @@ from itertools import product
 import numpy as np
 import pytest
 
-import lidarcfg
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.robustness import Robust, mounted
@@ -119,12 +118,12 @@ def test_what_is_left_of_different_models_detects_by_its_own_returns(tmp_path):
     """The cost of two with one lost is that of the worse one alone, in a study of its own."""
     path = tmp_path / "s.yaml"
     path.write_text(MODELS)
-    loaded = load_study(path, lidarcfg.pattern)
+    loaded = load_study(path)
     alone = []
     for name in "ab":
         rows = [line for line in MODELS.splitlines() if f"name: {name}," not in line and "robust" not in line]
         path.write_text("\n".join(rows))
-        alone.append(load_study(path, lidarcfg.pattern))
+        alone.append(load_study(path))
     for poses in random_poses(loaded, 3, 1):
         assert loaded.cost(poses) == max(alone[0].cost(poses[1:]), alone[1].cost(poses[:1]))
     runs = [optimize(loaded, skip=skip) for skip in (False, True)]

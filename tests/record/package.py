@@ -23,23 +23,25 @@ from lidarcfg.core import view
 from lidarcfg.geometry import pose
 from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.placement.analytic import integrate
+from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.details import details
 from lidarcfg.placement.front import front
-from lidarcfg.placement.returns import NOTHING, placed, returns
 from lidarcfg.placement.study import with_solver
 from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.simulate.returns import returns
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.world.motion import Trajectory, load_path, prepared
+from lidarcfg.world.obstacles import NO_OBSTACLES
 from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.vehicle import load_vehicle
 
 fill = view.blend_triangles
 
 __all__ = [
-    "NOTHING",
+    "NO_OBSTACLES",
     "START_NS",
     "Region",
     "Rig",
@@ -64,7 +66,6 @@ __all__ = [
     "optimize",
     "packets",
     "pattern",
-    "placed",
     "pose",
     "prepared",
     "returns",
@@ -74,6 +75,7 @@ __all__ = [
     "save_firings",
     "scans",
     "segment",
+    "sensor_poses",
     "with_solver",
 ]
 

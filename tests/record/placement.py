@@ -181,9 +181,9 @@ def _returns(folder: Path) -> Answers:
     ]
     rig = package.rig_of(folder, sensors)
     one = study("car-returns")
-    scanners, at = one.scanners(rig.mounts), package.placed(package.rig_lidars(rig))
+    scanners, at = one.scanners(rig.mounts), package.sensor_poses(package.rig_lidars(rig))
     for sought in one.detection_targets:
-        for kind, obstacles in (("", one.obstacles), (" in the open", package.NOTHING)):
+        for kind, obstacles in (("", one.obstacles), (" in the open", package.NO_OBSTACLES)):
             found = package.returns(sought.places, sought.target, scanners, at, obstacles)
             keys = {"counts": found.counts, "worst": found.worst, "mean": found.mean}
             answers |= named(f"{sought.item.name}{kind}", keys)

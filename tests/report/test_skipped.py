@@ -8,7 +8,6 @@ import itertools
 import pytest
 
 from lidarcfg import report
-from lidarcfg.packets.families import pattern
 from lidarcfg.placement.detection import mean_of
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
@@ -50,7 +49,7 @@ def study_of(folder, method, objective, without="none"):
     text = STUDY.replace("METHOD", method).replace("OBJECTIVE", OBJECTIVES[objective])
     text = text if method == "abc" else text.replace(", bees: 8", "")
     path.write_text("\n".join(line for line in text.splitlines() if without not in line))
-    return load_study(path, pattern)
+    return load_study(path)
 
 
 @pytest.mark.parametrize(("method", "objective"), list(itertools.product(METHODS, OBJECTIVES)))

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from lidarcfg import core
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement.returns import NOTHING, PHASES, Poses, Target, compiled, placed, returns, scanner
-from lidarcfg.placement.sight import Obstacles
+from lidarcfg.placement.cones import poses as sensor_poses
+from lidarcfg.simulate.returns import PHASES, Poses, Target, compiled, returns, scanner
+from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.tracer import bvh
 from tests.naive import returns as naive
 from tests.returns_cases import at_place, box, lidars, mount, revolution, scene_with, simulated, tracer_of
@@ -50,8 +51,8 @@ def test_counts_are_the_simulators(size):
     """All families, at a random phase each, with the body in the way."""
     rng = np.random.default_rng(7)
     where, target, total = places(rng, 8, size), Target(box(*size)), 0
-    sensors = compiled([scanner(one, pattern) for one in MOUNTS])
-    found = returns(where, target, sensors, placed(lidars(MOUNTS)), obstacles(BODY))
+    sensors = compiled([scanner(one) for one in MOUNTS])
+    found = returns(where, target, sensors, sensor_poses(lidars(MOUNTS)), obstacles(BODY))
     for p in range(len(where)):
         tracer = tracer_of([BODY, at_place(target.mesh, where[p])])
         for s, one in enumerate(MOUNTS):
@@ -65,10 +66,10 @@ def test_counts_are_the_simulators(size):
 @pytest.mark.parametrize("model", ["vlp-16", "hdl-64e-s3", "os1-32"])
 def test_counts_are_those_of_plain_loops(model):
     one = replace(mount(model, (0.4, 0.1, 1.9), (3, 5, 170), 1200.0))
-    short = replace(scanner(one, pattern), pattern=coarse(pattern(one)), range_m=(2.0, 9.0))
+    short = replace(scanner(one), pattern=coarse(pattern(one)), range_m=(2.0, 9.0))
     rng, target = np.random.default_rng(3), Target(box(1.8, 0.6, 1.75))
     where = places(rng, 4, (1.8, 0.6), 10.0)
-    found = returns(where, target, compiled([short], 2), placed(lidars([one])), obstacles(BODY))
+    found = returns(where, target, compiled([short], 2), sensor_poses(lidars([one])), obstacles(BODY))
     body = BODY[0][BODY[1]]
     for p, place in enumerate(where):
         vertices, triangles = at_place(target.mesh, place)
@@ -92,8 +93,8 @@ def test_an_upright_box_straight_ahead():
     found = returns(
         wall,
         Target(box(1.0, 4.0, 2.0)),
-        compiled([replace(scanner(one, pattern), sensor=bare)], 1),
-        placed(lidars([one])),
+        compiled([replace(scanner(one), sensor=bare)], 1),
+        sensor_poses(lidars([one])),
     )
     step_deg, expected = 360 * 10 * 55_296e-9, 0
     for laser, rise_deg in enumerate(bare.beams.elevation_deg):
@@ -117,8 +118,8 @@ def test_mean_over_phases_is_the_solid_angle():
     found = returns(
         np.array([[8.0, 3.0, 0.0, 1.0]]),
         Target(ball),
-        compiled([replace(scanner(one, pattern), sensor=sensor)], 64),
-        placed(lidars([one])),
+        compiled([replace(scanner(one), sensor=sensor)], 64),
+        sensor_poses(lidars([one])),
     )
     expected = 16 * 2 * math.degrees(math.asin(0.5 / math.hypot(8, 3))) / (360 * 10 * 55_296e-9)
     assert found.mean[0] == pytest.approx(expected, rel=2e-3)
@@ -130,9 +131,9 @@ def test_a_field_of_view_and_ranges_end_what_returns():
     one = mount("vlp-16", (0.0, 0.0, 1.0), (0, 0, 0))
 
     def counts(changed):
-        return returns(where, target, compiled([changed]), placed(lidars([one]))).mean
+        return returns(where, target, compiled([changed]), sensor_poses(lidars([one]))).mean
 
-    around = scanner(one, pattern)
+    around = scanner(one)
     assert (counts(around) > 0).all()
     ahead = counts(replace(around, azimuth_fov_deg=(315.0, 45.0)))
     assert ahead.tolist() == [counts(around)[0], 0.0]
@@ -146,7 +147,7 @@ def test_the_ground_of_the_surroundings_hides():
     one = mount("vlp-16", (0.0, 0.0, 2.0), (0, 0, 0))
     count = [
         returns(
-            where, target, compiled([scanner(one, pattern)]), placed(lidars([one])), NOTHING._replace(ground_m=ground)
+            where, target, compiled([scanner(one)]), sensor_poses(lidars([one])), NO_OBSTACLES._replace(ground_m=ground)
         ).mean[0]
         for ground in (0.0, 0.8, 1.5)
     ]
@@ -166,7 +167,7 @@ def test_ending_early_changes_nothing():
     """Beside counts in full: the sum over places of the probability to go undetected; and no less once it ends early."""
     rng, mounts = np.random.default_rng(5), MOUNTS[:3]
     where, target, around = places(rng, 60, (0.5, 0.5)), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
-    scanners, at = compiled([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
+    scanners, at = compiled([scanner(one) for one in mounts]), sensor_poses(lidars(mounts))
     found = returns(where, target, scanners, at, around)
     for enough in (1, 40, 200, 2000):
         missed = float(sum(1.0 - found.probability(enough)))
@@ -186,7 +187,7 @@ def test_what_a_counter_keeps_changes_nothing(phases):
     """A search's trials, of which each moves one sensor or none, by some of the sensors, beside plain counts of each."""
     rng, mounts = np.random.default_rng(8), MOUNTS[:4]
     where, target, around = places(rng, 50, (0.5, 0.5), 20.0), Target(box(0.5, 0.5, 1.1)), obstacles(BODY)
-    scanners, at = compiled([scanner(one, pattern) for one in mounts], phases), placed(lidars(mounts))
+    scanners, at = compiled([scanner(one) for one in mounts], phases), sensor_poses(lidars(mounts))
     counter = core.returns.ReturnCounter(scanners, target.shape, where, np.array([7, 7, 50]), around, 60)
     poses, ended = [at], 0
     for trial in range(40):
@@ -214,6 +215,6 @@ def test_what_a_counter_keeps_changes_nothing(phases):
 def test_threads_change_nothing():
     rng, mounts = np.random.default_rng(6), MOUNTS[:2]
     where, target = places(rng, 200, (0.5, 0.5)), Target(box(0.5, 0.5, 1.75))
-    sensors, at = compiled([scanner(one, pattern) for one in mounts]), placed(lidars(mounts))
+    sensors, at = compiled([scanner(one) for one in mounts]), sensor_poses(lidars(mounts))
     one, many = (returns(where, target, sensors, at, obstacles(BODY), threads).counts for threads in (1, 5))
     assert np.array_equal(one, many)

@@ -21,12 +21,11 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.packets.families import pattern
-from lidarcfg.placement.cones import Lidar
-from lidarcfg.placement.sight import UNLIMITED_SIGHT, Obstacles
 from lidarcfg.sensors.firing import Pattern
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.meshes import Mesh
+from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.tracer import TRIANGLE
 
 PHASES = 4  # a power of 2, so that means over phases are exact
@@ -115,9 +114,6 @@ class Returned:
         return core.returns.detection_probabilities(self.counts, np.array(self.phases, np.int64), enough)
 
 
-NOTHING = UNLIMITED_SIGHT.obstacles
-
-
 class Poses(NamedTuple):
     """Where S sensors are in the vehicle frame."""
 
@@ -152,19 +148,12 @@ def _compiled(one: Scanner, phases: int) -> core.returns.Scanner:
     )
 
 
-def placed(lidars: Sequence[Lidar]) -> Poses:
-    """The poses of LiDARs, which say where their x axes point."""
-    levels = [one.level for one in lidars if one.level is not None]
-    R = np.array([np.column_stack([level, one.axis]) for level, one in zip(levels, lidars, strict=True)])
-    return Poses(R, np.array([one.position_m for one in lidars], np.float64))
-
-
 def returns(
     places: Array,
     target: Target,
     scanners: Sequence[core.returns.Scanner],
     poses: Poses,
-    obstacles: Obstacles = NOTHING,
+    obstacles: Obstacles = NO_OBSTACLES,
     threads: int | None = None,
     on_places: Callable[[int], None] = lambda count: None,
 ) -> Returned:
