@@ -46,11 +46,12 @@ class Scanner:
 def scanner(mount: Mount) -> Scanner:
     """The scanner of a mount's sensor. Raises ConfigError if the sensor's file lacks facts."""
     sensor, range_m = mount.sensor, mount.range_m
+    fires = pattern(mount)
     if range_m is None:
         if sensor.range is None:
             raise ConfigError(f"sensor {sensor.name!r} has no range facts")
         range_m = sensor.range.min_m, sensor.range.max_m
-    return Scanner(sensor, pattern(mount), range_m, mount.azimuth_fov_deg)
+    return Scanner(sensor, fires, range_m, mount.azimuth_fov_deg)
 
 
 @dataclass(frozen=True)
