@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
@@ -33,6 +33,8 @@ FEW_S = 0.01  # an evaluation this quick is never called slow
 LONG_S = 20.0  # of processor time, to evaluate one rig
 SAMPLES = (64, 512, 4096)  # of places of objects, by which that time is estimated
 SURE_S = 0.5  # of them that took so long, no more are needed
+HIGHEST_M = 40.0  # above the ground: no vehicle carries a sensor there
+RIGHT_RAD = math.pi / 4  # whole multiples of it look like radians with two decimals, too
 STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
 
@@ -43,9 +45,12 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
 
 
 def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
+    bounds = [bound for group in file.sensors for bound in (group.min, group.max) if bound]
+    in_degrees = _are_in_degrees(bounds)
     for i, group in enumerate(file.sensors):
         for bound in ("min", "max"):
-            yield from _angles(("sensors", i, bound), getattr(group, bound))
+            yield from _angles(("sensors", i, bound), getattr(group, bound), in_degrees)
+        yield from _heights(i, group, file.region.min_m[2])
         yield from _elevations(("sensors", i), group)
         yield from _places(i, group, study, file.region.exclude)
     for i, box in enumerate(file.region.exclude):
@@ -70,27 +75,59 @@ def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
 
 
 def _of_rig(file: RigFile) -> Iterator[Suspect]:
+    in_degrees = _are_in_degrees(file.sensors)
     for i, mount in enumerate(file.sensors):
-        yield from _angles(("sensors", i), mount)
+        yield from _angles(("sensors", i), mount, in_degrees)
+        yield from _height(("sensors", i, "position_m", 2), mount.position_m[2], 0.0, "")
         yield from _elevations(("sensors", i), mount)
 
 
-def _angles(at: Key, item: PoseBound | MountFile | None) -> Iterator[Suspect]:
-    """Degrees that look like radians, and the reverse."""
+def _angles(at: Key, item: PoseBound | MountFile | None, in_degrees: bool) -> Iterator[Suspect]:
+    """Degrees that look like radians, and the reverse; `in_degrees`: others of the file are degrees."""
     if item is None:
         return
     if item.rpy_rad and max(map(abs, item.rpy_rad)) > 2 * math.pi + 1e-6:
         yield (*at, "rpy_rad"), f"{list(item.rpy_rad)} is more than a turn; degrees go to rpy_deg"
-    suspects = [angle for angle in item.rpy_deg or () if _is_in_radians(angle)]
-    if suspects and max(map(abs, item.rpy_deg or ())) <= math.pi + 1e-3:
-        what = f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians, which go to rpy_rad"
-        yield (*at, "rpy_deg"), what
+    suspects = [angle for angle in item.rpy_deg or () if _is_in_radians(angle, in_degrees)]
+    if not suspects:
+        return
+    what = f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians"
+    if max(map(abs, item.rpy_deg or ())) <= math.pi + 1e-3:
+        yield (*at, "rpy_deg"), f"{what}, which go to rpy_rad"
+    else:
+        yield (*at, "rpy_deg"), f"{what}, beside others that are degrees"
 
 
-def _is_in_radians(angle: float) -> bool:
-    """Whether an angle is a multiple of 15° in radians, with three decimals or more."""
-    steps = angle / (math.pi / 12)
-    return round(steps) != 0 and abs(angle - round(steps) * math.pi / 12) < 6e-4 and angle != round(angle, 2)
+def _are_in_degrees(items: Iterable[PoseBound | MountFile]) -> bool:
+    """Whether any of these is turned by more than radians say."""
+    return any(abs(angle) > 2 * math.pi for item in items for angle in item.rpy_deg or ())
+
+
+def _is_in_radians(angle: float, in_degrees: bool) -> bool:
+    """Whether an angle is a multiple of 15° in radians, with three decimals or more.
+
+    Beside others in degrees also one of 45°, with two.
+    """
+    if in_degrees and round(angle, 2) == angle and angle != round(angle, 1):
+        steps = round(angle / RIGHT_RAD)
+        return steps != 0 and angle == round(steps * RIGHT_RAD, 2)
+    steps = round(angle / (math.pi / 12))
+    return steps != 0 and abs(angle - steps * math.pi / 12) < 6e-4 and angle != round(angle, 2)
+
+
+def _heights(index: int, group: GroupFile, ground_m: float) -> Iterator[Suspect]:
+    """Bounds below the ground, which is the region's floor, or far above it."""
+    if group.min and group.max:
+        for bound, pose in (("min", group.min), ("max", group.max)):
+            yield from _height(("sensors", index, bound, "position_m", 2), pose.position_m[2], ground_m, " bound")
+
+
+def _height(at: Key, z_m: float, ground_m: float, what: str) -> Iterator[Suspect]:
+    """A place below the ground, or so far above it that it is in another unit or frame."""
+    if z_m < ground_m:
+        yield at, f"this{what} is {ground_m - z_m:g} m below the ground, which is at z = {ground_m:g}"
+    elif z_m - ground_m > HIGHEST_M:
+        yield at, f"this{what} is {z_m - ground_m:g} m above the ground; are these metres?"
 
 
 def _elevations(at: Key, item: GroupFile | MountFile) -> Iterator[Suspect]:
