@@ -2,11 +2,11 @@
 
 Usage: .venv/bin/python tools/judge_misses.py RIG.yaml ... [--vehicle data/vehicles/sedan.ply] [--places 1500]
 
-Of lidarcfg it takes files alone: the poses of rigs and the tables of sensors. Each of six objects stands at random places
-and headings around the vehicle; every firing of one revolution, with all heads at zero when it begins, is a ray that ends
-at the vehicle or at the object, whichever is first, within the sensor's range. An object with fewer returns than
-`--returns` from all sensors together is a miss. The intervals are of 95 %, Wilson's for an object, and of a mean of
-independent binomials for the mean. The same arguments give the same table.
+Of lidarcfg it takes files alone: the poses of rigs and the tables of sensors. Each of six objects stands at random
+places, uniform in area, and headings around the vehicle. Every firing of one revolution, with all heads at zero when it
+begins, is a ray that ends at the vehicle or at the object, whichever is first, within the range. An object with
+fewer returns than `--returns` from all sensors together is a miss. The intervals are of 95 %: Wilson's for an object,
+that of a mean of independent binomials for the mean. The same arguments give the same table.
 """
 
 import argparse
