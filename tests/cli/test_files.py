@@ -56,7 +56,14 @@ def validators():
 def kind_by_folder(path):
     if path.stem == "trend":
         return "plan"
-    return {"studies": "study", "rigs": "rig", "scenes": "scene", "sensors": "sensor"}[path.parent.name]
+    folders = {
+        "studies": "study",
+        "rigs": "rig",
+        "scenes": "scene",
+        "sensors": "sensor",
+        "requirements": "requirements",
+    }
+    return folders[path.parent.name]
 
 
 def test_every_file_that_comes_along_is_of_its_kind_and_keeps_its_schema(validators):
