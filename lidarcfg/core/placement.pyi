@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.batch import Batch, BatchResult, Sources
-from lidarcfg.placement.sight import Sight
+from lidarcfg.placement.visibility import Sight
 
 Words = NDArray[np.uint64]
 Counts = NDArray[np.int64]

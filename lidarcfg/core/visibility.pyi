@@ -3,8 +3,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.core.world import Bvh
 from lidarcfg.geometry import Array
-from lidarcfg.placement.coverage import Span
-from lidarcfg.placement.sight import Sight
+from lidarcfg.placement.report_inputs import Span
+from lidarcfg.placement.visibility import Sight
 
 def boxes_of(bvh: Bvh) -> Array:
     """(6, 16) low and high corners of boxes that together hold a hierarchy's shapes; (6, 0) if there are none."""

@@ -13,14 +13,14 @@ from lidarcfg.config.document import Key
 from lidarcfg.config.models import all_errors_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
-from lidarcfg.placement.choices import unused_prices
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.metric import max_vsr
+from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.region import AXES, BoxFile, Region
 from lidarcfg.placement.return_counts import DetectionTarget, return_counts
+from lidarcfg.placement.slots import unused_prices
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
-from lidarcfg.placement.terms import Trial
 from lidarcfg.sensors.rig import MountFile, RigFile
 
 Suspect = tuple[Key, str]  # where something looks wrong, and what

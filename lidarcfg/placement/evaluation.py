@@ -15,9 +15,10 @@ from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
-from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
+from lidarcfg.placement.sensitivity import Robustness
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
+from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import check_outside
@@ -96,7 +97,7 @@ def evaluate(
     }
     rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    zones, seconds = by_zone(study, subspaces), time.perf_counter() - started
+    zones, seconds = max_vsr_by_zone(study.zones, subspaces), time.perf_counter() - started
     return Evaluation(
         subspaces=subspaces,
         vsr_m=vsr,

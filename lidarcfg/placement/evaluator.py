@@ -20,17 +20,13 @@ from numpy.typing import NDArray
 from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
 from lidarcfg.inputs import check_memory
-from lidarcfg.placement.batch import Batch, BatchResult, Placed, Sources
+from lidarcfg.placement.batch import Batch, BatchResult, Counter, Placed, Sources, parallel_for
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
-from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.grid import Words, check_grid, cuboid_number, grid_of
-from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.parallel import Counter, parallel_for
+from lidarcfg.placement.metric import max_vsr as max_vsr
+from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sight import LIMITS, UNLIMITED_SIGHT
-from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.terms import Trial
-from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.visibility import LIMITS, UNLIMITED_SIGHT, Visibility
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
@@ -41,11 +37,6 @@ FEW = 8  # LiDARs, of which a trial takes no longer than its cuboids; of more it
 PAUSE = 10  # batches without certificates after one in which they refuted less than a quarter
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-
-
-def max_vsr(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> float:
-    """The paper's cost: the largest volume-to-surface ratio over all subspaces, in metres (eq. 10)."""
-    return float(vsr_m(segment(region, lidars, visibility)).max())
 
 
 def slice_of(cuboids: int, threads: int) -> int:
@@ -203,7 +194,7 @@ class Evaluator:
         certificates = [np.empty(0, np.int64)]
         for case, one in enumerate(criterion.cases(trial)):
             if one.is_cut:
-                values.append(one.worth_m)
+                values.append(one.weighted_vsr_m)
                 i, j, k = np.unravel_index(one.first, self._region.shape)
                 first = case * 64 * self._grid.rows
                 certificates.append(first + cuboid_number(self._grid, (i, j, k)))

@@ -13,12 +13,13 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import Evaluation, evaluate
-from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Study, load_study
+from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.study_file import Solver
-from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.sensors.rig import Rig
 
 INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
@@ -93,7 +94,7 @@ def optimize(
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
     run, budget, interrupted = (
-        Run(study, start_search(study.solver, study.coordinates), log),
+        SearchRun(study, start_search(study.solver, study.coordinates), log),
         Budget.of(study.solver),
         False,
     )
@@ -155,7 +156,7 @@ class Work:
         )
 
 
-class Run:
+class SearchRun:
     """A search in progress. It first replays the costs in `log`, without evaluating anything.
 
     `best_x` and `best_cost` are those of the best trial so far; `work` is the work done so far. A run may pause: each

@@ -13,11 +13,10 @@ from lidarcfg.config.models import COORDINATE_MAX_M, Model, Position, validation
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
+from lidarcfg.world.vehicle import Vehicle
 
 if TYPE_CHECKING:
     import open3d
-
-    from lidarcfg.world.vehicle import Vehicle
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
@@ -89,7 +88,7 @@ def _is_round(size: float) -> bool:
 class Cut(NamedTuple):
     """The part of a region that bodies exclude."""
 
-    bodies: "Vehicle"
+    bodies: Vehicle
     packed: NDArray[np.uint8]  # which cuboids counted before, eight to a byte
     shape: tuple[int, ...]
 
@@ -140,7 +139,7 @@ class Region:
         check_memory(f"a region of {cuboids:,} cuboids", CUBOID_BYTES * cuboids, "use larger cuboids", reserved)
         return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
 
-    def without(self, bodies: "Vehicle") -> "Region":
+    def without(self, bodies: Vehicle) -> "Region":
         """The region without the cuboids whose centres are inside of a vehicle's excluded bodies."""
         included = self.included.copy()
         for name in bodies.excluded:

@@ -16,21 +16,26 @@ from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_va
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement.attitudes import freely_tilted, upright_in_the_middle
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
-from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
 from lidarcfg.placement.cones import Lidar, placed
-from lidarcfg.placement.criterion import EVERY_CASE, Criterion
 from lidarcfg.placement.detection import DetectionObject, check_fits
-from lidarcfg.placement.objective import Objective
+from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
 from lidarcfg.placement.robustness import Robust, mounted
-from lidarcfg.placement.slots import Slot, check_bounds, slots_of
+from lidarcfg.placement.slots import (
+    Choices,
+    Slot,
+    center_on_upright,
+    check_bounds,
+    choices_of,
+    freely_tilted,
+    resolved_prices,
+    slots_of,
+)
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import mirrored, violation
-from lidarcfg.placement.terms import MissRate, Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
@@ -94,7 +99,7 @@ class Study:
 
         1 is exactly upper, except for angles that attitudes.py arranges.
         """
-        return self._settled(self._coordinates(upright_in_the_middle(unit, self._freely_tilted)))
+        return self._repaired(self._coordinates(center_on_upright(unit, self._freely_tilted)))
 
     @cached_property
     def midpoint(self) -> Array:
@@ -103,7 +108,7 @@ class Study:
         for i, slot in enumerate(self.slots):
             if slot.surface and np.isnan(self.mirror[i]):
                 found[0, i, :3] = slot.surface.patch.nearest_m(found[0, i, :3], slot.surface.across)
-        poses: Array = self._settled(found)[0]
+        poses: Array = self._repaired(found)[0]
         return poses
 
     @cached_property
@@ -120,7 +125,7 @@ class Study:
         out[:, free] = np.where(unit == 1.0, high, np.clip(low + unit * (high - low), low, high))
         return out
 
-    def _settled(self, coordinates: Array) -> Array:
+    def _repaired(self, coordinates: Array) -> Array:
         """Coordinates as poses: mirrored sensors get their images' poses, others are placed on their surfaces."""
         images = np.flatnonzero(~np.isnan(self.mirror))
         coordinates[:, images] = mirrored(coordinates[:, images - 1], self.mirror[images])

@@ -5,14 +5,14 @@ import pytest
 
 from lidarcfg.placement import sweep
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.evaluator import Evaluator, max_vsr
-from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.solvers import annealing
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.tolerance import StudyEvaluator
 
 STUDY = """
 region: {{min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{{min_m: [5, 3, 0], max_m: [7, 5, 3]}}]}}

@@ -68,7 +68,7 @@ def checked(cost: Array) -> Array:
     return cost
 
 
-class Run(Sampler, Protocol):
+class SolverRun(Sampler, Protocol):
     """A part of a search, which ends."""
 
     @property
@@ -79,7 +79,7 @@ class Run(Sampler, Protocol):
 class Runs:
     """A search by runs of another, one after the other. `_run` is the current one; `_follow` begins the next."""
 
-    _run: Run
+    _run: SolverRun
 
     def __init__(self, dimensions: int) -> None:
         self.cycles = 0
@@ -111,3 +111,21 @@ class Runs:
         self._run.tell(cost)
         if self._run.over:
             self._follow()
+
+
+class FixedPoint:
+    """A search without dimensions, as where nothing is free to move: one trial, again and again."""
+
+    def __init__(self) -> None:
+        self.cycles = 0
+        self.best_x, self.best_cost = np.empty(0), np.inf
+        self.sources, self.mean_cost = np.empty((1, 0)), np.inf
+
+    def ask(self) -> Trials:
+        """The only trial."""
+        return Trials("trial", self.sources, np.zeros(1, np.int64), np.full(1, np.inf))
+
+    def tell(self, cost: Array) -> None:
+        """Its cost (1,)."""
+        self.cycles += 1
+        self.best_cost = self.mean_cost = float(cost[0])

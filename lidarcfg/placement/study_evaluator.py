@@ -1,7 +1,8 @@
-"""The costs of a study's trials, with failures and mounting errors where the study asks for them; see robustness.py.
+"""The costs of a study's trials, with failures and mounting errors where the study asks for them.
 
-Each draw of mounting errors has an evaluator of its own, with its own witnesses and links. A trial is refuted as soon
-as more draws reach the cost to beat than may be worse than the quantile, because then the quantile reaches it, too.
+Each draw of mounting errors has an evaluator of its own, with its own certificates and links. A trial is refuted as
+soon as more draws reach the cost to beat than may be worse than the quantile, because then the quantile reaches it,
+too.
 """
 
 from collections.abc import Callable
@@ -12,9 +13,9 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluator import Evaluator, Index
+from lidarcfg.placement.objective import Recent
 from lidarcfg.placement.robustness import mounted
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.terms import Recent
 
 
 class StudyEvaluator:
