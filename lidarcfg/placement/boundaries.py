@@ -65,16 +65,19 @@ class Quadrics(NamedTuple):
 
 def outline(obstacles: Obstacles) -> Outline:
     """The outline of obstacles. Corners are one if their coordinates are equal to the last bit."""
-    tree, origin_m = obstacles.tree, obstacles.origin_m
+    tree = obstacles.tree
+    origin_m = obstacles.origin_m
     shapes = tree.shapes.reshape(-1, 9)
     triangles = shapes[tree.kind == TRIANGLE].reshape(-1, 3, 3) + origin_m
     found, number = places(triangles.reshape(-1, 3) + 0.0)
     order = np.lexsort(found.T[::-1])
-    corners, number = found[order], np.argsort(order)[number].reshape(-1, 3)
+    corners = found[order]
+    number = np.argsort(order)[number].reshape(-1, 3)
     ends = np.sort(number[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
     third = number[:, [2, 0, 1]].ravel()
     order = np.argsort(ends[:, 1] * len(corners) + ends[:, 0], kind="stable")
-    ends, third = ends[order], third[order]
+    ends = ends[order]
+    third = third[order]
     new = np.ones(len(ends), np.bool_)
     new[1:] = (ends[1:] != ends[:-1]).any(axis=1)
     first = np.flatnonzero(new)
@@ -94,7 +97,8 @@ def outline(obstacles: Obstacles) -> Outline:
 
 def silhouette(shape: Outline, position_m: Array) -> Array:
     """(E, 2, 3) the edges, relative to a LiDAR, behind which its sight may begin or end."""
-    edges, beside = shape.edges - position_m, shape.beside - position_m
+    edges = shape.edges - position_m
+    beside = shape.beside - position_m
     normal = np.cross(edges[:, 0], edges[:, 1])
     volume = np.einsum("ej,eij->ei", normal, beside)
     flat = FLAT * np.linalg.norm(normal, axis=1)[:, None] * np.linalg.norm(beside, axis=2)
@@ -109,7 +113,8 @@ def _tangents(rounds: Array, position_m: Array) -> Array:
     for x, y, z, radius, height in rounds[rounds[:, 4] >= 0.0] - np.append(position_m, (0.0, 0.0)):
         distance = np.hypot(x, y)
         if distance > radius:
-            away, turn = maths.atan2(y, x), maths.asin(radius / distance)
+            away = maths.atan2(y, x)
+            turn = maths.asin(radius / distance)
             length = np.sqrt((distance - radius) * (distance + radius))
             for angle in (away - turn, away + turn):
                 u, v = length * maths.cos(angle), length * maths.sin(angle)
@@ -119,7 +124,8 @@ def _tangents(rounds: Array, position_m: Array) -> Array:
 
 def quadrics(shape: Outline, lidar: Lidar, visibility: Visibility) -> Quadrics:
     """The quadrics that may bound a LiDAR's sight, relative to it."""
-    nothing, flat = np.zeros(3), np.zeros((3, 3))
+    nothing = np.zeros(3)
+    flat = np.zeros((3, 3))
     upright = np.array((0.0, 0.0, 0.5))
     limits = visibility.limits([lidar])[0]
     rows: list[tuple[Array, Array, float, Array, float]] = []
@@ -202,10 +208,13 @@ class Bounds(NamedTuple):
 def bounds(edges: Array, surfaces: Quadrics, position_m: Array, axis: int) -> Bounds:
     """What may bound a LiDAR's sight, by lines along an axis; edges and surfaces relative to the LiDAR."""
     order = axes_from(axis)
-    edges, m, centre = edges[:, :, order], surfaces.m[:, order][:, :, order], surfaces.centre[:, order]
+    edges = edges[:, :, order]
+    m = surfaces.m[:, order][:, :, order]
+    centre = surfaces.centre[:, order]
     normal = np.cross(edges[:, 0], edges[:, 1])
     length = np.linalg.norm(normal, axis=1)
-    edges, normal = edges[length > 0.0], normal[length > 0.0] / length[length > 0.0, None]
+    edges = edges[length > 0.0]
+    normal = normal[length > 0.0] / length[length > 0.0, None]
     rows = np.concatenate([edges.reshape(-1, 6), abs(normal[:, :1])], axis=1)
     upper = m[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     table = np.concatenate([upper, surfaces.b[:, order], surfaces.c[:, None]], axis=1)
@@ -264,13 +273,16 @@ class Surfaces(NamedTuple):
         found = np.concatenate([flat, curved])
         found = found[np.lexsort((found[:, 1], found[:, 0]))]
         first = np.searchsorted(found[:, 0], np.arange(lattice.lines + 1))
-        at, weight = np.ascontiguousarray(found[:, 1]), np.ascontiguousarray(found[:, 2])
+        at = np.ascontiguousarray(found[:, 1])
+        weight = np.ascontiguousarray(found[:, 2])
         return Crossings(first, at, weight), self.part[found[:, 3].astype(np.int64)]
 
 
 def solids(bodies: Vehicle) -> Surfaces:
     """The surfaces of the bodies whose insides are no part of a region, by their closed parts."""
-    scene, triangles, rounds = bodies.scene, [np.empty((0, 3, 3))], []
+    scene = bodies.scene
+    triangles = [np.empty((0, 3, 3))]
+    rounds = []
     rows = dict(scene.rounds)
     for index in (scene.names.index(name) for name in bodies.excluded):
         if index in rows:
@@ -292,7 +304,8 @@ class Boundaries:
     """What bounds the sight of LiDARs, and the region; along whichever axis is asked for."""
 
     def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None) -> None:
-        self.lidars, self.visibility = lidars, visibility
+        self.lidars = lidars
+        self.visibility = visibility
         self.solids = solids(region.cut.bodies) if region.cut else None
         if visibility:
             shape = outline(visibility.obstacles)

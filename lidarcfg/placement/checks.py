@@ -123,7 +123,8 @@ def _places(index: int, group: GroupFile, study: Study, excluded: tuple[BoxFile,
 
 def _snapped(index: int, box: BoxFile, region: Region) -> Iterator[Suspect]:
     """Excluded boxes whose faces do not coincide with those of cuboids, and the box that each is taken for."""
-    at, taken = ("region", "exclude", index), []
+    at = ("region", "exclude", index)
+    taken = []
     for axis, (low, high, centres) in enumerate(zip(box.min_m, box.max_m, region.centres(), strict=True)):
         inside = centres[(centres >= low) & (centres < high)]
         if not len(inside):
@@ -146,7 +147,8 @@ def _slow(study: Study) -> Iterator[Suspect]:
     if study.is_max_vsr:
         return
     poses: Array = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
-    lidars, criterion = study.lidars(poses), study.criterion()
+    lidars = study.lidars(poses)
+    criterion = study.criterion()
 
     def seconds(what: str) -> float:
         began = time.perf_counter()
@@ -171,7 +173,8 @@ def _many_returns(study: Study) -> Iterator[Suspect]:
     unlike = {one.item.appearance: one for one in study.detection_targets}.values()
     if not unlike:
         return
-    rig, total = study.rig(study.midpoint), sum(len(one.places) for one in unlike)
+    rig = study.rig(study.midpoint)
+    total = sum(len(one.places) for one in unlike)
     scanners = study.scanners(rig.mounts)
     lidars = rig_lidars(rig)
 

@@ -59,7 +59,8 @@ class _Group:
 
 def combinations(study: Study) -> list[Combination]:
     """All combinations of a study that has choices, in the order of its groups and of their choices."""
-    groups, first = [], 0
+    groups = []
+    first = 0
     for values in study.file["sensors"]:
         groups.append(_Group(values, first, 2 if "mirror_y_m" in values else 1))
         first += values["count"]
@@ -164,7 +165,8 @@ def starts(combination: Combination, examples: Sequence[Example], rng: np.random
     same group and model keep their poses, then those of the same group; a sensor that is new stands anywhere within its
     bounds.
     """
-    slots, found = _sensor_slots(combination), []
+    slots = _sensor_slots(combination)
+    found = []
     for example in sorted(examples, key=lambda example: example.objective):
         for _ in range(DRAWS):
             x, is_new = _fitted(slots, example, rng)

@@ -143,7 +143,8 @@ def check_fits(item: DetectionObject, region: Region, size_m: tuple[float, ...] 
     size_m = size_m or item.box_m
     for axis, (need, have) in enumerate(zip(cuboids_needed(size_m, region.cuboid_m), region.shape, strict=True)):
         if need > have:
-            size, most = size_m[axis], region.max_m[axis] - region.min_m[axis]
+            size = size_m[axis]
+            most = region.max_m[axis] - region.min_m[axis]
             raise ConfigError(
                 f"{item.name}: size_m[{axis}]: {size:g} is more than the region's {most:g} along {AXES[axis]}"
             )
@@ -159,7 +160,8 @@ def detection(subspaces: Subspaces, item: DetectionObject, counted: Counted | No
         found = _drawn(subspaces, item, item.samples)
     else:
         counted = counted or counted_places(subspaces, item)
-        detected, places = int(counted.detected.sum()), int(counted.places.sum())
+        detected = int(counted.detected.sum())
+        places = int(counted.places.sum())
         found = Detection(detected / max(places, 1), places, 0.0)
     if found.places == 0:
         raise ConfigError(f"{item.name}: has no free place in the region")
@@ -242,14 +244,16 @@ def detection_by_distance(
     Places beyond the last of `edges_m` are in no ring. counted: the result of `counted_places`, if known.
     """
     n = len(edges_m) - 1
-    detected, places = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    detected = np.zeros(n, np.int64)
+    places = np.zeros(n, np.int64)
     region = subspaces.region
     if item.samples:
         for box in drawn_boxes(region, item.box_m, item.on_ground, item.samples):
             at = ring(box[:, 0], box[:, 1], middle_m, edges_m)
             for i in range(n):
                 met = _detected_boxes(subspaces, item, box[at == i])
-                detected[i], places[i] = detected[i] + met[0], places[i] + met[1]
+                detected[i] += met[0]
+                places[i] += met[1]
         return Rings(edges_m, detected, places)
     found, free, _ = counted or counted_places(subspaces, item)
     size = cuboids_needed(item.box_m, region.cuboid_m)
@@ -267,7 +271,8 @@ def ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
 
 
 def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detection:
-    rates, places = [], 0
+    rates = []
+    places = 0
     for box in drawn_boxes(subspaces.region, item.box_m, item.on_ground, samples):
         detected, free = _detected_boxes(subspaces, item, box)
         places += free
@@ -344,7 +349,9 @@ def gap_fit(
     if item.size_m is None:
         return None
     length, width, height = item.size_m
-    on_ground, found, places = item.on_ground or item.returns is not None, set[int](), []
+    on_ground = item.on_ground or item.returns is not None
+    found = set[int]()
+    places = []
     for size_m in dict.fromkeys(((length, width, height), (width, length, height))):
         size = cuboids_needed(size_m, subspaces.region.cuboid_m)
         if any(need > have for need, have in zip(size, subspaces.region.shape, strict=True)):

@@ -87,7 +87,8 @@ def evaluate(
         check_outside(study.vehicle, rig.mounts)
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
     subspaces = segment(study.region, rig_lidars(rig), study.visibility)
-    vsr, spheres = vsr_m(subspaces), Spheres(subspaces)
+    vsr = vsr_m(subspaces)
+    spheres = Spheres(subspaces)
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
     where = extents(subspaces, numbers)
     worst = _worst(rig, subspaces, vsr, spheres, dict(zip(numbers, where, strict=True)))
@@ -97,7 +98,8 @@ def evaluate(
     }
     rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    zones, seconds = max_vsr_by_zone(study.zones, subspaces), time.perf_counter() - started
+    zones = max_vsr_by_zone(study.zones, subspaces)
+    seconds = time.perf_counter() - started
     return Evaluation(
         subspaces=subspaces,
         vsr_m=vsr,
@@ -116,7 +118,9 @@ def evaluate(
 
 def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: dict[int, Extent]) -> tuple[Worst, ...]:
     """The subspaces with these numbers."""
-    volume, surface, found = volume_m3(subspaces), surface_m2(subspaces), []
+    volume = volume_m3(subspaces)
+    surface = surface_m2(subspaces)
+    found = []
     for number, extent in where.items():
         low, high = extent.bounds_m
         gaps = subspaces.gap[number].tolist()

@@ -30,7 +30,8 @@ from lidarcfg.placement.visibility import LIMITS, UNLIMITED_SIGHT, Visibility
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
-SLICE, SLICE_CUBOIDS = 1000, 5e7  # trials between two looks at the clock, and the most cuboids in them
+SLICE = 1000  # trials between two looks at the clock
+SLICE_CUBOIDS = 5e7  # in them, at most
 REMEMBERED = 10_000  # trials that may take the place of a food source
 CERTIFICATES = 12  # of a food source, see core/placement/evaluator.h
 FEW = 8  # LiDARs, of which a trial takes no longer than its cuboids; of more it takes as much longer

@@ -29,8 +29,10 @@ from lidarcfg.placement.study import Study
 
 PROGRESS = 0.4
 NEGLECT = 4.0
-PART, GROWTH = 200, 0.25  # evaluations of a part, at least; of those so far
-TRANSFER, LATER = 150, 16
+PART = 200  # evaluations of a part, at least
+GROWTH = 0.25  # of a part, by the evaluations so far
+TRANSFER = 150  # evaluations by which a combination learns from the others
+LATER = 16  # the growth of its own search after which it does so again
 
 
 @dataclass(frozen=True)
@@ -91,10 +93,12 @@ def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]
     One pair dominates another if neither its price nor its objective is larger, and one of them is smaller; of equal
     pairs the first counts. Pairs without a rig that meets the constraints are on no front.
     """
-    best, found = math.inf, [False] * len(prices)
+    best = math.inf
+    found = [False] * len(prices)
     for i in sorted(range(len(prices)), key=lambda i: (prices[i], objectives[i])):
         if objectives[i] < min(best, INFEASIBLE):
-            best, found[i] = objectives[i], True
+            best = objectives[i]
+            found[i] = True
     return found
 
 
@@ -113,7 +117,8 @@ def front(
     """
     if not study.to_choose:
         raise ConfigError("nothing to choose in the study: no group has `choose`")
-    search, interrupted = FrontRun(study, logs), False
+    search = FrontRun(study, logs)
+    interrupted = False
     try:
         search.run(threads, on_part, skip)
     except KeyboardInterrupt:
@@ -193,7 +198,8 @@ class CandidateSearch:
 
     def placement(self, interrupted: bool) -> Placement:
         """The best rig, with the ordinary search's history and log."""
-        found, own = self.best.placement(interrupted), self.own
+        found = self.best.placement(interrupted)
+        own = self.own
         if len(self.runs) == 1:
             return found
         last = Cycle(self.cycles, self.evaluations, self.best.best_cost, own.history[-1].mean, self.seconds)
@@ -308,7 +314,8 @@ class FrontRun:
         """The front so far. Raises KeyboardInterrupt if there is none yet, ConfigError where no rig is allowed."""
         if not any(math.isfinite(candidate.best.best_cost) for candidate in self.searches):
             raise KeyboardInterrupt
-        on_front, objectives = self.on_front(), self.objectives.tolist()
+        on_front = self.on_front()
+        objectives = self.objectives.tolist()
         if not any(on_front):
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
         order = sorted(range(len(on_front)), key=lambda i: (self._prices[i], objectives[i]))

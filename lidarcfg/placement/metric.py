@@ -123,7 +123,8 @@ class Extent:
     @property
     def bounds_m(self) -> tuple[Array, Array]:
         """The box around it: its lower and upper corner, (3,) each."""
-        low, edge = self.region.min_m, self.region.cuboid_m
+        low = self.region.min_m
+        edge = self.region.cuboid_m
         return low + self.low * edge, low + self.high * edge
 
     @property

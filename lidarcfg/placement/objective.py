@@ -68,10 +68,13 @@ class Trial:
     """A rig that is evaluated: its LiDARs, and its subspaces once a term asks for them."""
 
     def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None) -> None:
-        self.region, self.lidars, self.visibility = region, lidars, visibility
+        self.region = region
+        self.lidars = lidars
+        self.visibility = visibility
         self.kept = tuple(range(len(lidars)))  # the numbers of its LiDARs in the whole rig
         self.is_cut = False  # into subspaces
-        self.weighted_vsr_m, self.first = np.empty(0), np.empty(0, np.int64)  # of its subspaces; see forget
+        self.weighted_vsr_m = np.empty(0)  # of its subspaces; see forget
+        self.first = np.empty(0, np.int64)  # cuboid of each
         self._whole: Trial | None = None
         self._left: dict[tuple[int, ...], Trial] = {}
 
@@ -92,7 +95,8 @@ class Trial:
         """Keep of its subspaces only their weighted VSR and the first cuboid of each: the rest is large."""
         found = self.__dict__.pop("subspaces", None)
         if found:
-            self.weighted_vsr_m, self.first = weighted_vsr_m(found, weight), found.first
+            self.weighted_vsr_m = weighted_vsr_m(found, weight)
+            self.first = found.first
 
     @cached_property
     def _links(self) -> Links:
@@ -102,7 +106,8 @@ class Trial:
         """The trial of the rig with only some of its LiDARs."""
         if kept not in self._left:
             one = Trial(self.region, [self.lidars[i] for i in kept], self.visibility)
-            one.kept, one._whole = kept, self
+            one.kept = kept
+            one._whole = self
             self._left[kept] = one
         return self._left[kept]
 
@@ -166,7 +171,8 @@ class Undetected:
     """1 − the detection rate of an object. Stops once it is undetected in too many places."""
 
     def __init__(self, region: Region, item: DetectionObject) -> None:
-        self._item, self._free = item, free_places(region, item)
+        self._item = item
+        self._free = free_places(region, item)
         self.work = float(sum(self._free) * math.prod(cuboids_needed(item.box_m, region.cuboid_m)))
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
@@ -182,7 +188,8 @@ class MissRate:
 
     def __init__(self, target: DetectionTarget, scanners: Sequence[core.returns.Scanner]) -> None:
         """`scanners` of all of the study's LiDARs."""
-        self._target, self._scanners = target, scanners
+        self._target = target
+        self._scanners = scanners
         self._counter = MissCounter(target, scanners, NO_OBSTACLES)
         self.work = 1e3 * len(target.places)
 
@@ -256,7 +263,8 @@ class BlindSpot:
     """
 
     def __init__(self, around: Directions) -> None:
-        self._around, self._points = around, looked_at(around)
+        self._around = around
+        self._points = looked_at(around)
         self._recent: Recent[int] = Recent()
         self.work = float(len(self._points.number))
 
@@ -292,7 +300,8 @@ class Criterion:
         weight: Weights | None = None,  # of max VSR, by cuboid
         kept: Flags = EVERY_CASE,  # (cases, lidars); no cases: the whole rig alone
     ) -> None:
-        self.weight, self.kept = weight, kept
+        self.weight = weight
+        self.kept = kept
         self._cases = [tuple(np.flatnonzero(case).tolist()) for case in kept]
         self._refuting: Recent[int] = Recent()  # cases
         wanted = objective.detection
@@ -338,7 +347,8 @@ class Criterion:
         limit = max((upper_bound - others) * scale, 0.0)
         step = np.finfo(float).eps * upper_bound * scale
         while self.mean([limit if i == term else value for i, value in enumerate(values)]) < upper_bound:  # rounding
-            limit, step = limit + step, 2.0 * step
+            limit += step
+            step *= 2.0
         return limit
 
     def cases(self, trial: Trial) -> list[Trial]:

@@ -22,7 +22,8 @@ CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
 CUBOID_ADDRESSES = 110  # of bytes that are reserved for one, most of which are never used
 VOXEL_BYTES = 300  # of memory for one of Open3D's, and to make it
-NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
+NEAREST_M = 1e-9  # least distance of centres
+NEAREST = 1e-12  # the same relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
 AXES = "xyz"
@@ -54,7 +55,8 @@ class RegionFile(BoxFile):
     def _check_division(self) -> "RegionFile":
         total = 1
         for axis in range(3):
-            length, edge = self.max_m[axis] - self.min_m[axis], self.cuboid_m[axis]
+            length = self.max_m[axis] - self.min_m[axis]
+            edge = self.cuboid_m[axis]
             count = max(round(length / edge), 1) if length / edge <= CUBOIDS_MAX else CUBOIDS_MAX + 1
             total *= count
             if total > CUBOIDS_MAX:

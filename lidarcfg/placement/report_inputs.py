@@ -39,7 +39,8 @@ def beams_across(subspaces: Subspaces) -> tuple[Counts, Counts, Counts]:
     stood along the line would be hit by it; it counts once, however often it crosses. Cuboids that are excluded, and
     those that its sensor does not see, do not count; −1 where a line has no cuboid that counts.
     """
-    included, lidars = subspaces.region.included, subspaces.gap.shape[1]
+    included = subspaces.region.included
+    lidars = subspaces.gap.shape[1]
     empty = [~included.any(axis=axis) for axis in range(3)]
     x_span, y_span, z_span = [
         Span(np.full((lidars, *one.shape), MOST, np.int32), np.full((lidars, *one.shape), -1, np.int32))
@@ -137,7 +138,8 @@ def report_inputs(
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     found = replace(found, robustness=robustness(study, rig))
-    subspaces, vehicle = found.subspaces, study.reference_m
+    subspaces = found.subspaces
+    vehicle = study.reference_m
     edges = ring_edges_m(study.region, vehicle)
     return ReportInputs(
         evaluation=found,
@@ -165,8 +167,10 @@ def detection_map(found: Evaluation, item: DetectionObject) -> DetectionMap:
     """Where an object without `samples` is detected."""
     if item.returns:
         seen = found.return_counts[item.name]
-        low, step_m = seen.target.low_m, seen.target.step_m
-        found_at, can_be = seen.from_above(seen.probability), seen.from_above(np.ones(len(seen.probability)))
+        low = seen.target.low_m
+        step_m = seen.target.step_m
+        found_at = seen.from_above(seen.probability)
+        can_be = seen.from_above(np.ones(len(seen.probability)))
         return DetectionMap(found_at, can_be, low, low + step_m * np.array(seen.target.grid))
     region = found.subspaces.region
     detected, count, _ = found.counted[item.name]

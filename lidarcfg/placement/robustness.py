@@ -18,7 +18,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, angles, turned
 
 CASES_MAX = 1000  # rigs that may be left, and draws
-SAMPLES, QUANTILE = 16, 0.9  # unless the study says otherwise
+SAMPLES = 16  # unless the study says otherwise
+QUANTILE = 0.9  # unless the study says otherwise
 SEED = 20180913  # of the draws; combined with the LiDAR's number
 SIGMAS = ("position_sigma_m", "angle_sigma_deg")
 

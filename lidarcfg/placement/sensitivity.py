@@ -14,7 +14,9 @@ from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.sensors.rig import Rig
 
 CUBOIDS_MAX = 1_000_000  # for larger regions it is omitted
-STEP_M, STEP_DEG, OFFSETS = 0.01, 0.1, (-5, -1, 1, 5)  # steps by which a coordinate is off
+STEP_M = 0.01  # of a position
+STEP_DEG = 0.1  # of an angle
+OFFSETS = (-5, -1, 1, 5)  # steps by which a coordinate is off
 HUGE = float(np.finfo(np.float64).max)  # to beat: everything does
 
 
@@ -63,8 +65,10 @@ def robustness(study: Study, rig: Rig) -> Robustness | None:
     """The effects of failures and mounting errors; None where the region has too many cuboids for a quick answer."""
     if study.region.included.size > CUBOIDS_MAX:
         return None
-    trial, criterion = Trial(study.region, rig_lidars(rig), study.visibility), study.criterion(mounts=rig.mounts)
-    names, everyone = [mount.name for mount in rig.mounts], range(len(rig.mounts))
+    trial = Trial(study.region, rig_lidars(rig), study.visibility)
+    criterion = study.criterion(mounts=rig.mounts)
+    names = [mount.name for mount in rig.mounts]
+    everyone = range(len(rig.mounts))
     without = [
         _degraded(study, criterion, trial.left(tuple(i for i in everyone if i != lost)), names[lost])
         for lost in everyone

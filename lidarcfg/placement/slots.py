@@ -23,7 +23,8 @@ from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import Vehicle
 
 BETWEEN_DEG = 10.0  # by so much a sensor may tilt less between the places of its surface that were tried
-ROLL, PITCH = 3, 4
+ROLL = 3
+PITCH = 4
 NEARLY_RAD = 1e-3  # bounds that far from half a turn still count as one; the paper's end at 3.1415
 
 
@@ -47,7 +48,8 @@ def choices_of(file: StudyFile, path: Path) -> list[Choices]:
     """
     if all(group.choose is None for group in file.sensors):
         return [() for _ in file.sensors]
-    prices, found = file.prices or {}, []
+    prices = file.prices or {}
+    found = []
     for i, group in enumerate(file.sensors):
         choices: list[Choice | None] = []
         for n, name in enumerate(group.choose or (group.model or "",)):
@@ -113,7 +115,10 @@ class Slots:
 def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, path: Path) -> Slots:
     """The slots of a file's groups; `choices` by group. Raises ConfigError."""
     found: list[Slot] = []
-    lower, upper, mirror, member = [], [], [], []
+    lower = []
+    upper = []
+    mirror = []
+    member = []
     for i, (group, models) in enumerate(zip(file.sensors, choices, strict=True)):
         offered = tuple(
             choice and replace(choice, surface=_surface(file, bodies, choice.sensor, path, i)) for choice in models
@@ -150,7 +155,8 @@ def _surface(file: StudyFile, bodies: Vehicle | None, sensor: Sensor, path: Path
     if not (group.on and bodies):
         return None
     surface = on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
-    limit_deg, least_deg = file.constraints.max_tilt_deg, math.degrees(surface.patch.least_tilt_rad)
+    limit_deg = file.constraints.max_tilt_deg
+    least_deg = math.degrees(surface.patch.least_tilt_rad)
     if not group.on.upright and NONE not in (group.choose or ()) and least_deg > limit_deg + BETWEEN_DEG:
         what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more wherever its base was tried"
         raise error_at(path, ("constraints", "max_tilt_deg"), what)
@@ -191,7 +197,8 @@ def freely_tilted(lidars: Sequence[Lidar], lower: Array, upper: Array, free: NDA
     Where both go from 0 to half a turn, as in the paper, a sensor stands upright in each corner of these bounds, and a
     search that tilts it a little to the other side would have to jump. Bounds and `free` are (sensors, 6).
     """
-    number, found = np.cumsum(free).reshape(free.shape) - 1, []
+    number = np.cumsum(free).reshape(free.shape) - 1
+    found = []
     for i, lidar in enumerate(lidars):
         symmetric = np.allclose(lidar.sin_elevation, -lidar.sin_elevation[::-1])
         half_turns = all(

@@ -139,7 +139,8 @@ class Study:
 
         Sensors off their surface violate them, and sensors inside a closed body unless the vehicle allows that.
         """
-        limit_deg, least_m = self.constraints.max_tilt_deg, self.constraints.min_distance_m
+        limit_deg = self.constraints.max_tilt_deg
+        least_m = self.constraints.min_distance_m
         total = np.zeros(len(poses))
         if limit_deg < 180.0:
             tilt = maths.acos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
@@ -158,13 +159,15 @@ class Study:
         lidars = len(self.slots)
         if self.robust is None:
             return 1, lidars
-        kept, drawn = self.robust.kept(lidars), self.robust.drawn
+        kept = self.robust.kept(lidars)
+        drawn = self.robust.drawn
         return len(kept) + drawn, int(kept.sum()) + drawn * lidars
 
     @property
     def objective_cuts(self) -> bool:
         """Whether the objective needs the subspaces: all but detection by returns and the blind spot's distance do."""
-        wanted, returns = self.objective, {item.name for item in self.detection if item.returns}
+        wanted = self.objective
+        returns = {item.name for item in self.detection if item.returns}
         own = (wanted.max_vsr, wanted.inscribed_radius, wanted.blind_volume, wanted.seen_by_two)
         return wanted.is_max_vsr or any(one is not None for one in own) or bool(set(wanted.detection) - returns)
 
@@ -176,7 +179,9 @@ class Study:
     def chosen(self, numbers: Sequence[int], slots: Sequence[Slot], file: dict[str, Any]) -> "Study":
         """The study with these slots instead of its own; each takes the bounds of the slot with its number."""
         rows = list(numbers)
-        lower, upper, mirror = self.lower[rows], self.upper[rows], self.mirror[rows]
+        lower = self.lower[rows]
+        upper = self.upper[rows]
+        mirror = self.mirror[rows]
         return replace(self, slots=tuple(slots), lower=lower, upper=upper, mirror=mirror, file=file)
 
     @property
@@ -245,7 +250,9 @@ class Study:
 
         if self.robust is None:
             return self.criterion().of(at(poses))
-        costs, whole, errors = [], self.criterion(), self.robust.errors(len(self.slots))
+        costs = []
+        whole = self.criterion()
+        errors = self.robust.errors(len(self.slots))
         if self.robust.lost:
             costs.append(self.criterion(self.robust.kept(len(self.slots))).of(at(poses)))
         if self.robust.drawn:
@@ -300,7 +307,8 @@ def study_of(file: StudyFile, path: Path) -> Study:
         if not region.included.any():
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
         check_bounds(file, path, bodies)
-    surroundings, zones = _surroundings(file, path), _zones(file, region, path)
+    surroundings = _surroundings(file, path)
+    zones = _zones(file, region, path)
     if file.robust:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
@@ -375,7 +383,8 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
 
 def _resolved(file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], path: Path) -> dict[str, Any]:
     """The file's values with defaults filled in, and with the paths of models and other files resolved."""
-    values, models = whole_values(file, path.parent), iter(slots)
+    values = whole_values(file, path.parent)
+    models = iter(slots)
     for group in values["sensors"]:
         for slot in islice(models, group["count"]):
             if "choose" in group:

@@ -66,7 +66,8 @@ class Processes:
     """Processes on this machine. They end with this process, however it ends; a killed one is replaced."""
 
     def __init__(self, count: int) -> None:
-        self.count, self._closed = count, False
+        self.count = count
+        self._closed = False
         self._threads = ThreadPoolExecutor(count, initializer=_survive_broken_pipes)
         self._idle: SimpleQueue[_Process] = SimpleQueue()
         self._all = [_Process() for _ in range(count)]
@@ -160,7 +161,8 @@ class Cluster:
         if not ADDRESS.fullmatch(address):
             raise ConfigError(f"scheduler {address!r}: is not an address such as tcp://192.168.1.9:8786")
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # its messages are summarised here in one line
-        self._address, self._known = address, set[str]()
+        self._address = address
+        self._known = set[str]()
         if address.startswith("tls") and not Security().get_connection_args("client")["ssl_context"]:
             raise self._error("Dask's configuration names no certificates for it, see distributed.comm.tls")
         with warnings.catch_warnings():

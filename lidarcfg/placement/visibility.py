@@ -20,7 +20,8 @@ from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import obstacles
 
 LIMITS = 9  # columns of Sight.limits
-WITHIN, BEYOND = 1.0, 2.0  # kinds of fields of view: up to half a turn; more. All around is 0
+WITHIN = 1.0  # the kind of a field of view of up to half a turn; 0: all around
+BEYOND = 2.0  # of a wider one
 ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
 EXACT = 1e-15  # a cosine or sine below it is 0
 

@@ -121,7 +121,8 @@ def weights(zones: Sequence[Zone], region: Region) -> Weights | None:
     """By cuboid the greatest weight of its zones, 1 in none; None without zones. Raises LidarcfgError."""
     if not zones:
         return None
-    level, cuboids = np.unique([1.0, *(one.weight for one in zones)]), region.included.size
+    level = np.unique([1.0, *(one.weight for one in zones)])
+    cuboids = region.included.size
     what = f"weighing {cuboids:,} cuboids by zones of {len(level)} weights"
     check_memory(what, (WEIGHT_BYTES + len(level) / 8) * cuboids, "use larger cuboids or fewer weights")
     number = np.zeros(region.shape, np.min_scalar_type(len(level)))
@@ -130,7 +131,8 @@ def weights(zones: Sequence[Zone], region: Region) -> Weights | None:
         np.maximum(part, np.searchsorted(level, one.weight).astype(number.dtype) + number.dtype.type(1), out=part)
     elsewhere = np.searchsorted(level, 1.0) + 1
     for layer, rest, included in zip(number, outside_zones(zones, region), region.included, strict=True):
-        layer[rest], layer[~included] = elsewhere, 0
+        layer[rest] = elsewhere
+        layer[~included] = 0
     return Weights(level, number)
 
 

@@ -24,10 +24,12 @@ class CmaEs:
         self, dimensions: int, seed: int, start: Array | None = None, step: float = STEP, population: int = 0
     ) -> None:
         self._rng = np.random.default_rng(seed)
-        self._dimensions, self._step = dimensions, step
+        self._dimensions = dimensions
+        self._step = step
         self._population = population or 4 + int(3 * np.log(dimensions))
         self.cycles = 0
-        self.best_x, self.best_cost = self._rng.random(dimensions), np.inf
+        self.best_x = self._rng.random(dimensions)
+        self.best_cost = np.inf
         self.mean_cost = np.inf
         self.over = False
         self._begin(start if start is not None else self.best_x)
@@ -59,7 +61,8 @@ class CmaEs:
         self._es.tell(self._asked, list(np.minimum(checked(cost), HUGE)))
         best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = np.array(self._asked[best])[: self._dimensions], float(cost[best])
+            self.best_x = np.array(self._asked[best])[: self._dimensions]
+            self.best_cost = float(cost[best])
         self.mean_cost = float(np.mean(cost))
         self.cycles += 1
         self.over = bool(self._es.stop())
@@ -74,11 +77,14 @@ class WarmStart:
     """Tries given points (n, dimensions), then runs CMA-ES around the best; `over` once that has converged."""
 
     def __init__(self, starts: Array, seed: int) -> None:
-        self._starts, self._seed = starts, seed
+        self._starts = starts
+        self._seed = seed
         self._run: CmaEs | None = None
         self.cycles = 0
         self.over = False
-        self.best_x, self.best_cost, self.mean_cost = starts[0], np.inf, np.inf
+        self.best_x = starts[0]
+        self.best_cost = np.inf
+        self.mean_cost = np.inf
 
     @property
     def sources(self) -> Array:
@@ -95,9 +101,11 @@ class WarmStart:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x, best = self.ask().x, int(np.argmin(cost))
+        x = self.ask().x
+        best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
+            self.best_x = x[best].copy()
+            self.best_cost = float(cost[best])
         self.mean_cost = float(np.mean(cost))
         self.cycles += 1
         if self._run:

@@ -83,7 +83,8 @@ class Runs:
 
     def __init__(self, dimensions: int) -> None:
         self.cycles = 0
-        self.best_x, self.best_cost = np.full(dimensions, 0.5), np.inf
+        self.best_x = np.full(dimensions, 0.5)
+        self.best_cost = np.inf
 
     def _follow(self) -> None:
         raise NotImplementedError  # each search by runs begins them in its own way
@@ -104,9 +105,11 @@ class Runs:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x, best = self.ask().x, int(np.argmin(checked(cost)))
+        x = self.ask().x
+        best = int(np.argmin(checked(cost)))
         if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
+            self.best_x = x[best].copy()
+            self.best_cost = float(cost[best])
         self.cycles += 1
         self._run.tell(cost)
         if self._run.over:
@@ -118,8 +121,10 @@ class FixedPoint:
 
     def __init__(self) -> None:
         self.cycles = 0
-        self.best_x, self.best_cost = np.empty(0), np.inf
-        self.sources, self.mean_cost = np.empty((1, 0)), np.inf
+        self.best_x = np.empty(0)
+        self.best_cost = np.inf
+        self.sources = np.empty((1, 0))
+        self.mean_cost = np.inf
 
     def ask(self) -> Trials:
         """The only trial."""
