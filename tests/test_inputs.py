@@ -32,8 +32,8 @@ from lidarcfg.sensors.sensor import Beams
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.motion import load_path
 from tests.capture_fixtures import no_warning
+from tests.clouds.test_cloud import cloud
 from tests.command_line import lidarcfg
-from tests.test_cloud import cloud
 
 READERS = {
     ".pcap": lambda path: list(decode_pcap(path, no_warning)),
