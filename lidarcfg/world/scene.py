@@ -12,9 +12,9 @@ from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.world.gltf import buffers
+from lidarcfg.world.gltf_models import model_objects
 from lidarcfg.world.height_field import height_field_mesh
 from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed, plane_mesh, read_mesh, sphere_mesh
-from lidarcfg.world.models import model_objects
 from lidarcfg.world.motion import Motion
 from lidarcfg.world.scene_file import (
     FILES,
