@@ -28,7 +28,7 @@ from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.obstacles import Obstacles
-from lidarcfg.world.scene import Cylinder, Sphere
+from lidarcfg.world.scene_file import Cylinder, Sphere
 from lidarcfg.world.solids import parts, places
 from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE
 from lidarcfg.world.vehicle import Vehicle, mesh_of
