@@ -68,7 +68,7 @@ class Seen(NamedTuple):
     whole: Counts  # (n,) the number of the subspace that each is part of
 
     def joined(self) -> "Seen":
-        """The same for whole subspaces; parts that belong to another one are 0."""
+        """The sums of whole subspaces; those of parts that belong to another one are 0."""
         n = self.whole.size
 
         def total(rows: Array) -> Array:

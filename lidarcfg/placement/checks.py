@@ -169,7 +169,7 @@ def _slow(study: Study) -> Iterator[Suspect]:
 
 
 def _many_returns(study: Study) -> Iterator[Suspect]:
-    """Objects at so many places that counting the returns of a rig takes long: a part of the places says so."""
+    """Objects with too many places to count the returns of a rig quickly, as a part of the places shows."""
     unlike = {one.item.appearance: one for one in study.detection_targets}.values()
     if not unlike:
         return
@@ -197,5 +197,5 @@ def _many_returns(study: Study) -> Iterator[Suspect]:
 
 
 def _thinned(one: DetectionTarget, every: int) -> DetectionTarget:
-    """The object at every so many of its places."""
+    """The object at each `every`-th of its places."""
     return replace(one, places=np.ascontiguousarray(one.places[::every]), part=one.part[::every])

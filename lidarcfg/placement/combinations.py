@@ -105,10 +105,10 @@ def _combination(
             for number in range(count):
                 slot = slot_name(values.get("name"), count, number, len(slots))
                 of = study.slots[place + number]
-                seat = choice.surface.image if choice.surface and number % group.together else choice.surface
+                surface = choice.surface.image if choice.surface and number % group.together else choice.surface
                 given = group.values.get("azimuth_fov_deg")
                 fov_deg = choice.sensor.field_of_view_deg(tuple(given) if given else None)
-                slots.append(Slot(slot, choice.sensor, model, of.range_m, fov_deg, seat))
+                slots.append(Slot(slot, choice.sensor, model, of.range_m, fov_deg, surface))
                 numbers.append(place + number)
                 members.append(i)
             place += count

@@ -181,7 +181,7 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> Counted:
 
 
 def boxes_counted(subspaces: Subspaces, size: tuple[int, int, int], layers: int, threshold: int = 1) -> Counted:
-    """The same for a box of this many cuboids, whose lowest layer is one of the first `layers`."""
+    """Where a box of `size` cuboids is detected, and where it can be; its lowest layer is one of the first `layers`."""
     held = np.zeros(len(subspaces), np.bool_)
     detected, places = core.analytic.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
     return Counted(detected, places, held)

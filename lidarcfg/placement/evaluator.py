@@ -41,7 +41,7 @@ Flags = NDArray[np.bool_]
 
 
 def slice_of(cuboids: int, threads: int) -> int:
-    """Trials of so many cuboids between two looks at the clock: one for each thread at least."""
+    """Trials of `cuboids` cuboids between two looks at the clock: one for each thread at least."""
     return min(SLICE, max(threads, int(SLICE_CUBOIDS / cuboids)))
 
 
@@ -154,7 +154,7 @@ class Evaluator:
     def _weighted(
         self, criterion: Criterion, poses: Array, source: Index, source_poses: Array, upper_bound: Array
     ) -> Array:
-        """The same for other terms: certificates of max VSR first, then the subspaces of what they did not refute."""
+        """(n,) the costs by several terms: certificates of max VSR first, then the trials that they did not refute."""
         out = np.full(len(poses), np.nan)
         self._pause = max(self._pause - 1, 0)
         if criterion.max_vsr is not None and not self._pause:

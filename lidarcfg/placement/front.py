@@ -78,12 +78,12 @@ class Front:
 
     @property
     def evaluations(self) -> int:
-        """Of all combinations."""
+        """Evaluations of all combinations."""
         return sum(candidate.evaluations for candidate in self.candidates)
 
     @property
     def dominated_evaluations(self) -> int:
-        """Of the combinations that are not on the front."""
+        """Evaluations of the combinations that are not on the front."""
         return sum(candidate.evaluations for candidate in self.candidates if not candidate.on_front)
 
 
@@ -157,17 +157,17 @@ class CandidateSearch:
 
     @property
     def evaluations(self) -> int:
-        """Of all its searches."""
+        """Evaluations of all its searches."""
         return sum(run.evaluations for run in self.runs)
 
     @property
     def cycles(self) -> int:
-        """Of all its searches."""
+        """Cycles of all its searches."""
         return sum(run.cycles for run in self.runs)
 
     @property
     def seconds(self) -> float:
-        """Of all its searches."""
+        """Seconds of all its searches."""
         return sum(run.seconds for run in self.runs)
 
     @property
@@ -232,17 +232,17 @@ class FrontRun:
 
     @property
     def evaluations(self) -> int:
-        """Of all combinations."""
+        """Evaluations of all combinations."""
         return sum(candidate.evaluations for candidate in self.searches)
 
     @property
     def cycles(self) -> int:
-        """Of all combinations."""
+        """Cycles of all combinations."""
         return sum(candidate.cycles for candidate in self.searches)
 
     @property
     def seconds(self) -> float:
-        """Of all combinations."""
+        """Seconds of all combinations."""
         return sum(candidate.seconds for candidate in self.searches)
 
     @property

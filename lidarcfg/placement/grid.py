@@ -27,7 +27,7 @@ Words = NDArray[np.uint64]
 Counts = NDArray[np.int64]
 BEAMS_MAX = 1_000_000  # of all LiDARs together
 LARGE = 2**14  # rows from which on what LiDARs see is found on threads
-WORDS = 16  # a row that an evaluation needs at least, beside three for each LiDAR
+WORDS = 16  # a row that an evaluation needs at least, besides three for each LiDAR
 
 
 def grid_of(region: Region, weights: tuple[Array, NDArray[np.integer]] | None = None) -> core.Grid:

@@ -105,7 +105,7 @@ class Extent:
 
     @cached_property
     def counts(self) -> tuple[Counts, Counts, Counts]:
-        """Of its cuboids by layer along x, y and z."""
+        """The number of its cuboids by layer along x, y and z."""
         across_x, _, across_z = self.lines
         x, y = (across_z.sum(axis=axis, dtype=np.int64) for axis in (1, 0))
         return x, y, across_x.sum(axis=0, dtype=np.int64)

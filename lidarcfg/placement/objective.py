@@ -160,11 +160,11 @@ class MaxVsr:
         self._weight = weight
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """See Term."""
+        """Its value, or any number that is at least `limit` once it is known to be."""
         return float(weighted_vsr_m(trial.subspaces, self._weight).max())
 
     def learn(self) -> None:
-        """Nothing: see Evaluator.max_vsr."""
+        """Learns nothing: the evaluator has certificates of max VSR."""
 
 
 class Undetected:
@@ -176,11 +176,11 @@ class Undetected:
         self.work = float(sum(self._free) * math.prod(cuboids_needed(item.box_m, region.cuboid_m)))
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """See Term."""
+        """Its value, or any number that is at least `limit` once it is known to be."""
         return undetected(trial.subspaces, self._item, self._free, limit)
 
     def learn(self) -> None:
-        """Nothing."""
+        """Learns nothing."""
 
 
 class MissRate:
@@ -194,7 +194,7 @@ class MissRate:
         self.work = 1e3 * len(target.places)
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """See Term."""
+        """Its value, or any number that is at least `limit` once it is known to be."""
         return self._counter_for(trial).rate(trial.kept, trial.poses, limit)
 
     def lower_bound(self, trial: Trial, share: float) -> float:
@@ -209,7 +209,7 @@ class MissRate:
         return counter
 
     def learn(self) -> None:
-        """Nothing."""
+        """Learns nothing."""
 
 
 class UnseenFraction:
@@ -221,11 +221,11 @@ class UnseenFraction:
         self._least = least
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """See Term."""
+        """Its value, or any number that is at least `limit` once it is known to be."""
         return fraction_below(trial.region, trial.subspaces.seen_by, self._least)
 
     def learn(self) -> None:
-        """Nothing."""
+        """Learns nothing."""
 
 
 class InscribedRadius:
@@ -240,7 +240,7 @@ class InscribedRadius:
         self._centres: Recent[Node] = Recent()
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """See Term."""
+        """Its value, or any number that is at least `limit` once it is known to be."""
         if limit < math.inf:
             for centre in self._centres.items:
                 if (radius := clearance_m(trial.subspaces, centre)) >= limit:
@@ -251,7 +251,7 @@ class InscribedRadius:
         return radius
 
     def learn(self) -> None:
-        """See Recent."""
+        """Sort the findings of the batch in."""
         self._centres.learn()
 
 
@@ -269,7 +269,7 @@ class BlindSpot:
         self.work = float(len(self._points.number))
 
     def value(self, trial: Trial, limit: float = math.inf) -> float:
-        """See Term."""
+        """Its value, or any number that is at least `limit` once it is known to be."""
         if trial.visibility is None:
             return 0.0
         seen = seen_by_any(trial.visibility, trial.lidars)
@@ -280,7 +280,7 @@ class BlindSpot:
         return distance
 
     def learn(self) -> None:
-        """See Recent."""
+        """Sort the findings of the batch in."""
         self._recent.learn()
 
 

@@ -27,7 +27,7 @@ NEAREST = 1e-12  # the same relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
 AXES = "xyz"
-NEAR = 5000  # so many counts of cuboids below and above are tried for round sizes
+NEAR = 5000  # counts of cuboids below and above that are tried for round sizes
 
 
 class BoxFile(Model):
@@ -226,7 +226,7 @@ class Region:
 
 
 def check_voxels(count: int) -> None:
-    """Raises LidarcfgError where memory does not hold so many voxels of Open3D."""
+    """Raises LidarcfgError where memory does not hold `count` voxels of Open3D."""
     check_memory(f"a grid of {count:,} voxels", VOXEL_BYTES * count, "use larger cuboids")
 
 

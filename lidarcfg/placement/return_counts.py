@@ -240,7 +240,7 @@ class MissCounter:
 
 
 def _most(limit: float, count: int) -> float:
-    """Out of so many places, those from which on a miss rate is at least a limit, also as it is rounded."""
+    """The least number of missed places, out of `count`, whose rounded miss rate is at least a limit."""
     if limit > 1.0:
         return math.inf  # never
     most = limit * count

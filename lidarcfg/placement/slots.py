@@ -22,7 +22,7 @@ from lidarcfg.sensors.rig import HOSTS, resolve_sensor
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import Vehicle
 
-BETWEEN_DEG = 10.0  # by so much a sensor may tilt less between the places of its surface that were tried
+BETWEEN_DEG = 10.0  # how much less a sensor may tilt between the places of its surface that were tried
 ROLL = 3
 PITCH = 4
 NEARLY_RAD = 1e-3  # bounds that far from half a turn still count as one; the paper's end at 3.1415
@@ -137,8 +137,8 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
                 what = f"makes a sensor's name of {len(name)} characters; allowed: at most {NAME_MAX}"
                 raise error_at(path, ("sensors", i, "name"), what)
             image = group.mirror_y_m is not None and number % 2 == 1
-            seat = surface.image if surface and image else surface
-            found.append(Slot(name, sensor, model, group.range_m, fov_deg, seat, offered))
+            own_surface = surface.image if surface and image else surface
+            found.append(Slot(name, sensor, model, group.range_m, fov_deg, own_surface, offered))
             member.append(i)
             lower.append(group.bounds[0])
             upper.append(group.bounds[1])

@@ -28,7 +28,7 @@ from lidarcfg.world.vehicle import Solid, Vehicle
 Side = Literal["above", "front", "rear", "left", "right"]
 OUT: dict[str, tuple[int, int]] = {"above": (2, 1), "front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1)}
 OPPOSITE = {"left": "right", "right": "left"}  # in a mirror along the vehicle
-RINGS = ((0.5, 8), (1.0, 16))  # of a disc's samples, beside its middle: radius, number
+RINGS = ((0.5, 8), (1.0, 16))  # of a disc's samples, besides its middle: radius, number
 DISC = np.array(
     [(0.0, 0.0)]
     + [

@@ -52,7 +52,7 @@ class Workers(Protocol):
         """The number of runs at a time. Raises ConfigError if the workers are gone, or run other versions."""
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """The number of runs that may be submitted at a time. Raises as `count` does."""
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
@@ -75,7 +75,7 @@ class Processes:
             self._idle.put(process)
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """One run each."""
         return self.count
 
@@ -195,7 +195,7 @@ class Cluster:
         return sum(threads.values())
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Some runs for each thread. Raises as `count` does."""
         return AHEAD * self.count
 
@@ -281,7 +281,7 @@ def sweep(plan: Plan, runs: Iterable[SweepCase], workers: Workers, done: Callabl
 
     following = _prepared(plan, next(left, None))
     while following or pending:
-        while following and len(pending) < workers.room:
+        while following and len(pending) < workers.capacity:
             submit(*following)
             following = _prepared(plan, next(left, None))  # while the workers work
         finished, _ = wait(pending, LOOK_S, FIRST_COMPLETED)

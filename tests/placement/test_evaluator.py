@@ -255,8 +255,8 @@ def test_skipping_changes_nothing_in_rounds_that_smooth(tmp_path, monkeypatch, m
     """Short rounds, so that there are several; the result's cost is that of its rig, unsmoothed."""
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + more)
-    monkeypatch.setattr(annealing, "FIRST", 20)
-    monkeypatch.setattr(annealing, "SECOND", 400)
+    monkeypatch.setattr(annealing, "FIRST_WORK", 20)
+    monkeypatch.setattr(annealing, "SECOND_WORK", 400)
     study, smoothed = with_solver(load_study(path), method="annealing", evaluations=4000), []
     asked = StudyEvaluator.costs
 

@@ -29,7 +29,7 @@ from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
 CHAINS = 16  # of a population
 POPULATIONS = 3  # of a round
 SELECTION_PROGRESS = 0.7  # the progress of a round from which on only its best population goes on
-MAX_TRIALS = 8  # at most so many trials of a chain at a time; the first that it takes moves it
+MAX_TRIALS = 8  # of a chain at a time; the first that it takes moves it
 ACCEPT_WORK = 10  # the work of a trial that is taken, besides the 1 of any trial
 T_START = 0.03  # at the beginning of a run
 T_RESTART = 0.004  # of a run that goes on from a good point

@@ -63,9 +63,9 @@ class Lshade:
         most = POINTS * self._x.shape[1]
         left = round(most + (FEWEST - most) * min(self._used / self._evaluations, 1.0))
         self._alive = self._alive[np.argsort(self._cost[self._alive], kind="stable")][: max(left, FEWEST)]
-        room = int(ARCHIVE * len(self._alive))
-        if len(self._archive) > room:
-            self._archive = self._archive[self._rng.permutation(len(self._archive))[:room]]
+        size = int(ARCHIVE * len(self._alive))
+        if len(self._archive) > size:
+            self._archive = self._archive[self._rng.permutation(len(self._archive))[:size]]
         self._asked = self._draw()
 
     def _learn(self, trials: Trials, cost: Array) -> None:
