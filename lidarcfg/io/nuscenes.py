@@ -21,8 +21,8 @@ from lidarcfg.io.drive_dataset import DriveDataset, stamp_ns
 from lidarcfg.io.frames import quaternion_xyzw
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.boxes import Boxed, Boxes, boxes_at
-from lidarcfg.world.categories import NAMES
+from lidarcfg.world.boxes import BoxedObject, Boxes, boxes_at
+from lidarcfg.world.categories import DATASET_NAMES
 
 TOKENS = uuid.UUID("4d0e4bd4-9c4e-5b7c-8a55-0d6c2f9b7a11")  # ours; the same rig gives the same tokens
 VERSION = "v1.0-lidarcfg"  # the folder of the tables
@@ -282,10 +282,10 @@ class _Tables:
 
 
 def _category(name: str | None) -> str:
-    return NAMES[name].nuscenes or str(name)
+    return DATASET_NAMES[name].nuscenes or str(name)
 
 
-def _attributes(one: Boxed) -> list[str]:
+def _attributes(one: BoxedObject) -> list[str]:
     """One, of those categories that have any."""
     name = _category(one.category)
     pair = next((pair for start, pair in ATTRIBUTES.items() if name.startswith(start)), None)

@@ -20,8 +20,8 @@ from lidarcfg.placement.outline import Quadrics, outline, quadrics, silhouette
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.scene_file import Cylinder, Sphere
-from lidarcfg.world.solids import parts
-from lidarcfg.world.vehicle import Vehicle, mesh_of
+from lidarcfg.world.solids import connected_components
+from lidarcfg.world.vehicle import Vehicle, object_mesh
 
 WIDER = 1e-9  # rad, by which directions are widened before sorting
 CHUNK = 8192  # lines
@@ -160,7 +160,7 @@ def solids(bodies: Vehicle) -> Surfaces:
         if index in rows:
             rounds.append(_round(rows[index]))
         else:
-            triangles += [vertices[corners] for vertices, corners in parts(mesh_of(scene, index))]
+            triangles += [vertices[corners] for vertices, corners in connected_components(object_mesh(scene, index))]
     numbers = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles])
     part = np.concatenate([numbers, len(triangles) + np.arange(len(rounds))])
     return Surfaces(np.concatenate(triangles), np.array(rounds).reshape(-1, 5), part)

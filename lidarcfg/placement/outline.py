@@ -19,7 +19,7 @@ from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.obstacles import Obstacles
-from lidarcfg.world.solids import places
+from lidarcfg.world.solids import unique_vertices
 from lidarcfg.world.tracer import CYLINDER, SPHERE, TRIANGLE
 
 FLAT = 1e-12  # of the lengths that span a tetrahedron: with less volume it may have either sign
@@ -50,7 +50,7 @@ def outline(obstacles: Obstacles) -> Outline:
     tree, origin_m = obstacles.tree, obstacles.origin_m
     shapes = tree.shapes.reshape(-1, 9)
     triangles = shapes[tree.kind == TRIANGLE].reshape(-1, 3, 3) + origin_m
-    found, number = places(triangles.reshape(-1, 3) + 0.0)
+    found, number = unique_vertices(triangles.reshape(-1, 3) + 0.0)
     order = np.lexsort(found.T[::-1])
     corners, number = found[order], np.argsort(order)[number].reshape(-1, 3)
     ends = np.sort(number[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)

@@ -18,7 +18,7 @@ from lidarcfg.placement.region import Region
 from lidarcfg.placement.sight import BEYOND, LIMITS, UNLIMITED_SIGHT, WITHIN, Sight
 from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.scene import Scene
-from lidarcfg.world.vehicle import obstacles
+from lidarcfg.world.vehicle import static_bvh
 
 ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
 EXACT = 1e-15  # a cosine or sine below it is 0
@@ -44,7 +44,7 @@ class Visibility:
         middle = 0.5 * (region.min_m + region.max_m)
         origin_m = np.rint(middle / ROUND_M) * ROUND_M
         grounds = [scene.file.ground.z_m for scene in scenes if scene.file.ground]
-        found = Obstacles.of(obstacles(scenes, origin_m), origin_m, max(grounds, default=np.inf))
+        found = Obstacles.of(static_bvh(scenes, origin_m), origin_m, max(grounds, default=np.inf))
         return cls(found, range, field_of_view)
 
     @property

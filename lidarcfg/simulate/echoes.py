@@ -67,7 +67,9 @@ class Echoes:
     strongest_m: Array  # (N,) the exact range of the strongest echo, reported or not
 
 
-def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
+def thin_beam_echoes(
+    range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str
+) -> Echoes:
     """Exact echoes of thin beams, (N, 1), or (N, 2) for dual returns: the only echo, twice."""
     shape = len(range_m), len(REPORTED[return_mode])
     return Echoes(
@@ -79,7 +81,7 @@ def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.
     )
 
 
-def beam(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
+def beam_rays(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
     """The K rays of a beam: tangents of their angles to its axis (K,), across and up; weights (K,)."""
     if not realism.divergence:
         return np.zeros(1), np.zeros(1), np.ones(1)
@@ -101,7 +103,7 @@ def extinction_per_m(weather: Weather) -> float:
     return fog + rain
 
 
-def echoes(
+def wide_beam_echoes(
     sensor: Sensor,
     realism: Realism,
     weather: Weather,

@@ -50,7 +50,7 @@ def read_heights(path: Path) -> Array:
     check_readable(path, FILE_MAX)
     if path.suffix.lower() not in SUFFIXES:
         raise SceneError(f"{path}: is no height field; allowed: {', '.join(SUFFIXES)}")
-    with _described(path):
+    with _scene_errors(path):
         found = _png(path) if path.suffix.lower() == ".png" else _npy(path)
         if odd := np.argwhere(~np.isfinite(found)).tolist():
             row, column = odd[0]
@@ -97,7 +97,7 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 
 @contextmanager
-def _described(path: Path) -> Iterator[None]:
+def _scene_errors(path: Path) -> Iterator[None]:
     """What NumPy and Pillow raise for a damaged file, as SceneError."""
     try:
         yield

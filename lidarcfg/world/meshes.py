@@ -86,7 +86,7 @@ def _facets(radius_m: float, tolerance_m: float) -> int:
     return min(max(2 * math.ceil(math.pi / half / 2), 16), 512)
 
 
-def placed(mesh: Mesh, item: MeshFile) -> Mesh:
+def place_mesh(mesh: Mesh, item: MeshFile) -> Mesh:
     """The mesh in the world frame. Raises SceneError if its scale makes it too large."""
     vertices, triangles = mesh
     far = np.flatnonzero((abs(vertices) > COORDINATE_MAX_M / item.scale).any(axis=1))
@@ -96,7 +96,7 @@ def placed(mesh: Mesh, item: MeshFile) -> Mesh:
     return transform(pose(item.position_m, np.radians(item.rpy_deg)), vertices * item.scale), triangles
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Several meshes as one."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     triangles = [mesh[1] + start for mesh, start in zip(meshes, first, strict=False)]
@@ -116,7 +116,7 @@ def read_mesh(path: Path) -> Mesh:
         return plain
     import open3d as o3d
 
-    with silent(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with suppress_stderr(), o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         mesh = o3d.io.read_triangle_mesh(path)
     vertices = np.array(mesh.vertices, np.float64)
     triangles = np.array(mesh.triangles, np.int64)
@@ -154,7 +154,7 @@ def check_mesh(what: str, mesh: Mesh) -> None:
 
 
 @contextmanager
-def silent() -> Iterator[None]:
+def suppress_stderr() -> Iterator[None]:
     """Discard what a library's C code prints to stderr."""
     kept = os.dup(2)
     try:

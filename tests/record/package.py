@@ -33,7 +33,7 @@ from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import returns
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Trajectory, load_path, prepared
+from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.obstacles import NO_OBSTACLES
 from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.vehicle import load_vehicle
@@ -48,6 +48,7 @@ __all__ = [
     "StudyEvaluator",
     "Tracer",
     "Trajectory",
+    "build_path",
     "concatenate",
     "decode",
     "decode_pcap",
@@ -67,7 +68,6 @@ __all__ = [
     "packets",
     "pattern",
     "pose",
-    "prepared",
     "returns",
     "rig_lidars",
     "rig_of",
