@@ -85,7 +85,7 @@ def _write_file(path: Path, write: Callable[[Path], tuple[int, Path]]) -> int:
 
 
 def _write(path: Path, storage: str, made: MessageSource) -> int:
-    """A new bag."""
+    """Write messages to a new bag, and return their number."""
     try:
         from rosbags.rosbag1 import Writer as Writer1
         from rosbags.rosbag2 import StoragePlugin
@@ -193,7 +193,7 @@ def _check_time(last_ns: int, where: Path) -> None:
 
 
 def _points(messages: Messages, scan: PointCloud, fields: tuple[PointField, ...], frame: str) -> tuple[str, Any, int]:
-    """A scan's message."""
+    """Topic, PointCloud2 and time of a scan."""
     message = messages.points(scan, fields, frame, stamp_ns(scan))
     return f"/{frame}/points", message, int(scan.time_ns.max())
 

@@ -39,7 +39,7 @@ class DriveDataset:
 
     @cached_property
     def mounts(self) -> dict[str, Mount]:
-        """By name."""
+        """The rig's mounts by name."""
         return {mount.name: mount for mount in self.drive.rig.mounts}
 
     def mount(self, scan: PointCloud) -> Mount:
@@ -47,7 +47,7 @@ class DriveDataset:
         return self.mounts[scan.sensor_names[0]]
 
     def T_world_vehicle(self, time_ns: int) -> Array:
-        """(4, 4) at a time."""
+        """(4, 4) the pose of the vehicle at a time."""
         return self.drive.trajectory.pose(time_ns)
 
     def T_world_sensor(self, scan: PointCloud, time_ns: int) -> Array:

@@ -78,7 +78,7 @@ class _Sample:
 
     @property
     def stamp_ns(self) -> int:
-        """The first sensor's."""
+        """The time of the first sensor's scan."""
         return self.scans[0].stamp_ns
 
 
@@ -124,7 +124,7 @@ class _Tables:
         self._of_scan = {scan: sample for sample in self._samples for scan in map(id, sample.scans)}
 
     def _token(self, *words: object) -> str:
-        """Of a row: the same drive gives the same tokens."""
+        """The token of a row, from what the row is about: the same drive gives the same tokens."""
         return uuid.uuid5(TOKENS, f"{json.dumps([str(word) for word in words])} {self._key}").hex
 
     def _sampled(self) -> list[_Sample]:
@@ -150,7 +150,7 @@ class _Tables:
         ]
 
     def rows(self) -> dict[str, list[Row]]:
-        """By table."""
+        """The rows of each table, by its name."""
         drive = self._dataset.drive
         samples = self._samples
         log, scene, map_token = (self._token(table) for table in ("log", "scene", "map"))
@@ -300,5 +300,6 @@ def _pose(T: Array) -> Row:
 def _linked(rows: list[Row]) -> list[Row]:
     """Rows in the order of time, each with the token of the one before and after."""
     for before, after in pairwise(rows):
-        before["next"], after["prev"] = after["token"], before["token"]
+        before["next"] = after["token"]
+        after["prev"] = before["token"]
     return rows

@@ -167,7 +167,7 @@ class _Found(NamedTuple):
 
 
 def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Datagram:
-    """Of a UDP header and its payload, and of where in the file pieces of that are."""
+    """The datagram of a UDP header with its payload, whose pieces were found in the file."""
     payload = body[UDP.itemsize :]
     parts = list[Segment]()
     headers = 0
@@ -183,7 +183,7 @@ def _datagram(data: bytes, time_ns: int, body: bytes, found: list[_Found]) -> Da
 
 
 def _with_checksum(between: bytes, headers: int, payload: bytes) -> bytes:
-    """Bytes that end in so many of IP and UDP headers, with the right UDP checksum."""
+    """Bytes whose last `headers` are IP and UDP headers, with the right UDP checksum."""
     head = between[len(between) - headers :]
     words = head[12:20] + b"\0\x11" + head[-4:-2] + head[-UDP.itemsize : -2] + payload + b"\0" * (len(payload) % 2)
     total = sum(struct.unpack(f">{len(words) // 2}H", words))

@@ -32,7 +32,8 @@ from lidarcfg.simulate.tasks import (
 from lidarcfg.units import MINUTE_NS
 
 RETURN_BYTES = 60  # of a scan that waits for those of other sensors; measured on a street, where 5 of 6 rays return
-SECOND_STRONGEST, LAST = 2, 1  # types of returns
+LAST = 1  # a type of return
+SECOND_STRONGEST = 2  # another
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
 
@@ -43,7 +44,8 @@ def simulated_scans(drive: Drive, run: SimulationOptions | None = None) -> Itera
     rounded as in packets; they are exact, except for the noise that the rig asks for. Raises ConfigError.
     """
     run = run or SimulationOptions()
-    tasks, names = build_tasks(drive, run.chunk_ns), object_names(drive.scene, drive.vehicle)
+    tasks = build_tasks(drive, run.chunk_ns)
+    names = object_names(drive.scene, drive.vehicle)
     _check_memory(tasks)
     runner = TaskRunner.of(run, len(tasks))
     streams = [_sensor_scans(task, runner, names) for task in tasks]
@@ -75,7 +77,7 @@ class _Chunk:
 
 
 def _sensor_scans(task: Task, runner: TaskRunner, object_names: tuple[str, ...]) -> Iterator[PointCloud]:
-    """One sensor's scans."""
+    """The scans of one sensor: a cloud for each revolution, in the sensor's frame."""
     mount = task.mount
     lowest = np.argsort(np.argsort(mount.sensor.elevation_rad, kind="stable")).astype(np.uint8)
     turns = _RevolutionCounter.of(task)
@@ -126,7 +128,7 @@ class _RevolutionCounter:
 
     @classmethod
     def of(cls, task: Task) -> "_RevolutionCounter":
-        """Of a sensor, by its first firing."""
+        """The counter of a task's sensor, which starts with its first firing."""
         mount = task.mount
         begin_rad = math.radians(mount.azimuth_fov_deg[0]) if mount.azimuth_fov_deg else 0.0
         everywhere = replace(mount, azimuth_fov_deg=None)
@@ -144,7 +146,8 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     """The points of N firings, and which firing each is of."""
     sensor = mount.sensor
     assert sensor.range
-    (least_m, most_m), range_m = sensor.range.reported_m, found.range_m + found.noise_m
+    (least_m, most_m) = sensor.range.reported_m
+    range_m = found.range_m + found.noise_m
     there = (range_m >= least_m) & (range_m <= most_m)
     kinds = np.broadcast_to(np.array(types(mount.return_mode), np.uint8), range_m.shape).copy()
     if mount.dual:
@@ -170,9 +173,13 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
 
 def _beam_ends(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -> Array:
     """(N, 3) the ends of the beams in the sensor's frame."""
-    azimuth_rad, elevation_rad = encoder_rad + sensor.azimuth_offset_rad[laser], sensor.elevation_rad[laser]
-    forward_m, left_m = sensor.forward_offset_m[laser], sensor.lateral_offset_m[laser]
-    flat_m, c, s = range_m * maths.cos(elevation_rad), maths.cos(azimuth_rad), maths.sin(azimuth_rad)
+    azimuth_rad = encoder_rad + sensor.azimuth_offset_rad[laser]
+    elevation_rad = sensor.elevation_rad[laser]
+    forward_m = sensor.forward_offset_m[laser]
+    left_m = sensor.lateral_offset_m[laser]
+    flat_m = range_m * maths.cos(elevation_rad)
+    c = maths.cos(azimuth_rad)
+    s = maths.sin(azimuth_rad)
     return np.stack(
         [
             flat_m * c + left_m * s + forward_m * maths.cos(encoder_rad),

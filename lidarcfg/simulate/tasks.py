@@ -205,7 +205,7 @@ class TaskRunner:
 
     @classmethod
     def of(cls, options: SimulationOptions, sensors: int) -> "TaskRunner":
-        """For this many sensors."""
+        """A runner with threads and progress shared by this many sensors."""
         threads = SharedThreadPool(options.threads or os.cpu_count() or 1)
         return cls(threads, Progress(sensors, options.on_progress), options.on_rays)
 

@@ -30,10 +30,12 @@ class BoxedObject:
     def pose(self, seconds: float) -> Array:
         """T_world_box (4, 4) at a time since the scene's time 0. Raises ConfigError outside timed poses."""
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = self.R, self.center_m
+        T[:3, :3] = self.R
+        T[:3, 3] = self.center_m
         if self.path:
             R, t = (values[0] for values in self.path.at(np.array([seconds])))
-            T[:3, :3], T[:3, 3] = R @ self.R, self.place_m + t + R @ (self.center_m - self.place_m)
+            T[:3, :3] = R @ self.R
+            T[:3, 3] = self.place_m + t + R @ (self.center_m - self.place_m)
         return T
 
 
@@ -80,7 +82,8 @@ def _box_of(item: SceneObject, scene: Scene, index: int) -> tuple[Array, Array, 
         return np.array(item.center_m), np.array([*item.size_m, 0.0]), R
     corners = scene.vertices_m[np.unique(scene.triangles[scene.triangle_object == index])]
     own = (corners - scene.places_m[index]) @ R
-    low, high = own.min(axis=0), own.max(axis=0)
+    low = own.min(axis=0)
+    high = own.max(axis=0)
     return scene.places_m[index] + R @ ((low + high) / 2), high - low, R
 
 
@@ -92,7 +95,8 @@ def boxes_at(objects: tuple[BoxedObject, ...], scans: Sequence[Hits], zero_ns: i
 
     An object that was not hit is where it was at the stamp. Raises ConfigError outside timed poses.
     """
-    times_ns, returns = np.full(len(objects), stamp_ns, np.int64), np.zeros(len(objects), np.int64)
+    times_ns = np.full(len(objects), stamp_ns, np.int64)
+    returns = np.zeros(len(objects), np.int64)
     for k, one in enumerate(objects):
         mine = [time_ns[hit == one.index] for hit, time_ns in scans]
         returns[k] = sum(map(len, mine))

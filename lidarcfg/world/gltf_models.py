@@ -110,5 +110,5 @@ def _check_known(path: Path, what: str, given: Iterable[str], known: Sequence[st
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Names, for a message."""
+    """The first names, quoted, for a message."""
     return ", ".join(map(repr, names[:SHOWN])) + " …" * (len(names) > SHOWN) or "none"

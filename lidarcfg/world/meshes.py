@@ -54,7 +54,8 @@ def plane_mesh(plane: Plane) -> Mesh:
 
 def cylinder_mesh(cylinder: Cylinder, tolerance_m: float) -> Mesh:
     """Two rings and the centres of its ends, within a tolerance of the cylinder."""
-    radius, height = cylinder.radius_m, cylinder.height_m
+    radius = cylinder.radius_m
+    height = cylinder.height_m
     profile = np.array([[0, 0], [radius, 0], [radius, height], [0, height]])
     return lathe(profile, _facets(radius, tolerance_m), cylinder.base_m)
 
@@ -71,11 +72,14 @@ def sphere_mesh(sphere: Sphere, tolerance_m: float) -> Mesh:
 def lathe(profile: Array, facets: int, position_m: Vec3) -> Mesh:
     """The surface of revolution of a profile (N, 2) of radius and height about the vertical through `position_m`."""
     azimuth = np.arange(facets) * (2 * math.pi / facets)
-    radius, height = profile[:, :1], profile[:, 1:]
+    radius = profile[:, :1]
+    height = profile[:, 1:]
     rings = np.stack([radius * maths.cos(azimuth), radius * maths.sin(azimuth), height + 0 * azimuth], axis=-1)
     index = np.arange(len(profile) * facets).reshape(len(profile), facets)
-    a, b = index[:-1].ravel(), np.roll(index, -1, axis=1)[:-1].ravel()
-    c, d = np.roll(index, -1, axis=1)[1:].ravel(), index[1:].ravel()
+    a = index[:-1].ravel()
+    b = np.roll(index, -1, axis=1)[:-1].ravel()
+    c = np.roll(index, -1, axis=1)[1:].ravel()
+    d = index[1:].ravel()
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     return rings.reshape(-1, 3) + position_m, triangles
 

@@ -143,7 +143,7 @@ class MotionPath:
 
 
 def build_path(motion: Motion) -> MotionPath:
-    """The path of a motion."""
+    """The path of a motion: timed poses as arrays, quaternions and angles as matrices."""
     poses = motion.poses or ()
     rotations = np.zeros((len(poses), 3, 3))
     turned = [i for i, one in enumerate(poses) if one.quaternion_xyzw]
@@ -182,12 +182,12 @@ class Trajectory:
 
     @classmethod
     def static(cls, T_world_vehicle: Array) -> "Trajectory":
-        """Of a vehicle that does not move, at T_world_vehicle (4, 4)."""
+        """The trajectory of a vehicle that stands at T_world_vehicle (4, 4)."""
         return cls(T_world_vehicle, build_path(STATIC), 0)
 
     @classmethod
     def from_poses(cls, times_s: Array, T_world_vehicle: Array, zero_ns: int) -> "Trajectory":
-        """Through poses (K, 4, 4) at times (K,), in seconds since `zero_ns`, as a .tum file has it.
+        """The trajectory through poses (K, 4, 4) at times (K,), in seconds since `zero_ns`, as a .tum file has it.
 
         Raises ConfigError for fewer than two, for times that do not ascend and for poses that are not rigid.
         """
@@ -223,7 +223,8 @@ class Trajectory:
         """T_world_vehicle (4, 4) at one time."""
         R, t = self.motion(np.array([time_ns]))
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R[0], t[0]
+        T[:3, :3] = R[0]
+        T[:3, 3] = t[0]
         return np.asarray(self.T_world_start @ T)
 
     def velocity_m_s(self, time_ns: NDArray[np.int64]) -> Array:

@@ -56,7 +56,7 @@ def connected_components(mesh: Mesh) -> list[Mesh]:
 
 
 def _component_labels(vertices: int, triangles: Index) -> Index:
-    """(V,): for each of so many vertices, the least of those that triangles join it with.
+    """(V,): for each of V vertices, the least of those that triangles connect it with.
 
     By hooking and pointer jumping (Shiloach and Vishkin 1982).
     """
@@ -89,7 +89,8 @@ def inside_grid(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Flags:
 
 def _lines(corners: Array, y: Array, z: Array) -> Index:
     """(T, 4): which lines along x may cross triangles (T, 3, 3): from and to an index of y, and of z."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low = corners.min(axis=1)
+    high = corners.max(axis=1)
     ends = [(np.searchsorted(at, low[:, n]), np.searchsorted(at, high[:, n], "right")) for n, at in ((1, y), (2, z))]
     return np.stack([*ends[0], *ends[1]], axis=1)
 

@@ -20,7 +20,8 @@ from lidarcfg.world.scene import Scene
 from lidarcfg.world.scene_file import Cylinder, Sphere
 
 TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
-NO_SLOT, GROUND_SLOT = -2, -1
+NO_SLOT = -2
+GROUND_SLOT = -1
 NO_OBJECT = -1  # nothing; the ground is object 0
 
 Shapes = tuple[Array, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32]]  # and kinds, numbers, objects
@@ -48,7 +49,7 @@ class Hits(NamedTuple):
 
 @dataclass(frozen=True)
 class Dynamic:
-    """A dynamic object."""
+    """An object that moves: its index in the scene, and its path."""
 
     object: int
     path: MotionPath

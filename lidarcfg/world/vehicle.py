@@ -37,7 +37,9 @@ from lidarcfg.world.solids import (
 from lidarcfg.world.tracer import NO_SHAPES, Tracer, shapes_of
 
 MANY_TRIANGLES = 500_000  # triangles: reading and checking them takes seconds
-LEAST_M, TYPICAL_M, MOST_M = 0.05, 5.0, 40.0  # sizes of a vehicle's mesh: a part of one, a car, the longest bus
+LEAST_M = 0.05  # the size of a vehicle's mesh: of a part of one
+TYPICAL_M = 5.0  # of a car
+MOST_M = 40.0  # of the longest bus
 UNITS = {1.0: "metre", 0.001: "millimetre", 0.01: "centimetre", 0.0254: "inch"}  # by the scale that makes them metres
 ORIGIN = 0.0, 0.0, 0.0
 
@@ -102,7 +104,7 @@ class VehicleFile(Model):
 
 @dataclass(frozen=True)
 class Solid:
-    """A closed body."""
+    """A closed body: points can be inside."""
 
     name: str
     low_m: Array  # (3,) of its bounds
@@ -111,7 +113,7 @@ class Solid:
 
     @cached_property
     def components(self) -> list[Mesh]:
-        """Of a mesh."""
+        """The connected components of a mesh; they are closed."""
         assert isinstance(self.shape, tuple)
         return connected_components(self.shape)
 
@@ -166,10 +168,12 @@ class Vehicle:
         for index, name in enumerate(self.scene.names):
             item = rounds.get(index)
             if isinstance(item, Sphere):
-                centre, radius = np.array(item.center_m), item.radius_m
+                centre = np.array(item.center_m)
+                radius = item.radius_m
                 found.append(Solid(name, centre - radius, centre + radius, item))
             elif item:
-                base, radius = np.array(item.base_m), item.radius_m
+                base = np.array(item.base_m)
+                radius = item.radius_m
                 high = base + np.array((radius, radius, item.height_m))
                 found.append(Solid(name, base - (radius, radius, 0), high, item))
             elif name in self.closed:
@@ -217,7 +221,8 @@ def vehicle(file: VehicleFile, path: Path, at: Key = ("vehicle",)) -> Vehicle:
     """The vehicle under a key of a file. Raises ConfigError for an invalid mesh, and for an open body to exclude."""
     began = time.perf_counter()
     scene = build_scene(SceneFile(name="vehicle", **{kind: getattr(file, kind) for kind in KINDS}), path, at)
-    closed, warnings = dict[str, Mesh](), list[str]()
+    closed = dict[str, Mesh]()
+    warnings = list[str]()
     for kind in ("boxes", "planes", "meshes"):
         for i, item in enumerate(getattr(file, kind)):
             mesh = object_mesh(scene, scene.names.index(item.name))
