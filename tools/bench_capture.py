@@ -267,7 +267,7 @@ import sys, time
 import numpy as np
 from pathlib import Path
 from lidarcfg.capture.export import export, in_time_order
-from lidarcfg.simulate.tasks import Run
+from lidarcfg.simulate.tasks import SimulationOptions
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.world.scene import load_scene
 from lidarcfg.sensors.rig import load_rig
@@ -279,7 +279,7 @@ def progress(done_ns):
     while marks and done_ns >= marks[0] * 60e9:
         print(f"| {marks.pop(0):g} | {peak_mb():.0f} | {time.perf_counter() - began:.0f} |", flush=True)
 scene, rig = load_scene(folder / "scene.yaml"), load_rig(folder / "rig.yaml")
-streams = export(rig, scene, np.eye(4), round(minutes * 60e9), run=Run(progress))
+streams = export(rig, scene, np.eye(4), round(minutes * 60e9), options=SimulationOptions(progress))
 write_pcap(folder / "long.pcap", in_time_order(streams))
 """
 

@@ -43,21 +43,21 @@ def export(
     start_ns: int = START_NS,
     on_truth: OnTruth | None = None,
     vehicle: Vehicle | None = None,
-    run: SimulationOptions | None = None,
+    options: SimulationOptions | None = None,
 ) -> list[Iterator[Frames]]:
     """The frames that each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
     Sensor i of n starts i/n of a packet after the first, so that packets interleave.
-    `on_truth` is called with the records of `ground_truth`; like the functions of `run`, in the reader's thread.
+    `on_truth` is called with the records of `ground_truth`; like the functions of `options`, in the reader's thread.
     Raises ConfigError.
     """
-    run = run or SimulationOptions()
+    options = options or SimulationOptions()
     trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
-    tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), run.chunk_ns)
-    runner, origin = TaskRunner.of(run, len(tasks)), scene.file.geo_origin
+    tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
+    runner, origin = TaskRunner.of(options, len(tasks)), scene.file.geo_origin
     return [
         in_time_order([_data_stream(task, runner, on_truth), _housekeeping_stream(task, trajectory, origin)])
         for task in tasks

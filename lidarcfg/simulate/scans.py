@@ -37,17 +37,17 @@ SECOND_STRONGEST = 2  # another
 STRONGEST_AT = {"dual": 0, "first-strongest": 1}  # of two returns, where the other may be the strongest instead
 
 
-def simulated_scans(drive: Drive, run: SimulationOptions | None = None) -> Iterator[PointCloud]:
+def simulated_scans(drive: Drive, options: SimulationOptions | None = None) -> Iterator[PointCloud]:
     """The points of each sensor's revolutions in its own frame, in the order in which they end.
 
     A revolution begins where the head passes azimuth 0, or the start of a narrower field of view. Ranges are not
     rounded as in packets; they are exact, except for the noise that the rig asks for. Raises ConfigError.
     """
-    run = run or SimulationOptions()
-    tasks = build_tasks(drive, run.chunk_ns)
+    options = options or SimulationOptions()
+    tasks = build_tasks(drive, options.chunk_ns)
     names = object_names(drive.scene, drive.vehicle)
     _check_memory(tasks)
-    runner = TaskRunner.of(run, len(tasks))
+    runner = TaskRunner.of(options, len(tasks))
     streams = [_sensor_scans(task, runner, names) for task in tasks]
     return heapq.merge(*streams, key=lambda scan: int(scan.time_ns[-1]))
 

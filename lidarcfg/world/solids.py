@@ -39,7 +39,7 @@ def unique_vertices(vertices: Array) -> tuple[Array, Index]:
 
 
 def open_edges(mesh: Mesh) -> Array:
-    """(E, 2, 3) the edges of a welded mesh that bound an odd number of triangles; none where it is closed."""
+    """(E, 2, 3) the edges that bound an odd number of triangles of a mesh, vertices merged; none if closed."""
     vertices, triangles = mesh
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     unique, counts = np.unique(edges[:, 0] * len(vertices) + edges[:, 1], return_counts=True)
@@ -49,10 +49,10 @@ def open_edges(mesh: Mesh) -> Array:
 
 
 def connected_components(mesh: Mesh) -> list[Mesh]:
-    """The parts of a welded mesh that share no vertex."""
+    """The components of a mesh, its vertices merged: they share no vertex."""
     vertices, triangles = mesh
-    part = _component_labels(len(vertices), triangles)[triangles[:, 0]]
-    return [(vertices, triangles[part == number]) for number in np.unique(part)]
+    component = _component_labels(len(vertices), triangles)[triangles[:, 0]]
+    return [(vertices, triangles[component == label]) for label in np.unique(component)]
 
 
 def _component_labels(vertices: int, triangles: Index) -> Index:
@@ -73,7 +73,7 @@ def _component_labels(vertices: int, triangles: Index) -> Index:
 
 
 def inside_grid(closed: Sequence[Mesh], x: Array, y: Array, z: Array) -> Flags:
-    """(nx, ny, nz): which points of a grid are inside any of the parts of a closed, welded mesh; x, y and z ascend.
+    """(nx, ny, nz): which points of a grid are inside any component of a closed mesh; x, y and z ascend.
 
     A line along x enters and leaves a closed part an even number of times: whether it passes through a triangle is
     told edge by edge, by the same numbers for both neighbours, so that it cannot pass between them.
@@ -96,7 +96,7 @@ def _lines(corners: Array, y: Array, z: Array) -> Index:
 
 
 def inside_points(closed: Sequence[Mesh], points: Array) -> Flags:
-    """(N,): which points (N, 3) are inside any of the parts of a closed, welded mesh, as `inside_grid` has it."""
+    """(N,): which points (N, 3) are inside any component of a closed mesh, as `inside_grid` has it."""
     found = np.zeros(len(points), np.bool_)
     for vertices, triangles in closed:
         odd = np.zeros(len(points), np.bool_)
@@ -106,7 +106,7 @@ def inside_points(closed: Sequence[Mesh], points: Array) -> Flags:
 
 
 def contains_box(closed: Sequence[Mesh], low: Array, high: Array) -> bool:
-    """Whether a box is inside the parts of a closed, welded mesh for certain.
+    """Whether a box is certainly inside the components of a closed mesh.
 
     One corner is, and no triangle's bounds touch it.
     """

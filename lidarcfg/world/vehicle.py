@@ -146,7 +146,7 @@ class Vehicle:
     excluded: tuple[str, ...]  # the names of the closed bodies whose insides are no part of the region
     allow_inside: bool
     file: VehicleFile  # what it was built from, with whole paths
-    closed: dict[str, Mesh]  # the welded triangles of closed boxes and meshes
+    closed: dict[str, Mesh]  # closed boxes and meshes by name, their vertices merged
     warnings: tuple[str, ...]  # what looks wrong with its meshes
 
     @property
@@ -280,7 +280,7 @@ def check_outside(bodies: Vehicle, mounts: Iterable[Mount], path: Path | None = 
 
 
 def object_mesh(scene: Scene, index: int) -> Mesh:
-    """The triangles of one of a scene's objects, welded."""
+    """The triangles of one of a scene's objects, with vertices at the same place merged."""
     return merge_vertices((scene.vertices_m, scene.triangles[scene.triangle_object == index]))
 
 

@@ -187,7 +187,7 @@ def test_the_same_bytes_again(street, second, tmp_path):
     path = tmp_path / "again.pcap"
     done: list[int] = []
     streams = export(
-        tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, run=SimulationOptions(done.append, chunk_ns=7_000_000)
+        tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, options=SimulationOptions(done.append, chunk_ns=7_000_000)
     )
     write_pcap(path, in_time_order(streams))
     assert path.read_bytes() == second.read_bytes()
@@ -207,10 +207,10 @@ def stop_early(reader):
 
 def test_no_thread_stays_when_a_reader_stops_early(street, second):
     """Of an export whose streams are merged, of one of its streams alone, and of a capture that is decoded."""
-    run = SimulationOptions(chunk_ns=20_000_000, threads=3)
+    options = SimulationOptions(chunk_ns=20_000_000, threads=3)
     for reader in (
-        in_time_order(export(tilted_rig(), street, np.eye(4), SECOND_NS, run=run)),
-        export(tilted_rig(), street, np.eye(4), SECOND_NS, run=run)[-1],
+        in_time_order(export(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)),
+        export(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)[-1],
         decode_pcap(second, no_warning, chunk_packets=100),
     ):
         at_work, left = stop_early(reader)
@@ -228,7 +228,7 @@ def test_no_thread_stays_after_an_error(street):
     with pytest.raises(OSError, match="No space"):
         list(
             in_time_order(
-                export(tilted_rig(), street, np.eye(4), SECOND_NS, run=SimulationOptions(full, chunk_ns=20_000_000))
+                export(tilted_rig(), street, np.eye(4), SECOND_NS, options=SimulationOptions(full, chunk_ns=20_000_000))
             )
         )
     assert set(threading.enumerate()) == before
@@ -250,7 +250,7 @@ weather: {rain_mm_h: 20}
     along = Trajectory(np.eye(4), build_path(Motion(arc=Arc(speed_m_s=8, yaw_rate_deg_s=-30))), START_NS)
     written = set()
     for threads, chunk_ns in ((1, SECOND_NS), (2, 30_000_000), (5, 11_000_000)):
-        streams = export(rig, stage, along, 100_000_000, run=SimulationOptions(chunk_ns=chunk_ns, threads=threads))
+        streams = export(rig, stage, along, 100_000_000, options=SimulationOptions(chunk_ns=chunk_ns, threads=threads))
         write_pcap(tmp_path / "a.pcap", in_time_order(streams))
         written.add((tmp_path / "a.pcap").read_bytes())
     assert len(written) == 1

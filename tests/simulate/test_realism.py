@@ -113,7 +113,7 @@ def test_off_is_exact(street, tmp_path):
         rig = Rig("one", (mount(),))
         rig = replace(rig, mounts=(replace(rig.mounts[0], realism=realism),))
         chunk_ns = 20_000_000 if name == "again" else 50_000_000
-        streams = export(rig, street, np.eye(4), SECOND_NS // 20, run=SimulationOptions(chunk_ns=chunk_ns))
+        streams = export(rig, street, np.eye(4), SECOND_NS // 20, options=SimulationOptions(chunk_ns=chunk_ns))
         made[name] = b"".join(record for frames in streams[0] for record in frames.records)
     assert made["seed"] == made["none"]
     assert made["again"] == made["noise"]
@@ -204,7 +204,7 @@ def test_streams_are_made_as_they_are_read(street):
     """The first datagram of a day comes after a chunk is cast, not after the day."""
     done = []
     stream = in_time_order(
-        export(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, run=SimulationOptions(done.append))
+        export(tilted_rig(), street, np.eye(4), 86_400 * SECOND_NS, options=SimulationOptions(done.append))
     )
     first = next(stream)
     assert first.time_ns[0] - START_NS < 10_000_000
