@@ -119,8 +119,9 @@ def wide_beam_echoes(
     assert sensor.range
     count = len(hits.range_m)
     alpha = extinction_per_m(weather)
-    extra = 0 if candidates[0] == STRONGEST else 1
-    which = np.array([STRONGEST, *candidates][1 - extra :], np.uint8)
+    with_strongest = candidates if candidates[0] == STRONGEST else (STRONGEST, *candidates)
+    extra = len(with_strongest) - len(candidates)  # columns that are computed for `strongest_m` alone
+    which = np.array(with_strongest, np.uint8)
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
