@@ -31,7 +31,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.tasks import CHUNK_RAYS, START_NS
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
+from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.tracer import Tracer
 
@@ -206,7 +206,7 @@ def writing(folder: Path, simulated_s: float) -> None:
         TimedPose(time_s=n * leg_s, position_m=(LENGTH_M * (n % 2), 0.0, 0.0))
         for n in range(int(simulated_s / leg_s) + 3)
     )
-    drive = Trajectory(pose((-LENGTH_M / 2, 0.0, 0.0), (0.0, 0.0, 0.0)), prepared(Motion(poses=turns)), START_NS)
+    drive = Trajectory(pose((-LENGTH_M / 2, 0.0, 0.0), (0.0, 0.0, 0.0)), build_path(Motion(poses=turns)), START_NS)
 
     def driven() -> None:
         write_pcap(folder / "c.pcap", in_time_order(export(rig, scene, drive, duration_ns)))
@@ -267,7 +267,7 @@ import sys, time
 import numpy as np
 from pathlib import Path
 from lidarcfg.capture.export import export, in_time_order
-from lidarcfg.simulate.tasks import Run
+from lidarcfg.simulate.tasks import SimulationOptions
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.world.scene import load_scene
 from lidarcfg.sensors.rig import load_rig
@@ -279,7 +279,7 @@ def progress(done_ns):
     while marks and done_ns >= marks[0] * 60e9:
         print(f"| {marks.pop(0):g} | {peak_mb():.0f} | {time.perf_counter() - began:.0f} |", flush=True)
 scene, rig = load_scene(folder / "scene.yaml"), load_rig(folder / "rig.yaml")
-streams = export(rig, scene, np.eye(4), round(minutes * 60e9), run=Run(progress))
+streams = export(rig, scene, np.eye(4), round(minutes * 60e9), options=SimulationOptions(progress))
 write_pcap(folder / "long.pcap", in_time_order(streams))
 """
 

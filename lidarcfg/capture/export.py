@@ -16,9 +16,20 @@ from lidarcfg.packets.codec import Batch, types
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, fired_fraction, prepared, worked
-from lidarcfg.world.motion import Trajectory, standing
-from lidarcfg.world.scene import GeoOrigin, Scene
+from lidarcfg.simulate.tasks import (
+    START_NS,
+    Drive,
+    SimulationOptions,
+    Task,
+    TaskRunner,
+    build_tasks,
+    checked_timing,
+    fired_fraction,
+    map_chunks,
+)
+from lidarcfg.world.geodesy import GeoOrigin
+from lidarcfg.world.motion import Trajectory
+from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import Vehicle
 
 OnTruth = Callable[[NDArray[np.void]], None]
@@ -32,23 +43,23 @@ def export(
     start_ns: int = START_NS,
     on_truth: OnTruth | None = None,
     vehicle: Vehicle | None = None,
-    run: Run | None = None,
+    options: SimulationOptions | None = None,
 ) -> list[Iterator[Frames]]:
     """The frames that each sensor of the rig sends, in time order. `in_time_order` merges the streams.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory; dynamic objects start at `start_ns`.
     The vehicle's bodies, if given, travel along and block beams; as objects they follow those of the scene.
     Sensor i of n starts i/n of a packet after the first, so that packets interleave.
-    `on_truth` is called with the records of `ground_truth`; like the functions of `run`, in the reader's thread.
+    `on_truth` is called with the records of `ground_truth`; like the functions of `options`, in the reader's thread.
     Raises ConfigError.
     """
-    run = run or Run()
-    trajectory = at if isinstance(at, Trajectory) else standing(at)
+    options = options or SimulationOptions()
+    trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     _check_all(rig.mounts, duration_ns)
-    tasks = prepared(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), run.chunk_ns)
-    crew, origin = Crew.of(run, len(tasks)), scene.file.geo_origin
+    tasks = build_tasks(Drive(rig, scene, trajectory, vehicle, start_ns, duration_ns), options.chunk_ns)
+    runner, origin = TaskRunner.of(options, len(tasks)), scene.file.geo_origin
     return [
-        in_time_order([_data_stream(task, crew, on_truth), _housekeeping_stream(task, trajectory, origin)])
+        in_time_order([_data_stream(task, runner, on_truth), _housekeeping_stream(task, trajectory, origin)])
         for task in tasks
     ]
 
@@ -139,7 +150,7 @@ class _Chunk:
     truth: NDArray[np.void]  # empty if not wanted
 
 
-def _data_stream(task: Task, crew: Crew, on_truth: OnTruth | None) -> Iterator[Frames]:
+def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> Iterator[Frames]:
     """The data packets completed within the duration, each sent when complete."""
     maker, mount = codec(task.mount.sensor), task.mount
 
@@ -152,7 +163,7 @@ def _data_stream(task: Task, crew: Crew, on_truth: OnTruth | None) -> Iterator[F
             truth = records(task.index, types, batch.firings, found, sent)
         return _Chunk(frames(mount.host, payloads), truth)
 
-    for chunk in worked(task, crew, make):
+    for chunk in map_chunks(task, runner, make):
         if on_truth:
             on_truth(chunk.truth)
         yield chunk.frames

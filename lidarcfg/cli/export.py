@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lidarcfg.sensors.rig import ReturnMode, Rig
-    from lidarcfg.simulate.simulator import Counts
-    from lidarcfg.simulate.tasks import Drive, Run
+    from lidarcfg.simulate.simulator import RayCounts
+    from lidarcfg.simulate.tasks import Drive, SimulationOptions
 
     OnPath = Callable[[Path], None]
     Size = Callable[[float], str]  # of the files, as far as it is known when a fraction of the work is done
@@ -124,11 +124,11 @@ def export(
         from lidarcfg.sensors.rig import NO_VEHICLE, load_rig
         from lidarcfg.simulate.tasks import START_NS, Drive
         from lidarcfg.world.scene import load_scene
-        from lidarcfg.world.vehicle import carried, check_outside
+        from lidarcfg.world.vehicle import check_outside, resolve_vehicle
 
         mounted = _in_mode(load_rig(rig), return_mode)
         world = load_scene(scene)
-        bodies = carried(mounted, vehicle)
+        bodies = resolve_vehicle(mounted, vehicle)
         if bodies:
             check_outside(bodies, mounted.mounts, rig)
     warn_of(bodies)
@@ -172,7 +172,7 @@ class Rays:
     traced: int = 0
     hits: int = 0
 
-    def add(self, counts: "Counts") -> None:
+    def add(self, counts: "RayCounts") -> None:
         """Count those of a chunk."""
         self.traced += counts.rays
         self.hits += counts.hits
@@ -184,9 +184,9 @@ class Rays:
 
 
 @contextmanager
-def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[Run]":
+def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator[SimulationOptions]":
     """A run with a progress bar, which says how large the files will be, and counts the rays."""
-    from lidarcfg.simulate.tasks import Run
+    from lidarcfg.simulate.tasks import SimulationOptions
 
     began = time.perf_counter()
 
@@ -199,7 +199,7 @@ def _run(duration_ns: int, size: "Size", rays: "Rays", quiet: bool) -> "Iterator
             on_fraction(done_ns / duration_ns, said)
 
         on_fraction(0.0, f"simulating {duration_ns / SECOND_NS:g} s; {size(0.0)} in all")
-        yield Run(on_progress, rays.add)
+        yield SimulationOptions(on_progress, rays.add)
 
 
 def _export_packets(

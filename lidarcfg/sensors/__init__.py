@@ -1,7 +1,7 @@
 """Sensors, and the rig that holds them.
 
-To read in this order: `sensor` has a model with its beams, `firing` where its lasers fire in a revolution, `realism`
-what it gets wrong, `rig` the mounts of a vehicle.
+To read in this order: `sensor` is a model with its beams, `firing` where its lasers fire in a revolution, `realism` its
+noise and its losses, `rig` the mounts on a vehicle.
 """
 
 import lazy_loader

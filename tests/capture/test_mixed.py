@@ -22,7 +22,7 @@ from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Motion, Trajectory, prepared
+from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, no_warning
 from tests.command_line import lidarcfg
@@ -37,7 +37,9 @@ FOUND = {
     "192.168.1.204:6699": ("helios-16p", "first"),
     "192.168.1.205:2368": ("vlp-16", "last"),
 }
-DRIVEN = Trajectory(pose((-5.0, 0.0, 0.0), (0.0, 0.0, 0.1)), prepared(Motion(velocity_m_s=(12.0, 1.0, 0.0))), START_NS)
+DRIVEN = Trajectory(
+    pose((-5.0, 0.0, 0.0), (0.0, 0.0, 0.1)), build_path(Motion(velocity_m_s=(12.0, 1.0, 0.0))), START_NS
+)
 
 
 def sent(folder, rig, at=None):

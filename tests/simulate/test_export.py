@@ -24,9 +24,9 @@ from lidarcfg.inputs import check_room
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import custom_sensor
-from lidarcfg.simulate.tasks import START_NS, Drive, Run
+from lidarcfg.simulate.tasks import START_NS, Drive, SimulationOptions
 from lidarcfg.units import SECOND_NS, TIME_END_NS
-from lidarcfg.world.motion import Arc, Motion, Trajectory, prepared, standing
+from lidarcfg.world.motion import Arc, Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import (
@@ -186,7 +186,9 @@ def test_the_same_bytes_again(street, second, tmp_path):
     """Whatever the chunks, and merged from one stream a sensor."""
     path = tmp_path / "again.pcap"
     done: list[int] = []
-    streams = export(tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, run=Run(done.append, chunk_ns=7_000_000))
+    streams = export(
+        tilted_rig(), street, T_WORLD_VEHICLE, SECOND_NS, options=SimulationOptions(done.append, chunk_ns=7_000_000)
+    )
     write_pcap(path, in_time_order(streams))
     assert path.read_bytes() == second.read_bytes()
     assert done == sorted(done)
@@ -205,10 +207,10 @@ def stop_early(reader):
 
 def test_no_thread_stays_when_a_reader_stops_early(street, second):
     """Of an export whose streams are merged, of one of its streams alone, and of a capture that is decoded."""
-    run = Run(chunk_ns=20_000_000, threads=3)
+    options = SimulationOptions(chunk_ns=20_000_000, threads=3)
     for reader in (
-        in_time_order(export(tilted_rig(), street, np.eye(4), SECOND_NS, run=run)),
-        export(tilted_rig(), street, np.eye(4), SECOND_NS, run=run)[-1],
+        in_time_order(export(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)),
+        export(tilted_rig(), street, np.eye(4), SECOND_NS, options=options)[-1],
         decode_pcap(second, no_warning, chunk_packets=100),
     ):
         at_work, left = stop_early(reader)
@@ -224,7 +226,11 @@ def test_no_thread_stays_after_an_error(street):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OSError, match="No space"):
-        list(in_time_order(export(tilted_rig(), street, np.eye(4), SECOND_NS, run=Run(full, chunk_ns=20_000_000))))
+        list(
+            in_time_order(
+                export(tilted_rig(), street, np.eye(4), SECOND_NS, options=SimulationOptions(full, chunk_ns=20_000_000))
+            )
+        )
     assert set(threading.enumerate()) == before
 
 
@@ -241,10 +247,10 @@ weather: {rain_mm_h: 20}
     )
     noisy = replace(mount(), realism=Realism(seed=5, range_noise_m=0.02, dropout_fraction=0.1, divergence=True))
     rig = Rig("two", (noisy, mount(1)))
-    along = Trajectory(np.eye(4), prepared(Motion(arc=Arc(speed_m_s=8, yaw_rate_deg_s=-30))), START_NS)
+    along = Trajectory(np.eye(4), build_path(Motion(arc=Arc(speed_m_s=8, yaw_rate_deg_s=-30))), START_NS)
     written = set()
     for threads, chunk_ns in ((1, SECOND_NS), (2, 30_000_000), (5, 11_000_000)):
-        streams = export(rig, stage, along, 100_000_000, run=Run(chunk_ns=chunk_ns, threads=threads))
+        streams = export(rig, stage, along, 100_000_000, options=SimulationOptions(chunk_ns=chunk_ns, threads=threads))
         write_pcap(tmp_path / "a.pcap", in_time_order(streams))
         written.add((tmp_path / "a.pcap").read_bytes())
     assert len(written) == 1
@@ -334,7 +340,7 @@ def test_the_size_of_a_capture_is_known_beforehand(street, tmp_path):
     mounts = [replace(one, azimuth_fov_deg=(270.0, 90.0)) if "left" in one.name else one for one in rig.mounts]
     mounts[-1] = replace(mounts[-1], return_mode="dual")
     rig = replace(rig, mounts=tuple(mounts))
-    drive = Drive(rig, street, standing(np.eye(4)), None, START_NS, SECOND_NS // 5)
+    drive = Drive(rig, street, Trajectory.static(np.eye(4)), None, START_NS, SECOND_NS // 5)
     path = tmp_path / "a.pcap"
     write_pcap(path, in_time_order(export(rig, street, np.eye(4), SECOND_NS // 5)))
     written = sum(16 + len(one) + 42 for one in (d.payload for d in datagrams_of(path)) if len(one) > 1000)

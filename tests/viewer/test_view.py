@@ -34,7 +34,7 @@ from lidarcfg.viewer.shades import point_colours
 from lidarcfg.viewer.stage import Stage, kind_of, load_stage
 from lidarcfg.viewer.still import save_still
 from lidarcfg.viewer.window import parts
-from lidarcfg.world.motion import standing
+from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import AT_NS, STREET, no_warning, recording, scene, tilted_rig
 
@@ -204,7 +204,7 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
     seen, tilted = scene(tmp_path, text), tilted_rig()
     rig = replace(tilted, mounts=tuple(replace(mount, return_mode=mode) for mount in tilted.mounts))
     with TruthFile(tmp_path / "t.npz", [m.name for m in rig.mounts], seen.names) as truth:
-        streams = export(rig, seen, standing(np.eye(4)), 30_000_000, AT_NS, truth.add)
+        streams = export(rig, seen, Trajectory.static(np.eye(4)), 30_000_000, AT_NS, truth.add)
         write_pcap(tmp_path / "t.pcap", in_time_order(streams))
         truth.save()
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]

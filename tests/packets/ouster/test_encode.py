@@ -21,7 +21,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Motion, Trajectory, prepared, standing
+from lidarcfg.world.motion import Motion, Trajectory, build_path
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import STREET, datagrams_of, decoded, no_warning
 from tests.packets.ouster.judge import config, core, judged
@@ -303,7 +303,7 @@ def imu(path):
 
 def test_inertial_measurements_at_rest(tmp_path, street):
     one = mount(columns=512)
-    path, metadata, _ = exported(tmp_path, street, one, way=standing(T_WORLD_VEHICLE))
+    path, metadata, _ = exported(tmp_path, street, one, way=Trajectory.static(T_WORLD_VEHICLE))
     said = imu(path)
     np.testing.assert_array_equal(said["time"][:, 0], START_NS + np.arange(10) * 10_000_000)
     up = one.T_vehicle_sensor[2, :3]  # the world's up in the sensor frame: gravity's reaction, 1 g
@@ -320,7 +320,7 @@ def test_inertial_measurements_on_an_arc(tmp_path, street):
     """On a circle: towards its centre by speed × rate, and the rate about the world's up."""
     speed, rate_deg = 8.0, 30.0
     motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
-    way = Trajectory(np.eye(4), prepared(motion), START_NS)
+    way = Trajectory(np.eye(4), build_path(motion), START_NS)
     one = replace(mount(columns=512), position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0))
     path, _, _ = exported(tmp_path, street, one, way=way)
     said, rate = imu(path), math.radians(rate_deg)
@@ -389,7 +389,7 @@ def test_inertial_packets_of_firmware_3(tmp_path, street, rpm):
     """As ouster-sdk reads them: in its units, 640 a second, by the columns of each frame, with the frame's number and a CRC."""
     speed, rate_deg = 8.0, 30.0
     motion = Motion.model_validate({"arc": {"speed_m_s": speed, "yaw_rate_deg_s": rate_deg}})
-    way = Trajectory(np.eye(4), prepared(motion), START_NS)
+    way = Trajectory(np.eye(4), build_path(motion), START_NS)
     one = mount(columns=512, rpm=rpm, firmware="3.2", imu_profile="ACCEL32_GYRO32_NMEA")
     one = replace(one, position_m=(0.0, 0.0, 0.0), rpy_rad=(0.0, 0.0, 0.0))
     path, metadata, _ = exported(tmp_path, street, one, 200_000_000, way=way)

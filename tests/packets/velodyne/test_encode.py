@@ -22,7 +22,7 @@ from lidarcfg.packets.velodyne.model import unit
 from lidarcfg.packets.velodyne.telemetry import calibration
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
-from lidarcfg.simulate.tasks import START_NS, Run
+from lidarcfg.simulate.tasks import START_NS, SimulationOptions
 from lidarcfg.units import SECOND_NS
 from tests.capture_fixtures import datagrams_of, hdl_64e, mount, recording, scene
 from tests.naive import capture as naive
@@ -301,6 +301,6 @@ def test_threads_do_not_matter(tmp_path, threads):
         "boxes: [{name: b, center_m: [9, 0, 1], size_m: [2, 9, 2], reflectivity: 9, motion: {velocity_m_s: [1, 0, 0]}}]"
     )
     stage = scene(tmp_path, f"ground: {{reflectivity: 9}}\n{box}")
-    for name, run in (("a", Run()), ("b", Run(threads=threads, chunk_ns=9_000_000))):
-        write_pcap(tmp_path / name, in_time_order(export(rig, stage, np.eye(4), SECOND_NS // 8, run=run)))
+    for name, options in (("a", SimulationOptions()), ("b", SimulationOptions(threads=threads, chunk_ns=9_000_000))):
+        write_pcap(tmp_path / name, in_time_order(export(rig, stage, np.eye(4), SECOND_NS // 8, options=options)))
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
