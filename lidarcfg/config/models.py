@@ -30,13 +30,13 @@ Angle = Annotated[float, Field(ge=-ANGLE_MAX, le=ANGLE_MAX)]
 Angles = tuple[Angle, Angle, Angle]
 
 
-def _path_from(name: str, info: SerializationInfo) -> str:
+def path_from(name: str, info: SerializationInfo) -> str:
     """The absolute path of a file that a file in the context's folder names; without a folder, the name as it is."""
     folder: Path | None = info.context
     return name if folder is None else os.path.realpath(example(folder / name))
 
 
-FileName = Annotated[str, Field(min_length=1), PlainSerializer(_path_from)]  # of a file; see whole_values
+FileName = Annotated[str, Field(min_length=1), PlainSerializer(path_from)]  # of a file; see whole_values
 
 
 class Model(BaseModel):

@@ -16,7 +16,7 @@ from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_va
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
-from lidarcfg.placement.cones import Lidar, placed
+from lidarcfg.placement.cones import Lidar, placed, rig_lidars
 from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
 from lidarcfg.placement.region import Region
@@ -33,6 +33,7 @@ from lidarcfg.placement.slots import (
 )
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
+from lidarcfg.placement.subspace import segment
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
@@ -214,6 +215,14 @@ class Study:
     def obstacles(self) -> Obstacles:
         """The obstacles between sensors and objects."""
         return self.visibility.obstacles if self.visibility else NO_OBSTACLES
+
+    def shadow(self, rig: Rig) -> NDArray[np.bool_]:
+        """(nx, ny, nz) which cuboids bodies alone hide from all LiDARs of a rig: without bodies, one would see them."""
+        if self.visibility is None:
+            return np.zeros(self.region.shape, np.bool_)
+        lidars = rig_lidars(rig)
+        without_bodies = segment(self.region, lidars, self.visibility.transparent()).seen_by
+        return np.asarray((without_bodies > 0) & (segment(self.region, lidars, self.visibility).seen_by == 0))
 
     @cached_property
     def reference_m(self) -> Array:
