@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg import core, maths
-from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_values
-from lidarcfg.files import example
+from lidarcfg.config.models import NAME_MAX, Given, error_at, errors_at, load_or_check, whole_values
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
 from lidarcfg.placement.cones import Lidar, placed, rig_lidars
@@ -292,10 +291,9 @@ class Study:
         return Rig(self.name[:NAME_MAX], tuple(mounts), self.vehicle.section if self.vehicle else None)
 
 
-def load_study(path: str | Path) -> Study:
-    """The study in a YAML file. Raises ConfigError with file, line and key."""
-    path = example(path)
-    return study_of(load(path, StudyFile), path)
+def load_study(given: Given) -> Study:
+    """The study in a YAML file, or of a dict with its keys. Raises ConfigError with file, line and key."""
+    return study_of(*load_or_check(given, StudyFile))
 
 
 def study_of(file: StudyFile, path: Path) -> Study:

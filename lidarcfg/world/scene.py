@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.config.document import Key
-from lidarcfg.config.models import Model, Position, Section, errors_at, load
+from lidarcfg.config.models import Given, Model, Position, Section, errors_at, load_or_check
 from lidarcfg.errors import SceneError
-from lidarcfg.files import example
 from lidarcfg.geometry import Array
 from lidarcfg.world.gltf import buffer_files
 from lidarcfg.world.gltf_models import model_objects
@@ -118,11 +117,13 @@ class Scene:
         return join_meshes(parts)
 
 
-def load_scene(path: str | Path) -> Scene:
-    """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
-    path = example(path)
-    file = load(path, SceneFile)
-    return replace(build_scene(file, path), path=path)
+def load_scene(given: Given) -> Scene:
+    """The scene in a YAML file, or of a dict with its keys.
+
+    Raises ConfigError, also for a mesh that cannot be used, and SceneError if it is empty.
+    """
+    file, path = load_or_check(given, SceneFile)
+    return replace(build_scene(file, path), path=None if isinstance(given, Mapping) else path)
 
 
 def files_of(file: Model, folder: Path) -> list[Path]:
