@@ -92,7 +92,7 @@ def _plain(value: str | Triangles, info: SerializationInfo) -> Any:
     """The serializer: what a file has."""
     if isinstance(value, str):
         return path_from(value, info)
-    return {key: getattr(value, key).tolist() for key in KEYS}
+    return {key: tuple(map(tuple, getattr(value, key).tolist())) for key in KEYS}  # as files are read
 
 
 _ROWS = {"type": "array", "minItems": 1, "items": {"type": "array", "minItems": 3, "maxItems": 3}}
