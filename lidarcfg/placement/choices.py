@@ -1,5 +1,6 @@
 """The models that a study lets one choose from, and their prices."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from lidarcfg.config.models import error_at
 from lidarcfg.placement.study_file import NONE, StudyFile
 from lidarcfg.placement.surfaces import Surface
 from lidarcfg.sensors.rig import resolve_sensor
-from lidarcfg.sensors.sensor import Sensor
+from lidarcfg.sensors.sensor import Sensor, catalogue
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,13 @@ def choices_of(file: StudyFile, path: Path) -> list[Choices]:
     return found
 
 
-def resolved_prices(file: StudyFile, choices: list[Choices]) -> dict[str, Any]:
+def model_name(name: str, folder: Path) -> str:
+    """A model as resolved files name it: a name of the catalogue, or an absolute path."""
+    path = folder / name
+    return name if name in catalogue() or not path.exists() else os.path.realpath(path)
+
+
+def resolved_prices(file: StudyFile, choices: list[Choices], path: Path) -> dict[str, Any]:
     """The prices, with models named as in resolved files."""
     names = [group.choose or (group.model,) for group in file.sensors]
     known = {
@@ -56,7 +63,7 @@ def resolved_prices(file: StudyFile, choices: list[Choices]) -> dict[str, Any]:
         for name, choice in zip(group, of_group, strict=False)
         if name and choice
     }
-    return {known.get(name, name): price for name, price in (file.prices or {}).items()}
+    return {known.get(name) or model_name(name, path.parent): price for name, price in (file.prices or {}).items()}
 
 
 def unused_prices(file: StudyFile) -> list[str]:

@@ -17,7 +17,7 @@ from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.attitudes import freely_tilted, upright_in_the_middle
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
-from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
+from lidarcfg.placement.choices import Choices, choices_of, model_name, resolved_prices
 from lidarcfg.placement.cones import Lidar, placed
 from lidarcfg.placement.criterion import EVERY_CASE, Criterion
 from lidarcfg.placement.detection import DetectionObject, check_fits
@@ -312,7 +312,7 @@ def study_of(file: StudyFile, path: Path) -> Study:
         surroundings=surroundings,
         visibility=seen,
         robust=file.robust,
-        requirements=_requirements(file, found, region, bodies, seen),
+        requirements=_requirements(file, found, slots.slots, region, bodies, seen, path),
         zones=zones,
         detection_targets=detection_targets,
         file=_resolved(file, found, slots.slots, choices, path),
@@ -367,15 +367,24 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
 
 
 def _requirements(
-    file: StudyFile, found: Sequence[Source], region: Region, bodies: Vehicle | None, seen: Visibility | None
+    file: StudyFile,
+    found: Sequence[Source],
+    slots: tuple[Slot, ...],
+    region: Region,
+    bodies: Vehicle | None,
+    seen: Visibility | None,
+    path: Path,
 ) -> Requirements | None:
     """The study's requirements. Objects stand on the surroundings' ground, or else on the region's floor."""
     if not found:
         return None
+    prices = {model_name(name, path.parent): price for name, price in (file.prices or {}).items()}
     obstacles = seen.obstacles if seen else NO_OBSTACLES
     ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(region.min_m[2])
-    sensors = sum(group.count for group in file.sensors)
-    return resolved(found, Site.of(bodies, obstacles, ground_m), file.robust, file.prices, sensors)
+    models = [choice.model for slot in slots for choice in slot.choices if choice] or [
+        slot.model or "" for slot in slots
+    ]
+    return resolved(found, Site.of(bodies, obstacles, ground_m), file.robust, prices, len(slots), models)
 
 
 def _resolved(
@@ -393,7 +402,7 @@ def _resolved(
     if found:
         values["requirements"] = [whole_values(one.item, one.path.parent) for one in found]
     if file.prices:
-        values["prices"] = resolved_prices(file, choices)
+        values["prices"] = resolved_prices(file, choices, path)
     return values
 
 
