@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lidarcfg.placement.plan import Plan, Run
     from lidarcfg.placement.sweep import Outcome
     from lidarcfg.placement.workers import Workers
-    from lidarcfg.report import SweepFolder
+    from lidarcfg.report.sweep import SweepFolder
 
 
 @dataclass(frozen=True)
@@ -61,15 +61,15 @@ def sweep(
     Writes a table with one row per run, a plot, and the rig of each run. If the command is interrupted, run it again:
     it does only the missing runs. The result depends neither on the number of workers nor on where they run.
     """
-    from lidarcfg import report
     from lidarcfg.placement.plan import load_plan
+    from lidarcfg.report.sweep import SweepFolder
 
     if scheduler and workers:
         raise click.UsageError("--workers are local; a cluster has as many as its scheduler knows")
     with progress(quiet) as on_progress:
         loaded = load_plan(plan, lambda n, count: on_progress(n / count, f"checked {n} of {count} runs"))
     folder = output or Path("out") / loaded.path.stem
-    kept = report.SweepFolder(folder, loaded)
+    kept = SweepFolder(folder, loaded)
     missing = [run for run in loaded.runs if not kept.row(run)]
     if not quiet:
         click.echo(f"{len(loaded.runs)} runs, {len(loaded.runs) - len(missing)} of them done")

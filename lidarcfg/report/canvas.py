@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.region import Region
-from lidarcfg.report.html import printable
-from lidarcfg.report.names import DRAWN, truncate
 from lidarcfg.report.plots import COLOURS, new_figure
+from lidarcfg.report.text import DRAWN, printable, truncate
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:

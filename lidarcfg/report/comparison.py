@@ -15,14 +15,8 @@ from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
-from lidarcfg.report.baseline import Baseline
 from lidarcfg.report.blind_spots import compare_contours
-from lidarcfg.report.document import Commands
-from lidarcfg.report.html import Best, Figure, Table, render
-from lidarcfg.report.names import DRAWN, HEAD, truncate
-from lidarcfg.report.results import evaluation_dict, to_json
-from lidarcfg.report.robustness import FAR, draw_lost
-from lidarcfg.report.words import (
+from lidarcfg.report.describe import (
     beams,
     counted,
     date,
@@ -33,6 +27,11 @@ from lidarcfg.report.words import (
     region_rows,
     versions,
 )
+from lidarcfg.report.document import Baseline, Commands
+from lidarcfg.report.html import Best, KeyFigure, Table, render
+from lidarcfg.report.results import evaluation_dict, to_json
+from lidarcfg.report.robustness import FAR, draw_lost
+from lidarcfg.report.text import DRAWN, HEAD, truncate
 from lidarcfg.sensors.rig import Rig
 
 RIGS_MAX = 10
@@ -262,13 +261,13 @@ def comparison(study: Study, rigs: Sequence[Contender], commands: Commands) -> s
     )
 
 
-def _summary(rigs: Sequence[Contender]) -> list[Figure]:
+def _summary(rigs: Sequence[Contender]) -> list[KeyFigure]:
     least = min(rig.found.max_vsr_m for rig in rigs)
     figures = []
     for rig in rigs:
         more = rig.found.max_vsr_m / least - 1
         detail = "the smallest" if more == 0 else f"{more:.1%} above the smallest"
-        figures.append(Figure(f"Max VSR of {rig.title}", f"{rig.found.max_vsr_m:.6f} m", detail))
+        figures.append(KeyFigure(f"Max VSR of {rig.title}", f"{rig.found.max_vsr_m:.6f} m", detail))
     return figures
 
 

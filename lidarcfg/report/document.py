@@ -15,13 +15,8 @@ from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
-from lidarcfg.report.baseline import Baseline, beside, figures_beside
 from lidarcfg.report.blind_spots import contours_table, draw_blind_spots, volumes_table
-from lidarcfg.report.html import Figure, Table, render
-from lidarcfg.report.names import summarize, truncate
-from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
-from lidarcfg.report.surfaces import draw_surfaces
-from lidarcfg.report.words import (
+from lidarcfg.report.describe import (
     bounds_table,
     counted,
     date,
@@ -39,6 +34,10 @@ from lidarcfg.report.words import (
     vector,
     versions,
 )
+from lidarcfg.report.html import KeyFigure, Table, beside, figures_beside, render
+from lidarcfg.report.mounts import draw_mounts, draw_surfaces
+from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
+from lidarcfg.report.text import summarize, truncate
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
 Facts = list[tuple[str, object]]
@@ -50,6 +49,15 @@ class Commands:
 
     typed: str
     again: str
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A rig to compare a result with, and its evaluation in the same study."""
+
+    rig: Rig
+    file: str
+    details: Details
 
 
 def report(
@@ -135,7 +143,7 @@ def _drawings(
         rings = [(item, {name: one.rings[item] for name, one in both}) for item in shown]
     places = {name: details.places[name] for name in shown if name in details.places}
     return {
-        "mounts": drawings.draw_mounts(study, rig),
+        "mounts": draw_mounts(study, rig),
         "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
         "history": drawings.draw_history(study, placement) if placement else None,
         "worst": drawings.draw_worst(study, rig, found),
@@ -148,40 +156,42 @@ def _drawings(
     }
 
 
-def _of_baseline(baseline: Baseline) -> list[Figure]:
+def _of_baseline(baseline: Baseline) -> list[KeyFigure]:
     """Its figures in a summary: the midpoint of the bounds is the study's, whatever the rig."""
     return _summary(replace(baseline.details, midpoint_max_vsr_m=None))
 
 
-def _summary(details: Details) -> list[Figure]:
+def _summary(details: Details) -> list[KeyFigure]:
     found = details.evaluation
     midpoint = details.midpoint_max_vsr_m
     worst = found.worst[0]
     at = f"at {vector(worst.centroid_m, '.1f')} m"
     largest = f"the largest of {counted(len(found.subspaces), 'subspace')}"
-    figures = [Figure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
+    figures = [KeyFigure("Max VSR, the paper's measure", f"{found.max_vsr_m:.6f} m", largest)]
     if midpoint is not None:
         more = found.max_vsr_m / midpoint - 1
         than = f"this rig's max VSR is {abs(more):.0%} {'larger' if more > 0 else 'smaller'}"
-        figures.append(Figure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
+        figures.append(KeyFigure("Max VSR at the midpoint of the bounds", f"{midpoint:.6f} m", than))
     if bar := found.analytic:
         value = f"{bar.max_vsr_m:.4f} ± {bar.error_m:.4f} m"
         figures.append(
-            Figure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
+            KeyFigure("Analytic max VSR", value, f"± {bar.error_m / bar.max_vsr_m:.1%}, of the cones themselves")
         )
     else:
-        figures.append(Figure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
-    figures.append(Figure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at))
+        figures.append(KeyFigure("Analytic max VSR", "not computed", "evaluate --tolerance computes it"))
+    figures.append(
+        KeyFigure("Largest sphere in the worst subspace", f"{2 * worst.inscribed_radius_m:.2f} m across", at)
+    )
     if found.blind.contours:
         part = found.blind.volume_m3 / float(found.blind.seen_by_m3.sum())
-        figures.append(Figure("Blind volume", f"{found.blind.volume_m3:.2f} m³", f"{part:.2%} of the region"))
+        figures.append(KeyFigure("Blind volume", f"{found.blind.volume_m3:.2f} m³", f"{part:.2%} of the region"))
         low = found.blind.contours[0]
         where = f"{low.directions.height_m:g} m above the ground, at {low.largest_at_deg:.0f}°"
         least = "≥ " if low.largest_reaches_edge else ""
-        figures.append(Figure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
+        figures.append(KeyFigure("Blind spot, largest distance from the body", f"{least}{low.largest_m:.2f} m", where))
     for name, rate in found.detection.items():
         how = f"± {rate.half_width:.2%}, of {rate.places:,} drawn positions" if rate.half_width else "of all positions"
-        figures.append(Figure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", how))
+        figures.append(KeyFigure(f"Detection of {truncate(name)}", f"{rate.rate:.2%}", how))
     return figures
 
 

@@ -11,7 +11,7 @@ from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
-from lidarcfg.report.names import truncate
+from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Rig
 
 if TYPE_CHECKING:

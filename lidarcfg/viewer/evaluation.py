@@ -10,8 +10,16 @@ from lidarcfg.placement.evaluation import detection_rates
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.sensors.rig import Rig
-from lidarcfg.viewer.bodies import bases_m, hides, other_max_vsr_m, scored, violations, visibility_of
-from lidarcfg.viewer.packed import packed_quads, packed_triangles
+from lidarcfg.viewer.bodies import (
+    base_discs_m,
+    hides,
+    other_max_vsr_m,
+    packed_quads,
+    packed_triangles,
+    scored,
+    visibility_of,
+)
+from lidarcfg.viewer.mounting import violations
 
 
 def evaluation(study: Study, rig: Rig, worst: int, transparent: bool = False) -> dict[str, Any]:
@@ -57,7 +65,7 @@ def _shown(study: Study, rig: Rig, worst: int, transparent: bool, spaces: Subspa
         "subspaces": found.subspaces,
         "zones": [{"name": zone.name, "max_vsr_m": zone.max_vsr_m} for zone in found.zones],
         "violations": violations(study, rig),
-        "bases": packed_triangles(bases_m(study, rig)),
+        "bases": packed_triangles(base_discs_m(study, rig)),
         "worst": [
             {
                 "vsr_m": body.vsr_m,

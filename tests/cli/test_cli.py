@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 
 from lidarcfg import __version__
-from lidarcfg.cli.interrupts import Interrupts
 from lidarcfg.cli.main import progress as module
-from lidarcfg.cli.progress import progress
+from lidarcfg.cli.progress import Interrupts, progress
 from tests.command_line import lidarcfg, started
 
 ROOT = Path(__file__).parents[2]

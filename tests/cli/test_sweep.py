@@ -27,7 +27,7 @@ from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.sweep import sweep
 from lidarcfg.placement.workers import Cluster, Processes, WorkerDiedError
-from lidarcfg.report import SweepFolder
+from lidarcfg.report.sweep import SweepFolder
 from tests.command_line import lidarcfg as command
 
 BIN = Path(sys.executable).parent

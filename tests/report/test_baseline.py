@@ -4,8 +4,7 @@ import json
 
 import pytest
 
-from lidarcfg.report.baseline import beside, difference
-from lidarcfg.report.html import Table
+from lidarcfg.report.html import Table, beside, difference
 from tests.command_line import lidarcfg
 from tests.report.test_report import read
 

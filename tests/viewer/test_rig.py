@@ -12,11 +12,11 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.viewer.bodies import score
+from lidarcfg.viewer.contents import load_contents
 from lidarcfg.viewer.evaluation import moved
 from lidarcfg.viewer.page import page_of
 from lidarcfg.viewer.rig_source import RigSource
 from lidarcfg.viewer.server import Server
-from lidarcfg.viewer.stage import load_stage
 from tests.capture_fixtures import no_warning
 from tests.viewer.driver import (
     asked,
@@ -144,10 +144,10 @@ def test_files_that_are_not_written(tmp_path):
 
 @pytest.fixture
 def sides(tmp_path):
-    """A stage with a study of a mirrored pair, and a rig of its own file."""
+    """A contents with a study of a mirrored pair, and a rig of its own file."""
     (tmp_path / "sides.yaml").write_text(STUDY)
     (tmp_path / "rig.yaml").write_text(RIG)
-    return load_stage([tmp_path / "sides.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
+    return load_contents([tmp_path / "sides.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
 
 
 def test_what_is_no_file_any_more_is_not_written(tmp_path):
@@ -208,7 +208,7 @@ def test_who_may_save(sides):
         assert asked(url, "POST", "/save", body, **{"X-Lidarcfg-Token": token})[0] == 200
         assert asked(url, "POST", "/save", body, **{"X-Lidarcfg-Token": token})[0] == 200  # it knows what it wrote
     with Server(
-        load_stage([ROOT / "data/studies/sedan.yaml"], None, None, np.eye(4), no_warning), page_of(sides)
+        load_contents([ROOT / "data/studies/sedan.yaml"], None, None, np.eye(4), no_warning), page_of(sides)
     ) as one:
         assert one.source is None  # the rig of a study has no file
 
@@ -313,10 +313,10 @@ def seen(driver, places):
 @pytest.mark.parametrize("name", ["sedan", "truck"])
 def test_the_opening_view_shows_vehicle_and_worst_subspaces_whole(chromium, name):
     """All of their vertices are in the picture, from each side, and reach near to an edge."""
-    stage = load_stage([ROOT / f"data/studies/{name}.yaml"], None, None, np.eye(4), no_warning)
-    places = [stage.study.vehicle.scene.mesh()[0]]
-    places += [body.faces_m.reshape(-1, 3) for body in score(stage.study, stage.rigs[0], 3).worst]
-    with serving(stage) as url:
+    contents = load_contents([ROOT / f"data/studies/{name}.yaml"], None, None, np.eye(4), no_warning)
+    places = [contents.study.vehicle.scene.mesh()[0]]
+    places += [body.faces_m.reshape(-1, 3) for body in score(contents.study, contents.rigs[0], 3).worst]
+    with serving(contents) as url:
         opened(chromium, url)
         for look in ("", "#look-top", "#look-front", "#look-side"):
             if look:
@@ -332,8 +332,8 @@ def test_the_opening_view_shows_vehicle_and_worst_subspaces_whole(chromium, name
 NEAREST = """
 const [places, aways] = arguments;
 const stage = lidarcfg.stage, at = (xyz) => stage.orbit.target.clone().set(...xyz);
-const eyes = aways.map((away) => stage.framing(places.map(at), at(away).negate())[0]);
-return [stage.camera.position, ...eyes].map((eye) => eye.toArray());
+const eyes = aways.map((away) => contents.framing(places.map(at), at(away).negate())[0]);
+return [contents.camera.position, ...eyes].map((eye) => eye.toArray());
 """
 
 
@@ -342,12 +342,14 @@ return [stage.camera.position, ...eyes].map((eye) => eye.toArray());
 def test_the_opening_view_is_from_where_the_vehicle_is_nearest(chromium, tmp_path, lean_deg):
     """Nearer than from the corners around; the worst subspace is ahead of sensors that lean ahead, behind those that lean back."""
     (tmp_path / "rig.yaml").write_text(LEANING.format(lean_deg))
-    stage = load_stage([ROOT / "data/studies/sedan.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
-    worst = [body.faces_m.reshape(-1, 3) for body in score(stage.study, stage.rigs[0], 1).worst]
-    places = np.concatenate([stage.study.vehicle.scene.mesh()[0], *worst])
+    contents = load_contents(
+        [ROOT / "data/studies/sedan.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning
+    )
+    worst = [body.faces_m.reshape(-1, 3) for body in score(contents.study, contents.rigs[0], 1).worst]
+    places = np.concatenate([contents.study.vehicle.scene.mesh()[0], *worst])
     assert worst[0][:, 0].mean() * lean_deg > 0
     aways = [[np.cos(at), np.sin(at), 0.57] for at in np.radians([45, 135, 225, 315])]
-    with serving(stage, worst=1) as url:
+    with serving(contents, worst=1) as url:
         opened(chromium, url)
         eyes = np.array(chromium.execute_script(NEAREST, places.tolist(), np.array(aways).tolist()))
         far = np.linalg.norm(eyes, axis=1)
