@@ -4,5 +4,3 @@ To read in this order: `main` has the help page and the exit codes. A module for
 one library call and prints one table; `files` has the commands that write and check files, with its `templates` and
 `schemas`. All share `options`, `completion` and `progress`.
 """
-
-from lidarcfg.cli.main import main as main
