@@ -49,7 +49,10 @@ QUIET_S = 0.5  # without a cycle's end, before the evaluations are counted on th
     ),
     cloup.option("--seed", type=click.IntRange(0, 2**63 - 1), metavar="N", help="Random seed.  [default: the study's]"),
     cloup.option(
-        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Does not change the result.  [default: all cores]"
+        "--threads",
+        type=click.IntRange(1, 1024),
+        metavar="N",
+        help="Threads; the result is the same.  [default: all cores]",
     ),
     cloup.option("--resume", type=FILE, metavar="DIR", help="Continue the search whose results are in DIR."),
 )

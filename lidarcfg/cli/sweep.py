@@ -146,6 +146,6 @@ def _estimate(plan: "Plan", runs: list["Run"], where: Where, quiet: bool) -> Non
             if found := paces[key]:
                 seconds.append(found.seconds(run.file.solver))
     took = duration(max(sum(seconds) / count, *seconds))
-    click.echo(f"about {took} with {count} workers, by a short search of each of {len(paces)} sizes")
+    click.echo(f"about {took} with {count} workers, estimated by a short search of each of {len(paces)} sizes")
     if unknown := len(runs) - len(seconds) + 1:
-        click.echo(f"without {unknown} runs for which those find no rig")
+        click.echo(f"{unknown} runs are not counted: their short search found no rig")

@@ -156,7 +156,7 @@ def view(
     Without --html, --png or --window an interactive page is served on this machine until Ctrl-C. With a study, the
     rig's sensors can be dragged; max VSR and the worst subspaces are updated. Ground truth (export --truth) given
     beside its capture names the object that each point lies on. Rig, scene, vehicle and trajectory of an exported
-    capture are taken from the .pcap.yaml beside it.
+    capture are taken from its manifest, the .pcap.yaml beside it.
     """
     import numpy as np
 
@@ -173,7 +173,9 @@ def view(
     drive = load_trajectory(known.trajectory, known.at or "0,0,0", nanoseconds(known.start or START))
     contents = load_contents(paths, known.rig, model, drive, warn, Selection(from_s, to_s, sensors), known.vehicle)
     if start and contents.trajectory.path.is_static and not contents.scenes:
-        raise click.UsageError("--start says when a --trajectory starts, and the objects of a scene; there is neither")
+        raise click.UsageError(
+            "--start is the time at which a --trajectory or a scene's motion starts; there is neither"
+        )
     count = len(contents.cloud.xyz)
     if png:
         save_still(contents, png, size, seen_from, colour, worst)

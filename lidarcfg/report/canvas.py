@@ -1,4 +1,4 @@
-"""What the drawings of a report share: SVG in one style, and views of the region."""
+"""The canvas of a report's drawings: SVG in one style, views of the region, numbers that do not overlap."""
 
 import io
 import re

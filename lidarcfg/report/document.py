@@ -34,7 +34,7 @@ from lidarcfg.report.describe import (
     vector,
     versions,
 )
-from lidarcfg.report.html import KeyFigure, Table, beside, figures_beside, render
+from lidarcfg.report.html import KeyFigure, Table, render, with_baseline_figures, with_baseline_rows
 from lidarcfg.report.mounts import draw_mounts, draw_surfaces
 from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table, zones_table
 from lidarcfg.report.text import summarize, truncate
@@ -76,13 +76,13 @@ def report(
     found = details.evaluation
     own = _tables(study, rig, details)
     other = _tables(study, baseline.rig, baseline.details) if baseline else {}
-    tables = {name: beside(table, other.get(name)) for name, table in own.items()}
+    tables = {name: with_baseline_rows(table, other.get(name)) for name, table in own.items()}
     what = "optimised" if placement else "evaluated"
     return render(
         "report.html",
         title=f"Report: {rig.name}",
         about=f"{describe_rig(rig)}; {what} by lidarcfg {__version__} on {date()}",
-        summary=figures_beside(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
+        summary=with_baseline_figures(_summary(details), _of_baseline(baseline)) if baseline else _summary(details),
         baseline=baseline,
         baseline_yaml=yaml_text(rig_to_dict(baseline.rig)) if baseline else None,
         placement=placement,
@@ -211,8 +211,8 @@ def _search(placement: Placement | None) -> Facts:
         return []
     return [
         ("evaluations", f"{placement.evaluations:,}"),
-        ("more evaluations, of first rigs", f"{placement.first_evaluations:,}"),
-        ("more evaluations, of scouts", f"{placement.scout_evaluations:,}"),
+        ("evaluations of the initial rigs, not counted above", f"{placement.first_evaluations:,}"),
+        ("evaluations by scouts, not counted above", f"{placement.scout_evaluations:,}"),
         ("cycles", f"{placement.history[-1].cycle:,}"),
         ("seconds", f"{placement.seconds:.1f}"),
         ("objective value of the best rig", f"{placement.objective:.6f}"),

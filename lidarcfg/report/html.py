@@ -35,7 +35,7 @@ class Table:
     texts: Container[int] = ()
 
     def is_number(self, column: int) -> bool:
-        """Whether a column is aligned as numbers are."""
+        """Whether a column is right-aligned."""
         return column > 0 and column not in self.texts
 
 
@@ -68,7 +68,7 @@ def _environment() -> "Environment":
     )
 
 
-def beside(table: Table | None, baseline: Table | None) -> Table | None:
+def with_baseline_rows(table: Table | None, baseline: Table | None) -> Table | None:
     """The table with two more rows after each: the baseline's, and the difference.
 
     Rows of one name belong together, the others in their order.
@@ -103,7 +103,7 @@ def _pairs(rows: Sequence[Row], others: Sequence[Row]) -> Iterator[tuple[Row | N
 
 
 def _name(row: Row) -> str:
-    """What a row is of, without its number."""
+    """The row's name, without its number."""
     return COUNT.sub("", str(row[0]))
 
 
@@ -117,7 +117,7 @@ def difference(own: object, other: object) -> str:
     return f"{first - second:+z,.{digits}f}{found[0][3] or ''}"
 
 
-def figures_beside(figures: list[KeyFigure], baseline: list[KeyFigure]) -> list[KeyFigure]:
+def with_baseline_figures(figures: list[KeyFigure], baseline: list[KeyFigure]) -> list[KeyFigure]:
     """The figures of a summary, each with the baseline's."""
     known = {figure.what: figure.value for figure in baseline}
     return [

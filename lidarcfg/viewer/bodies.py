@@ -26,7 +26,7 @@ RAISED_M = 0.002, 0.004  # above a body, so that they are seen: where bases may 
 
 @dataclass(frozen=True)
 class Body:
-    """A subspace to draw."""
+    """A subspace, to draw."""
 
     vsr_m: float
     volume_m3: float
@@ -36,7 +36,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Blind:
-    """What no LiDAR sees, to draw."""
+    """The blind volume, to draw."""
 
     volume_m3: float
     fraction: float  # of the region's volume

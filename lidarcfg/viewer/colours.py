@@ -40,7 +40,7 @@ DIFFUSE = 100  # intensities up to here are diffuse, in per cent
 
 
 def colour(index: int) -> str:
-    """Of sensor or object number `index`."""
+    """The colour of sensor or object number `index`."""
     return BRIGHT[index % len(BRIGHT)]
 
 

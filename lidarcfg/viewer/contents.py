@@ -1,4 +1,4 @@
-"""What is shown: any mix of captures, clouds, rigs, a study and scenes, in the vehicle frame."""
+"""The contents of a view: any mix of captures, clouds, rigs, a study and scenes, in the vehicle frame."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -84,7 +84,7 @@ class Contents:
 
 
 def kind_of(path: Path) -> Kind:
-    """What a file is, by its suffix or else its first bytes. Raises ConfigError for any other file."""
+    """The kind of a file, by its suffix or else its first bytes. Raises ConfigError for any other file."""
     suffix = path.suffix.lower()
     if suffix in CAPTURES:
         return "capture"

@@ -1,4 +1,4 @@
-"""What the page shows of a rig in a study, again after each move."""
+"""A rig's evaluation as the page shows it, and again after each move."""
 
 from dataclasses import replace
 from typing import Any

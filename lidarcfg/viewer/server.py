@@ -28,7 +28,7 @@ HOSTS = (HERE, "localhost")  # any other name could be a page from elsewhere
 HOST = re.compile(rf"({'|'.join(map(re.escape, HOSTS))})(:[0-9]{{1,5}})?")
 REQUEST_MAX = 1 << 20  # bytes
 TOKEN = "X-Lidarcfg-Token"  # a header that a page from elsewhere can neither know nor send
-IDLE_S = 30.0  # a connection that says nothing for so long is closed
+IDLE_S = 30.0  # after which a silent connection is closed
 
 
 class Server(ThreadingHTTPServer):

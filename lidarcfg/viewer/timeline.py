@@ -1,4 +1,4 @@
-"""What moves when: the frames that the page steps through, the parts of scenes that move as one, and their tracks."""
+"""Time: the frames that the page steps through, the parts of scenes that move as one, and their tracks."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ SHOWN_S = 10.0  # of a motion without an end, where there are no points
 
 @dataclass(frozen=True)
 class RigidPart:
-    """What of a scene moves as one."""
+    """A rigid part of a scene: all that is static, or one dynamic object."""
 
     mesh: Mesh  # in the world's axes, about its place
     place_m: Array  # (3,) at time 0
@@ -35,7 +35,7 @@ class RigidPart:
 
 
 def parts(scene: Scene) -> list[RigidPart]:
-    """What is static, and then each dynamic object; the ground is none of them."""
+    """The static part, then each dynamic object; without the ground."""
     file = scene.file
     moves = np.array([motion is not None for motion in scene.motions])
     rest = {"spheres": _static(file.spheres), "cylinders": _static(file.cylinders)}
@@ -55,7 +55,7 @@ def parts(scene: Scene) -> list[RigidPart]:
 
 
 def mesh_at(scene: Scene, since_ns: int) -> Mesh:
-    """All objects but the ground, where they are so long after the scene's start, in the world."""
+    """All objects but the ground, in the world, where they are `since_ns` after the scene's start."""
     seconds = np.array([since_ns / SECOND_NS])
     found = [NO_MESH]
     for part in parts(scene):

@@ -199,7 +199,7 @@ def test_a_drive_without_a_capture(here):
 
 def test_a_start_of_nothing(here):
     told = lidarcfg("view", "top.yaml", "--start", "2026-01-01", "--html", "no.html", code=2, cwd=here).stderr
-    assert "--start says when a --trajectory starts, and the objects of a scene; there is neither" in told
+    assert "--start is the time at which a --trajectory or a scene's motion starts; there is neither" in told
 
 
 def test_what_is_noted_may_be_said_otherwise(here):

@@ -332,8 +332,8 @@ def test_the_opening_view_shows_vehicle_and_worst_subspaces_whole(chromium, name
 NEAREST = """
 const [places, aways] = arguments;
 const stage = lidarcfg.stage, at = (xyz) => stage.orbit.target.clone().set(...xyz);
-const eyes = aways.map((away) => contents.framing(places.map(at), at(away).negate())[0]);
-return [contents.camera.position, ...eyes].map((eye) => eye.toArray());
+const eyes = aways.map((away) => stage.framing(places.map(at), at(away).negate())[0]);
+return [stage.camera.position, ...eyes].map((eye) => eye.toArray());
 """
 
 
