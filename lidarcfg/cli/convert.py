@@ -92,7 +92,7 @@ def convert(
 
 
 def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
-    """The drive that an export's manifest describes; none for a recording. Raises ConfigError, also where it is needed."""
+    """The drive that an export's manifest describes; None for a recording. Raises ConfigError where it is needed."""
     from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError
     from lidarcfg.io.formats import FOLDERS

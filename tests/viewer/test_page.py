@@ -71,7 +71,7 @@ def contents():
 
 @pytest.fixture(scope="module")
 def served(contents):
-    """The address of the contents's page."""
+    """The address of the page."""
     with serving(contents) as url:
         yield url
 
@@ -544,7 +544,7 @@ sensors:
 
 @pytest.fixture
 def cab(tmp_path):
-    """A contents with a rig on a vehicle."""
+    """A rig on a vehicle."""
     (tmp_path / "cab.yaml").write_text(CAB)
     return load_contents([tmp_path / "cab.yaml"], None, None, np.eye(4), print)
 

@@ -144,7 +144,7 @@ def test_files_that_are_not_written(tmp_path):
 
 @pytest.fixture
 def sides(tmp_path):
-    """A contents with a study of a mirrored pair, and a rig of its own file."""
+    """A study of a mirrored pair, and a rig of its own file."""
     (tmp_path / "sides.yaml").write_text(STUDY)
     (tmp_path / "rig.yaml").write_text(RIG)
     return load_contents([tmp_path / "sides.yaml", tmp_path / "rig.yaml"], None, None, np.eye(4), no_warning)
