@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.files import replacing
-from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.report.text import DRAWN, summarize, truncate
 from lidarcfg.sensors.rig import Rig
 
@@ -115,6 +114,8 @@ def draw_rig(study: "Study", rig: Rig, found: "Evaluation") -> "Figure":
 
 
 def _draw_sensors(axes: "Axes", rig: Rig, across: int, up: int, length: float) -> None:
+    from lidarcfg.placement.cones import rig_lidars  # here, so that a list of sensors does not load the tracer
+
     for i, cones in enumerate(rig_lidars(rig)):
         colour = COLOURS[i % len(COLOURS)]
         at = cones.position_m
