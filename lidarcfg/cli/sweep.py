@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Where:
-    """Where runs are done."""
+class WorkerOptions:
+    """Local processes, or the workers of a cluster."""
 
     scheduler: str | None  # of a cluster
     processes: int  # where there is none
@@ -73,15 +73,15 @@ def sweep(
     missing = [run for run in loaded.runs if not kept.row(run)]
     if not quiet:
         click.echo(f"{len(loaded.runs)} runs, {len(loaded.runs) - len(missing)} of them done")
-    where = Where(scheduler, min(workers or _processors(), max(len(missing), 1)))
+    options = WorkerOptions(scheduler, min(workers or _processors(), max(len(missing), 1)))
     if dry_run:
-        _estimate(loaded, missing, where, quiet)
+        _estimate(loaded, missing, options, quiet)
         return
     kept.start()
     failed = 0
     try:
         if missing:
-            failed = _do(loaded, missing, kept, where, quiet)
+            failed = _run_missing(loaded, missing, kept, options, quiet)
     finally:
         written = kept.save_tables()
     if failed:
@@ -97,7 +97,7 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
-def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quiet: bool) -> int:
+def _run_missing(plan: "Plan", runs: list["Run"], kept: "SweepFolder", options: WorkerOptions, quiet: bool) -> int:
     """Do the runs, and keep what comes of them; returns how many have no rig."""
     from lidarcfg.placement.sweep import sweep
 
@@ -117,7 +117,7 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
             show()
 
         show()
-        workers = where.workers()
+        workers = options.workers()
         try:
             sweep(plan, runs, workers, done)
         finally:
@@ -125,11 +125,11 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
     return failed
 
 
-def _estimate(plan: "Plan", runs: list["Run"], where: Where, quiet: bool) -> None:
+def _estimate(plan: "Plan", runs: list["Run"], options: WorkerOptions, quiet: bool) -> None:
     """Print about how long some runs of a plan take."""
     from lidarcfg.placement.sweep import Pace, pace, size
 
-    workers = where.workers()
+    workers = options.workers()
     count = workers.count
     workers.close()
     paces: dict[str, Pace | None] = {}

@@ -40,7 +40,7 @@ from lidarcfg.report.robustness import draw_lost, lost_table, sensitivity_table,
 from lidarcfg.report.text import summarize, truncate
 from lidarcfg.sensors.rig import Rig, rig_to_dict
 
-Facts = list[tuple[str, object]]
+FactRows = list[tuple[str, object]]
 
 
 @dataclass(frozen=True)
@@ -195,8 +195,8 @@ def _summary(details: Details) -> list[KeyFigure]:
     return figures
 
 
-def _task(study: Study, placement: Placement | None) -> Facts:
-    rows: Facts = [("study", study.name), *region_rows(study.region)]
+def _task(study: Study, placement: Placement | None) -> FactRows:
+    rows: FactRows = [("study", study.name), *region_rows(study.region)]
     if placement:
         rows += [
             ("objective", describe_objective(study)),
@@ -206,7 +206,7 @@ def _task(study: Study, placement: Placement | None) -> Facts:
     return rows + [(f"object: {truncate(item.name)}", describe_object(item)) for item in study.detection]
 
 
-def _search(placement: Placement | None) -> Facts:
+def _search(placement: Placement | None) -> FactRows:
     if placement is None:
         return []
     return [
@@ -346,14 +346,14 @@ def _analytic(found: Evaluation, bar: Analytic, baseline: Baseline | None) -> di
     return {"rows": rows, "difference": f"{abs(less):.1%} {'lower' if less >= 0 else 'higher'}"}
 
 
-def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> Facts:
+def _skipped(study: Study, values: dict[str, Any], placement: Placement | None) -> FactRows:
     if placement is None:
         return []
     skipped = values["skipped"]
     trials = placement.evaluated
     all_trials = placement.evaluations + placement.first_evaluations + placement.scout_evaluations
     what = "rigs" if study.rigs[0] > 1 else "trials"
-    facts: Facts = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
+    facts: FactRows = [("trials evaluated in this run", f"{trials:,} of {all_trials:,}")] if trials < all_trials else []
     if study.rigs[0] > 1:
         facts.append(("rigs that these stand for", f"{skipped['rigs']:,}, {study.rigs[0]:,} a trial"))
     facts.append((f"{what} settled without a full evaluation", _of(skipped["full_evaluations"], skipped["rigs"])))
@@ -370,7 +370,7 @@ def _of(part: int, whole: int) -> str:
     return f"{part:,} of {whole:,} ({part / max(whole, 1):.1%})"
 
 
-def _repeat(values: dict[str, Any]) -> Facts:
+def _repeat(values: dict[str, Any]) -> FactRows:
     return [
         ("seed", "not needed" if values["seed"] is None else values["seed"]),
         ("versions", versions()),

@@ -18,7 +18,7 @@ COUNT = re.compile(r"^\d+ ")  # before a name, such as that of the first sensor
 NUMBER = re.compile(r"(?:≥ )?(-?[\d,]+(?:\.(\d+))?)( ?%)?(?![\d.]| ?…)")  # that a cell begins with
 
 
-class Best(str):
+class BestCell(str):
     """A table's cell that is marked as the best of its row."""
 
     __slots__ = ()

@@ -21,7 +21,7 @@ from lidarcfg.sensors.rig import save_rig
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Row = dict[str, Any]  # of the table, by column
+RunRow = dict[str, Any]  # of the table, by column
 PLAN = "plan.json"
 TABLES = ("table.csv", "table.parquet")
 PLOT = "sweep.png"
@@ -37,7 +37,7 @@ class SweepFolder:
         """Raises ConfigError if it holds the runs of another plan."""
         self.folder = folder
         self._plan = plan
-        self._failed: dict[int, Row] = {}  # of runs that another attempt may complete
+        self._failed: dict[int, RunRow] = {}  # of runs that another attempt may complete
         known = folder / PLAN
         self._about = to_json({"study": plan.study, "varied": sorted(plan.varied)}) + "\n"
         if known.exists() and known.read_bytes() != self._about.encode():
@@ -50,7 +50,7 @@ class SweepFolder:
         with replacing(self.folder / PLAN) as file:
             file.write(self._about)
 
-    def row(self, run: Run) -> Row | None:
+    def row(self, run: Run) -> RunRow | None:
         """A run's row of the table, or None if it is not done."""
         with suppress(OSError, ValueError):
             found = json.loads((self._at(run) / "result.json").read_text())
@@ -94,7 +94,7 @@ class SweepFolder:
             pyarrow.parquet.write_table(table, file)
         return [*TABLES, *self._save_plot(rows)]
 
-    def _save_plot(self, rows: list[Row]) -> list[str]:
+    def _save_plot(self, rows: list[RunRow]) -> list[str]:
         """Write sweep.png, if there is anything to plot."""
         found = {row["run"]: row.get("cost") for row in rows}
         is_max_vsr = all(row.get("cost") == row.get("max_vsr_m") for row in rows)
@@ -107,7 +107,7 @@ class SweepFolder:
     def _at(self, run: Run) -> Path:
         return self.folder / "runs" / run.digest
 
-    def _row(self, run: Run, found: Row) -> Row:
+    def _row(self, run: Run, found: RunRow) -> RunRow:
         values = {
             path: value if path in self._plain or value is None else json.dumps(value, ensure_ascii=False)
             for path, value in run.values.items()

@@ -54,7 +54,7 @@ class RigScore:
     zones: tuple[ZoneVsr, ...]  # of studies that have some
 
 
-def hides(study: Study) -> bool:
+def has_obstacles(study: Study) -> bool:
     """Whether anything in a study hides what is behind it."""
     return study.visibility is not None and study.visibility.blocks
 
@@ -65,16 +65,16 @@ def visibility_of(study: Study, transparent: bool) -> Visibility | None:
 
 
 def other_max_vsr_m(study: Study, rig: Rig, transparent: bool) -> float:
-    """Max VSR with what hides, if it is `transparent` now, or else without."""
+    """Max VSR with what has_obstacles, if it is `transparent` now, or else without."""
     return max_vsr(study.region, rig_lidars(rig), visibility_of(study, not transparent))
 
 
 def score(study: Study, rig: Rig, worst: int, transparent: bool = False) -> RigScore:
     """The rig's max VSR, its worst subspaces and what is blind; nothing hides anything if it is `transparent`."""
-    return scored(study, segment(study.region, rig_lidars(rig), visibility_of(study, transparent)), worst)
+    return score_subspaces(study, segment(study.region, rig_lidars(rig), visibility_of(study, transparent)), worst)
 
 
-def scored(study: Study, spaces: Subspaces, worst: int) -> RigScore:
+def score_subspaces(study: Study, spaces: Subspaces, worst: int) -> RigScore:
     """The score of a rig that is segmented already."""
     vsr = vsr_m(spaces)
     volume = volume_m3(spaces)

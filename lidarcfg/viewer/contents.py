@@ -81,7 +81,7 @@ class Contents:
     def zero_ns(self) -> int:
         """When dynamic objects are at their places: when the trajectory starts, or else at the first point."""
         zero_ns = self.trajectory.zero_ns
-        return zero_ns if near(self.first_ns, zero_ns) else self.first_ns
+        return zero_ns if is_near(self.first_ns, zero_ns) else self.first_ns
 
 
 def kind_of(path: Path) -> Kind:
@@ -119,7 +119,7 @@ def _yaml_kind(path: Path) -> Kind:
     )
 
 
-def near(time_ns: int, zero_ns: int) -> bool:
+def is_near(time_ns: int, zero_ns: int) -> bool:
     """Whether a time is within a day after a start."""
     return -BEFORE_S <= (time_ns - zero_ns) / SECOND_NS <= APART_S
 
@@ -152,12 +152,12 @@ def load_contents(
         return [path for found, path in files if found == kind]
 
     rig_paths = [*([rig] if rig else []), *of("rig")]
-    source = RigSource.of(example(rig_paths[0])) if rig_paths else None
+    source = RigSource.read(example(rig_paths[0])) if rig_paths else None
     rigs = [load_rig(path) for path in rig_paths]
-    study = _only(of("study"), "study")
+    study = _at_most_one(of("study"), "study")
     loaded = load_study(study) if study else None
     captures = of("capture")
-    truth = _only(of("truth"), "truth")
+    truth = _at_most_one(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? choose one with --rig")
     if selection != ALL and not captures:
@@ -201,7 +201,7 @@ def _first_pose(clouds: list[PointCloud], trajectory: Trajectory) -> Array:
         return T
     times = [int(end) for cloud in clouds if len(cloud.xyz) for end in (cloud.time_ns.min(), cloud.time_ns.max())]
     for time_ns in (min(times), max(times)) if times else ():
-        if not near(time_ns, trajectory.zero_ns):
+        if not is_near(time_ns, trajectory.zero_ns):
             seconds = (time_ns - trajectory.zero_ns) / SECOND_NS
             raise ConfigError(
                 f"a point is {abs(seconds):.6g} s {'after' if seconds > 0 else 'before'} the trajectory's start; "
@@ -238,7 +238,7 @@ def _first_choices(study: Study) -> str:
     return f"{study.name}: {shown}. optimize writes a study of each choice"
 
 
-def _only(paths: list[Path], what: str) -> Path | None:
+def _at_most_one(paths: list[Path], what: str) -> Path | None:
     """The one file of a kind, if there is any. Raises ConfigError where there are more."""
     if len(paths) > 1:
         raise ConfigError(f"{paths[1]}: is a second {what} beside {paths[0]}; allowed: one")

@@ -13,7 +13,7 @@ from lidarcfg.sensors.rig import Rig
 
 TOLERANCE = 1e-9  # metres and radians
 STEPS = 64  # of a move, and again of the step in which a base no longer fits: where it stops is known to 1/4096
-SETTLED = 3  # times that a base is shifted, until the sensor is where it is wanted
+SHIFTS = 3  # times that a base is shifted, until the sensor is where it is wanted
 
 
 def mirrored_pairs(study: Study, rig: Rig) -> list[tuple[int, int, float]]:
@@ -45,12 +45,15 @@ def violations(study: Study, rig: Rig) -> list[str]:
     for i, mount in enumerate(rig.mounts):
         surface = study.slots[i].surface
         if surface:
-            found += [f"{mount.name}: {text}" for text in _off(surface, poses[i], study.lower[i], study.upper[i])]
+            found += [
+                f"{mount.name}: {text}"
+                for text in _surface_violations(surface, poses[i], study.lower[i], study.upper[i])
+            ]
         elif np.isnan(study.mirror[i]):
-            found += [f"{mount.name}: {text}" for text in _outside(poses[i], study.lower[i], study.upper[i])]
+            found += [f"{mount.name}: {text}" for text in _bound_violations(poses[i], study.lower[i], study.upper[i])]
         else:
             image = poses[i - 1] * (1, -1, 1, -1, 1, -1) + (0, 2 * study.mirror[i], 0, 0, 0, 0)
-            if not (_near(poses[i, :3], image[:3]) and _near(up(poses[i, 3:]), up(image[3:]))):
+            if not (_is_close(poses[i, :3], image[:3]) and _is_close(up(poses[i, 3:]), up(image[3:]))):
                 found.append(
                     f"{mount.name}: is not the mirror image of {rig.mounts[i - 1].name} in y = {study.mirror[i]:g} m"
                 )
@@ -64,21 +67,21 @@ def violations(study: Study, rig: Rig) -> list[str]:
     return found
 
 
-def _off(surface: Surface, pose: Array, low: Array, high: Array) -> list[str]:
+def _surface_violations(surface: Surface, pose: Array, low: Array, high: Array) -> list[str]:
     """Whether a sensor does not sit on its surface, and which of its angles (6,) are out of bounds."""
     is_off = surface.violation(pose[None])[0] > 0
     found = [f"its base is not wholly on {surface.body.name} as seen from {surface.side}"] if is_off else []
     if not surface.upright or surface.is_image:
         return found
     anywhere = np.where(np.arange(6) < 3, np.inf, 0.0)
-    return found + _outside(pose, low - anywhere, high + anywhere)
+    return found + _bound_violations(pose, low - anywhere, high + anywhere)
 
 
-def _near(a: Array, b: Array) -> bool:
+def _is_close(a: Array, b: Array) -> bool:
     return bool((abs(a - b) <= TOLERANCE).all())
 
 
-def _outside(pose: Array, low: Array, high: Array) -> list[str]:
+def _bound_violations(pose: Array, low: Array, high: Array) -> list[str]:
     """Which coordinates (6,) are out of bounds, for the better of the two sets of angles of the same orientation."""
     roll, pitch, yaw = pose[3:]
     equivalents = [pose, np.array([*pose[:3], roll + np.pi, np.pi - pitch, yaw + np.pi])]
@@ -120,7 +123,7 @@ def slide(study: Study, poses: Array, number: int, wanted: Array, mirrors: bool)
     start_m = surface.bases_m(poses[number, None])[0]
     goal = np.concatenate([start_m + (wanted - poses[number])[:3], _attitude(study, number, wanted[3:])])
     start = np.concatenate([start_m, goal[3:]])
-    for _ in range(SETTLED if not surface.upright else 0):  # the normal there is another, which it stands off along
+    for _ in range(SHIFTS if not surface.upright else 0):  # the normal there is another, which it stands off along
         ahead = (wanted - surface.poses(goal[None])[0])[:3]
         goal[list(surface.across)] += ahead[list(surface.across)]
     found = _farthest(study, pair, number, start, goal)

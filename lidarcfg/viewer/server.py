@@ -19,7 +19,7 @@ from lidarcfg.inputs import out_of_memory
 from lidarcfg.placement.evaluation import WORST
 from lidarcfg.sensors.rig import Rig, rig_text
 from lidarcfg.viewer.contents import Contents
-from lidarcfg.viewer.evaluation import evaluation, moved, rates
+from lidarcfg.viewer.evaluation import evaluation, rates, with_poses
 from lidarcfg.viewer.mounting import slide
 from lidarcfg.viewer.page import ASSETS, MODULES, Page, html
 
@@ -109,14 +109,14 @@ class _Handler(BaseHTTPRequestHandler):
         """The kind and the body of an answer; both empty if there is none. Raises ConfigError, OSError."""
         server = self.server
         study = server.contents.study
-        rig = moved(server.contents.rigs[0], poses)
+        rig = with_poses(server.contents.rigs[0], poses)
         if self.path == "/rig.yaml":
             return "application/yaml", rig_text(rig).encode()
         if self.path == "/save" and server.source:
             if not secrets.compare_digest(self.headers.get(TOKEN, "").encode(), server.token.encode()):
                 raise ConfigError("the request does not come from the page as it is served now; reload it")
             with server.saving:
-                server.source = server.source.saved(poses)
+                server.source = server.source.save(poses)
             return _json({"file": str(server.source.path)})
         if self.path == "/place" and study:
             return _json({"poses": slide(study, poses, *_move(request, server.page.about["on_surface"])).tolist()})

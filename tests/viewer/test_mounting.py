@@ -10,7 +10,7 @@ from lidarcfg.geometry import rotation
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.viewer.contents import load_contents
-from lidarcfg.viewer.evaluation import moved
+from lidarcfg.viewer.evaluation import with_poses
 from lidarcfg.viewer.mounting import slide, surface_mounts
 from tests.capture_fixtures import no_warning
 from tests.naive import surfaces as naive
@@ -122,7 +122,7 @@ def test_a_sensor_stays_on_its_surface_in_the_page(chromium, contents):
     def poses():
         settled(chromium)
         found = np.array(chromium.execute_script("return lidarcfg.handles.poses"))
-        assert shown_vsr(chromium) == evaluate(contents.study, moved(contents.rigs[0], found)).max_vsr_m
+        assert shown_vsr(chromium) == evaluate(contents.study, with_poses(contents.rigs[0], found)).max_vsr_m
         return found
 
     study_file = contents.source.path.parent / "study.yaml"

@@ -23,7 +23,7 @@ from lidarcfg.placement.study import load_study
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.viewer.camera import Camera
 from lidarcfg.viewer.contents import Contents, load_contents
-from lidarcfg.viewer.evaluation import moved
+from lidarcfg.viewer.evaluation import with_poses
 from lidarcfg.viewer.page import ASSETS, MODULES, page_of, save_html
 from lidarcfg.viewer.server import Server
 from tests.chromium import asked_for, browser, complaints
@@ -277,7 +277,7 @@ def test_a_handle_moves_the_rig_and_max_vsr_follows(chromium, served, contents):
     drag(chromium, at, 2, 0.6)
     poses = np.array(chromium.execute_script("return lidarcfg.handles.poses"))
     assert poses[0, 2] > at[2] + 0.1
-    rig = moved(contents.rigs[0], poses)
+    rig = with_poses(contents.rigs[0], poses)
     assert rig.mounts[0].rpy_rad == contents.rigs[0].mounts[0].rpy_rad
     found = evaluate(contents.study, rig)
     assert shown_vsr(chromium) == found.max_vsr_m != started
@@ -303,7 +303,7 @@ def test_poses_can_be_typed_and_the_rig_saved(chromium, served, contents):
     _, pitch, yaw = contents.rigs[0].mounts[1].rpy_rad
     poses = np.array([(*m.position_m, *m.rpy_rad) for m in contents.rigs[0].mounts])
     poses[1] = (x, -0.8, z, 20 * np.pi / 180, pitch, yaw)
-    rig = moved(contents.rigs[0], poses)
+    rig = with_poses(contents.rigs[0], poses)
     assert shown_vsr(chromium) == evaluate(contents.study, rig).max_vsr_m
     click(chromium, "#download")
     path, end = chromium.downloads / "rig.yaml", time.monotonic() + 30
@@ -325,7 +325,7 @@ def test_rotating_by_a_handle_keeps_equivalent_angles(chromium, served, contents
     for rpy in ((0.3, -0.4, 2.0), (3.0, 2.5, 0.0), (-4.0, 0.2, 7.0)):
         pose = [1.0, 2.0, 3.0, *rpy]
         elements, after = chromium.execute_script(code, pose)
-        (mount, *_) = moved(contents.rigs[0], np.array([pose, pose])).mounts
+        (mount, *_) = with_poses(contents.rigs[0], np.array([pose, pose])).mounts
         assert np.array(elements).reshape(4, 4).T == pytest.approx(mount.T_vehicle_sensor, abs=1e-12)
         assert after == pytest.approx(pose, abs=1e-9)
 
@@ -378,7 +378,7 @@ def test_a_cloud_far_away_is_not_blurred(chromium, tmp_path):
 def test_the_server_answers_what_evaluate_does(served, contents):
     poses = np.array([(*m.position_m, *m.rpy_rad) for m in contents.rigs[0].mounts]) + 0.01
     status, text = asked(served, "POST", "/evaluate", json.dumps({"poses": poses.tolist(), "worst": 2}))
-    found, said = evaluate(contents.study, moved(contents.rigs[0], poses)), json.loads(text)
+    found, said = evaluate(contents.study, with_poses(contents.rigs[0], poses)), json.loads(text)
     assert (status, said["max_vsr_m"], said["subspaces"]) == (200, found.max_vsr_m, len(found.subspaces))
     assert [body["vsr_m"] for body in said["worst"]] == [worst.vsr_m for worst in found.worst[:2]]
     mesh = said["worst"][0]["mesh"]
@@ -424,7 +424,7 @@ def test_violations_of_a_moved_rig(served, contents):
     poses = np.array([(*m.position_m, *m.rpy_rad) for m in rig.mounts])
     poses[0, 2], poses[2, 3] = 2.5, np.radians(-30)
     poses[1, 3:] += (np.pi, np.pi - 2 * poses[1, 4], np.pi)  # the same angles, said the other way
-    assert violations(study, moved(rig, poses)) == [
+    assert violations(study, with_poses(rig, poses)) == [
         "roof_0: z 2.500 m is outside 1.65 to 1.9 m",
         "front_bumper: roll -30.00° is outside -10 to 10°",
     ]
@@ -551,7 +551,7 @@ def cab(tmp_path):
 
 @in_browser
 def test_a_body_may_be_switched_transparent(chromium, cab, tmp_path):
-    """Max VSR with and without what hides, and the blind volume, are evaluate's; where bases may be; served, and in a file."""
+    """Max VSR with and without what has_obstacles, and the blind volume, are evaluate's; where bases may be; served, and in a file."""
     study, rig = cab.study, cab.rigs[0]
     with_body, without = evaluate(study, rig), evaluate(replace(study, visibility=None), rig)
     assert with_body.max_vsr_m != without.max_vsr_m
