@@ -34,8 +34,8 @@ def compare(
     Compares max VSR, the worst subspaces, detection and coverage, and marks the best of each row. The study's bounds
     on the poses are not enforced.
     """
-    from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate as evaluation
+    from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.placement.study import load_study
     from lidarcfg.report.comparison import COMPARED, check_count, comparison_dict, contenders, save_comparison
     from lidarcfg.report.document import Commands
@@ -60,7 +60,7 @@ def compare(
 
             on_evaluated(0.0)
             found = evaluation(loaded, rig, tolerance, on_progress=on_evaluated)
-            shown = details(loaded, rig, found, cheap_cuboids=0).without_cuboids()
+            shown = report_inputs(loaded, rig, found, cheap_cuboids=0).without_cuboids()
             named.append((str(path), rig, shown))
     compared = contenders(named)
     if output:

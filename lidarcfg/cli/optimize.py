@@ -21,9 +21,9 @@ from lidarcfg.cli.options import (
 from lidarcfg.cli.progress import Interrupts, progress
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.details import Details
     from lidarcfg.placement.front import FrontRun, Point
     from lidarcfg.placement.optimize import Cycle, Log, Placement
+    from lidarcfg.placement.report_inputs import ReportInputs
     from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
     from lidarcfg.sensors.rig import Rig
@@ -132,13 +132,13 @@ def optimize(
 
 def _search(
     study: "Study", threads: int | None, log: "Log | None", folder: Path, on_progress: OnProgress
-) -> "tuple[Placement, Details]":
+) -> "tuple[Placement, ReportInputs]":
     """The best rig, with progress; what is found so far is saved every few seconds."""
     import time
 
-    from lidarcfg.placement.details import details
     from lidarcfg.placement.optimize import Budget
     from lidarcfg.placement.optimize import optimize as search
+    from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.report.results import save_progress
 
     saved_s = time.monotonic()
@@ -166,7 +166,7 @@ def _search(
     if found.interrupted:
         click.get_current_context().ensure_object(Interrupts).take()
     on_progress(1.0, "evaluating the best rig")
-    return found, details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+    return found, report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
 
 
 def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:
@@ -235,6 +235,6 @@ def _front_line(search: "FrontRun") -> str:
     """One line on the state of the search."""
     on_front = search.on_front()
     rate = search.evaluations / max(search.seconds, 1e-9)
-    tried = sum(entrant.evaluations > 0 for entrant in search.entrants)
+    tried = sum(one.evaluations > 0 for one in search.searches)
     state = f"{sum(on_front)} on the front, {tried} of {len(on_front)} combinations tried"
     return f"{state}  {rate:,.0f} evaluations/s"

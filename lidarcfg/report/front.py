@@ -19,9 +19,9 @@ from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.geometry import Array
-from lidarcfg.placement.details import details
 from lidarcfg.placement.front import Candidate, Front, Point
 from lidarcfg.placement.optimize import Log
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import EXCLUDED, MARKERS, STYLE, WIDTH_IN, colour, drawing, shade_excluded
 from lidarcfg.report.describe import counted, date, describe_objective, describe_solver, price, versions
@@ -116,7 +116,7 @@ def _save_point(point: Point, folder: Path, commands: Commands) -> None:
     """Write the study of a combination, and the results of its search as `optimize` writes them."""
     study = point.combination.study
     found = point.placement
-    shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+    shown = report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
     write_text(yaml_text(study.file), folder / STUDY)
     save_placement(study, found, shown, folder, commands)
 

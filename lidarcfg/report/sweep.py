@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.plan import Plan, Run, shown, versions
+from lidarcfg.placement.plan import Plan, SweepCase, shown, versions
 from lidarcfg.placement.sweep import Outcome
 from lidarcfg.report.canvas import dashes, label
 from lidarcfg.report.plots import COLOURS, new_figure, save_figure
@@ -50,7 +50,7 @@ class SweepFolder:
         with replacing(self.folder / PLAN) as file:
             file.write(self._about)
 
-    def row(self, run: Run) -> RunRow | None:
+    def row(self, run: SweepCase) -> RunRow | None:
         """A run's row of the table, or None if it is not done."""
         with suppress(OSError, ValueError):
             found = json.loads((self._at(run) / "result.json").read_text())
@@ -58,7 +58,7 @@ class SweepFolder:
                 return self._row(run, found)
         return self._failed.get(run.number)
 
-    def save(self, run: Run, outcome: Outcome) -> None:
+    def save(self, run: SweepCase, outcome: Outcome) -> None:
         """Save the result of a run, unless another attempt may end otherwise."""
         found = outcome.found | {"rig": None, "version": versions()["lidarcfg"], "error": outcome.error or None}
         if outcome.rig:
@@ -104,10 +104,10 @@ class SweepFolder:
         save_figure(figure, self.folder / PLOT)
         return [PLOT]
 
-    def _at(self, run: Run) -> Path:
+    def _at(self, run: SweepCase) -> Path:
         return self.folder / "runs" / run.digest
 
-    def _row(self, run: Run, found: RunRow) -> RunRow:
+    def _row(self, run: SweepCase, found: RunRow) -> RunRow:
         values = {
             path: value if path in self._plain or value is None else json.dumps(value, ensure_ascii=False)
             for path, value in run.values.items()

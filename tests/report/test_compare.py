@@ -9,9 +9,9 @@ import pytest
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.analytic import Analytic
-from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import Spheres
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import comparison, comparison_dict, contenders, rows
 from lidarcfg.report.document import Commands
@@ -48,7 +48,9 @@ def folder(tmp_path_factory):
 def compared(folder, study, *names, tolerance=None):
     loaded = load_study(folder / study)
     rigs = [(name, load_rig(folder / f"{name}.yaml")) for name in names]
-    named = [(name, rig, details(loaded, rig, evaluate(loaded, rig, tolerance), cheap_cuboids=0)) for name, rig in rigs]
+    named = [
+        (name, rig, report_inputs(loaded, rig, evaluate(loaded, rig, tolerance), cheap_cuboids=0)) for name, rig in rigs
+    ]
     return loaded, contenders(named)
 
 
