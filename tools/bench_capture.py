@@ -25,8 +25,8 @@ from lidarcfg.capture.export import export, in_time_order
 from lidarcfg.capture.frames import frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.geometry import Array, directions, pose, transform
-from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount, Rig, load_rig
 from lidarcfg.simulate.tasks import CHUNK_RAYS, START_NS

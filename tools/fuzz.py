@@ -51,10 +51,10 @@ with (
     from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
     from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
-    from lidarcfg.packets.rotating import firings
     from lidarcfg.packets.velodyne.encode import encode
     from lidarcfg.packets.velodyne.layout import PACKET, packets_of
     from lidarcfg.packets.velodyne.model import unit
+    from lidarcfg.sensors.schedule import firings
     from tools import fuzz_makers
 from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.errors import LidarcfgError

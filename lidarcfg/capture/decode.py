@@ -21,8 +21,9 @@ from lidarcfg.capture.stream import ENOUGH, OnHeads, Place, SourceStats, Stream
 from lidarcfg.clouds.cloud import PointCloud, concatenate
 from lidarcfg.errors import ConfigError, LidarcfgError, PacketError
 from lidarcfg.futures import ordered_results
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.inputs import read_regular
-from lidarcfg.packets.codec import Codec, Decoder, Known, Octets, Source, Times
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Source
 from lidarcfg.packets.families import FAMILIES, codec, family
 from lidarcfg.packets.point_fields import asked
 from lidarcfg.sensors.rig import Rig, load_rig
@@ -44,7 +45,7 @@ class Recorded:
     name: str  # host:port, or the mount's
     source: Source
     sensor: Sensor
-    packets: Octets  # (P, size)
+    packets: Bytes  # (P, size)
     host_ns: Times  # (P,)
 
 
@@ -307,7 +308,7 @@ def _catalogued(codec: str, name: str | None = None) -> list[Sensor]:
 
 
 def _decoder(
-    source: Source, found: type[Codec], sensor: Sensor | None, known: Known, trusted: bool, packets: Octets
+    source: Source, found: type[Codec], sensor: Sensor | None, known: KnownSensors, trusted: bool, packets: Bytes
 ) -> Decoder:
     """The decoder for a source that begins with these packets. Raises PacketError, ConfigError."""
     return codec(sensor or found.identify(source, packets, known)).decoder(source, packets, known, trusted)
@@ -347,7 +348,7 @@ def _sidecar_files(path: Path, suffix: str) -> Mapping[str, bytes]:
         raise PacketError.from_os(error.filename, error) from None
 
 
-def _payloads(path: Path, host: str, port: int | None, size: int) -> Iterator[Octets]:
+def _payloads(path: Path, host: str, port: int | None, size: int) -> Iterator[Bytes]:
     """All payloads of one size that a host sends to a port, or to any port."""
     number = int.from_bytes(socket.inet_aton(host))
     for batch in read_batches(path, lambda warning: None):

@@ -12,8 +12,8 @@ from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, types
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, fired_fraction, prepared, worked
@@ -72,7 +72,7 @@ def data_bytes(drive: Drive) -> int:
     for mount in drive.rig.mounts:
         maker, everywhere = codec(mount.sensor), replace(mount, azimuth_fov_deg=None)
         batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
-        shape = len(batch.firings.time_ns), len(types(mount.return_mode))
+        shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
         total += packets * sum(map(len, frames(mount.host, packet).records))

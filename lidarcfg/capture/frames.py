@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.fragments import DATAGRAM_MAX, TIMEOUT_NS, Fragment, Reassembly
-from lidarcfg.packets.codec import Octets, Payloads, Times
+from lidarcfg.geometry import Bytes, Times
+from lidarcfg.packets.codec import Payloads
 
 ETHERNET = 1
 LINK_HEADERS: dict[int, tuple[int, int | None]] = {  # tcpdump.org's link types: header bytes, offset of the EtherType
@@ -60,13 +61,13 @@ class Datagrams:
     port: NDArray[np.uint16]  # (N,) the one it was sent to
     start: NDArray[np.int64]  # (N,) where the payload is in `data`
     size: NDArray[np.int64]  # (N,) its bytes
-    data: Octets
+    data: Bytes
 
     def __getitem__(self, which: NDArray[Any] | slice) -> "Datagrams":
         """Some of them, in the same data."""
         return replace(self, **{key: column[which] for key, column in vars(self).items() if key != "data"})
 
-    def payloads(self, size: int) -> Octets:
+    def payloads(self, size: int) -> Bytes:
         """The payloads (N, size), each of this size; a view, if they are equally far apart."""
         steps = np.diff(self.start)
         if len(steps) and steps[0] >= size and (steps == steps[0]).all():
@@ -82,7 +83,7 @@ class Piece:
     time_ns: Times  # (N,)
     start: NDArray[np.int64]  # (N,) where the frame is in `data`
     size: NDArray[np.int64]  # (N,) its bytes
-    data: Octets
+    data: Bytes
 
 
 def frames(host: str, payloads: Payloads) -> Frames:
@@ -116,7 +117,7 @@ def frames(host: str, payloads: Payloads) -> Frames:
 
 
 def _records(
-    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Octets
+    host: str, payloads: Payloads, flags: int, ids: NDArray[np.int64], udp: NDArray[Any], content: Bytes
 ) -> list[bytes]:
     """Bytes (n, m) behind Ethernet and IP headers, and UDP's (n,) or none (n, 0), as records of a pcap."""
     count, size = content.shape
@@ -164,7 +165,7 @@ def _checksum(total: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return 0xFFFF - total
 
 
-def gathered(data: Octets, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+def gathered(data: Bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
     """(N,) of a dtype, from the bytes that start at these places."""
     kind = np.dtype((np.void, dtype.itemsize))  # copied whole, not field by field
     everywhere = np.ndarray(max(len(data) - dtype.itemsize + 1, 0), kind, data, strides=(1,))
@@ -293,7 +294,7 @@ def _with_fragments(
     return together[np.argsort(at, kind="stable")]
 
 
-def _joined(begin: bytes, data: Octets, start: NDArray[np.int64], size: NDArray[np.int64]) -> Octets:
+def _joined(begin: bytes, data: Bytes, start: NDArray[np.int64], size: NDArray[np.int64]) -> Bytes:
     """A beginning and pieces (N,) of the data, concatenated; pieces of one size, as most are, are copied together."""
     ends = np.cumsum(np.concatenate([[len(begin)], size]))[1:]
     out = np.empty(len(begin) + int(size.sum()), np.uint8)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.files import check_replaceable, make_parent, replacing
-from lidarcfg.packets.codec import Firings, Flags, Octets
+from lidarcfg.geometry import Bytes, Flags
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.simulate.echoes import Echoes
 
 RECORD = np.dtype(
@@ -30,7 +31,7 @@ RECORD = np.dtype(
 RECORDS = 1 << 16  # at a time
 
 
-def records(sensor_index: int, types: Octets, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
+def records(sensor_index: int, types: Bytes, fired: Firings, found: Echoes, sent: Flags) -> NDArray[np.void]:
     """The records of N firings: echoes, their types, and which of them were sent, are (N, R)."""
     firing, which = np.nonzero(sent)
     out = np.empty(len(firing), RECORD)

@@ -17,8 +17,8 @@ from lidarcfg.capture.frames import ETHERNET, LINK_HEADERS, RECORD, Datagrams, F
 from lidarcfg.capture.pcapng import Frame, read_frames
 from lidarcfg.errors import PacketError
 from lidarcfg.files import replacing
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.inputs import check_regular
-from lidarcfg.packets.codec import Octets, Times
 from lidarcfg.units import SECOND_NS
 
 SNAPLEN = 65535
@@ -226,7 +226,7 @@ def whole_capture(data: bytes, name: str) -> Iterator[Piece]:
 
 
 def _pcapng_pieces(
-    file: IO[bytes], name: str, on_warning: Callable[[str], None], whole: Octets | None = None
+    file: IO[bytes], name: str, on_warning: Callable[[str], None], whole: Bytes | None = None
 ) -> Iterator[Piece]:
     """The frames of a pcapng, consecutive ones of one link type at a time; as views of `whole`, if that is given.
 
@@ -243,7 +243,7 @@ def _pcapng_pieces(
         _checked_link(min(links), name)
 
 
-def _piece(link: int, frames: list[Frame], whole: Octets | None) -> Piece:
+def _piece(link: int, frames: list[Frame], whole: Bytes | None) -> Piece:
     time_ns, start, size = np.array([(one.time_ns, one.at, len(one.content)) for one in frames], np.int64).T
     if whole is None:
         whole = np.frombuffer(b"".join(one.content for one in frames), np.uint8)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.decode import CHUNK_PACKETS, Capture, DecodeMetadata, OnSource
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Times
+from lidarcfg.geometry import Array, Times
 from lidarcfg.sensors.rig import Rig
 
 BACK_RAD = math.radians(1)  # a drop of the azimuth by more means that the head has passed 0

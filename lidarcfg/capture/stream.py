@@ -9,8 +9,8 @@ import numpy as np
 
 from lidarcfg.clouds.cloud import PointCloud
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array, transform
-from lidarcfg.packets.codec import Decoder, Flags, Octets, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times, transform
+from lidarcfg.packets.codec import Decoder
 
 ENOUGH = 16  # packets, to tell a model by
 HELD = 8  # packets at the end of a chunk that are held back, as others may have been overtaken by them
@@ -53,7 +53,7 @@ class Stream:
     def __init__(
         self,
         place: Place,
-        open_: Callable[[Octets], Decoder],
+        open_: Callable[[Bytes], Decoder],
         on_heads: OnHeads | None = None,
         driver: tuple[str, ...] = (),
     ) -> None:
@@ -67,12 +67,12 @@ class Stream:
         self._open = open_
         self._on_heads = on_heads
         self._decoder: Decoder | None = None  # not known until enough packets have come
-        self._packets: list[Octets] = []
+        self._packets: list[Bytes] = []
         self._times_ns: list[Times] = []
         self._decoded = 0  # how many of the kept packets are decoded: 1, the one before the next, or 0
         self._count: Counter[str] = Counter()
 
-    def add(self, packets: Octets, times_ns: Times) -> None:
+    def add(self, packets: Bytes, times_ns: Times) -> None:
         """More packets (P, size), and when the host saw them."""
         self._packets.append(packets)
         self._times_ns.append(times_ns)
@@ -105,7 +105,7 @@ class Stream:
         return partial(self._cloud, decoder, packets, times_ns, wanted, names)
 
     def _cloud(
-        self, decoder: Decoder, packets: Octets, times_ns: Times, wanted: Flags, names: tuple[str, ...]
+        self, decoder: Decoder, packets: Bytes, times_ns: Times, wanted: Flags, names: tuple[str, ...]
     ) -> PointCloud:
         """The points of the wanted packets. Has no side effects."""
         try:
@@ -128,7 +128,7 @@ class Stream:
             driver=decoder.driver_columns(packets, wanted) if self._driver else {},
         )
 
-    def _sound(self, decoder: Decoder, packets: Octets) -> Flags | slice:
+    def _sound(self, decoder: Decoder, packets: Bytes) -> Flags | slice:
         """Which packets are undamaged; counts the others. Raises PacketError unless most are undamaged."""
         try:
             decoder.check(packets)
@@ -140,7 +140,7 @@ class Stream:
             return sound
         return slice(None)
 
-    def _in_order(self, decoder: Decoder, packets: Octets, times_ns: Times) -> tuple[Octets, Times, Times]:
+    def _in_order(self, decoder: Decoder, packets: Bytes, times_ns: Times) -> tuple[Bytes, Times, Times]:
         """The packets in the order of their device times, without duplicates; their host and device times.
 
         Only packets out of order by a few places are moved; a greater step back means that the clock was set back.

@@ -3,7 +3,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.simulate.echoes import Echoes, SubRays
 from lidarcfg.simulate.simulator import Lasers, Mounting, Surfaces
 

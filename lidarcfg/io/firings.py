@@ -19,9 +19,11 @@ from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.models import COORDINATE_MAX_M, loads
 from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
 from lidarcfg.files import replacing
+from lidarcfg.geometry import Bytes
 from lidarcfg.io.repack import CUTS, pieces, read_records
-from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets
+from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount
 from lidarcfg.sensors.sensor import Reported, Sensor
 
@@ -60,7 +62,7 @@ class Source:
     sensor: Sensor
     found: Measurements
 
-    def packets(self) -> Octets:
+    def packets(self) -> Bytes:
         """(P, size): what its firings make, whatever limits of range exports keep."""
         sensor = self.sensor
         if sensor.range:
@@ -148,7 +150,7 @@ def is_firings(path: Path) -> bool:
     return "sources" in read_arrays(path, ("sources",))
 
 
-def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
+def _columns(one: Source, recorded: Bytes) -> dict[str, NDArray[Any]]:
     """The columns of a source, and what of its packets (P, size) they do not say."""
     made = one.packets().ravel()
     rest_at = np.flatnonzero(made != recorded.ravel())
@@ -224,7 +226,7 @@ def _packets(
     said: Mapping[str, Any],
     columns: Mapping[str, NDArray[Any]],
     more: Mapping[str, NDArray[Any]],
-) -> Octets:
+) -> Bytes:
     """(P, size): the packets of a source."""
     sensor = loads(json.dumps(said["sensor"]), Sensor, f"{path}: {number}/sensor")
     lengths = {"number": "packets", "host_ns": "packets", "rest_at": "", "rest": ""}

@@ -14,8 +14,8 @@ from lidarcfg.capture.fragments import Reassembly
 from lidarcfg.capture.frames import IP, UDP, fragment, ip_packets
 from lidarcfg.capture.pcap import whole_capture
 from lidarcfg.errors import CloudError, PacketError
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.inputs import check_memory, check_regular, read_regular
-from lidarcfg.packets.codec import Octets, Times
 
 SIZE_MAX = 4_000_000_000  # bytes of a capture
 COPIES = 60  # bytes of memory per byte of it
@@ -52,7 +52,7 @@ class Datagram(NamedTuple):
 class Taken:
     """The packets of one endpoint."""
 
-    packets: Octets  # (P, size)
+    packets: Bytes  # (P, size)
     host_ns: Times  # (P,)
     datagrams: list[Datagram]  # (P,)
 
@@ -91,7 +91,7 @@ class Records:
         return columns | {"at": at, "raw": np.frombuffer(b"".join(left), np.uint8)}
 
 
-def pieces(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Octets]) -> Iterator[bytes]:
+def pieces(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Bytes]) -> Iterator[bytes]:
     """The bytes of a capture from its arrays, with the packets (P, size) of its sources. Raises CloudError."""
     at, source, packet, first, size, headers = (arrays[key].astype(np.int64) for key in CUTS)
     raw = arrays["raw"].tobytes()

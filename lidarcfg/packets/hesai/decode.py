@@ -11,30 +11,21 @@ from numpy.typing import NDArray
 from lidarcfg import maths
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import (
-    Batch,
-    Decoder,
-    DecodeStatistics,
-    Firings,
-    Flags,
-    Measurements,
-    Octets,
-    Returns,
-    Times,
-)
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns
 from lidarcfg.packets.hesai.layout import (
     HEADER,
     MODES,
     RETURN_MODE_CODES,
     START,
     Packets,
+    bytes_of,
     device_time_ns,
     encoder_rad,
     is_dual,
-    octets_of,
 )
 from lidarcfg.packets.hesai.model import Unit
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.rig import SINGLE
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
@@ -55,12 +46,12 @@ PAIR_KINDS = {  # the nearer return, the farther
 class PacketFields(NamedTuple):
     """What P packets say beside their blocks."""
 
-    unit_mm: Octets  # (P,) of distances
+    unit_mm: Bytes  # (P,) of distances
     stamp_ns: Times  # (P,)
     dual: Flags  # (P,) whether neighbouring blocks hold two returns of the same firings
-    loop: Octets  # (P,) with dual returns: which lasers fire
-    near: Octets  # (P,) the type of a pair's nearer return, or of single returns
-    far: Octets  # (P,) the type of a pair's farther return
+    loop: Bytes  # (P,) with dual returns: which lasers fire
+    near: Bytes  # (P,) the type of a pair's nearer return, or of single returns
+    far: Bytes  # (P,) the type of a pair's farther return
 
 
 class Lasers(NamedTuple):
@@ -70,7 +61,7 @@ class Lasers(NamedTuple):
     sin_elevation: Array
     cos_offset: Array  # of the azimuth offset
     sin_offset: Array
-    ring: Octets
+    ring: Bytes
     offset_ns: Times  # (loops, L)
     group_ns: Times  # (B,) single: when each block starts, after the stamp
     pair_ns: Times  # (B / 2,) dual: when each pair starts
@@ -83,27 +74,27 @@ class HesaiDecoder(Decoder):
         self._where, self._unit, self._counter = where, unit, PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         """See `Decoder`."""
         return device_time_ns(self._unit.packets_of(packets))
 
-    def heading_rad(self, packets: Octets) -> Array:
+    def heading_rad(self, packets: Bytes) -> Array:
         """See `Decoder`."""
         return encoder_rad(self._unit.packets_of(packets)["blocks"]["azimuth"][:, 0])
 
-    def check(self, packets: Octets) -> None:
+    def check(self, packets: Bytes) -> None:
         """See `Decoder`."""
         try:
             check(self._unit, self._unit.packets_of(packets))
         except PacketError as error:
             raise PacketError(f"{self._where}: {error}") from None
 
-    def sound(self, packets: Octets) -> Flags:
+    def sound(self, packets: Bytes) -> Flags:
         """See `Decoder`."""
         wrong = [wrong for wrong, _, _ in _mistakes(self._unit, self._unit.packets_of(packets))]
         return np.asarray(~np.logical_or.reduce(wrong))
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         """See `Decoder`."""
         self._counter.add(self._unit.packets_of(packets), wanted)
 
@@ -111,7 +102,7 @@ class HesaiDecoder(Decoder):
         """See `Decoder`."""
         return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
         return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
 
@@ -130,7 +121,7 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         near[mode] = kind
     for mode, pair in PAIR_KINDS.items():
         near[mode], far[mode] = pair
-    loop: Octets = np.zeros(len(packets), np.uint8)
+    loop: Bytes = np.zeros(len(packets), np.uint8)
     if len(unit.facts.firing.loops) > 1:
         loop = (1 - (packets["mode_flag"] & 1)).astype(np.uint8)
     fields = PacketFields(
@@ -141,9 +132,9 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         near=near[modes],
         far=far[modes],
     )
-    octets = octets_of(packets)
+    octets = bytes_of(packets)
     decoder = _decoder(unit)
-    out = Returns.room(decoder.count(octets, wanted), polar)
+    out = Returns.allocate(decoder.count(octets, wanted), polar)
     return out.first(decoder.decode(octets, wanted, fields, out))
 
 
@@ -191,13 +182,13 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
     return core.HesaiDecoder(lasers)
 
 
-def return_modes(unit: Unit, octets: Octets) -> Times:
+def return_modes(unit: Unit, octets: Bytes) -> Times:
     """(P,) what packets (P, size) say of their mode, and of the unit of their distances."""
     packets = unit.packets_of(octets)
     return np.asarray(packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"])
 
 
-def measurements(unit: Unit, octets: Octets, host_ns: Times) -> Measurements:
+def measurements(unit: Unit, octets: Bytes, host_ns: Times) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
 
     Blocks are taken to hold the returns that the sensor's file says, as later firmware sends them.
@@ -274,7 +265,7 @@ def matches(size: int, payload: bytes) -> bool:
     return (int(header["major"]), int(header["minor"])) in PROTOCOLS and int(header["lasers"]) in LASERS
 
 
-def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
+def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
     """Which of the known sensors sends these packets (P, size). Raises PacketError, which begins with `where`."""
     headers, counts = np.unique(packets[:, : HEADER.itemsize], axis=0, return_counts=True)
     header = headers[counts.argmax()].view(HEADER)[0]  # the most frequent header: a packet may be damaged
@@ -293,7 +284,7 @@ def identify(where: str, packets: Octets, known: Sequence[Unit]) -> Unit:
     raise PacketError(f"{where} sends Hesai's {what}; read are {names}")
 
 
-def check_size(where: str, unit: Unit, packets: Octets) -> None:
+def check_size(where: str, unit: Unit, packets: Bytes) -> None:
     """Raises PacketError unless the packets (P, size) are as long as this sensor's."""
     if packets.shape[1] != unit.dtype.itemsize:
         raise PacketError(f"{where} sends {packets.shape[1]} bytes; {unit.name} would send {unit.dtype.itemsize}")

@@ -1,12 +1,9 @@
 """Encodes firings and their measurements as packets; a QT128C2X's have functional safety and checksums besides."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from lidarcfg.core import packets as core
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Flags, Octets, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets.hesai.layout import (
     DISTANCE_MAX,
     FACTORY,
@@ -19,22 +16,20 @@ from lidarcfg.packets.hesai.layout import (
     START,
     Packets,
     azimuth_of,
+    bytes_of,
     date_of,
-    octets_of,
 )
 from lidarcfg.packets.hesai.model import Unit, within
+from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
-
 
 COLUMNS = ("time_ns", "laser", "encoder_rad")
 VERSION = 1
 COUNTER_NS, COUNTERS = 5_111_060, 6  # the rolling counter's step, 46 periods, and its values 0 to 5: as recorded
 
 
-def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Packets:
+def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
     dual, pair = mount.dual, unit.columns(mount.return_mode)
     packets = np.zeros(len(batch.number), unit.dtype)
@@ -56,7 +51,7 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
         inside,
         limits,
         unit.count,
-        octets_of(packets),
+        bytes_of(packets),
     )
     first = laser[:, -1, 0]
     stamp_ns = time_ns[:, -1, 0] - unit.offset_ns[loop[:, -1], first] - unit.facts.firing.stamp_ns
@@ -73,7 +68,7 @@ def encode(unit: Unit, mount: "Mount", batch: Batch, range_m: Array, reflectivit
     return packets
 
 
-def sent(unit: Unit, packets: Packets, return_mode: str, laser: Octets) -> Flags:
+def sent(unit: Unit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
     """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first."""
     returns, pair = packets["blocks"]["returns"], unit.columns(return_mode)
     at = laser.reshape(len(packets), unit.groups(len(pair) == 2), -1).astype(np.int64)
@@ -93,7 +88,7 @@ def sent(unit: Unit, packets: Packets, return_mode: str, laser: Octets) -> Flags
     return found
 
 
-def holds_one(unit: Unit, range_m: Array, reflectivity: Octets) -> Flags:
+def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
     """(N,): of pairs of ranges (N, 2), which hold one return, or it twice."""
     least_m, most_m = unit.range.reported_m
     inside = (range_m >= least_m) & (range_m <= most_m)
@@ -110,7 +105,7 @@ def _head(unit: Unit, packets: Packets, dual: bool) -> None:
     header["first_return"], header["returns"] = FIRST_LAST * dual, 1 + dual
 
 
-def _loops(unit: Unit, laser: Octets) -> Times:
+def _loops(unit: Unit, laser: Bytes) -> Times:
     """(P, G): which loop's lasers (P, G, F) fire."""
     if len(unit.fires) == 1:
         return np.zeros(laser.shape[:2], np.int64)
@@ -130,7 +125,7 @@ def write_checksums(packets: Packets) -> None:
     """Write the checksums of packets (P,): body, functional safety without its version, and tail."""
     fields = packets.dtype.fields
     assert fields
-    octets = octets_of(packets)
+    octets = bytes_of(packets)
     at = {key: value[1] for key, value in fields.items()}
     packets["body_crc"] = core.crc32_mpeg2(octets, HEADER.itemsize, at["body_crc"])
     end = at["safety"] + SAFETY.itemsize - 4

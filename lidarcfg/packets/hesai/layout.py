@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Flags, Octets, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.units import SECOND_NS
 
 Protocol = Literal["6.1", "3.2"]
@@ -83,8 +82,8 @@ def packet(protocol: Protocol, lasers: int, blocks: int) -> np.dtype[np.void]:
     return np.dtype([*head, *safety, ("counters", "u1", (6,)), ("tail", TAIL), *end])
 
 
-def octets_of(packets: Packets) -> Octets:
-    """(P, size) octets of packets (P,), in the same memory."""
+def bytes_of(packets: Packets) -> Bytes:
+    """(P, size) bytes of packets (P,), in the same memory."""
     return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
 
 

@@ -7,22 +7,20 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from lidarcfg.config.models import Model
 from lidarcfg.errors import ConfigError
-from lidarcfg.packets.codec import Batch, Firings, Flags, Times
-from lidarcfg.packets.network import Header, Network
+from lidarcfg.geometry import Flags, Times
+from lidarcfg.packets.facts import Header, Network, SensorInstance
 from lidarcfg.packets.ouster.layout import PROFILES, Layout
-from lidarcfg.packets.unit import SensorInstance
+from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Millimetres, Sensor
 from lidarcfg.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
 
 ProfileName = Literal[
     "LEGACY",
@@ -152,7 +150,7 @@ def unit(sensor: Sensor) -> Unit:
     return Unit(sensor, facts)
 
 
-def mode(sensor: Sensor, mount: "Mount") -> Mode:
+def mode(sensor: Sensor, mount: Mount) -> Mode:
     """How a mount's sensor sends. Raises ConfigError for what it cannot."""
     settings = mount.settings.checked(Settings)
     if mount.return_mode not in ("strongest", "dual"):

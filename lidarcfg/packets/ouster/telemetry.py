@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Octets, Payloads, Source
+from lidarcfg.geometry import Array, Bytes
+from lidarcfg.packets.codec import Payloads, Source
 from lidarcfg.packets.inertial import GRAVITY_M_S2, measured
 from lidarcfg.packets.ouster.layout import (
     ALERTS,
@@ -27,11 +27,11 @@ from lidarcfg.packets.ouster.layout import (
     write_packet_headers,
 )
 from lidarcfg.packets.ouster.model import IMU_MEASUREMENTS, LASERS_MAX, Mode, Unit, phase, unit
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams, Sensor
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
 
 SUFFIX = ".json"  # of metadata
@@ -206,7 +206,7 @@ def _metadata_beside(source: Source, size: int) -> list[Metadata]:
     return [one for one in found if one and one.layout.size == size]
 
 
-def find_metadata(source: Source, packets: Octets) -> Metadata:
+def find_metadata(source: Source, packets: Bytes) -> Metadata:
     """The metadata of the source's packets. Raises PacketError if there is none, or if several fit."""
     size = packets.shape[1]
     payload = packets[0].tobytes()
@@ -228,7 +228,7 @@ def find_metadata(source: Source, packets: Octets) -> Metadata:
     return first
 
 
-def _serial(one: Metadata, packets: Octets) -> int:
+def _serial(one: Metadata, packets: Bytes) -> int:
     return packet_headers(one.layout, packets[:1]).serial
 
 
@@ -255,7 +255,7 @@ def unknown_sensor(found: Metadata, like: Sensor) -> Sensor:
     )
 
 
-def metadata_file(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
+def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
     """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
     layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
     ahead_mm, up_mm = unit.start_mm
@@ -299,7 +299,7 @@ def metadata_file(unit: Unit, mode: Mode, mount: "Mount") -> bytes:
     return (json.dumps(said, indent=2) + "\n").encode()
 
 
-def _config(unit: Unit, mode: Mode, mount: "Mount") -> dict[str, Any]:
+def _config(unit: Unit, mode: Mode, mount: Mount) -> dict[str, Any]:
     """How a mount's sensor is configured."""
     layout, (first, last) = mode.layout, mode.window
     step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
@@ -332,7 +332,7 @@ def _translation(x: float, y: float, z: float) -> list[float]:
 
 
 def legacy_imu_payloads(
-    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: Unit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """A packet of 48 bytes every 10 ms: three equal times, of the system and both sensors, then the values."""
     total = -(-duration_ns // IMU_PERIOD_NS)
@@ -347,7 +347,7 @@ def legacy_imu_payloads(
 
 
 def framed_imu_payloads(
-    unit: Unit, mode: Mode, mount: "Mount", trajectory: "Trajectory", start_ns: int, duration_ns: int
+    unit: Unit, mode: Mode, mount: Mount, trajectory: "Trajectory", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """Packets of profile ACCEL32_GYRO32_NMEA, which count revolutions as the lidar's do; without a sentence."""
     zero_ns, _ = phase(mode, start_ns, mount.phase_deg)

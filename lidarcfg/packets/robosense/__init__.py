@@ -11,24 +11,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Decoder, Flags, Known, Measurements, Octets, Payloads, Source, Times
+from lidarcfg.geometry import Array, Bytes, Flags, Times
+from lidarcfg.packets.codec import Codec, Decoder, KnownSensors, Measurements, Payloads, Source
 from lidarcfg.packets.point_fields import STAMPED
 from lidarcfg.packets.robosense import decode, encode, telemetry
-from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, octets_of, packets_of
+from lidarcfg.packets.robosense.layout import MODES, MSOP_ID, SIZE, bytes_of, packets_of
 from lidarcfg.packets.robosense.model import Facts, Unit, unit
-from lidarcfg.packets.rotating import FiringSchedule, RotatingSensorCodec
+from lidarcfg.sensors.firing import Batch
+from lidarcfg.sensors.rig import Mount
+from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.scene import GeoOrigin
 
 __all__ = ["Facts", "Robosense", "Unit", "unit"]
 
 
-class Robosense(RotatingSensorCodec):
+class Robosense(SequenceTiming, Codec):
     """The packets of one RoboSense sensor."""
 
     point_fields = STAMPED
@@ -37,11 +38,13 @@ class Robosense(RotatingSensorCodec):
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
-    def firing_schedule(self, dual: bool) -> FiringSchedule:
-        """See `RotatingSensorCodec`."""
-        return self.unit.firing_schedule(dual)
+    def firing_schedule(self, mount: Mount) -> FiringSchedule:
+        return self.unit.firing_schedule(mount.dual)
 
-    def check(self, mount: "Mount") -> None:
+    def firing_ns(self) -> Times:
+        return self.unit.firing_schedule(dual=False).since_first_ns
+
+    def check(self, mount: Mount) -> None:
         """See `Codec`."""
         if mount.return_mode not in MODES:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
@@ -53,23 +56,23 @@ class Robosense(RotatingSensorCodec):
 
         telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
 
-    def encode(self, mount: "Mount", batch: Batch, range_m: Array, reflectivity: Octets) -> Payloads:
+    def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
         """See `Codec`."""
         headers = self.unit.facts.headers
         packets = encode.encode(self.unit, mount.dual, batch, range_m, reflectivity)
-        return Payloads(batch.sent_ns, octets_of(packets), mount.data_port, headers, headers.msop, batch.first)
+        return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.msop, batch.first)
 
-    def sent(self, mount: "Mount", batch: Batch, payloads: Payloads) -> Flags:
+    def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
         """See `Codec`."""
         return encode.sent(self.unit, mount.dual, payloads.data)
 
     def housekeeping(
-        self, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+        self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
         """DIFOP packets."""
         return telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
 
-    def return_modes(self, source: Source, packets: Octets) -> Times:
+    def return_modes(self, source: Source, packets: Bytes) -> Times:
         """See `Codec`: what DIFOP packets say."""
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
@@ -77,7 +80,7 @@ class Robosense(RotatingSensorCodec):
         read = decode.reading(self.unit, source, decode.undamaged(packets_of(packets)), telemetry.find_difop(source))
         return np.full(len(packets), MODES[read.return_mode], np.int64)
 
-    def measurements(self, source: Source, packets: Octets, host_ns: Times, mode: int) -> Measurements:
+    def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
         """See `Codec`."""
         return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
 
@@ -87,12 +90,12 @@ class Robosense(RotatingSensorCodec):
         return size == SIZE and payload.startswith(MSOP_ID)
 
     @classmethod
-    def identify(cls, source: Source, packets: Octets, known: Known) -> Sensor:
+    def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
         """See `Codec`."""
         first = decode.undamaged(packets_of(packets))
         return decode.identify(source.where, first, telemetry.find_difop(source), [unit(one) for one in known()]).sensor
 
-    def decoder(self, source: Source, packets: Octets, known: Known, trusted: bool) -> Decoder:
+    def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
         """See `Codec`."""
         first, difop = decode.undamaged(packets_of(packets)), telemetry.find_difop(source)
         decode.check_msop(source.where, first)

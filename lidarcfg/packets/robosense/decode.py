@@ -9,20 +9,9 @@ import numpy as np
 
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import (
-    Batch,
-    Decoder,
-    DecodeStatistics,
-    Firings,
-    Flags,
-    Measurements,
-    Octets,
-    Returns,
-    Source,
-    Times,
-)
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, Measurements, Returns, Source
 from lidarcfg.packets.robosense.layout import (
     BLOCK_ID,
     HELIOS,
@@ -31,13 +20,14 @@ from lidarcfg.packets.robosense.layout import (
     RADIANS,
     REVOLUTION,
     Packets,
+    bytes_of,
     lidar_type,
-    octets_of,
     packets_of,
     read_time_ns,
 )
 from lidarcfg.packets.robosense.model import Unit, byte_offsets, slots
 from lidarcfg.packets.robosense.telemetry import Difop, all_difops
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets that follow each other
@@ -105,23 +95,23 @@ class RobosenseDecoder(Decoder):
         self.period_ns = reading.unit.firing_schedule(reading.dual).period_ns
         self._counter = PacketLossCounter(self.period_ns, full_fov)
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         """See `Decoder`."""
         return read_time_ns(packets_of(packets))
 
-    def heading_rad(self, packets: Octets) -> Array:
+    def heading_rad(self, packets: Bytes) -> Array:
         """See `Decoder`."""
         return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
 
-    def check(self, packets: Octets) -> None:
+    def check(self, packets: Bytes) -> None:
         """See `Decoder`."""
         check_msop(self._where, packets_of(packets))
 
-    def sound(self, packets: Octets) -> Flags:
+    def sound(self, packets: Bytes) -> Flags:
         """See `Decoder`."""
         return sound(packets_of(packets))
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         """See `Decoder`."""
         self._counter.add(packets_of(packets), wanted)
 
@@ -131,12 +121,12 @@ class RobosenseDecoder(Decoder):
             (self._reading.unit.name,), (self._reading.return_mode,), self._counter.lost, self._counter.rpm
         )
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
         return decode(self._reading, packets, wanted)
 
 
-def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
+def decode(reading: Reading, octets: Bytes, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
     octets = np.ascontiguousarray(octets)
     stamp_ns = read_time_ns(packets_of(octets))
@@ -144,7 +134,7 @@ def decode(reading: Reading, octets: Octets, wanted: Flags) -> Returns:
     return blocks.decode(reading.core, octets, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
 
 
-def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -> Measurements:
+def measurements(unit: Unit, octets: Bytes, host_ns: Times, return_mode: str) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
     dual = return_mode == "dual"
     packets, schedule = packets_of(octets), unit.firing_schedule(dual)
@@ -154,7 +144,7 @@ def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -
     head = np.broadcast_to(np.repeat(azimuth * RADIANS, schedule.per_azimuth, axis=1)[:, :, None], shape)
     time_ns = read_time_ns(packets)[:, None, None] + schedule.offsets_ns
     laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
-    at, data = byte_offsets(unit, dual), octets_of(packets)
+    at, data = byte_offsets(unit, dual), bytes_of(packets)
     high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     distance = high.astype(np.int64) << 8 | low
     range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
@@ -162,7 +152,7 @@ def measurements(unit: Unit, octets: Octets, host_ns: Times, return_mode: str) -
     return Measurements(return_mode, batch, range_m, intensity)
 
 
-def return_modes(unit: Unit, source: Source, octets: Octets) -> Times | None:
+def return_modes(unit: Unit, source: Source, octets: Bytes) -> Times | None:
     """(P,) the codes of the modes of successive packets (P, 1248); None where no DIFOP packet says any.
 
     A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout

@@ -8,10 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.packets.codec import (
-    Octets,
-    Times,
-)
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.units import SECOND_NS
 
 BLOCKS, SLOTS = 12, 32  # blocks in a packet, returns in a block
@@ -49,13 +46,13 @@ DIFOP = np.dtype(
 Packets = NDArray[np.void]
 
 
-def packets_of(octets: Octets) -> Packets:
-    """(P,) MSOP packets of (P, 1248) octets, in the same memory."""
+def packets_of(octets: Bytes) -> Packets:
+    """(P,) MSOP packets of (P, 1248) bytes, in the same memory."""
     return np.ascontiguousarray(octets).view(MSOP)[:, 0]
 
 
-def octets_of(packets: Packets) -> Octets:
-    """(P, 1248) octets of packets (P,), in the same memory."""
+def bytes_of(packets: Packets) -> Bytes:
+    """(P, 1248) bytes of packets (P,), in the same memory."""
     return packets.view(np.uint8).reshape(len(packets), SIZE)
 
 

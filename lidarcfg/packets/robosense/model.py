@@ -7,12 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from lidarcfg.config.models import Model
+from lidarcfg.geometry import Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import Times
-from lidarcfg.packets.network import Header, Network
+from lidarcfg.packets.facts import Firing, Header, Network, SensorInstance, check_firing
 from lidarcfg.packets.robosense.layout import BLOCK, BLOCKS, MSOP, RETURN, SLOTS
-from lidarcfg.packets.rotating import FiringSchedule
-from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
+from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Sensor
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,15 +18,12 @@ from lidarcfg.packets.robosense.layout import (
     PTP_LOCKED,
     SIZE,
     Packets,
-    octets_of,
+    bytes_of,
     write_time,
 )
 from lidarcfg.packets.robosense.model import Unit
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
-
 
 SEARCHED = 8192  # packets of a host, of which one should be its DIFOP: 2.7 s of a Helios-32 with dual returns
 ANGLE_MAX = 9000  # hundredths of a degree
@@ -49,16 +45,16 @@ class Difop:
         return len(self.elevation_rad)
 
 
-def difop_payloads(unit: Unit, mount: "Mount", start_ns: int, duration_ns: int) -> Iterator[Payloads]:
+def difop_payloads(unit: Unit, mount: Mount, start_ns: int, duration_ns: int) -> Iterator[Payloads]:
     """The DIFOP packets of a sensor, the first before anything else and one a second from then on."""
     headers = unit.facts.headers
     times_ns = np.arange(start_ns, start_ns + duration_ns, SECOND_NS, dtype=np.int64)
     packets = difop_packets(unit, mount, times_ns)
     sent_ns = times_ns // 1000 * 1000
-    yield Payloads(sent_ns, octets_of(packets), mount.telemetry_port, headers, headers.difop)
+    yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.difop)
 
 
-def difop_packets(unit: Unit, mount: "Mount", times_ns: np.ndarray) -> Packets:
+def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
     """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot hold."""
     octets = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
     packets: Packets = octets.view(DIFOP)[:, 0]

@@ -11,29 +11,18 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
 from lidarcfg.errors import PacketError
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Bytes, Flags, Times
 from lidarcfg.packets import blocks
-from lidarcfg.packets.codec import (
-    Batch,
-    Decoder,
-    DecodeStatistics,
-    Firings,
-    Flags,
-    Known,
-    Measurements,
-    Octets,
-    Returns,
-    Times,
-)
+from lidarcfg.packets.codec import Decoder, DecodeStatistics, KnownSensors, Measurements, Returns
 from lidarcfg.packets.velodyne.layout import (
     HOUR_US,
     RADIANS,
     REVOLUTION,
     SLOTS,
     Packets,
+    bytes_of,
     device_time_ns,
     gaps_ns,
-    octets_of,
     packets_of,
 )
 from lidarcfg.packets.velodyne.model import (
@@ -44,6 +33,7 @@ from lidarcfg.packets.velodyne.model import (
 )
 from lidarcfg.packets.velodyne.model import unit as unit_of
 from lidarcfg.packets.velodyne.telemetry import EmbeddedCalibration
+from lidarcfg.sensors.firing import Batch, Firings
 
 PERIOD_TOLERANCE = 0.1  # of the period, in the time between packets
 STEP_MAX = 300  # hundredths of a degree between a packet's blocks, where the field of view has no gap
@@ -54,26 +44,28 @@ RETURN_MODES = "strongest", "last", "dual"
 class VelodyneDecoder(Decoder):
     """Decodes the packets of one Velodyne sensor, with the calibration in their status bytes if there is one."""
 
-    def __init__(self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: Known, trusted: bool) -> None:
+    def __init__(
+        self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: KnownSensors, trusted: bool
+    ) -> None:
         self._where, self._known, self._trusted = where, known, trusted
         self._unit = found.unit(unit) if found else unit
         self.period_ns = self._unit.period_ns()
         self._last_only = found is not None and found.return_mode == "last"
         self._counter = PacketLossCounter(self._unit, self._last_only)
 
-    def time_ns(self, packets: Octets, host_ns: Times) -> Times:
+    def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
         """See `Decoder`."""
         return device_time_ns(packets_of(packets)["stamp_us"], host_ns)
 
-    def heading_rad(self, packets: Octets) -> Array:
+    def heading_rad(self, packets: Bytes) -> Array:
         """See `Decoder`."""
         return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
 
-    def check(self, packets: Octets) -> None:
+    def check(self, packets: Bytes) -> None:
         """See `Decoder`."""
         check_ids(self._where, self._unit, packets_of(packets), self._trusted)
 
-    def count(self, packets: Octets, wanted: Flags) -> None:
+    def count(self, packets: Bytes, wanted: Flags) -> None:
         """See `Decoder`."""
         self._counter.add(packets_of(packets), wanted)
 
@@ -82,7 +74,7 @@ class VelodyneDecoder(Decoder):
         models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
         return DecodeStatistics(models, self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
-    def decode(self, packets: Octets, host_ns: Times, wanted: Flags) -> Returns:
+    def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
         """See `Decoder`."""
         found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
         if self._last_only:
@@ -130,7 +122,7 @@ def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, du
     last = packets["return_mode"] == modes.codes.get("last", -1) if modes else np.zeros(len(packets), np.bool_)
     return blocks.decode(
         _decoder(unit, dual),
-        octets_of(packets),
+        bytes_of(packets),
         wanted,
         device_time_ns(packets["stamp_us"], host_time_ns),
         gaps_ns(packets["stamp_us"]),
@@ -212,7 +204,7 @@ def return_modes(unit: Unit, packets: Packets) -> Times:
     return np.where(is_dual(unit.packet, packets), RETURN_MODES.index("dual"), last.astype(np.int64))
 
 
-def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Octets]:
+def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np.uint16], Bytes]:
     """Distances in units, 0 for no return, and intensities that the packets (P,) hold of their N firings in all.
 
     Both (N, 1), or (N, 2) with dual returns, in the order of what is encoded.

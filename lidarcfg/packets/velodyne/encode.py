@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from lidarcfg.core import packets as core
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings, Flags, Measurements, Octets
-from lidarcfg.packets.unit import matrix
+from lidarcfg.geometry import Array, Bytes, Flags
+from lidarcfg.packets.blocks import by_packet
+from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.velodyne.decode import returned
 from lidarcfg.packets.velodyne.layout import (
     DISTANCE_MAX,
@@ -18,11 +18,12 @@ from lidarcfg.packets.velodyne.layout import (
     REVOLUTION,
     Packets,
     PpsState,
-    octets_of,
+    bytes_of,
     stamp_us,
 )
 from lidarcfg.packets.velodyne.model import Calibration, Unit, block_flags, slots
 from lidarcfg.packets.velodyne.telemetry import calibration, status_bytes
+from lidarcfg.sensors.firing import Firings
 
 
 class NearLasers(NamedTuple):
@@ -40,7 +41,7 @@ def encode(
     return_mode: str,
     fired: Firings,
     range_m: Array,
-    reflectivity: Octets,
+    reflectivity: Bytes,
     pps: PpsState = "locked",
 ) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`.
@@ -58,8 +59,8 @@ def encode(
     number = number.ravel()
     laser = number // (1 + dual) % unit.count
     limits = _limits(unit)
-    octets = octets_of(packets)
-    measured = matrix(range_m, len(packets), np.float64), matrix(reflectivity, len(packets), np.uint8)
+    octets = bytes_of(packets)
+    measured = by_packet(range_m, len(packets), np.float64), by_packet(reflectivity, len(packets), np.uint8)
     core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, octets)
     if unit.near_offset_m is not None:
         sensor = unit.sensor
@@ -70,7 +71,7 @@ def encode(
             distance_offset=unit.distance_offset_m,
             near_offset=unit.near_offset_m,
         )
-        azimuth = matrix(fired.encoder_rad, len(packets), np.float64)
+        azimuth = by_packet(fired.encoder_rad, len(packets), np.float64)
         core.write_velodyne_near_returns(*measured, azimuth, number, laser, lasers, limits, octets)
     if unit.focal is not None:
         core.uncorrect_velodyne_intensities(laser, unit.focal, octets)

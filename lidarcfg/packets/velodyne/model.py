@@ -9,12 +9,10 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from lidarcfg.config.models import Model, Positive, validation_error
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Times
-from lidarcfg.packets.network import Header, Network
-from lidarcfg.packets.rotating import FiringSchedule
-from lidarcfg.packets.unit import Firing, SensorInstance, check_firing
+from lidarcfg.geometry import Array, Times
+from lidarcfg.packets.facts import Firing, Header, Network, SensorInstance, check_firing
 from lidarcfg.packets.velodyne.layout import BLOCKS, RETURNS, SLOTS, Packets, PpsState
+from lidarcfg.sensors.schedule import FiringSchedule
 from lidarcfg.sensors.sensor import Byte, Millimetres, Sensor, check_lengths
 
 # How many blocks one firing of all lasers may take: a packet holds a whole number of them, and no fewer than two

@@ -19,17 +19,14 @@ from pydantic import ValidationError
 
 from lidarcfg import maths
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import (
-    Payloads,
-    Times,
-)
+from lidarcfg.geometry import Array, Times
+from lidarcfg.packets.codec import Payloads
 from lidarcfg.packets.inertial import measured
 from lidarcfg.packets.velodyne.layout import (
     POSITION,
     PPS_STATES,
     PpsState,
-    octets_of,
+    bytes_of,
     stamp_us,
 )
 from lidarcfg.packets.velodyne.model import (
@@ -39,11 +36,11 @@ from lidarcfg.packets.velodyne.model import (
     Status,
     Unit,
 )
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Beams
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
-    from lidarcfg.sensors.rig import Mount
     from lidarcfg.world.motion import Trajectory
     from lidarcfg.world.scene import GeoOrigin
 
@@ -230,7 +227,7 @@ def _read(table: NDArray[np.void]) -> tuple[Beams, Calibration]:
 
 
 def position_payloads(
-    unit: Unit, mount: "Mount", trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
+    unit: Unit, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
 ) -> Iterator[Payloads]:
     """The position packets of a sensor that has them, evenly spaced."""
     facts, headers = unit.facts.position_packet, unit.facts.headers
@@ -247,7 +244,7 @@ def position_payloads(
         if facts.inertial:
             packets["inertial"] = inertial(facts.inertial, *measured(mount, trajectory, np.zeros(3), times_ns))
         sent_ns = (times_ns + 500) // 1000 * 1000
-        yield Payloads(sent_ns, octets_of(packets), mount.telemetry_port, headers, headers.position, first)
+        yield Payloads(sent_ns, bytes_of(packets), mount.telemetry_port, headers, headers.position, first)
 
 
 def position_packets(time_ns: Times, pps: PpsState, nmea: Sequence[bytes]) -> NDArray[np.void]:

@@ -14,12 +14,12 @@ from lidarcfg.capture.pcap import read_datagrams
 from lidarcfg.capture.stream import SourceStats
 from lidarcfg.clouds.cloud import FIELDS, concatenate
 from lidarcfg.errors import ConfigError, PacketError
-from lidarcfg.packets.codec import Firings
 from lidarcfg.packets.families import codec
 from lidarcfg.packets.velodyne.decode import measurements
 from lidarcfg.packets.velodyne.encode import packed
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.packets.velodyne.model import unit as unit_of
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from tests.capture_fixtures import AT_NS, decoded, mount, no_warning, recording
