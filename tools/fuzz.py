@@ -48,6 +48,7 @@ with (
     else contextlib.nullcontext()
 ):
     from lidarcfg.capture import decode as decoder
+    from lidarcfg.capture import sources
     from lidarcfg.capture.frames import ETHERNET_HEADER, IP, RECORD, UDP
     from lidarcfg.capture.pcap import PCAP_MAGIC, read_batches
     from lidarcfg.capture.selection import Selection
@@ -77,7 +78,7 @@ WARM = 1000  # captures, after which all is loaded and compiled and has been use
 FRAME = np.dtype([("record", RECORD), ("ethernet", ETHERNET_HEADER), ("ip", IP), ("udp", UDP), ("packet", PACKET)])
 
 load_sensor = functools.cache(load_sensor)
-decoder.load_sensor = load_sensor  # its YAML is another matter
+sources.load_sensor = load_sensor  # its YAML is another matter
 
 
 class Here(ThreadPoolExecutor):

@@ -36,7 +36,8 @@ def records(sensor_index: int, types: Bytes, fired: Firings, found: Echoes, sent
     firing, which = np.nonzero(sent)
     out = np.empty(len(firing), RECORD)
     out["sensor"] = sensor_index
-    out["time_ns"], out["laser"] = fired.time_ns[firing], fired.laser[firing]
+    out["time_ns"] = fired.time_ns[firing]
+    out["laser"] = fired.laser[firing]
     out["return_type"] = types[firing, which]
     for key in ("object", "range_m", "noise_m"):
         out[key] = getattr(found, key)[firing, which]
@@ -50,7 +51,8 @@ class TruthFile:
         path = Path(path)
         check_replaceable(path)
         make_parent(path)
-        self._path, self._names = path, {"sensor_names": sensor_names, "object_names": object_names}
+        self._path = path
+        self._names = {"sensor_names": sensor_names, "object_names": object_names}
         self._bodies: list[IO[bytes]] = [tempfile.TemporaryFile(dir=path.parent) for _ in sensor_names]  # noqa: SIM115
 
     def __enter__(self) -> "TruthFile":

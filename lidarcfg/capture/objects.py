@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from lidarcfg.clouds.cloud import PointCloud, read_arrays
 from lidarcfg.errors import CloudError
+from lidarcfg.sensors.firing import LAST, SECOND
 from lidarcfg.sensors.rig import Rig
 
 AWAY_NS = 5_000  # a laser fires at most once in 40 µs, and times on the wire are whole microseconds
 LATEST_NS = 2**42  # span of a ground-truth file: 73 minutes; with sensor, ring and return it makes one int64
-LAST = 1  # types of returns
-SECOND = 2
 NAMES = ("sensor_names", "object_names")
 COLUMNS = ("sensor", "time_ns", "laser", "return_type", "object")
 OTHER = "rain, fog or unknown"

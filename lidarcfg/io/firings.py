@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import Capture
 from lidarcfg.capture.pcapng import SECTION
+from lidarcfg.capture.reader import CaptureReader
 from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.models import COORDINATE_MAX_M, loads
 from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
@@ -93,7 +93,7 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
     kept = list[str]()
     arrays: dict[str, NDArray[Any]] = {}
     counted = Counted(0, 0, 0)
-    for recorded in Capture(capture, on_warning, model=model).sources():
+    for recorded in CaptureReader(capture, on_warning, model=model).recordings():
         mine = records.of(recorded.name, recorded.packets.shape[1])
         maker = codec(recorded.sensor)
         modes = maker.return_modes(recorded.source, mine.packets)

@@ -66,7 +66,7 @@ class Returns(NamedTuple):
     laser: Bytes  # (N,), or empty
     ring: Bytes  # (N,) 0 is the lowest beam
     intensity: Bytes  # (N,)
-    return_type: Bytes  # (N,) 0 strongest, 1 last, 2 second strongest, where the last is the strongest, 3 first
+    return_type: Bytes  # (N,) 0 strongest, 1 last, 2 second strongest, 3 first: see sensors/firing.py
 
     @classmethod
     def allocate(cls, size: int, polar: bool = False) -> "Returns":

@@ -15,14 +15,18 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.sensors.rig import Mount
 
-RETURN_TYPES = {  # of each firing's returns, by return mode: 0 strongest, 1 last, 2 second strongest, 3 first
-    "strongest": (0,),
-    "last": (1,),
-    "first": (3,),
-    "dual": (0, 1),
-    "first-last": (3, 1),
-    "first-strongest": (3, 0),
-    "two-strongest": (0, 2),
+STRONGEST = 0  # types of returns
+LAST = 1
+SECOND = 2  # strongest, where the last is the strongest
+FIRST = 3
+RETURN_TYPES = {  # of each firing's returns, by return mode
+    "strongest": (STRONGEST,),
+    "last": (LAST,),
+    "first": (FIRST,),
+    "dual": (STRONGEST, LAST),
+    "first-last": (FIRST, LAST),
+    "first-strongest": (FIRST, STRONGEST),
+    "two-strongest": (STRONGEST, SECOND),
 }
 
 

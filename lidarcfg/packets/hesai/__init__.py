@@ -28,13 +28,13 @@ class Hesai(Codec):
     """The packets of one Hesai sensor, whose clock is taken as set by PTP: it sends no GPS packets."""
 
     point_fields = STAMPED
-    facts_model, settings_model = Facts, Settings
+    facts_model = Facts
+    settings_model = Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
     def check(self, mount: Mount) -> None:
-        """See `Codec`."""
         mount.settings.checked(Settings)
         assert self.unit.unit_mm
         pairs = [pair.mode for pair in self.unit.facts.packet.pairs]
@@ -43,25 +43,21 @@ class Hesai(Codec):
             raise ConfigError(f"{what}; a {self.unit.name} sends {', '.join((*SINGLE, *pairs))}")
 
     def pace(self, mount: Mount) -> Pace:
-        """See `Codec`."""
         return Pace(self.unit.period_ns(mount.dual), self.unit.groups(mount.dual) * self.unit.lasers.shape[1])
 
     def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        """See `Codec`."""
         return batches(self.unit, mount, start_ns, packets, chunk)
 
     def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
-        """See `Codec`."""
         packets = encode.encode(self.unit, mount, batch, range_m, reflectivity)
         headers = self.unit.facts.headers
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
-        """See `Codec`."""
         return encode.sent(self.unit, self.unit.packets_of(payloads.data), mount.return_mode, batch.firings.laser)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """See `Codec`; one return alone is the strongest."""
+        """One return alone is the strongest."""
         kinds = np.array(super().return_types(mount, range_m, reflectivity))
         if mount.dual:
             kinds[encode.holds_one(self.unit, range_m, reflectivity)] = RETURN_TYPES["strongest"]
@@ -72,11 +68,9 @@ class Hesai(Codec):
         return telemetry.correction_file(self.unit, mount)
 
     def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """See `Codec`."""
         return decode.return_modes(self.unit, packets)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """See `Codec`."""
         return decode.measurements(self.unit, packets, host_ns)
 
     @classmethod
@@ -86,11 +80,9 @@ class Hesai(Codec):
 
     @classmethod
     def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
-        """See `Codec`."""
         return decode.identify(source.where, packets, _units(known)).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        """See `Codec`."""
         decode.check_size(source.where, self.unit, packets)
         beams = telemetry.find_corrections(source, self.unit.count)
         if beams is None:
@@ -101,13 +93,15 @@ class Hesai(Codec):
         return decode.HesaiDecoder(source.where, Unit(sensor, self.unit.facts))
 
     def firing_ns(self) -> Times:
-        """See `Codec`; for a laser that rests in the first loop, in the second."""
-        fires, offset_ns = self.unit.fires, self.unit.offset_ns
+        """(L,) in the first loop; for a laser that rests there, in the second."""
+        fires = self.unit.fires
+        offset_ns = self.unit.offset_ns
         return np.asarray(np.where(fires[0], offset_ns[0], offset_ns[-1]))
 
     def pattern(self, mount: Mount) -> Pattern:
-        """See `Codec`: all lasers of a group fire where the head is at its start."""
-        unit, loops = self.unit, len(self.unit.lasers)
+        """All lasers of a group fire where the head is at its start."""
+        unit = self.unit
+        loops = len(self.unit.lasers)
         groups = unit.groups(True) if mount.dual and loops > 1 else 1  # of a packet are of one loop
         loop = np.repeat(np.arange(loops), groups)
         group_rad = unit.facts.firing.period_ns * (2 * np.pi * mount.rpm / MINUTE_NS)

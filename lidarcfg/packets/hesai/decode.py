@@ -25,14 +25,13 @@ from lidarcfg.packets.hesai.layout import (
     is_dual,
 )
 from lidarcfg.packets.hesai.model import Unit
-from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.firing import FIRST, LAST, STRONGEST, Batch, Firings
 from lidarcfg.sensors.rig import SINGLE
 
 PROTOCOLS = {(1, 3), (1, 4), (3, 1), (3, 2), (4, 1), (4, 3), (6, 1)}  # that Hesai's SDK knows
 LASERS = {16, 32, 40, 64, 128}
 SEQUENCES = 1 << 32
 SLACK = 8  # lost packets beyond those that fit the elapsed time; with more, the sensor was restarted
-STRONGEST, LAST, FIRST = 0, 1, 3  # types of returns, as `Returns` has them
 BY_BLOCK = 254  # which of a pair is the strongest, its block tells
 SINGLE_KINDS = {0x33: FIRST, 0x37: STRONGEST, 0x38: LAST}
 PAIR_KINDS = {  # the nearer return, the farther
@@ -71,39 +70,34 @@ class HesaiDecoder(Decoder):
     """Decodes the packets of one Hesai sensor."""
 
     def __init__(self, where: str, unit: Unit) -> None:
-        self._where, self._unit, self._counter = where, unit, PacketLossCounter(unit)
+        self._where = where
+        self._unit = unit
+        self._counter = PacketLossCounter(unit)
         self.period_ns = unit.period_ns()
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
-        """See `Decoder`."""
         return device_time_ns(self._unit.packets_of(packets))
 
     def heading_rad(self, packets: Bytes) -> Array:
-        """See `Decoder`."""
         return encoder_rad(self._unit.packets_of(packets)["blocks"]["azimuth"][:, 0])
 
     def check(self, packets: Bytes) -> None:
-        """See `Decoder`."""
         try:
             check(self._unit, self._unit.packets_of(packets))
         except PacketError as error:
             raise PacketError(f"{self._where}: {error}") from None
 
     def sound(self, packets: Bytes) -> Flags:
-        """See `Decoder`."""
         wrong = [wrong for wrong, _, _ in _mistakes(self._unit, self._unit.packets_of(packets))]
         return np.asarray(~np.logical_or.reduce(wrong))
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        """See `Decoder`."""
         self._counter.add(self._unit.packets_of(packets), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         return DecodeStatistics((self._unit.name,), self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
         return decode(self._unit, self._unit.packets_of(packets), wanted, polar=False)
 
 
@@ -116,7 +110,8 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
     check(unit, packets)
     wanted = np.ones(len(packets), np.bool_) if wanted is None else wanted
     modes = packets["tail"]["return_mode"]
-    near, far = np.zeros(256, np.uint8), np.zeros(256, np.uint8)
+    near = np.zeros(256, np.uint8)
+    far = np.zeros(256, np.uint8)
     for mode, kind in SINGLE_KINDS.items():
         near[mode] = kind
     for mode, pair in PAIR_KINDS.items():
@@ -147,7 +142,8 @@ def check(unit: Unit, packets: Packets) -> None:
 
 def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.integer], Callable[[int], str]]]:
     """For each kind of mistake: which packets (P,) have it, their values, and a sentence about it."""
-    header, name = packets["header"], unit.name
+    header = packets["header"]
+    name = unit.name
     major, minor = map(int, unit.facts.packet.protocol.split("."))
     for key, right in (
         ("major", major),
@@ -231,7 +227,8 @@ class PacketLossCounter:
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
         self._modes: set[str] = set()
-        self._speeds, self._packets = 0, 0
+        self._speeds = 0
+        self._packets = 0
         self.lost = 0  # packets, by the gaps of the UDP sequence
 
     def add(self, packets: Packets, wanted: Flags) -> None:

@@ -26,17 +26,21 @@ from lidarcfg.units import SECOND_NS
 
 COLUMNS = ("time_ns", "laser", "encoder_rad")
 VERSION = 1
-COUNTER_NS, COUNTERS = 5_111_060, 6  # the rolling counter's step, 46 periods, and its values 0 to 5: as recorded
+COUNTER_NS = 5_111_060  # the rolling counter's step, 46 periods, as recorded
+COUNTERS = 6  # its values 0 to 5
 
 
 def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of a batch and what it measured, (N, 1) or with dual returns (N, 2): as `Codec.encode` says."""
-    dual, pair = mount.dual, unit.columns(mount.return_mode)
+    dual = mount.dual
+    pair = unit.columns(mount.return_mode)
     packets = np.zeros(len(batch.number), unit.dtype)
     shape = len(packets), unit.groups(dual), unit.lasers.shape[1]
     time_ns, laser, encoder_rad = (getattr(batch.firings, key).reshape(shape) for key in COLUMNS)
-    loop, inside = _loops(unit, laser), within(mount, encoder_rad[:, :, 0])
-    blocks, facts = packets["blocks"], unit.range
+    loop = _loops(unit, laser)
+    inside = within(mount, encoder_rad[:, :, 0])
+    blocks = packets["blocks"]
+    facts = unit.range
     blocks["azimuth"] = np.repeat(azimuth_of(encoder_rad[:, :, 0]), 1 + dual, axis=1)
     returns = blocks["returns"]
     returns["confidence"] = unit.facts.packet.confidence
@@ -58,8 +62,11 @@ def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity:
     stamp_ns = (stamp_ns + 500) // 1000 * 1000
     _head(unit, packets, dual)
     tail = packets["tail"]
-    tail["return_mode"], tail["rpm"], tail["factory"] = RETURN_MODE_CODES[mount.return_mode], round(mount.rpm), FACTORY
-    tail["date"], tail["microseconds"] = date_of(stamp_ns), stamp_ns % SECOND_NS // 1000
+    tail["return_mode"] = RETURN_MODE_CODES[mount.return_mode]
+    tail["rpm"] = round(mount.rpm)
+    tail["factory"] = FACTORY
+    tail["date"] = date_of(stamp_ns)
+    tail["microseconds"] = stamp_ns % SECOND_NS // 1000
     tail["sequence"] = batch.number
     if unit.facts.packet.protocol == "3.2":
         if dual and len(unit.fires) > 1:
@@ -70,7 +77,8 @@ def encode(unit: Unit, mount: Mount, batch: Batch, range_m: Array, reflectivity:
 
 def sent(unit: Unit, packets: Packets, return_mode: str, laser: Bytes) -> Flags:
     """(N, 1) or (N, 2) of firings of `laser` (N,): which are returns in the packets; of two alike, the first."""
-    returns, pair = packets["blocks"]["returns"], unit.columns(return_mode)
+    returns = packets["blocks"]["returns"]
+    pair = unit.columns(return_mode)
     at = laser.reshape(len(packets), unit.groups(len(pair) == 2), -1).astype(np.int64)
     distance, reflectivity = (
         np.stack(
@@ -98,11 +106,17 @@ def holds_one(unit: Unit, range_m: Array, reflectivity: Bytes) -> Flags:
 
 
 def _head(unit: Unit, packets: Packets, dual: bool) -> None:
-    header, protocol = packets["header"], unit.facts.packet.protocol
-    header["start"], header["reserved"], header["flags"] = START, RESERVED[protocol], FLAGS[protocol]
+    header = packets["header"]
+    protocol = unit.facts.packet.protocol
+    header["start"] = START
+    header["reserved"] = RESERVED[protocol]
+    header["flags"] = FLAGS[protocol]
     header["major"], header["minor"] = map(int, protocol.split("."))
-    header["lasers"], header["blocks"], header["unit_mm"] = unit.count, unit.facts.packet.blocks, unit.unit_mm
-    header["first_return"], header["returns"] = FIRST_LAST * dual, 1 + dual
+    header["lasers"] = unit.count
+    header["blocks"] = unit.facts.packet.blocks
+    header["unit_mm"] = unit.unit_mm
+    header["first_return"] = FIRST_LAST * dual
+    header["returns"] = 1 + dual
 
 
 def _loops(unit: Unit, laser: Bytes) -> Times:

@@ -164,7 +164,8 @@ def batches(unit: Unit, mount: Mount, start_ns: int, packets: int, chunk: int) -
     Packet 0's lasers start to fire `stamp_ns` after `start_ns`. With an azimuth field of view, packets are sent in
     which some firing lies within it.
     """
-    sent, longest_ns = 0, int(unit.offset_ns.max())
+    sent = 0
+    longest_ns = int(unit.offset_ns.max())
     for first in range(0, packets, chunk):
         numbers = range(first, min(first + chunk, packets))
         fired, stamp_ns, inside = _firings(unit, mount, start_ns, numbers)
@@ -184,7 +185,8 @@ def _firings(unit: Unit, mount: Mount, start_ns: int, numbers: range) -> tuple[F
     All lasers of a group fire where the head is at its start, as the group's azimuth says.
     """
     dual = mount.dual
-    groups, period_ns = unit.groups(dual), unit.period_ns(dual)
+    groups = unit.groups(dual)
+    period_ns = unit.period_ns(dual)
     first_ns = start_ns + np.array(numbers, np.int64) * period_ns
     starts_ns = unit.facts.firing.stamp_ns + np.arange(groups) * unit.facts.firing.period_ns
     begun = revolutions(mount.rpm, period_ns, start_ns, numbers, mount.phase_deg)

@@ -32,26 +32,23 @@ class Ouster(Codec):
     """The packets of one Ouster."""
 
     point_fields = OUSTER
-    facts_model, settings_model = Facts, Settings
+    facts_model = Facts
+    settings_model = Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
 
     def check(self, mount: Mount) -> None:
-        """See `Codec`."""
         self._mode(mount)
 
     def pace(self, mount: Mount) -> Pace:
-        """See `Codec`."""
         mode = self._mode(mount)
         return Pace(mode.period_ns, mode.layout.columns_per_packet * mode.layout.pixels)
 
     def schedule(self, mount: Mount, start_ns: int, packets: int, chunk: int) -> Iterator[Batch]:
-        """See `Codec`."""
         return batches(self._mode(mount), start_ns, packets, chunk, mount.phase_deg)
 
     def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
-        """See `Codec`."""
         mode = self._mode(mount)
         headers = self.unit.facts.headers
         packets = encode.encode(self.unit, mode, batch, range_m, reflectivity)
@@ -59,11 +56,10 @@ class Ouster(Codec):
         return Payloads(batch.sent_ns, packets, mount.data_port, headers, headers.data, batch.first, fragments)
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
-        """See `Codec`."""
         return encode.sent(self._mode(mount), payloads.data)
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """See `Codec`; of two the stronger comes first, and the other is the second strongest."""
+        """Of two the stronger comes first, and the other is the second strongest."""
         if mount.return_mode != "dual" or self._mode(mount).nearest_first:
             return super().return_types(mount, range_m, reflectivity)
         return encode.return_types(self.unit, range_m, reflectivity)
@@ -83,11 +79,10 @@ class Ouster(Codec):
         return {telemetry.SUFFIX: telemetry.metadata_file(self.unit, self._mode(mount), mount)}
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """See `Codec`; the layout is the metadata's."""
+        """The layout is the metadata's."""
         return decode.measurements(telemetry.find_metadata(source, packets).layout, packets, host_ns)
 
     def packed(self, mount: Mount, found: Measurements) -> Bytes:
-        """See `Codec`."""
         return encode.packed(found)
 
     @classmethod
@@ -97,13 +92,13 @@ class Ouster(Codec):
 
     @classmethod
     def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
-        """See `Codec`: the metadata says it."""
+        """The sensor that the metadata names."""
         metadata = telemetry.find_metadata(source, packets)
         named = known(metadata.model)
         return named[0] if named else telemetry.unknown_sensor(metadata, known()[0])
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        """See `Codec`. Beams are those that the metadata says."""
+        """Beams are those that the metadata says."""
         metadata = telemetry.find_metadata(source, packets)
         sensor = self.unit.sensor
         if metadata.layout.pixels != sensor.count:
@@ -112,11 +107,11 @@ class Ouster(Codec):
         return decode.OusterDecoder(source.where, metadata, sensor.name)
 
     def firing_ns(self) -> Times:
-        """See `Codec`: all fire at once."""
+        """All fire at once."""
         return np.zeros(self.unit.sensor.count, np.int64)
 
     def pattern(self, mount: Mount) -> Pattern:
-        """See `Codec`: a column at each of as many encoder angles, whichever way it points when it starts."""
+        """A column at each of as many encoder angles, whichever way the head points when it starts."""
         step_rad = 2 * math.pi / self._mode(mount).layout.columns_per_frame
         together = np.zeros(self.unit.sensor.count)
         return Pattern(step_rad, np.arange(len(together)), together, together, start_rad=0.0)

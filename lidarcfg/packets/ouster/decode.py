@@ -24,10 +24,9 @@ from lidarcfg.packets.ouster.layout import (
     unpack,
 )
 from lidarcfg.packets.ouster.telemetry import Metadata
-from lidarcfg.sensors.firing import Batch, Firings
+from lidarcfg.sensors.firing import LAST, SECOND, STRONGEST, Batch, Firings
 from lidarcfg.units import MINUTE_NS
 
-STRONGEST, LAST, SECOND = 0, 1, 2
 ENDS = "", "2"  # of the names of the first and of the second return's fields
 MEASURED = "range", "reflectivity"  # of each return; the other fields are in `Measurements.more`
 
@@ -76,17 +75,16 @@ class OusterDecoder(Decoder):
         self._time_ns = 0
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
-        """See `Decoder`: the first column's. Columns outside a window may say 0."""
+        """(P,) the first column's. Columns outside a window may say 0."""
         time_ns = column_headers(self._layout, packets).time_ns
         return np.asarray(np.where(time_ns == 0, np.iinfo(np.int64).max, time_ns).min(axis=1))
 
     def heading_rad(self, packets: Bytes) -> Array:
-        """See `Decoder`; 0 where revolutions begin, which is the sensor's back."""
+        """(P,) 0 where revolutions begin, which is the sensor's back."""
         measurement = column_headers(self._layout, packets).measurement[:, :1].max(axis=1, initial=0)
         return np.asarray(measurement * (2 * np.pi / self._layout.columns_per_frame) % (2 * np.pi))
 
     def check(self, packets: Bytes) -> None:
-        """See `Decoder`."""
         serial = self._metadata.serial
         if not len(packets) or self._layout.legacy or not serial:
             return
@@ -96,7 +94,6 @@ class OusterDecoder(Decoder):
             raise PacketError(f"{self._where}: {what}")
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        """See `Decoder`."""
         if not wanted.any():
             return
         layout = self._layout
@@ -120,14 +117,12 @@ class OusterDecoder(Decoder):
             self._before = at
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         revolutions = self._columns / self._layout.columns_per_frame
         rpm = revolutions * MINUTE_NS / self._time_ns if self._time_ns else float("nan")
         modes = ("strongest",) if self._layout.profile.returns == 1 else ("dual",)
         return DecodeStatistics((self._model,), modes, self._lost, rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
         layout = self._layout
         packets = np.ascontiguousarray(_select(packets, wanted))
         pixels = len(packets) * layout.columns_per_packet * layout.pixels
@@ -149,7 +144,7 @@ class OusterDecoder(Decoder):
         return returns
 
     def driver_columns(self, packets: Bytes, wanted: Flags) -> dict[str, NDArray[Any]]:
-        """See `Decoder`. What the profile does not have is 0, as with ouster-ros."""
+        """What the profile does not have is 0, as with ouster-ros."""
         layout = self._layout
         packets = np.ascontiguousarray(_select(packets, wanted))
         found = unpack(layout, packets)

@@ -197,7 +197,8 @@ def column_values(layout: Layout, packets: Bytes, dtype: str, at: int) -> NDArra
     """(P, C) the numbers at a byte of each column; a view."""
     if not len(packets):
         return np.empty((0, layout.columns_per_packet), np.dtype(dtype))
-    shape, strides = (len(packets), layout.columns_per_packet), (packets.strides[0], layout.column)
+    shape = (len(packets), layout.columns_per_packet)
+    strides = (packets.strides[0], layout.column)
     return np.ndarray(shape, np.dtype(dtype), packets, layout.head + at, strides)
 
 

@@ -30,12 +30,15 @@ ProfileName = Literal[
     "RNG15_RFL8_NIR8_DUAL",
     "FUSA_RNG15_RFL8_NIR8_DUAL",
 ]
-SINGLE, DUAL = "RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL"
+SINGLE = "RNG19_RFL8_SIG16_NIR16"
+DUAL = "RNG19_RFL8_SIG16_NIR16_DUAL"
 SINCE_3 = ("RNG15_RFL8_NIR8_DUAL", "FUSA_RNG15_RFL8_NIR8_DUAL")
 RPM = (600.0, 1200.0)
-SERIAL_FIRST, SERIALS = 122_000_000_000, 10**9
+SERIAL_FIRST = 122_000_000_000
+SERIALS = 10**9
 LASERS_MAX = 128
-IMU_PACKETS_HZ, IMU_MEASUREMENTS = 80, 8  # as metadata of firmware 3.2 at 10 Hz has them
+IMU_PACKETS_HZ = 80  # this and the next as metadata of firmware 3.2 at 10 Hz has them
+IMU_MEASUREMENTS = 8  # in a packet
 
 
 class Imu(Model):
@@ -244,7 +247,8 @@ def phase(mode: Mode, start_ns: int, phase_deg: float | None) -> tuple[int, int]
 
 def _firings(mode: Mode, number: Times, time_ns: Times) -> Firings:
     """All lasers of a column fire at once."""
-    lasers, count = mode.layout.pixels, mode.layout.columns_per_frame
+    lasers = mode.layout.pixels
+    count = mode.layout.columns_per_frame
     turned = (measurements(mode, number) / count + 0.5) % 1
     return Firings(
         time_ns=np.repeat(time_ns.ravel(), lasers),

@@ -189,7 +189,8 @@ def is_lidar_packet(profile: str, payload: bytes) -> bool:
     """Whether the first bytes are a lidar packet's."""
     header = PROFILES[profile].header
     if header == "legacy":
-        measurement, ticks = int.from_bytes(payload[8:10], "little"), int.from_bytes(payload[12:16], "little")
+        measurement = int.from_bytes(payload[8:10], "little")
+        ticks = int.from_bytes(payload[12:16], "little")
         return ticks < TICKS and measurement <= ticks
     return payload[:2] == b"\x01\0" if header == "standard" else payload[:1] == b"\x01"
 
@@ -257,7 +258,9 @@ def unknown_sensor(found: Metadata, like: Sensor) -> Sensor:
 
 def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
     """The metadata of a mount's sensor, with the parts of firmware 3 that ouster-sdk needs."""
-    layout, beams, firmware = mode.layout, unit.sensor.beams, mode.settings.firmware
+    layout = mode.layout
+    beams = unit.sensor.beams
+    firmware = mode.settings.firmware
     ahead_mm, up_mm = unit.start_mm
     azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
     said: dict[str, Any] = {
@@ -301,7 +304,8 @@ def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
 
 def _config(unit: Unit, mode: Mode, mount: Mount) -> dict[str, Any]:
     """How a mount's sensor is configured."""
-    layout, (first, last) = mode.layout, mode.window
+    layout = mode.layout
+    (first, last) = mode.window
     step = 360_000 / layout.columns_per_frame  # encoder angles run against the columns
     whole = (last + 1) % layout.columns_per_frame == first
     edges = [0, 360_000] if whole else [round(360_000 - last * step) % 360_000, round(360_000 - first * step) % 360_000]
@@ -342,7 +346,8 @@ def legacy_imu_payloads(
         packets["time_ns"] = time_ns[:, None]
         packets["acceleration_g"], packets["rate_deg_s"] = measured(mount, trajectory, _position_m(unit), time_ns)
         sent_ns = (time_ns + 500) // 1000 * 1000
-        headers, octets = unit.facts.headers, packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
+        headers = unit.facts.headers
+        octets = packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
         yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
 
 
@@ -352,7 +357,8 @@ def framed_imu_payloads(
     """Packets of profile ACCEL32_GYRO32_NMEA, which count revolutions as the lidar's do; without a sentence."""
     zero_ns, _ = phase(mode, start_ns, mount.phase_deg)
     period_ns = mode.revolution_ns // mode.imu_packets
-    begin, end = -(-(start_ns - zero_ns) // period_ns), (start_ns + duration_ns - zero_ns) // period_ns
+    begin = -(-(start_ns - zero_ns) // period_ns)
+    end = (start_ns + duration_ns - zero_ns) // period_ns
     for first in range(begin, end, CHUNK):
         number = np.arange(first, min(first + CHUNK, end))
         revolution, place = np.divmod(number, mode.imu_packets)
@@ -372,7 +378,8 @@ def framed_imu_payloads(
         octets[:, 0] = FRAMED_KIND
         packets["crc"] = crc64(octets)
         sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
-        headers, fragments = unit.facts.headers, mode.settings.fragments
+        headers = unit.facts.headers
+        fragments = mode.settings.fragments
         yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
 
 

@@ -45,7 +45,6 @@ class Robosense(SequenceTiming, Codec):
         return self.unit.firing_schedule(dual=False).since_first_ns
 
     def check(self, mount: Mount) -> None:
-        """See `Codec`."""
         if mount.return_mode not in MODES:
             what = f"return_mode: {mount.return_mode!r} is not allowed"
             raise ConfigError(f"{what}; a Helios sends the strongest, the last, the first, or dual")
@@ -57,13 +56,11 @@ class Robosense(SequenceTiming, Codec):
         telemetry.difop_packets(self.unit, mount, np.zeros(1, np.int64))
 
     def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
-        """See `Codec`."""
         headers = self.unit.facts.headers
         packets = encode.encode(self.unit, mount.dual, batch, range_m, reflectivity)
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.msop, batch.first)
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
-        """See `Codec`."""
         return encode.sent(self.unit, mount.dual, payloads.data)
 
     def housekeeping(
@@ -73,7 +70,7 @@ class Robosense(SequenceTiming, Codec):
         return telemetry.difop_payloads(self.unit, mount, start_ns, duration_ns)
 
     def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """See `Codec`: what DIFOP packets say."""
+        """What DIFOP packets say."""
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
             return found
@@ -81,7 +78,6 @@ class Robosense(SequenceTiming, Codec):
         return np.full(len(packets), MODES[read.return_mode], np.int64)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """See `Codec`."""
         return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
 
     @classmethod
@@ -91,13 +87,12 @@ class Robosense(SequenceTiming, Codec):
 
     @classmethod
     def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
-        """See `Codec`."""
         first = decode.undamaged(packets_of(packets))
         return decode.identify(source.where, first, telemetry.find_difop(source), [unit(one) for one in known()]).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        """See `Codec`."""
-        first, difop = decode.undamaged(packets_of(packets)), telemetry.find_difop(source)
+        first = decode.undamaged(packets_of(packets))
+        difop = telemetry.find_difop(source)
         decode.check_msop(source.where, first)
         if trusted:
             decode.check_model(source.where, self.unit, first, difop)

@@ -76,7 +76,8 @@ def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> 
     """With the DIFOP packet's angles; else the file's, if these packets (P,) are of that very model."""
     mode = difop.return_mode if difop else ""
     mode = mode or ("dual" if is_dual(unit, first) else "strongest")
-    count, sensor = unit.count, unit.sensor
+    count = unit.count
+    sensor = unit.sensor
     if difop and difop.lasers >= count:
         return Reading(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
     missing = "its DIFOP has no angles" if difop else "no DIFOP near its start"
@@ -91,38 +92,32 @@ class RobosenseDecoder(Decoder):
     """Decodes the packets of one RoboSense sensor."""
 
     def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
-        self._where, self._reading = source.where, reading
+        self._where = source.where
+        self._reading = reading
         self.period_ns = reading.unit.firing_schedule(reading.dual).period_ns
         self._counter = PacketLossCounter(self.period_ns, full_fov)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
-        """See `Decoder`."""
         return read_time_ns(packets_of(packets))
 
     def heading_rad(self, packets: Bytes) -> Array:
-        """See `Decoder`."""
         return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
 
     def check(self, packets: Bytes) -> None:
-        """See `Decoder`."""
         check_msop(self._where, packets_of(packets))
 
     def sound(self, packets: Bytes) -> Flags:
-        """See `Decoder`."""
         return sound(packets_of(packets))
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        """See `Decoder`."""
         self._counter.add(packets_of(packets), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         return DecodeStatistics(
             (self._reading.unit.name,), (self._reading.return_mode,), self._counter.lost, self._counter.rpm
         )
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
         return decode(self._reading, packets, wanted)
 
 
@@ -137,14 +132,16 @@ def decode(reading: Reading, octets: Bytes, wanted: Flags) -> Returns:
 def measurements(unit: Unit, octets: Bytes, host_ns: Times, return_mode: str) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
     dual = return_mode == "dual"
-    packets, schedule = packets_of(octets), unit.firing_schedule(dual)
+    packets = packets_of(octets)
+    schedule = unit.firing_schedule(dual)
     azimuth = packets["blocks"]["azimuth"]
     azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
     shape = len(packets), schedule.sequences, unit.count
     head = np.broadcast_to(np.repeat(azimuth * RADIANS, schedule.per_azimuth, axis=1)[:, :, None], shape)
     time_ns = read_time_ns(packets)[:, None, None] + schedule.offsets_ns
     laser = np.broadcast_to(np.arange(unit.count, dtype=np.uint8), shape)
-    at, data = byte_offsets(unit, dual), bytes_of(packets)
+    at = byte_offsets(unit, dual)
+    data = bytes_of(packets)
     high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     distance = high.astype(np.int64) << 8 | low
     range_m = np.where(distance > 0, distance * unit.resolution_m, np.inf)
@@ -158,11 +155,14 @@ def return_modes(unit: Unit, source: Source, octets: Bytes) -> Times | None:
     A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
     says which they are, as a mode changes before a DIFOP says so.
     """
-    packets, difops = packets_of(octets), all_difops(source)
+    packets = packets_of(octets)
+    difops = all_difops(source)
     difops = difops[np.isin(difops["return_mode"], list(NAMES))]
     if not len(difops):
         return None
-    at, said_ns, codes = read_time_ns(packets), read_time_ns(difops), difops["return_mode"].astype(np.int64)
+    at = read_time_ns(packets)
+    said_ns = read_time_ns(difops)
+    codes = difops["return_mode"].astype(np.int64)
     if not ((codes == DUAL).any() and (codes != DUAL).any()):
         return _latest(at, said_ns, codes)
     single = codes != DUAL
@@ -182,7 +182,8 @@ def _dual(unit: Unit, packets: Packets) -> Flags:
     if unit.count == 32:
         return np.asarray((azimuth[:, ::2] == azimuth[:, 1::2]).mean(axis=1) > 0.5)
     block = np.median(np.diff(azimuth, axis=1) % REVOLUTION, axis=1)
-    turned, gap_ns = np.diff(azimuth[:, 0]) % REVOLUTION, np.diff(read_time_ns(packets))
+    turned = np.diff(azimuth[:, 0]) % REVOLUTION
+    gap_ns = np.diff(read_time_ns(packets))
     known = gap_ns > 0
     per_ns = np.median(turned[known] / gap_ns[known]) if known.any() else REVOLUTION * 10 / SECOND_NS
     return np.asarray(block < 1.5 * per_ns * unit.firing_schedule(dual=True).sequence_ns)
@@ -196,9 +197,13 @@ class PacketLossCounter:
     """
 
     def __init__(self, period_ns: int, full_fov: bool) -> None:
-        self._period_ns, self._full_fov = period_ns, full_fov
-        self._counted, self._by_stamps, self._counts = 0, 0, False
-        self._turned, self._passed_ns = 0, 0
+        self._period_ns = period_ns
+        self._full_fov = full_fov
+        self._counted = 0
+        self._by_stamps = 0
+        self._counts = False
+        self._turned = 0
+        self._passed_ns = 0
 
     def add(self, packets: Packets, wanted: Flags) -> None:
         """Count the wanted ones (P,) of successive packets, which follow those of the last call."""
@@ -278,7 +283,8 @@ def identify(where: str, packets: Packets, difop: Difop | None, known: Sequence[
 
 def check_model(where: str, unit: Unit, packets: Packets, difop: Difop | None) -> None:
     """Raises PacketError if these packets (P,) or the DIFOP packet say that they are of another model."""
-    facts, model = unit.facts.packet, int(packets["model"][0])
+    facts = unit.facts.packet
+    model = int(packets["model"][0])
     if model not in (0, facts.model, *facts.other_models):
         raise PacketError(
             f"{where} sends model 0x{model:02X}, not {unit.name}'s 0x{facts.model:02X}; "
@@ -303,7 +309,8 @@ def is_dual(unit: Unit, packets: Packets) -> bool:
 
 def _fits(unit: Unit, packets: Packets) -> bool:
     """Whether the packets' blocks and period may be the sensor's, in one of its modes."""
-    azimuth, gap_ns = packets["blocks"]["azimuth"].astype(np.int64), _gap_ns(packets)
+    azimuth = packets["blocks"]["azimuth"].astype(np.int64)
+    gap_ns = _gap_ns(packets)
     paired = bool((azimuth[:, ::2] == azimuth[:, 1::2]).mean() > 0.5)
     if unit.count == 32:
         period_ns = unit.firing_schedule(paired).period_ns

@@ -25,12 +25,17 @@ from lidarcfg.sensors.firing import Batch
 
 def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: Bytes) -> Packets:
     """Packets (P,) of N firings and their measurements, (N, 1) or with dual returns (N, 2): see `Codec.encode`."""
-    schedule, fired = unit.firing_schedule(dual), batch.firings
+    schedule = unit.firing_schedule(dual)
+    fired = batch.firings
     stamped_ns, _ = schedule.stamps_ns(fired)
     packets: Packets = np.zeros(len(stamped_ns), MSOP)
-    packets["id"], packets["version"], packets["tail"] = MSOP_ID, 1, MSOP_TAIL
-    packets["count"], packets["resolution"] = batch.number % 2**32, RESOLUTION
-    packets["type"], packets["model"] = HELIOS, unit.facts.packet.model
+    packets["id"] = MSOP_ID
+    packets["version"] = 1
+    packets["tail"] = MSOP_TAIL
+    packets["count"] = batch.number % 2**32
+    packets["resolution"] = RESOLUTION
+    packets["type"] = HELIOS
+    packets["model"] = unit.facts.packet.model
     write_time(packets, stamped_ns)
     blocks = packets["blocks"]
     blocks["id"] = BLOCK_ID

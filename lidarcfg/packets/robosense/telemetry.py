@@ -60,19 +60,23 @@ def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
     packets: Packets = octets.view(DIFOP)[:, 0]
     headers = unit.facts.headers
     host = [int(part) for part in mount.host.split(".")]
-    packets["id"], packets["tail"] = DIFOP_ID, DIFOP_TAIL
+    packets["id"] = DIFOP_ID
+    packets["tail"] = DIFOP_TAIL
     packets["rpm"] = round(mount.rpm)
-    packets["host"], packets["destination"] = host, [int(part) for part in headers.destination_ip.split(".")]
+    packets["host"] = host
+    packets["destination"] = [int(part) for part in headers.destination_ip.split(".")]
     packets["mac"] = [*bytes.fromhex(headers.mac_prefix.replace(":", "")), *host[1:]]
     packets["serial"] = packets["mac"]
-    packets["msop_port"], packets["difop_port"] = mount.data_port, mount.telemetry_port
+    packets["msop_port"] = mount.data_port
+    packets["difop_port"] = mount.telemetry_port
     low, high = mount.azimuth_fov_deg or (0, 360)
     packets["fov"] = round(low * 100), round(high * 100)
     packets["phase"] = round(mount.phase_deg or 0) % 360
     packets["versions"] = list(bytes.fromhex(unit.facts.difop.versions))
     packets["zero"] = 0
     packets["return_mode"] = MODES[mount.return_mode]
-    packets["sync"], packets["sync_state"] = PTP, PTP_LOCKED
+    packets["sync"] = PTP
+    packets["sync_state"] = PTP_LOCKED
     write_time(packets, times_ns)
     packets["gprmc"] = 0
     beams = unit.sensor.beams
@@ -89,7 +93,8 @@ def angles(unit: Unit, key: str, degrees: tuple[float, ...]) -> np.ndarray:
         what = f"DIFOP packets cannot say {degrees[k]}; allowed: -90 to 90 in hundredths"
         raise ConfigError(f"sensor {unit.name!r}: beams.{key}[{k}]: {what}")
     out = np.empty(len(hundredths), ANGLE)
-    out["sign"], out["hundredths"] = hundredths < 0, abs(hundredths)
+    out["sign"] = hundredths < 0
+    out["hundredths"] = abs(hundredths)
     return out
 
 
@@ -113,7 +118,7 @@ def find_difop(source: Source) -> Difop | None:
 
 
 def all_difops(source: Source) -> Packets:
-    """All DIFOP packets of a source in a capture, in their order: see `find`."""
+    """All DIFOP packets of a source in a capture, in their order."""
     found = [octets[(octets[:, :8] == list(DIFOP_ID)).all(axis=1)] for octets in source.payloads(None, SIZE)]
     said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
     mine: Packets = said[said["msop_port"][:, 0] == source.port]
@@ -124,7 +129,8 @@ def all_difops(source: Source) -> Packets:
 
 def _read(packet: Packets) -> Difop:
     """What one (1,) says."""
-    vertical, horizontal = packet["vertical"][0], packet["horizontal"][0]
+    vertical = packet["vertical"][0]
+    horizontal = packet["horizontal"][0]
     good = (vertical["sign"] <= 1) & (vertical["hundredths"] <= ANGLE_MAX)
     good &= (horizontal["sign"] <= 1) & (horizontal["hundredths"] <= ANGLE_MAX)
     count = int(np.argmin(np.append(good, False)))

@@ -34,7 +34,8 @@ CALIBRATION_PACKETS = 3 * 4160  # a calibration in status bytes takes 4160 packe
 class Velodyne(SequenceTiming, Codec):
     """The packets of one Velodyne sensor."""
 
-    facts_model, settings_model = Facts, Settings
+    facts_model = Facts
+    settings_model = Settings
 
     def __init__(self, sensor: Sensor) -> None:
         self.unit = unit(sensor)
@@ -46,7 +47,6 @@ class Velodyne(SequenceTiming, Codec):
         return self.unit.firing_schedule(dual=False).since_first_ns
 
     def check(self, mount: Mount) -> None:
-        """See `Codec`."""
         encode.check_encodable(self.unit, mount.return_mode)
         mount.settings.checked(Settings)
         assert self.unit.resolution_m
@@ -54,32 +54,28 @@ class Velodyne(SequenceTiming, Codec):
             raise ConfigError(f"sensor {self.unit.name!r} cannot be exported: its file has no velodyne.headers")
 
     def encode(self, mount: Mount, batch: Batch, range_m: Array, reflectivity: Bytes) -> Payloads:
-        """See `Codec`."""
-        headers, pps = self.unit.facts.headers, mount.settings.checked(Settings).pps
+        headers = self.unit.facts.headers
+        pps = mount.settings.checked(Settings).pps
         assert headers
         packets = encode.encode(self.unit, mount.return_mode, batch.firings, range_m, reflectivity, pps)
         return Payloads(batch.sent_ns, bytes_of(packets), mount.data_port, headers, headers.data, batch.first)
 
     def sent(self, mount: Mount, batch: Batch, payloads: Payloads) -> Flags:
-        """See `Codec`."""
         return encode.sent(self.unit, mount.return_mode, packets_of(payloads.data))
 
     def housekeeping(
         self, mount: Mount, trajectory: "Trajectory", origin: "GeoOrigin", start_ns: int, duration_ns: int
     ) -> Iterator[Payloads]:
-        """See `Codec`."""
         return telemetry.position_payloads(self.unit, mount, trajectory, origin, start_ns, duration_ns)
 
     def return_modes(self, source: Source, packets: Bytes) -> Times:
-        """See `Codec`."""
         return decode.return_modes(self.unit, packets_of(packets))
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """See `Codec`."""
         return decode.measurements(self.unit, packets_of(packets), host_ns)
 
     def packed(self, mount: Mount, found: Measurements) -> Bytes:
-        """See `Codec`; with the intensities beside no return, and azimuths of 36000."""
+        """With the intensities beside no return, and azimuths of 36000, as recorded."""
         return bytes_of(encode.packed(self.unit, found))
 
     @classmethod
@@ -89,15 +85,14 @@ class Velodyne(SequenceTiming, Codec):
 
     @classmethod
     def identify(cls, source: Source, packets: Bytes, known: KnownSensors) -> Sensor:
-        """See `Codec`."""
         return decode.identify(source.where, packets_of(packets), _units(known)).sensor
 
     def decoder(self, source: Source, packets: Bytes, known: KnownSensors, trusted: bool) -> Decoder:
-        """See `Codec`."""
         first = packets_of(packets)
         decode.check_ids(source.where, self.unit, first, trusted)
         decode.check_period(source.where, self.unit, first)
-        status, found = self.unit.packet.status, None
+        status = self.unit.packet.status
+        found = None
         if status and self.unit.name in catalogue():
             found = _embedded_calibration(source, status)
             if found is None:
@@ -112,7 +107,8 @@ def _units(known: KnownSensors) -> Sequence[Unit]:
 
 def _embedded_calibration(source: Source, status: Status) -> EmbeddedCalibration | None:
     """The calibration in the source's own packets, and the mode of single returns."""
-    found, count = [], 0
+    found = []
+    count = 0
     for octets in source.payloads(source.port, PACKET.itemsize):
         found.append(packets_of(octets[: CALIBRATION_PACKETS - count]))
         count += len(found[-1])

@@ -47,35 +47,31 @@ class VelodyneDecoder(Decoder):
     def __init__(
         self, where: str, unit: Unit, found: EmbeddedCalibration | None, known: KnownSensors, trusted: bool
     ) -> None:
-        self._where, self._known, self._trusted = where, known, trusted
+        self._where = where
+        self._known = known
+        self._trusted = trusted
         self._unit = found.unit(unit) if found else unit
         self.period_ns = self._unit.period_ns()
         self._last_only = found is not None and found.return_mode == "last"
         self._counter = PacketLossCounter(self._unit, self._last_only)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
-        """See `Decoder`."""
         return device_time_ns(packets_of(packets)["stamp_us"], host_ns)
 
     def heading_rad(self, packets: Bytes) -> Array:
-        """See `Decoder`."""
         return np.asarray(packets_of(packets)["blocks"]["azimuth"][:, 0] * RADIANS)
 
     def check(self, packets: Bytes) -> None:
-        """See `Decoder`."""
         check_ids(self._where, self._unit, packets_of(packets), self._trusted)
 
     def count(self, packets: Bytes, wanted: Flags) -> None:
-        """See `Decoder`."""
         self._counter.add(packets_of(packets), wanted)
 
     def statistics(self) -> DecodeStatistics:
-        """See `Decoder`."""
         models = alike(self._unit, [unit_of(sensor) for sensor in self._known()])
         return DecodeStatistics(models, self._counter.return_modes, self._counter.lost, self._counter.rpm)
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        """See `Decoder`."""
         found = decode(self._unit, packets_of(packets), host_ns, wanted, polar=False)
         if self._last_only:
             found.return_type[:] = 1
@@ -113,7 +109,8 @@ def decode(
 def _decode(unit: Unit, packets: Packets, host_time_ns: Times, wanted: Flags, dual: bool, polar: bool) -> Returns:
     """The same for packets that are all dual or all single."""
     facts = unit.packet
-    order, span = slots(facts, dual), unit.span(dual)
+    order = slots(facts, dual)
+    span = unit.span(dual)
     used = packets["blocks"][:, : len(order)]
     flags = np.tile(block_flags(facts, dual), len(order) // span)
     _check(used["flag"], used["flag"] == flags, f"not a packet of {unit.name}: block flag", facts.block_flags)
@@ -211,7 +208,8 @@ def returned(unit: Unit, return_mode: str, packets: Packets) -> tuple[NDArray[np
     """
     dual = return_mode == "dual"
     number = slots(unit.packet, dual)
-    order, held = np.argsort(number, axis=None), packets["blocks"]["returns"][:, : len(number)]
+    order = np.argsort(number, axis=None)
+    held = packets["blocks"]["returns"][:, : len(number)]
     distance, intensity = (
         held[key].reshape(len(packets), -1).take(order, axis=1).reshape(-1, 1 + dual)
         for key in ("distance", "intensity")
@@ -224,9 +222,11 @@ class PacketLossCounter:
 
     def __init__(self, unit: Unit, last_only: bool) -> None:
         """`last_only`: what status bytes say of single returns."""
-        self._unit, self._single = unit, "last" if last_only else "strongest"
+        self._unit = unit
+        self._single = "last" if last_only else "strongest"
         self._modes: set[str] = set()
-        self._turned, self._passed_us = 0, 0
+        self._turned = 0
+        self._passed_us = 0
         self._gaps: list[tuple[int, int]] = []  # degree before the gap, packets missing
         self._edges: Counter[int] = Counter()  # degrees where a field of view ends; two say that it does
 
@@ -238,8 +238,10 @@ class PacketLossCounter:
             self._modes |= {codes[code] for code in set(packets["return_mode"][wanted].tolist()) if code in codes}
         else:
             self._modes |= {"dual" if dual else self._single for dual in set(is_dual(facts, packets)[wanted].tolist())}
-        azimuth, stamp_us = packets["blocks"]["azimuth"].astype(np.int64), packets["stamp_us"].astype(np.int64)
-        gap_us, dual = np.diff(stamp_us) % HOUR_US, is_dual(facts, packets[:-1])
+        azimuth = packets["blocks"]["azimuth"].astype(np.int64)
+        stamp_us = packets["stamp_us"].astype(np.int64)
+        gap_us = np.diff(stamp_us) % HOUR_US
+        dual = is_dual(facts, packets[:-1])
         single_us, dual_us = (self._unit.period_ns(dual) / 1000 for dual in (False, True))
         period_us = np.where(dual, dual_us, single_us)
         gap_us = np.where(wanted[1:], gap_us, 0)

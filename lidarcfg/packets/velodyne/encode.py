@@ -50,7 +50,8 @@ def encode(
     """
     check_encodable(unit, return_mode)
     dual = return_mode == "dual"
-    number, span = slots(unit.packet, dual), unit.span(dual)
+    number = slots(unit.packet, dual)
+    span = unit.span(dual)
     stamped_ns, _ = unit.firing_schedule(dual).stamps_ns(fired)
     packets = np.zeros(len(stamped_ns), PACKET)
     blocks = packets["blocks"][:, : len(number)]
@@ -81,7 +82,8 @@ def encode(
         packets["product_id"] = unit.packet.product_id
     elif unit.packet.status:
         types, values = status_bytes(unit, unit.packet.status, return_mode, pps, stamped_ns, unit.period_ns(dual))
-        packets["return_mode"], packets["product_id"] = types, values
+        packets["return_mode"] = types
+        packets["product_id"] = values
     return packets
 
 
@@ -99,9 +101,11 @@ def packed(unit: Unit, found: Measurements) -> Packets:
     facts = unit.facts.model_copy(
         update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}
     )
-    plain, dual = Unit(unit.sensor, facts), found.return_mode == "dual"
+    plain = Unit(unit.sensor, facts)
+    dual = found.return_mode == "dual"
     packets = encode(plain, found.return_mode, found.batch.firings, found.range_m, found.reflectivity)
-    number, span = slots(unit.packet, dual), unit.span(dual)
+    number = slots(unit.packet, dual)
+    span = unit.span(dual)
     blocks = packets["blocks"][:, : len(number)]
     blocks["returns"]["intensity"] = found.reflectivity.reshape(len(packets), -1)[:, number]
     azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)

@@ -276,7 +276,8 @@ def is_dual(facts: Packet, packets: Packets) -> NDArray[np.bool_]:
     """(P,) whether each packet holds dual returns: it says so or, where it cannot, repeats its azimuths."""
     if facts.return_modes:
         return np.asarray(packets["return_mode"] == facts.return_modes.codes.get("dual", -1))
-    azimuth, groups = packets["blocks"]["azimuth"], len(facts.block_flags)
+    azimuth = packets["blocks"]["azimuth"]
+    groups = len(facts.block_flags)
     if facts.dual is None or 2 * groups >= BLOCKS:
         return np.zeros(len(packets), np.bool_)
     return np.asarray((azimuth[:, 0] == azimuth[:, groups]) & (azimuth[:, 0] != azimuth[:, 2 * groups]))
