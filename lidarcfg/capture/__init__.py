@@ -2,9 +2,11 @@
 
 To read in this order. From a capture down to its bytes: `decode` tells the story, `reader` gives the packets of each
 sensor, `sources` says whose they are, `stream` puts them in order; `pcap`, `pcapng`, `frames` and `fragments` know the
-files, `selection` leaves out what is not wanted. `scans` cuts the points into revolutions. The other way: `export` gives
-what the sensors of a rig send in a scene, `ground_truth` what each return hit, which `objects` reads again. `manifest`
-says what a capture was made of, `manifest_writer` writes that. `replay` sends a capture over the network.
+files, `selection` leaves out what is not wanted. `scans` cuts the points into revolutions.
+
+The other way: `export` gives what the sensors of a rig send in a scene, `ground_truth` what each return hit, which
+`objects` reads again. `manifest` says what a capture was made of, and `manifest_writer` writes it. `replay` sends a
+capture over the network.
 """
 
 import lazy_loader

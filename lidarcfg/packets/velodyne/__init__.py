@@ -23,8 +23,8 @@ from lidarcfg.sensors.schedule import FiringSchedule, SequenceTiming
 from lidarcfg.sensors.sensor import Sensor, catalogue
 
 if TYPE_CHECKING:
+    from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
-    from lidarcfg.world.scene import GeoOrigin
 
 __all__ = ["Facts", "Settings", "Unit", "Velodyne", "unit"]
 

@@ -41,8 +41,8 @@ from lidarcfg.sensors.sensor import Beams
 from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
+    from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
-    from lidarcfg.world.scene import GeoOrigin
 
 
 MARK = b"UNIT#"
