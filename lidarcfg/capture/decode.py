@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.capture.manifest import load_manifest, manifest_path, rig_file
+from lidarcfg.capture.manifest import load_manifest, rig_file
 from lidarcfg.capture.reader import CHUNK_PACKETS, CaptureReader
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.capture.stream import Packets, SourceStats
@@ -39,7 +39,7 @@ def decode(
     sensor's own frame. Raises PacketError, also for a capture without points, and ConfigError.
     """
     path = Path(path)
-    motion = load_manifest(path).motion(manifest_path(path)) if deskew else None
+    motion = load_manifest(path).motion() if deskew else None
     if not isinstance(rig, Rig):
         file = rig_file(path, rig)
         rig = load_rig(file) if file else None

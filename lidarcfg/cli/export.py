@@ -149,7 +149,7 @@ def export(
         check_replaceable(manifest_path(path))
 
     def save(path: Path) -> None:
-        save_manifest(path, files, mounted, world, bodies, values)
+        save_manifest(path, files, drive, values)
 
     if output.suffix == ".pcap" and name is None:
         if deskew:

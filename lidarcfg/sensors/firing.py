@@ -71,7 +71,7 @@ class Pattern:
     step_rad: float  # by which the head turns from the start of a cycle to the next one's
     laser: Times  # (F,)
     lag_rad: Array  # (F,) how far the head has turned since the cycle's start when each fires
-    decides_rad: Array  # (F,) how far, when the sensor decides whether the firing is in the field of view
+    gating_rad: Array  # (F,) how far, when the sensor decides whether the firing is in the field of view
     start_rad: float | None = None  # where the first cycle starts, if the encoder triggers it; None: anywhere
 
     def heads_rad(self, phases: int) -> Array:

@@ -105,7 +105,7 @@ def pattern(schedule: FiringSchedule, mount: Mount) -> Pattern:
         step_rad=sequences * schedule.sequence_ns * turned_rad,
         laser=np.tile(np.arange(len(schedule.offset_ns)), sequences),
         lag_rad=np.asarray(since_ns * turned_rad),
-        decides_rad=np.zeros(len(since_ns)),
+        gating_rad=np.zeros(len(since_ns)),
     )
 
 
