@@ -129,8 +129,8 @@ def _records(
     record["seconds"], record["microseconds"] = np.divmod(payloads.time_ns // 1000, 10**6)
     record["captured"] = record["length"] = out.itemsize - RECORD.itemsize
     address = socket.inet_aton(host)
-    ethernet["destination"] = _octets(payloads.network.destination_mac)
-    ethernet["source"] = _octets(payloads.network.mac_prefix) + list(address[1:])
+    ethernet["destination"] = _mac_bytes(payloads.network.destination_mac)
+    ethernet["source"] = _mac_bytes(payloads.network.mac_prefix) + list(address[1:])
     ethernet["kind"] = IPV4
     ip["version"] = 0x45
     ip["ttl"] = payloads.header.ttl
@@ -144,12 +144,12 @@ def _records(
     return list(out.view(f"V{out.itemsize}").tolist())
 
 
-def _octets(mac: str) -> list[int]:
+def _mac_bytes(mac: str) -> list[int]:
     return list(bytes.fromhex(mac.replace(":", "")))
 
 
 def _sum(parts: NDArray[Any]) -> NDArray[np.uint32]:
-    """(n,): the sum of the 16-bit words of each part (n, …); an odd octet at the end is a word's upper half."""
+    """(n,): the sum of the 16-bit words of each part (n, …); an odd byte at the end is a word's upper half."""
     content = np.ascontiguousarray(parts).view(np.uint8).reshape(len(parts), -1)
     if content.shape[1] % 2:
         content = np.pad(content, ((0, 0), (0, 1)))

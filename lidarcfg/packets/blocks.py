@@ -38,7 +38,7 @@ class Lasers(NamedTuple):
 
 def decode(
     decoder: core.VelodyneDecoder | core.RobosenseDecoder,
-    octets: Bytes,
+    data: Bytes,
     wanted: Flags,
     stamp_ns: Times,
     gap_ns: Times,
@@ -50,8 +50,8 @@ def decode(
     `gap_ns` (P - 1,) are the times between stamps (P,), and `kind` (P,) the types of single returns. Without `polar`,
     ranges and azimuths are empty.
     """
-    out = Returns.allocate(decoder.count(octets, wanted), polar)
-    return out.first(decoder.decode(octets, wanted, stamp_ns, np.append(gap_ns, 0), kind, out))
+    out = Returns.allocate(decoder.count(data, wanted), polar)
+    return out.first(decoder.decode(data, wanted, stamp_ns, np.append(gap_ns, 0), kind, out))
 
 
 def by_packet(values: NDArray[Any], packets: int, dtype: type[D]) -> NDArray[D]:

@@ -127,10 +127,10 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
         near=near[modes],
         far=far[modes],
     )
-    octets = bytes_of(packets)
+    data = bytes_of(packets)
     decoder = _decoder(unit)
-    out = Returns.allocate(decoder.count(octets, wanted), polar)
-    return out.first(decoder.decode(octets, wanted, fields, out))
+    out = Returns.allocate(decoder.count(data, wanted), polar)
+    return out.first(decoder.decode(data, wanted, fields, out))
 
 
 def check(unit: Unit, packets: Packets) -> None:
@@ -178,18 +178,18 @@ def _decoder(unit: Unit) -> core.HesaiDecoder:
     return core.HesaiDecoder(lasers)
 
 
-def return_modes(unit: Unit, octets: Bytes) -> Times:
+def return_modes(unit: Unit, data: Bytes) -> Times:
     """(P,) what packets (P, size) say of their mode, and of the unit of their distances."""
-    packets = unit.packets_of(octets)
+    packets = unit.packets_of(data)
     return np.asarray(packets["tail"]["return_mode"].astype(np.int64) << 8 | packets["header"]["unit_mm"])
 
 
-def measurements(unit: Unit, octets: Bytes, host_ns: Times) -> Measurements:
+def measurements(unit: Unit, data: Bytes, host_ns: Times) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`. Raises PacketError.
 
     Blocks are taken to hold the returns that the sensor's file says, as later firmware sends them.
     """
-    packets = unit.packets_of(octets)
+    packets = unit.packets_of(data)
     code = int(packets["tail"]["return_mode"][0])
     modes = {RETURN_MODE_CODES[name]: name for name in (*SINGLE, *(pair.mode for pair in unit.facts.packet.pairs))}
     mode = modes.get(code)

@@ -139,9 +139,9 @@ def write_checksums(packets: Packets) -> None:
     """Write the checksums of packets (P,): body, functional safety without its version, and tail."""
     fields = packets.dtype.fields
     assert fields
-    octets = bytes_of(packets)
+    data = bytes_of(packets)
     at = {key: value[1] for key, value in fields.items()}
-    packets["body_crc"] = core.crc32_mpeg2(octets, HEADER.itemsize, at["body_crc"])
+    packets["body_crc"] = core.crc32_mpeg2(data, HEADER.itemsize, at["body_crc"])
     end = at["safety"] + SAFETY.itemsize - 4
-    packets["safety"]["crc"] = core.crc32_mpeg2(octets, at["safety"] + 1, end)
-    packets["tail_crc"] = core.crc32_mpeg2(octets, at["status"], at["tail_crc"])
+    packets["safety"]["crc"] = core.crc32_mpeg2(data, at["safety"] + 1, end)
+    packets["tail_crc"] = core.crc32_mpeg2(data, at["status"], at["tail_crc"])

@@ -140,9 +140,9 @@ class Unit(SensorInstance[Facts]):
         before = np.arange(1 - self.groups(dual), 1)
         return before * self.facts.firing.period_ns + self.facts.firing.stamp_ns
 
-    def packets_of(self, octets: Bytes) -> Packets:
+    def packets_of(self, data: Bytes) -> Packets:
         """(P,) packets of (P, size) bytes, in the same memory."""
-        return np.ascontiguousarray(octets).view(self.dtype)[:, 0]
+        return np.ascontiguousarray(data).view(self.dtype)[:, 0]
 
 
 @lru_cache(64)

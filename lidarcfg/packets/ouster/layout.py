@@ -308,6 +308,6 @@ def assemble(
     return packets
 
 
-def crc64(octets: Bytes) -> NDArray[np.uint64]:
+def crc64(data: Bytes) -> NDArray[np.uint64]:
     """(P,) CRC-64/XZ of rows (P, n), n being a multiple of four, but for its last eight bytes."""
-    return core.crc64(np.ascontiguousarray(octets), octets.shape[1] - 8)
+    return core.crc64(np.ascontiguousarray(data), data.shape[1] - 8)

@@ -347,8 +347,8 @@ def legacy_imu_payloads(
         packets["acceleration_g"], packets["rate_deg_s"] = measured(mount, trajectory, _position_m(unit), time_ns)
         sent_ns = (time_ns + 500) // 1000 * 1000
         headers = unit.facts.headers
-        octets = packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
-        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
+        data = packets.view(np.uint8).reshape(len(packets), IMU_PACKET.itemsize)
+        yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.imu, first, mode.settings.fragments)
 
 
 def framed_imu_payloads(
@@ -373,14 +373,14 @@ def framed_imu_payloads(
         acceleration_g, rate_deg_s = measured(mount, trajectory, _position_m(unit), at_ns)
         values["acceleration_m_s2"] = (acceleration_g * GRAVITY_M_S2).reshape(*sample.shape, 3)
         values["rate_rad_s"] = np.radians(rate_deg_s).reshape(*sample.shape, 3)
-        octets = packets.view(np.uint8).reshape(len(packets), FRAMED_IMU_PACKET.itemsize)
-        write_packet_headers(mode.layout, octets, PacketHeaders(revolution, mode.init, mode.serial, ALERTS))
-        octets[:, 0] = FRAMED_KIND
-        packets["crc"] = crc64(octets)
+        data = packets.view(np.uint8).reshape(len(packets), FRAMED_IMU_PACKET.itemsize)
+        write_packet_headers(mode.layout, data, PacketHeaders(revolution, mode.init, mode.serial, ALERTS))
+        data[:, 0] = FRAMED_KIND
+        packets["crc"] = crc64(data)
         sent_ns = (zero_ns + (number + 1) * period_ns + 500) // 1000 * 1000
         headers = unit.facts.headers
         fragments = mode.settings.fragments
-        yield Payloads(sent_ns, octets, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
+        yield Payloads(sent_ns, data, mount.telemetry_port, headers, headers.imu, first - begin, fragments)
 
 
 def _position_m(unit: Unit) -> Array:

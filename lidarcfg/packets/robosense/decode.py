@@ -121,18 +121,18 @@ class RobosenseDecoder(Decoder):
         return decode(self._reading, packets, wanted)
 
 
-def decode(reading: Reading, octets: Bytes, wanted: Flags) -> Returns:
+def decode(reading: Reading, data: Bytes, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
-    octets = np.ascontiguousarray(octets)
-    stamp_ns = read_time_ns(packets_of(octets))
-    kind = np.full(len(octets), SINGLE_KINDS[reading.return_mode], np.uint8)
-    return blocks.decode(reading.core, octets, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
+    data = np.ascontiguousarray(data)
+    stamp_ns = read_time_ns(packets_of(data))
+    kind = np.full(len(data), SINGLE_KINDS[reading.return_mode], np.uint8)
+    return blocks.decode(reading.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
 
 
-def measurements(unit: Unit, octets: Bytes, host_ns: Times, return_mode: str) -> Measurements:
+def measurements(unit: Unit, data: Bytes, host_ns: Times, return_mode: str) -> Measurements:
     """All firings of packets (P, size) of one return mode: see `Codec.measurements`."""
     dual = return_mode == "dual"
-    packets = packets_of(octets)
+    packets = packets_of(data)
     schedule = unit.firing_schedule(dual)
     azimuth = packets["blocks"]["azimuth"]
     azimuth = azimuth[:, :: azimuth.shape[1] // (schedule.sequences // schedule.per_azimuth)].astype(np.float64)
@@ -149,13 +149,13 @@ def measurements(unit: Unit, octets: Bytes, host_ns: Times, return_mode: str) ->
     return Measurements(return_mode, batch, range_m, intensity)
 
 
-def return_modes(unit: Unit, source: Source, octets: Bytes) -> Times | None:
+def return_modes(unit: Unit, source: Source, data: Bytes) -> Times | None:
     """(P,) the codes of the modes of successive packets (P, 1248); None where no DIFOP packet says any.
 
     A mode holds from the DIFOP packet that says it. Where there are dual and single returns, each packet's own layout
     says which they are, as a mode changes before a DIFOP says so.
     """
-    packets = packets_of(octets)
+    packets = packets_of(data)
     difops = all_difops(source)
     difops = difops[np.isin(difops["return_mode"], list(NAMES))]
     if not len(difops):

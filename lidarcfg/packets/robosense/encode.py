@@ -48,10 +48,10 @@ def encode(unit: Unit, dual: bool, batch: Batch, range_m: Array, reflectivity: B
     return packets
 
 
-def sent(unit: Unit, dual: bool, octets: Bytes) -> Flags:
+def sent(unit: Unit, dual: bool, data: Bytes) -> Flags:
     """(N, 1) or (N, 2): which are returns in the packets; of two equal ones, only the first."""
     at = byte_offsets(unit, dual)
-    high, low, intensity = (octets[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
+    high, low, intensity = (data[:, at + byte].reshape(-1, 1 + dual) for byte in range(3))
     found: Flags = (high | low) != 0
     if dual:
         found[:, 1] &= (high[:, 0] != high[:, 1]) | (low[:, 0] != low[:, 1]) | (intensity[:, 0] != intensity[:, 1])

@@ -51,9 +51,9 @@ DIFOP = np.dtype(
 Packets = NDArray[np.void]
 
 
-def packets_of(octets: Bytes) -> Packets:
+def packets_of(data: Bytes) -> Packets:
     """(P,) MSOP packets of (P, 1248) bytes, in the same memory."""
-    return np.ascontiguousarray(octets).view(MSOP)[:, 0]
+    return np.ascontiguousarray(data).view(MSOP)[:, 0]
 
 
 def bytes_of(packets: Packets) -> Bytes:

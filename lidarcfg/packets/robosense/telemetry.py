@@ -56,8 +56,8 @@ def difop_payloads(unit: Unit, mount: Mount, start_ns: int, duration_ns: int) ->
 
 def difop_packets(unit: Unit, mount: Mount, times_ns: np.ndarray) -> Packets:
     """The DIFOP packets (n,) of these times (n,). Raises ConfigError for angles that they cannot hold."""
-    octets = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
-    packets: Packets = octets.view(DIFOP)[:, 0]
+    data = np.full((len(times_ns), SIZE), UNUSED, np.uint8)
+    packets: Packets = data.view(DIFOP)[:, 0]
     headers = unit.facts.headers
     host = [int(part) for part in mount.host.split(".")]
     packets["id"] = DIFOP_ID
@@ -102,8 +102,8 @@ def find_difop(source: Source) -> Difop | None:
     """The DIFOP packet of a source near the capture's start; of several LiDARs behind a host, by the port."""
     others: list[Packets] = []
     seen = 0
-    for octets in source.payloads(None, SIZE):
-        said = octets[: SEARCHED - seen]
+    for data in source.payloads(None, SIZE):
+        said = data[: SEARCHED - seen]
         seen += len(said)
         found = np.ascontiguousarray(said[(said[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(DIFOP)[:, 0]
         mine = found[found["msop_port"][:, 0] == source.port]
@@ -119,7 +119,7 @@ def find_difop(source: Source) -> Difop | None:
 
 def all_difops(source: Source) -> Packets:
     """All DIFOP packets of a source in a capture, in their order."""
-    found = [octets[(octets[:, :8] == list(DIFOP_ID)).all(axis=1)] for octets in source.payloads(None, SIZE)]
+    found = [data[(data[:, :8] == list(DIFOP_ID)).all(axis=1)] for data in source.payloads(None, SIZE)]
     said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
     mine: Packets = said[said["msop_port"][:, 0] == source.port]
     if len(mine):

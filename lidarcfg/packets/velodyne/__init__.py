@@ -109,8 +109,8 @@ def _embedded_calibration(source: Source, status: Status) -> EmbeddedCalibration
     """The calibration in the source's own packets, and the mode of single returns."""
     found = []
     count = 0
-    for octets in source.payloads(source.port, PACKET.itemsize):
-        found.append(packets_of(octets[: CALIBRATION_PACKETS - count]))
+    for data in source.payloads(source.port, PACKET.itemsize):
+        found.append(packets_of(data[: CALIBRATION_PACKETS - count]))
         count += len(found[-1])
         if count == CALIBRATION_PACKETS:
             break

@@ -60,9 +60,9 @@ def encode(
     number = number.ravel()
     laser = number // (1 + dual) % unit.count
     limits = _limits(unit)
-    octets = bytes_of(packets)
+    data = bytes_of(packets)
     measured = by_packet(range_m, len(packets), np.float64), by_packet(reflectivity, len(packets), np.uint8)
-    core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, octets)
+    core.write_velodyne_returns(*measured, number, unit.distance_offset_m[laser], limits, data)
     if unit.near_offset_m is not None:
         sensor = unit.sensor
         lasers = NearLasers(
@@ -73,9 +73,9 @@ def encode(
             near_offset=unit.near_offset_m,
         )
         azimuth = by_packet(fired.encoder_rad, len(packets), np.float64)
-        core.write_velodyne_near_returns(*measured, azimuth, number, laser, lasers, limits, octets)
+        core.write_velodyne_near_returns(*measured, azimuth, number, laser, lasers, limits, data)
     if unit.focal is not None:
-        core.uncorrect_velodyne_intensities(laser, unit.focal, octets)
+        core.uncorrect_velodyne_intensities(laser, unit.focal, data)
     packets["stamp_us"] = stamp_us(stamped_ns)
     if unit.packet.return_modes:
         packets["return_mode"] = unit.packet.return_modes.codes[return_mode]

@@ -36,9 +36,9 @@ PPS_STATES: tuple[PpsState, ...] = ("absent", "synchronising", "locked", "error"
 Packets = NDArray[np.void]
 
 
-def packets_of(octets: Bytes) -> Packets:
+def packets_of(data: Bytes) -> Packets:
     """(P,) packets of (P, 1206) bytes, in the same memory."""
-    return np.ascontiguousarray(octets).view(PACKET)[:, 0]
+    return np.ascontiguousarray(data).view(PACKET)[:, 0]
 
 
 def bytes_of(packets: NDArray[np.void]) -> Bytes:

@@ -131,7 +131,7 @@ def test_every_layout_is_the_twins(sensor, mode):
     st.binary(min_size=1, max_size=40),
 )
 def test_frames_are_the_twins(name, position, host, port, number, time_us, payload):
-    """Lengths, checksums and ids, whatever is sent; an odd octet at the end is summed too."""
+    """Lengths, checksums and ids, whatever is sent; an odd byte at the end is summed too."""
     headers = facts(load_sensor(name)).headers
     header = headers.position if position and headers.position else headers.data
     octets = np.frombuffer(payload, np.uint8)[None]
