@@ -72,7 +72,7 @@ class Datagrams:
         steps = np.diff(self.start)
         if len(steps) and steps[0] >= size and (steps == steps[0]).all():
             return np.ndarray((len(self.start), size), np.uint8, self.data, int(self.start[0]), (int(steps[0]), 1))
-        return gathered(self.data, self.start, np.dtype((np.void, size))).view(np.uint8).reshape(len(self.start), size)
+        return gather(self.data, self.start, np.dtype((np.void, size))).view(np.uint8).reshape(len(self.start), size)
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _checksum(total: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return 0xFFFF - total
 
 
-def gathered(data: Bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+def gather(data: Bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
     """(N,) of a dtype, from the bytes that start at these places."""
     kind = np.dtype((np.void, dtype.itemsize))  # copied whole, not field by field
     everywhere = np.ndarray(max(len(data) - dtype.itemsize + 1, 0), kind, data, strides=(1,))
@@ -202,21 +202,21 @@ def ip_packets(piece: Piece) -> IpPackets:
     keep(left >= IP.itemsize)
     if kind is not None:
         for _ in range(TAGS_MAX):
-            tagged = np.isin(gathered(data, ip - (at - kind), WORD), VLAN)
+            tagged = np.isin(gather(data, ip - (at - kind), WORD), VLAN)
             if not tagged.any():
                 break
             ip = ip + 4 * tagged
             left = left - 4 * tagged
             keep(left >= IP.itemsize)
-        keep(gathered(data, ip - (at - kind), WORD) == IPV4)
-    head = gathered(data, ip, IP)
+        keep(gather(data, ip - (at - kind), WORD) == IPV4)
+    head = gather(data, ip, IP)
     length = (head["version"] & 15).astype(np.int64) * 4
     good = (head["version"] >> 4 == 4) & (head["protocol"] == socket.IPPROTO_UDP) & (length >= IP.itemsize)
     end = np.where(head["length"] > 0, np.minimum(head["length"], left), left)
     part = head["flags"] & (MORE_FRAGMENTS | FRAGMENT_OFFSET) != 0
     whole = good & ~part & (left >= length + UDP.itemsize)
     cut = whole.copy()  # by UDP's length: IP's is wrong in position packets of 2014
-    cut[whole] = gathered(data, (ip + length)[whole], UDP)["length"] > (left - length)[whole]
+    cut[whole] = gather(data, (ip + length)[whole], UDP)["length"] > (left - length)[whole]
     return IpPackets(which, ip, head, length, end, whole & ~cut, part & good & (end > length), int(cut.sum()))
 
 
@@ -234,7 +234,7 @@ def datagrams(piece: Piece, reassembly: Reassembly) -> Datagrams:
 def _whole(
     piece: Piece, which: NDArray[Any], ip: NDArray[Any], head: NDArray[Any], length: NDArray[Any], end: NDArray[Any]
 ) -> Datagrams:
-    ports = gathered(piece.data, ip + length, UDP)
+    ports = gather(piece.data, ip + length, UDP)
     return Datagrams(
         time_ns=piece.time_ns[which],
         host=np.ascontiguousarray(head["source"]).view(">u4")[:, 0].astype(np.uint32),
@@ -280,7 +280,7 @@ def _with_fragments(
     starts = np.concatenate([start[in_runs], whole.start - UDP.itemsize])
     data = _joined(b"".join(late.values()), piece.data, starts, np.concatenate([size[in_runs], lengths[1]]))
     begins = np.cumsum(sizes) - sizes
-    ports = gathered(data, begins, UDP)
+    ports = gather(data, begins, UDP)
     at = np.concatenate([frame[made], whole_at])
     together = Datagrams(
         time_ns=piece.time_ns[at],
@@ -305,7 +305,7 @@ def _joined(begin: bytes, data: Bytes, start: NDArray[np.int64], size: NDArray[n
         everywhere = np.ndarray(len(out) - one + 1, kind, out, strides=(1,))
         for first in range(0, len(rows), ROWS):  # few enough to stay in the core's cache
             some = rows[first : first + ROWS]
-            everywhere[ends[some] - one] = gathered(data, start[some], kind)
+            everywhere[ends[some] - one] = gather(data, start[some], kind)
     return out
 
 

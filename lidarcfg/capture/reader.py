@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.capture.frames import Datagrams
-from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, around, window_ns
+from lidarcfg.capture.selection import ALL, ALWAYS_NS, Selection, read_window, window_ns
 from lidarcfg.capture.sources import Sources, endpoint_name
 from lidarcfg.capture.stream import ENOUGH, Packets, Sender, SourceStats, Stream
 from lidarcfg.errors import ConfigError, PacketError
@@ -108,7 +108,7 @@ class CaptureReader:
         return Recording(name, self._sources.source(key), sensor, packets, host_ns)
 
     def _datagrams(self) -> Iterator[Datagrams]:
-        return around(self._path, self._on_warning, self._window_ns)
+        return read_window(self._path, self._on_warning, self._window_ns)
 
     @property
     def _selected(self) -> list[Stream]:
@@ -134,7 +134,7 @@ class CaptureReader:
         if self._rig and mount is None and not self._selection.sensors:
             has = ", ".join(f"{mount.host}:{mount.data_port}" for mount in self._rig.mounts)
             raise PacketError(f"{self._path}: {name} is not in the rig {self._rig.name!r}; it has {has}")
-        if not self._selection.takes(name, mount.name if mount else name):
+        if not self._selection.includes(name, mount.name if mount else name):
             return None
         if mount is None:
             index = len(self._sensor_names)

@@ -79,7 +79,7 @@ class Source:
             rpm=RPM,
             return_mode=self.found.return_mode,  # type: ignore[arg-type]  # a text that was checked when it was read
         )
-        return codec(sensor).packed(mount, self.found)
+        return codec(sensor).encode_measurements(mount, self.found)
 
 
 def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWarning) -> Counted:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.fragments import Reassembly
 from lidarcfg.capture.frames import IP, UDP, fragment, ip_packets
-from lidarcfg.capture.pcap import whole_capture
+from lidarcfg.capture.pcap import frames_in_memory
 from lidarcfg.errors import CloudError, PacketError
 from lidarcfg.geometry import Bytes, Times
 from lidarcfg.inputs import check_memory, check_regular, read_regular
@@ -146,7 +146,7 @@ def read_records(path: Path) -> Records:
 
 def _rows(data: bytes, name: str) -> Iterator[tuple[int, int, int, int, bool, Any]]:
     """Host time and `IpPackets`' columns of each UDP datagram, or fragment of one."""
-    for piece in whole_capture(data, name):
+    for piece in frames_in_memory(data, name):
         found = ip_packets(piece)
         keep = found.whole | found.part
         columns = (piece.time_ns[found.which], found.ip, found.length, found.end, found.part)

@@ -206,13 +206,13 @@ class Codec(Timing, Protocol):
         return np.zeros(len(packets), np.int64)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """The contents of packets (P, size) of one source and one number of `return_modes`; `packed` is the inverse.
+        """The contents of packets (P, size) of one source and one number of `return_modes`; `encode_measurements` is the inverse.
 
         Raises PacketError; ConfigError if the family cannot do this.
         """
         raise ConfigError(f"the packets of {type(self).__name__} cannot be converted to firings")
 
-    def packed(self, mount: Mount, found: Measurements) -> Bytes:
+    def encode_measurements(self, mount: Mount, found: Measurements) -> Bytes:
         """(P, size) the packets with these contents."""
         return self.encode(mount, found.batch, found.range_m, found.reflectivity).data
 

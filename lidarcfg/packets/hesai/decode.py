@@ -135,9 +135,9 @@ def decode(unit: Unit, packets: Packets, wanted: Flags | None = None, polar: boo
 
 def check(unit: Unit, packets: Packets) -> None:
     """Raises PacketError for packets that are not this model's, or are invalid."""
-    for wrong, said, describe in _mistakes(unit, packets):
+    for wrong, value, describe in _mistakes(unit, packets):
         if wrong.any():
-            raise PacketError(describe(int(said[wrong][0])))
+            raise PacketError(describe(int(value[wrong][0])))
 
 
 def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.integer], Callable[[int], str]]]:
@@ -154,12 +154,12 @@ def _mistakes(unit: Unit, packets: Packets) -> Iterator[tuple[Flags, NDArray[np.
         yield header[key] != right, header[key], partial(_other, name, key, right)
     mode = packets["tail"]["return_mode"]
     allowed = ", ".join(f"0x{code:02X} {name}" for code, name in MODES.items())
-    yield ~np.isin(mode, list(MODES)), mode, lambda said: f"{name}: return mode 0x{said:02X}; read are {allowed}"
-    yield header["unit_mm"] == 0, header["unit_mm"], lambda said: f"{name}: a distance unit of {said} mm"
+    yield ~np.isin(mode, list(MODES)), mode, lambda value: f"{name}: return mode 0x{value:02X}; read are {allowed}"
+    yield header["unit_mm"] == 0, header["unit_mm"], lambda value: f"{name}: a distance unit of {value} mm"
 
 
-def _other(name: str, key: str, right: int, said: int) -> str:
-    return f"not a packet of {name}: {key} {said}; allowed: {right}"
+def _other(name: str, key: str, right: int, value: int) -> str:
+    return f"not a packet of {name}: {key} {value}; allowed: {right}"
 
 
 @lru_cache
@@ -270,8 +270,8 @@ def identify(where: str, packets: Bytes, known: Sequence[Unit]) -> Unit:
     size = packets.shape[1]
     for unit in known:
         facts = unit.facts.packet
-        said = (protocol, int(header["lasers"]), int(header["blocks"]), size)
-        if said == (facts.protocol, unit.count, facts.blocks, unit.dtype.itemsize):
+        layout = (protocol, int(header["lasers"]), int(header["blocks"]), size)
+        if layout == (facts.protocol, unit.count, facts.blocks, unit.dtype.itemsize):
             return unit
     names = ", ".join(
         f"{unit.name} ({unit.facts.packet.protocol}, {unit.count}, {unit.facts.packet.blocks}, {unit.dtype.itemsize})"

@@ -95,7 +95,7 @@ def sent(mode: Mode, packets: Bytes) -> Flags:
     return np.stack([found[name].ravel() > 0 for name in ranges], axis=-1)
 
 
-def packed(found: Measurements) -> Bytes:
+def encode_measurements(found: Measurements) -> Bytes:
     """(P, size): packets of measurements, as `decode.measurements` has them of recordings. Raises PacketError."""
     facts = _facts(found)
     layout = Layout(**facts["layout"])

@@ -99,30 +99,30 @@ class Metadata:
 def read_metadata(name: str, content: bytes) -> Metadata | None:
     """The metadata in a file called `name`; None if it is another kind of JSON. Raises PacketError if it is damaged."""
     try:
-        said = json.loads(content)
+        metadata = json.loads(content)
     except (ValueError, RecursionError):
-        said = None
-    if not isinstance(said, dict) or not ({"beam_intrinsics", "beam_altitude_angles"} & said.keys()):
+        metadata = None
+    if not isinstance(metadata, dict) or not ({"beam_intrinsics", "beam_altitude_angles"} & metadata.keys()):
         return None
     try:
-        return _read(name, _flat(said))
+        return _read(name, _flat(metadata))
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise PacketError(f"{name}: not the metadata of an Ouster: {what}") from None
 
 
-def _flat(said: dict[str, Any]) -> dict[str, Any]:
+def _flat(metadata: dict[str, Any]) -> dict[str, Any]:
     """The keys of all parts in one flat map, as firmware before 3 writes them."""
-    flat = dict(said)
+    flat = dict(metadata)
     for part in ("beam_intrinsics", "lidar_intrinsics", "sensor_info", "config_params"):
-        flat |= said.get(part, {})
-    flat["data_format"] = said["data_format"] if "data_format" in said else said["lidar_data_format"]
+        flat |= metadata.get(part, {})
+    flat["data_format"] = metadata["data_format"] if "data_format" in metadata else metadata["lidar_data_format"]
     return flat
 
 
-def _read(name: str, said: dict[str, Any]) -> Metadata:
-    form = said["data_format"]
-    elevation, azimuth = (_numbers(said, key) for key in ("beam_altitude_angles", "beam_azimuth_angles"))
+def _read(name: str, metadata: dict[str, Any]) -> Metadata:
+    form = metadata["data_format"]
+    elevation, azimuth = (_numbers(metadata, key) for key in ("beam_altitude_angles", "beam_azimuth_angles"))
     pixels = _whole(form, "pixels_per_column", 1, LASERS_MAX)
     if not len(elevation) == len(azimuth) == pixels:
         raise ValueError(f"{pixels} pixels a column, {len(elevation)} altitude and {len(azimuth)} azimuth angles")
@@ -138,16 +138,16 @@ def _read(name: str, said: dict[str, Any]) -> Metadata:
     first, last = (int(column) for column in form.get("column_window", (0, count - 1)))
     if not (0 <= first < count and 0 <= last < count):
         raise ValueError(f"column_window {first}, {last} is outside of {count} columns")
-    if "beam_to_lidar_transform" in said:
-        to_lidar = _matrix(said, "beam_to_lidar_transform")
+    if "beam_to_lidar_transform" in metadata:
+        to_lidar = _matrix(metadata, "beam_to_lidar_transform")
         start_mm = float(to_lidar[0, 3]), float(to_lidar[2, 3])
     else:
-        start_mm = float(said["lidar_origin_to_beam_origin_mm"]), 0.0
-    to_sensor = _matrix(said, "lidar_to_sensor_transform")
+        start_mm = float(metadata["lidar_origin_to_beam_origin_mm"]), 0.0
+    to_sensor = _matrix(metadata, "lidar_to_sensor_transform")
     to_sensor[:3, 3] /= 1000
     if not (np.isfinite(start_mm).all() and math.hypot(*start_mm) < 1e6):
         raise ValueError(f"beams start at {start_mm} mm")
-    port = said.get("udp_port_lidar")
+    port = metadata.get("udp_port_lidar")
     return Metadata(
         name=name,
         layout=Layout(profile, pixels, count, per_packet),
@@ -156,30 +156,30 @@ def _read(name: str, said: dict[str, Any]) -> Metadata:
         azimuth_rad=np.radians(azimuth),
         start_m=(start_mm[0] / 1000, start_mm[1] / 1000),
         T_sensor_lidar=to_sensor,
-        line=str(said.get("prod_line", "")),
-        serial=int(said.get("prod_sn") or 0),
-        init=int(said.get("initialization_id") or 0),
+        line=str(metadata.get("prod_line", "")),
+        serial=int(metadata.get("prod_sn") or 0),
+        init=int(metadata.get("initialization_id") or 0),
         port=int(port) if port else None,
-        nearest_first=said.get("return_order") == "NEAREST_TO_FARTHEST",
+        nearest_first=metadata.get("return_order") == "NEAREST_TO_FARTHEST",
     )
 
 
-def _numbers(said: dict[str, Any], key: str) -> Array:
-    found = np.array(said[key], np.float64)
+def _numbers(metadata: dict[str, Any], key: str) -> Array:
+    found = np.array(metadata[key], np.float64)
     if found.ndim != 1 or not (abs(found) <= 360).all():
         raise ValueError(f"{key} is no list of angles")
     return found
 
 
-def _matrix(said: dict[str, Any], key: str) -> Array:
-    found = np.array(said[key], np.float64)
+def _matrix(metadata: dict[str, Any], key: str) -> Array:
+    found = np.array(metadata[key], np.float64)
     if found.size != 16 or not (abs(found) < 1e9).all():
         raise ValueError(f"{key} is no 4 x 4 matrix")
     return found.reshape(4, 4)
 
 
-def _whole(said: dict[str, Any], key: str, least: int, most: int) -> int:
-    value = said[key]
+def _whole(metadata: dict[str, Any], key: str, least: int, most: int) -> int:
+    value = metadata[key]
     if not isinstance(value, int) or not least <= value <= most:
         raise ValueError(f"{key} is {value!r}; allowed: {least} to {most}")
     return value
@@ -220,8 +220,8 @@ def find_metadata(source: Source, packets: Bytes) -> Metadata:
     same = [one for one in fit if one.layout.legacy or not one.serial or _serial(one, packets) == one.serial]
     if not same:
         serials = ", ".join(f"{one.name} is of {one.line} {one.serial}" for one in beside)
-        said = f"{_serial(fit[0], packets)}" if fit else "another profile"
-        raise PacketError(f"{source.where}: its packets are of {said}; {serials}")
+        other = f"{_serial(fit[0], packets)}" if fit else "another profile"
+        raise PacketError(f"{source.where}: its packets are of {other}; {serials}")
     first = same[0]
     if any(not _alike(first, one) for one in same[1:]):
         names = ", ".join(one.name for one in same)
@@ -263,7 +263,7 @@ def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
     firmware = mode.settings.firmware
     ahead_mm, up_mm = unit.start_mm
     azimuth_deg = beams.azimuth_offset_deg or (0.0,) * unit.sensor.count
-    said: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "beam_intrinsics": {
             "beam_altitude_angles": list(beams.elevation_deg),
             "beam_azimuth_angles": list(azimuth_deg),
@@ -295,11 +295,11 @@ def metadata_file(unit: Unit, mode: Mode, mount: Mount) -> bytes:
         },
     }
     if mode.settings.imu_profile != "LEGACY":
-        said["imu_data_format"] = {
+        metadata["imu_data_format"] = {
             "imu_measurements_per_packet": IMU_MEASUREMENTS,
             "imu_packets_per_frame": mode.imu_packets,
         }
-    return (json.dumps(said, indent=2) + "\n").encode()
+    return (json.dumps(metadata, indent=2) + "\n").encode()
 
 
 def _config(unit: Unit, mode: Mode, mount: Mount) -> dict[str, Any]:

@@ -74,8 +74,9 @@ class Robosense(SequenceTiming, Codec):
         found = decode.return_modes(self.unit, source, packets)
         if found is not None:
             return found
-        read = decode.reading(self.unit, source, decode.undamaged(packets_of(packets)), telemetry.find_difop(source))
-        return np.full(len(packets), MODES[read.return_mode], np.int64)
+        first = decode.undamaged(packets_of(packets))
+        tables = decode.decode_tables(self.unit, source, first, telemetry.find_difop(source))
+        return np.full(len(packets), MODES[tables.return_mode], np.int64)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
         return decode.measurements(self.unit, packets, host_ns, decode.NAMES[mode])
@@ -96,6 +97,5 @@ class Robosense(SequenceTiming, Codec):
         decode.check_msop(source.where, first)
         if trusted:
             decode.check_model(source.where, self.unit, first, difop)
-        return decode.RobosenseDecoder(
-            source, decode.reading(self.unit, source, first, difop), difop is None or difop.full_fov
-        )
+        tables = decode.decode_tables(self.unit, source, first, difop)
+        return decode.RobosenseDecoder(source, tables, difop is None or difop.full_fov)

@@ -38,7 +38,7 @@ DUAL = MODES["dual"]
 
 
 @dataclass(frozen=True)
-class Reading:
+class DecodeTables:
     """The tables by which the packets of a source are decoded."""
 
     unit: Unit
@@ -72,29 +72,29 @@ class Reading:
         return core.RobosenseDecoder(slots(unit, self.dual), lasers, schedule.period_ns, group_ns, unit.resolution_m)
 
 
-def reading(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> Reading:
+def decode_tables(unit: Unit, source: Source, first: Packets, difop: Difop | None) -> DecodeTables:
     """With the DIFOP packet's angles; else the file's, if these packets (P,) are of that very model."""
     mode = difop.return_mode if difop else ""
     mode = mode or ("dual" if is_dual(unit, first) else "strongest")
     count = unit.count
     sensor = unit.sensor
     if difop and difop.lasers >= count:
-        return Reading(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
+        return DecodeTables(unit, difop.elevation_rad[:count], difop.azimuth_offset_rad[:count], mode)
     missing = "its DIFOP has no angles" if difop else "no DIFOP near its start"
     model = int(first["model"][0])
     if model in unit.facts.packet.other_models:
         raise PacketError(f"{source.where}: {missing}, and those of model 0x{model:02X} are not {sensor.name}'s")
     source.on_warning(f"{source.where}: {missing}; those of {sensor.name}'s file are taken")
-    return Reading(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
+    return DecodeTables(unit, sensor.elevation_rad, sensor.azimuth_offset_rad, mode)
 
 
 class RobosenseDecoder(Decoder):
     """Decodes the packets of one RoboSense sensor."""
 
-    def __init__(self, source: Source, reading: Reading, full_fov: bool) -> None:
+    def __init__(self, source: Source, tables: DecodeTables, full_fov: bool) -> None:
         self._where = source.where
-        self._reading = reading
-        self.period_ns = reading.unit.firing_schedule(reading.dual).period_ns
+        self._tables = tables
+        self.period_ns = tables.unit.firing_schedule(tables.dual).period_ns
         self._counter = PacketLossCounter(self.period_ns, full_fov)
 
     def time_ns(self, packets: Bytes, host_ns: Times) -> Times:
@@ -114,19 +114,19 @@ class RobosenseDecoder(Decoder):
 
     def statistics(self) -> DecodeStatistics:
         return DecodeStatistics(
-            (self._reading.unit.name,), (self._reading.return_mode,), self._counter.lost, self._counter.rpm
+            (self._tables.unit.name,), (self._tables.return_mode,), self._counter.lost, self._counter.rpm
         )
 
     def decode(self, packets: Bytes, host_ns: Times, wanted: Flags) -> Returns:
-        return decode(self._reading, packets, wanted)
+        return decode(self._tables, packets, wanted)
 
 
-def decode(reading: Reading, data: Bytes, wanted: Flags) -> Returns:
+def decode(tables: DecodeTables, data: Bytes, wanted: Flags) -> Returns:
     """The returns of the wanted ones (P,) of successive packets (P, 1248); the others only give the head's motion."""
     data = np.ascontiguousarray(data)
     stamp_ns = read_time_ns(packets_of(data))
-    kind = np.full(len(data), SINGLE_KINDS[reading.return_mode], np.uint8)
-    return blocks.decode(reading.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
+    kind = np.full(len(data), SINGLE_KINDS[tables.return_mode], np.uint8)
+    return blocks.decode(tables.core, data, wanted, stamp_ns, np.diff(stamp_ns), kind, polar=False)
 
 
 def measurements(unit: Unit, data: Bytes, host_ns: Times, return_mode: str) -> Measurements:
@@ -161,18 +161,18 @@ def return_modes(unit: Unit, source: Source, data: Bytes) -> Times | None:
     if not len(difops):
         return None
     at = read_time_ns(packets)
-    said_ns = read_time_ns(difops)
+    difop_ns = read_time_ns(difops)
     codes = difops["return_mode"].astype(np.int64)
     if not ((codes == DUAL).any() and (codes != DUAL).any()):
-        return _latest(at, said_ns, codes)
+        return _latest(at, difop_ns, codes)
     single = codes != DUAL
-    return np.where(_dual(unit, packets), DUAL, _latest(at, said_ns[single], codes[single]))
+    return np.where(_dual(unit, packets), DUAL, _latest(at, difop_ns[single], codes[single]))
 
 
-def _latest(at: Times, said_ns: Times, codes: Times) -> Times:
+def _latest(at: Times, difop_ns: Times, codes: Times) -> Times:
     """(P,) the latest value at these times (P,); before the first value, that one."""
-    order = np.argsort(said_ns, kind="stable")
-    last = np.searchsorted(said_ns[order], at, side="right") - 1
+    order = np.argsort(difop_ns, kind="stable")
+    last = np.searchsorted(difop_ns[order], at, side="right") - 1
     return codes[order][np.maximum(last, 0)]
 
 
@@ -249,10 +249,10 @@ def check_msop(where: str, packets: Packets) -> None:
     wrong = packets["id"] != MSOP_ID
     if wrong.any():
         raise PacketError(f"{where} sends packets that begin with {packets['id'][wrong][0].hex()}, not {MSOP_ID.hex()}")
-    for what, said in (("LiDAR type", lidar_type(packets)), ("model", packets["model"])):
-        if (said != said[0]).any():
-            other = said[said != said[0]][0]
-            raise PacketError(f"{where} sends {what} 0x{said[0]:02X} and 0x{other:02X}: two sensors on one port")
+    for what, values in (("LiDAR type", lidar_type(packets)), ("model", packets["model"])):
+        if (values != values[0]).any():
+            other = values[values != values[0]][0]
+            raise PacketError(f"{where} sends {what} 0x{values[0]:02X} and 0x{other:02X}: two sensors on one port")
     if lidar_type(packets)[0] != HELIOS:
         raise PacketError(f"{where} sends the LiDAR type 0x{lidar_type(packets)[0]:02X}; known: 0x{HELIOS:02X} Helios")
     ids = packets["blocks"]["id"]

@@ -103,9 +103,9 @@ def find_difop(source: Source) -> Difop | None:
     others: list[Packets] = []
     seen = 0
     for data in source.payloads(None, SIZE):
-        said = data[: SEARCHED - seen]
-        seen += len(said)
-        found = np.ascontiguousarray(said[(said[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(DIFOP)[:, 0]
+        rows = data[: SEARCHED - seen]
+        seen += len(rows)
+        found = np.ascontiguousarray(rows[(rows[:, :8] == list(DIFOP_ID)).all(axis=1)]).view(DIFOP)[:, 0]
         mine = found[found["msop_port"][:, 0] == source.port]
         if len(mine):
             return _read(mine[:1])
@@ -120,11 +120,11 @@ def find_difop(source: Source) -> Difop | None:
 def all_difops(source: Source) -> Packets:
     """All DIFOP packets of a source in a capture, in their order."""
     found = [data[(data[:, :8] == list(DIFOP_ID)).all(axis=1)] for data in source.payloads(None, SIZE)]
-    said: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
-    mine: Packets = said[said["msop_port"][:, 0] == source.port]
+    difops: Packets = np.concatenate([np.empty((0, SIZE), np.uint8), *found]).view(DIFOP)[:, 0]
+    mine: Packets = difops[difops["msop_port"][:, 0] == source.port]
     if len(mine):
         return mine
-    return said if len(np.unique(said["serial"], axis=0)) == 1 else said[:0]
+    return difops if len(np.unique(difops["serial"], axis=0)) == 1 else difops[:0]
 
 
 def _read(packet: Packets) -> Difop:

@@ -96,7 +96,7 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     return found
 
 
-def packed(unit: Unit, found: Measurements) -> Packets:
+def encode_measurements(unit: Unit, found: Measurements) -> Packets:
     """Packets (P,) of measurements, as `measurements` has them of recordings."""
     facts = unit.facts.model_copy(
         update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}

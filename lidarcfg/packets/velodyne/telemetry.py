@@ -100,7 +100,7 @@ class EmbeddedCalibration:
     return_mode: str  # of single returns
 
     def unit(self, example: Unit) -> Unit:
-        """The example unit with what is carried in place of its own."""
+        """The example unit with the calibration from the packets in place of its own."""
         sensor = example.sensor.model_copy(update={"beams": self.beams})
         return Unit(sensor, example.facts.model_copy(update={"calibration": self.calibration}))
 
