@@ -169,7 +169,7 @@ class Codec(Timing, Protocol):
         """(N, R) which ranges are returns in the packets; of an identical pair, only the first."""
 
     def return_types(self, mount: Mount, range_m: Array, reflectivity: Bytes) -> Bytes:
-        """(N, R) the types of the encoded returns, as far as packets distinguish them: see `Returns`.
+        """(N, R) the types of the encoded returns, as far as packets distinguish them.
 
         The second strongest of a pair counts as its strongest.
         """
@@ -206,15 +206,15 @@ class Codec(Timing, Protocol):
         return np.zeros(len(packets), np.int64)
 
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
-        """The contents of packets (P, size) of one source and one number of `return_modes`; `encode_measurements` is the inverse.
+        """The contents of packets (P, size) of one source and one number of `return_modes`.
 
-        Raises PacketError; ConfigError if the family cannot do this.
+        `encode_measurements` is the inverse. Raises PacketError; ConfigError if the family cannot do this.
         """
         raise ConfigError(f"the packets of {type(self).__name__} cannot be converted to firings")
 
-    def encode_measurements(self, mount: Mount, found: Measurements) -> Bytes:
+    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
         """(P, size) the packets with these contents."""
-        return self.encode(mount, found.batch, found.range_m, found.reflectivity).data
+        return self.encode(mount, measured.batch, measured.range_m, measured.reflectivity).data
 
     # for reports and placement
 

@@ -82,8 +82,8 @@ class Ouster(Codec):
         """The layout is the metadata's."""
         return decode.measurements(telemetry.find_metadata(source, packets).layout, packets, host_ns)
 
-    def encode_measurements(self, mount: Mount, found: Measurements) -> Bytes:
-        return encode.encode_measurements(found)
+    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
+        return encode.encode_measurements(measured)
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:

@@ -95,26 +95,26 @@ def sent(mode: Mode, packets: Bytes) -> Flags:
     return np.stack([found[name].ravel() > 0 for name in ranges], axis=-1)
 
 
-def encode_measurements(found: Measurements) -> Bytes:
+def encode_measurements(measured: Measurements) -> Bytes:
     """(P, size): packets of measurements, as `decode.measurements` has them of recordings. Raises PacketError."""
-    facts = _facts(found)
+    facts = _facts(measured)
     layout = Layout(**facts["layout"])
-    more = found.more
+    more = measured.more
     shape = more["measurement"].shape
-    if len(found.range_m) != more["valid"].size * layout.pixels or shape[1:] != (layout.columns_per_packet,):
+    if len(measured.range_m) != more["valid"].size * layout.pixels or shape[1:] != (layout.columns_per_packet,):
         raise PacketError("an Ouster's columns and pixels do not belong together")
     given = {}
     for name, field in layout.profile.fields.items():
         kind = name.rstrip("2")
         slot = int(name.endswith("2"))
         if kind == "range":
-            millimetres = np.nan_to_num(np.rint(found.range_m[:, slot] * 1000), posinf=0)
+            millimetres = np.nan_to_num(np.rint(measured.range_m[:, slot] * 1000), posinf=0)
             most = field.most << field.dropped
             given[name] = np.where(millimetres <= most, millimetres, 0)
         else:
-            given[name] = found.reflectivity[:, slot] if kind == "reflectivity" else more[name]
-    time_ns = found.batch.firings.time_ns[:: layout.pixels].reshape(shape)
-    headers = PacketHeaders(frame=found.batch.number, **facts["heads"])
+            given[name] = measured.reflectivity[:, slot] if kind == "reflectivity" else more[name]
+    time_ns = measured.batch.firings.time_ns[:: layout.pixels].reshape(shape)
+    headers = PacketHeaders(frame=measured.batch.number, **facts["heads"])
     columns = ColumnHeaders(time_ns, more["measurement"], more["valid"])
     return pack(layout, headers, columns, given, facts["footer"])
 

@@ -74,9 +74,9 @@ class Velodyne(SequenceTiming, Codec):
     def measurements(self, source: Source, packets: Bytes, host_ns: Times, mode: int) -> Measurements:
         return decode.measurements(self.unit, packets_of(packets), host_ns)
 
-    def encode_measurements(self, mount: Mount, found: Measurements) -> Bytes:
+    def encode_measurements(self, mount: Mount, measured: Measurements) -> Bytes:
         """With the intensities beside no return, and azimuths of 36000, as recorded."""
-        return bytes_of(encode.encode_measurements(self.unit, found))
+        return bytes_of(encode.encode_measurements(self.unit, measured))
 
     @classmethod
     def matches(cls, source: Source, size: int, payload: bytes) -> bool:

@@ -96,19 +96,19 @@ def sent(unit: Unit, return_mode: str, packets: Packets) -> Flags:
     return found
 
 
-def encode_measurements(unit: Unit, found: Measurements) -> Packets:
+def encode_measurements(unit: Unit, measured: Measurements) -> Packets:
     """Packets (P,) of measurements, as `measurements` has them of recordings."""
     facts = unit.facts.model_copy(
         update={"calibration": Calibration(distance_offset_mm=unit.facts.calibration.distance_offset_mm)}
     )
     plain = Unit(unit.sensor, facts)
-    dual = found.return_mode == "dual"
-    packets = encode(plain, found.return_mode, found.batch.firings, found.range_m, found.reflectivity)
+    dual = measured.return_mode == "dual"
+    packets = encode(plain, measured.return_mode, measured.batch.firings, measured.range_m, measured.reflectivity)
     number = slots(unit.packet, dual)
     span = unit.span(dual)
     blocks = packets["blocks"][:, : len(number)]
-    blocks["returns"]["intensity"] = found.reflectivity.reshape(len(packets), -1)[:, number]
-    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(found.batch.firings) / RADIANS), span, axis=1)
+    blocks["returns"]["intensity"] = measured.reflectivity.reshape(len(packets), -1)[:, number]
+    azimuth = np.repeat(np.rint(unit.firing_schedule(dual).head_rad(measured.batch.firings) / RADIANS), span, axis=1)
     blocks["azimuth"][azimuth == REVOLUTION] = REVOLUTION
     return packets
 
