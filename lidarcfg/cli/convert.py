@@ -113,9 +113,10 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
         )
     manifest = load_manifest(capture)
     hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
-    rig, scene, trajectory, vehicle = (
-        manifest.path(key, beside, hint) for key in ("rig", "scene", "trajectory", "vehicle")
-    )
+    rig = manifest.input_path("rig", hint)
+    scene = manifest.input_path("scene", hint)
+    trajectory = manifest.input_path("trajectory", hint)
+    vehicle = manifest.input_path("vehicle", hint)
     assert rig
     if not scene:
         raise ConfigError(f"{beside}: names no scene; export with the scene's file")
