@@ -29,7 +29,7 @@ from lidarcfg.simulate.returns import Poses, Target, returns
 from lidarcfg.world.meshes import box_mesh, read_mesh
 from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.scene_file import Box
-from lidarcfg.world.solids import open_edges, welded
+from lidarcfg.world.solids import merge_vertices, open_edges
 
 STEP_M = 1.0
 HEADINGS_DEG = (0.0,)
@@ -103,7 +103,7 @@ def target(item: DetectionObject, region: Region, folder: Path) -> Target:
     if item.mesh is None:
         found = Target(box_mesh(Box(name=item.name, reflectivity=0, center_m=(0.0, 0.0, 0.0), size_m=item.box_m)))
     else:
-        found = Target(welded(read_mesh(folder / item.mesh)))
+        found = Target(merge_vertices(read_mesh(folder / item.mesh)))
         if len(edges := open_edges(found.mesh)):
             corners = " to ".join("(" + ", ".join(f"{value:.6g}" for value in corner) + ")" for corner in edges[0])
             what = f"is not closed: {len(edges)} of its edges bound an odd number of triangles, one of them {corners}"
