@@ -28,6 +28,7 @@ struct Links {
 
   Links operator&(const Links& other) const { return {x & other.x, y & other.y, z & other.z}; }
   Links& operator&=(const Links& other) { return *this = *this & other; }
+  bool operator==(const Links&) const = default;
 };
 
 /// Where a row is.

@@ -112,8 +112,7 @@ void FiringTracer<Width>::trace() {
   }
   for (Index b = 0; b < batches.count(); ++b) {
     if (moves && (b == 0 || batches.block[b] != batches.block[b - 1])) {
-      const std::int64_t begin_ns = batches.zero_ns + batches.block[b] * batches.block_ns;
-      const double begin_s = seconds_between(stage_.zero_ns, begin_ns);
+      const double begin_s = seconds_between(stage_.zero_ns, batches.begin_ns(b));
       moving_->during(begin_s, begin_s + batches.block_ns / 1e9);
     }
     which_ = batches[b];
