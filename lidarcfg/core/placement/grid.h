@@ -32,7 +32,7 @@ struct Links {
 };
 
 /// Where a row is.
-struct Place {
+struct RowPlace {
   Index first;  // of its centres, in Grid::x
   double y, z;
 };
@@ -75,7 +75,7 @@ class Grid {
   Index end_row() const { return rows() - step_z(); }
 
   /// Of a row that has cuboids that count.
-  Place place(Index row) const {
+  RowPlace place(Index row) const {
     return {row % step_y() * row_size, y[row % step_z() / step_y() - 1], z[row / step_z() - 1]};
   }
 
