@@ -27,7 +27,7 @@ from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_veh
 
 @dataclass(frozen=True)
 class Summary:
-    """What a file is."""
+    """A file's kind, what it would do, and what looks wrong."""
 
     kind: str
     text: str  # what it would do
