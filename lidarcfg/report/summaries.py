@@ -16,7 +16,7 @@ from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
-from lidarcfg.report.words import counted
+from lidarcfg.report.describe import counted
 from lidarcfg.requirements.requirements import load_requirements
 from lidarcfg.sensors.rig import Mount, load_rig
 from lidarcfg.sensors.sensor import Sensor, load_sensor
