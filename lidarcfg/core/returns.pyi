@@ -118,5 +118,11 @@ def count_clusters(
     of phases where `joint`, else with each sensor in that of its fewest returns. Values of `cap` or more are bounds.
     """
 
+def largest_cluster(points: Array, tolerance_m: float, above_m: float) -> int:
+    """The number of points of the largest cluster of points (N, 3) that has one at least at a height.
+
+    Neighbours are within a tolerance: single linkage.
+    """
+
 def detection_probabilities(counts: NDArray[np.int32], phases: NDArray[np.int64], enough: int) -> Array:
     """(P,) the probability of at least so many returns of counts (P, S, phases), each sensor in any of its phases."""

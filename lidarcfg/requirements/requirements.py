@@ -103,8 +103,12 @@ def resolved(
     robust: Robust | None = None,
     prices: Mapping[str, float] | None = None,
     sensors: int | None = None,
+    models: Sequence[str] = (),
 ) -> Requirements:
-    """The requirements at a site; `sensors`: how many the study has. Raises ConfigError with file, line and key."""
+    """The requirements at a site; `sensors`: how many the study has, `models`: which may be among them.
+
+    Raises ConfigError with file, line and key.
+    """
     items: list[Requirement] = []
     for one in found:
         lost = one.item.lost if one.item.lost is not None else (robust.lost if robust else None) or 0
@@ -118,12 +122,14 @@ def resolved(
             case "shadow_at_most_m3":
                 items.append(_shadow(one, site, lost, robust))
             case "price_at_most":
-                items.append(_price(one, prices))
+                items.append(_price(one, prices, models))
             case "sensors_at_most":
                 assert one.item.sensors_at_most
                 items.append(SensorsRequirement(one.item.name, one.item.sensors_at_most))
             case marker:
-                raise one.error("is not checked yet", marker)
+                if site.body is None:
+                    raise one.error("needs the vehicle's body, and the study has no vehicle; give one", marker)
+                raise one.error("no such scenario is known", marker)
     return Requirements(tuple(items), site, robust)
 
 
@@ -221,8 +227,11 @@ def _shadow(one: Source, site: Site, lost: int, robust: Robust | None) -> Shadow
     return found
 
 
-def _price(one: Source, prices: Mapping[str, float] | None) -> PriceRequirement:
+def _price(one: Source, prices: Mapping[str, float] | None, models: Sequence[str]) -> PriceRequirement:
     assert one.item.price_at_most
     if not prices:
         raise one.error("needs the study's prices, and there are none; give a price for each model", "price_at_most")
+    for model in models:
+        if model not in prices:
+            raise one.error(f"{model!r} has no price; give it one in the study's prices", "price_at_most")
     return PriceRequirement(one.item.name, one.item.price_at_most, dict(prices))
