@@ -3,9 +3,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarcfg.core.visibility import Obstacles
 from lidarcfg.core.world import Bvh
-from lidarcfg.geometry import Array
-from lidarcfg.world.obstacles import Obstacles
+
+Array = NDArray[np.float64]
 
 class Scanner:
     """A sensor's firing pattern, whatever its pose: H heads of all phases, F firings a cycle; it does not change."""
@@ -57,6 +58,9 @@ class ReturnCounter:
     def missed_among(self, sensors: NDArray[np.int64], R: Array, t: Array, group: int, count: int) -> float:
         """The same among so many of these places, the likeliest to be missed: no more than `missed`."""
     @property
+    def memory_bytes(self) -> int:
+        """What is known of sensors at poses takes no more memory."""
+    @property
     def traced(self) -> int:
         """How many pairs of sensor and place were traced so far."""
 
@@ -70,7 +74,7 @@ def count_returns(
     obstacles: Obstacles,
     counts: NDArray[np.int32],
 ) -> None:
-    """Add to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4)."""
+    """Write to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4)."""
 
 def count_lowest(
     places: Array,

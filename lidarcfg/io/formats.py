@@ -76,9 +76,9 @@ FOLDERS = {  # what stands in those of a drive
 STORAGES = {"rosbag1": "ros1", "rosbag2": "sqlite3", "rosbag2-mcap": "mcap"}
 
 
-def chosen(source: Path, output: Path, name: str | None) -> Format:
+def choose_format(source: Path, output: Path, name: str | None) -> Format:
     """The format called `name`, or the first with OUTPUT's suffix. Raises ConversionError."""
-    return format_of(_kind(source), output, name)
+    return format_of(_kind_of(source), output, name)
 
 
 def format_of(kind: Kind, output: Path, name: str | None) -> Format:
@@ -108,7 +108,7 @@ def _failed(kind: Kind) -> str:
     return "an export is not written as" if kind == "drive" else f"a {kind} does not convert to"
 
 
-def _kind(source: Path) -> Kind:
+def _kind_of(source: Path) -> Kind:
     if source.suffix.lower() == ".npz":
         from lidarcfg.io.firings import is_firings
 
@@ -151,22 +151,22 @@ def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bo
     if form.lacks:
         on_warning(f"{output}: {form.name} has no {form.lacks}")
     if form.name in CLOUDS:
-        from lidarcfg.io.points import save_points
+        from lidarcfg.io.drive_dataset import save_points
 
         return f"{save_points(output, dataset, deskew):,} points"
     if form.name in FOLDERS:
         return f"{_save_folder(output, form.name, dataset):,} scans"
-    from lidarcfg.io.bag import of_dataset, write_bag, write_mcap
+    from lidarcfg.io.bag import dataset_messages, write_bag, write_mcap
 
-    made = of_dataset(dataset, output, on_warning)
+    made = dataset_messages(dataset, output, on_warning)
     if form.name == "mcap":
         return f"{write_mcap(output, made):,} messages"
     return f"{write_bag(output, STORAGES[form.name], made):,} messages"
 
 
 def _save_folder(output: Path, name: str, dataset: "DriveDataset") -> int:
-    from lidarcfg.io.kitti_folders import save_objects, save_odometry
-    from lidarcfg.io.nuscenes_tables import save_tables
+    from lidarcfg.io.kitti import save_objects, save_odometry
+    from lidarcfg.io.nuscenes import save_tables
 
     save = {"kitti-odometry": save_odometry, "kitti-object": save_objects, "nuscenes": save_tables}[name]
     with replacing_folder(output, *FOLDERS[name]) as folder:
@@ -204,11 +204,11 @@ def _convert_firings(source: Path, output: Path, form: Format, model: str | None
 
 
 def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning) -> str:
-    cloud = _load(source, on_warning)
+    cloud = _load_cloud(source, on_warning)
     if cloud.object is not None and name in ("las", "laz", "kitti"):
         on_warning(f"{output}: {name} has no objects of points")
     if name in ("las", "laz"):
-        from lidarcfg.io.las import save_las
+        from lidarcfg.clouds.las import save_las
 
         save_las(output, cloud)
     elif name == "kitti":
@@ -220,10 +220,10 @@ def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning)
     return f"{len(cloud.xyz):,} points"
 
 
-def _load(source: Path, on_warning: OnWarning) -> PointCloud:
+def _load_cloud(source: Path, on_warning: OnWarning) -> PointCloud:
     suffix = source.suffix.lower()
     if suffix in (".las", ".laz"):
-        from lidarcfg.io.las import load_las
+        from lidarcfg.clouds.las import load_las
 
         return load_las(source, on_warning)
     if suffix == ".bin":

@@ -1,4 +1,4 @@
-"""What a sensor reports of its hits: echoes of a wide beam, rain and fog, repeatable from a seed.
+"""Echoes of a wide beam: what its rays hit, merged, and what rain and fog send back.
 
 The power of an echo follows the LiDAR equation for extended Lambertian targets, P ~ ρ cos θ exp(-2 α r) / r²
 (Jelalian, Laser Radar Systems, 1992, ch. 1; Rasshofer, Spies and Spies, Adv. Radio Sci. 9, 2011, 49-60).
@@ -17,19 +17,21 @@ from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.noise import CELL, lose, roughen, uniforms
-from lidarcfg.world.scene import Weather
+from lidarcfg.simulate.random_numbers import CELL, uniforms
+from lidarcfg.world.scene_file import Weather
 
 PULSE_M = 0.75  # half the length of a 5 ns pulse: a guess, no maker states it
 CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog can send an echo from
 # Extinction to backscatter of water droplets (Pinnick et al., Appl. Opt. 22, 1983; O'Connor 2004).
 LIDAR_RATIO_SR = 18.8
 KOSCHMIEDER = 3.912  # -ln(0.02): extinction times visibility (WMO-No. 8), at 903 nm as in visible light
-RAIN_DB_KM, RAIN_EXPONENT = 1.076, 0.67  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
+RAIN_DB_KM = 1.076  # Carbonneau and Wisely 1998, as in ITU-R P.1814: dB/km = 1.076 R^0.67
+RAIN_EXPONENT = 0.67
 DECIBEL = 10 / math.log(10)
 # A Gaussian beam by Gauss-Hermite quadrature with three nodes per direction; the divergence is the full angle at 1/e²
 # of the intensity (a guess, the makers do not say), which is four sigma.
-NODES, WEIGHTS = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4, np.array([1, 4, 1]) / 6
+NODES = np.array([-math.sqrt(3), 0, math.sqrt(3)]) / 4
+WEIGHTS = np.array([1, 4, 1]) / 6
 # What a return mode may report of a firing: the strongest echo; the strongest, or the second strongest if the strongest
 # is the last; the last; the first; the strongest, or the second strongest if the strongest is the first; the second
 # strongest, or the strongest if it is alone.
@@ -64,9 +66,12 @@ class Echoes:
     noise_m: Array  # to be added
     reflectivity: NDArray[np.uint8]
     object: NDArray[np.int32]  # -1: none, or rain and fog
+    strongest_m: Array  # (N,) the exact range of the strongest echo, reported or not
 
 
-def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
+def thin_beam_echoes(
+    range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str
+) -> Echoes:
     """Exact echoes of thin beams, (N, 1), or (N, 2) for dual returns: the only echo, twice."""
     shape = len(range_m), len(REPORTED[return_mode])
     return Echoes(
@@ -74,10 +79,11 @@ def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.
         noise_m=np.broadcast_to(0.0, shape),
         reflectivity=np.broadcast_to(reflectivity, shape),
         object=np.broadcast_to(objects, shape),
+        strongest_m=range_m[:, 0],
     )
 
 
-def beam(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
+def beam_rays(sensor: Sensor, realism: Realism) -> tuple[Array, Array, Array]:
     """The K rays of a beam: tangents of their angles to its axis (K,), across and up; weights (K,)."""
     if not realism.divergence:
         return np.zeros(1), np.zeros(1), np.ones(1)
@@ -93,13 +99,13 @@ def _width_mrad(sensor: Sensor, realism: Realism) -> tuple[float, float]:
 
 
 def extinction_per_m(weather: Weather) -> float:
-    """By fog and rain together."""
+    """The extinction coefficient of fog and rain together."""
     fog = KOSCHMIEDER / weather.fog_visibility_m if weather.fog_visibility_m else 0.0
     rain = RAIN_DB_KM * weather.rain_mm_h**RAIN_EXPONENT / DECIBEL / 1000 if weather.rain_mm_h else 0.0
     return fog + rain
 
 
-def echoes(
+def wide_beam_echoes(
     sensor: Sensor,
     realism: Realism,
     weather: Weather,
@@ -109,12 +115,13 @@ def echoes(
     hits: SubRays,
     candidates: Sequence[int] = CANDIDATES,
 ) -> Echoes:
-    """Candidates (N, C) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
+    """Exact candidates (N, C) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
     count = len(hits.range_m)
     alpha = extinction_per_m(weather)
-    others = 0 if candidates[0] == STRONGEST else 1  # noise is alike for the strongest and those at its range
-    which = np.array([*[STRONGEST] * others, *candidates], np.uint8)
+    with_strongest = candidates if candidates[0] == STRONGEST else (STRONGEST, *candidates)
+    extra = len(with_strongest) - len(candidates)  # columns that are computed for `strongest_m` alone
+    which = np.array(with_strongest, np.uint8)
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
@@ -128,12 +135,17 @@ def echoes(
         noise_m=np.zeros((count, len(which))),
         reflectivity=np.empty((count, len(which)), np.uint8),
         object=np.empty((count, len(which)), np.int32),
+        strongest_m=np.empty(0),
     )
     range_max_m = sensor.range.reported_m[1]
     simulate.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, which, found)
-    lose(found, realism, sensor_index, first)
-    roughen(found, realism, sensor_index, first)
-    return Echoes(*(np.ascontiguousarray(values[:, others:]) for values in vars(found).values()))
+    return Echoes(
+        range_m=np.ascontiguousarray(found.range_m[:, extra:]),
+        noise_m=np.ascontiguousarray(found.noise_m[:, extra:]),
+        reflectivity=np.ascontiguousarray(found.reflectivity[:, extra:]),
+        object=np.ascontiguousarray(found.object[:, extra:]),
+        strongest_m=found.range_m[:, 0].copy(),
+    )
 
 
 def _step_rad(sensor: Sensor, realism: Realism) -> float:

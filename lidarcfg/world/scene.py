@@ -2,193 +2,49 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
 from lidarcfg.config.document import Key
-from lidarcfg.config.models import (
-    COORDINATE_MAX_M,
-    FileName,
-    Metres,
-    Model,
-    Name,
-    Position,
-    Positive,
-    Vec3,
-    errors_at,
-    load,
-    validation_error,
-)
+from lidarcfg.config.models import Model, Position, errors_at, load
 from lidarcfg.errors import SceneError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
-from lidarcfg.sensors.sensor import Byte
-from lidarcfg.world.categories import Category
-from lidarcfg.world.gltf import buffers
+from lidarcfg.world.gltf import buffer_files
+from lidarcfg.world.gltf_models import model_objects
 from lidarcfg.world.height_field import height_field_mesh
-from lidarcfg.world.meshes import Mesh, box_mesh, cylinder_mesh, joined, placed, plane_mesh, read_mesh, sphere_mesh
-from lidarcfg.world.models import model_objects
+from lidarcfg.world.meshes import (
+    Mesh,
+    box_mesh,
+    cylinder_mesh,
+    join_meshes,
+    place_mesh,
+    plane_mesh,
+    read_mesh,
+    sphere_mesh,
+)
 from lidarcfg.world.motion import Motion
+from lidarcfg.world.scene_file import (
+    FILES,
+    GROUND,
+    Cylinder,
+    GltfModel,
+    Ground,
+    HeightField,
+    MeshFile,
+    SceneFile,
+    SceneObject,
+    Sphere,
+    Surfels,
+)
 from lidarcfg.world.surfels import surfels_mesh
 
 DRAWN_M = 0.01  # tolerance of the facets that spheres and cylinders are drawn with
-GROUND = "ground"
-KINDS = ("boxes", "spheres", "cylinders", "planes", "meshes")  # of objects, of a scene and of a vehicle
-FILES = ("meshes", "height_fields", "models", "surfels")  # of a scene, whose triangles are made from files
 NO_MESH = np.empty((0, 3)), np.empty((0, 3), np.int64)
-PLACES = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
+POSITION_KEYS = ("center_m", "base_m", "position_m")  # the key of an object's position, by kind
 
-Size = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
-
-
-class Ground(Model):
-    """An infinite horizontal plane."""
-
-    z_m: Metres = 0.0
-    category: Category = "ground"  # what data sets call it: world/categories.py
-    reflectivity: Byte  # as the sensor is calibrated: 0-100 diffuse in per cent, 101-255 retro-reflectors
-
-
-class SceneObject(Model):
-    """An object of any kind."""
-
-    name: Name
-    reflectivity: Byte
-    category: Category | None = None
-    motion: Motion | None = None  # from its place at time 0, in the world's axes; it rotates about its place
-
-
-class Box(SceneObject):
-    """A box, rotated about the vertical."""
-
-    center_m: Position
-    size_m: tuple[Size, Size, Size]  # along its own x, y, z
-    yaw_deg: float = 0.0
-
-
-class Sphere(SceneObject):
-    """A sphere."""
-
-    center_m: Position
-    radius_m: Size
-
-
-class Cylinder(SceneObject):
-    """A vertical, closed cylinder."""
-
-    base_m: Position  # centre of the lower end
-    radius_m: Size
-    height_m: Size
-
-
-class Plane(SceneObject):
-    """A rectangle in its own xy plane, seen from both sides."""
-
-    center_m: Position
-    size_m: tuple[Size, Size]
-    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
-
-
-class MeshFile(SceneObject):
-    """A triangle mesh in a file that Open3D reads."""
-
-    file: FileName  # relative to the scene's file
-    position_m: Position
-    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
-    scale: Positive = 1.0
-
-
-class HeightField(SceneObject):
-    """Ground of a grid of heights: columns run along x, rows against y, as a map whose top is y."""
-
-    file: FileName | None = None  # .png in grey or .npy, relative to the scene's file
-    heights_m: Annotated[tuple[tuple[Metres, ...], ...], Field(min_length=2)] | None = None  # rows, in place of a file
-    cell_m: Size
-    position_m: Position  # of the last row's first height, at a height of 0
-    scale: Positive = 1.0  # metres per unit of the file
-
-    @model_validator(mode="after")
-    def _check(self) -> "HeightField":
-        if (self.file is None) == (self.heights_m is None):
-            raise validation_error(
-                "conflicts with file; give only one of them" if self.file else "missing; or give a file", "heights_m"
-            )
-        if self.heights_m and self.scale != 1.0:
-            raise validation_error("belongs to a file; heights_m are metres", "scale")
-        rows = self.heights_m or ()
-        for i, row in enumerate(rows):
-            if len(row) != max(len(rows[0]), 2):
-                allowed = f"{len(rows[0])}, as in the first row" if i else "at least 2"
-                raise validation_error(f"has {len(row)} heights; allowed: {allowed}", "heights_m", i)
-        return self
-
-
-class GltfModel(MeshFile):
-    """A glTF file each of whose nodes becomes an object NAME/NODE; its y up becomes z up."""
-
-    nodes: tuple[str, ...] | None = None  # only these
-    materials: dict[str, Byte] = Field(default_factory=dict)  # by name; all others have the model's reflectivity
-
-
-class Surfels(MeshFile):
-    """A disc at each point of a file, across its normal, which is in the file or estimated from neighbours."""
-
-    radius_m: Size
-
-
-class Weather(Model):
-    """Uniform fog and rain; simulate/echoes.py models their effect on a beam."""
-
-    fog_visibility_m: Annotated[float, Field(ge=1)] | None = None  # meteorological
-    rain_mm_h: Positive | None = None
-
-
-class GeoOrigin(Model):
-    """The place of the world's origin on Earth; x points east and y north."""
-
-    latitude_deg: Annotated[float, Field(ge=-89, le=89)] = 0.0
-    longitude_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
-
-
-class SceneFile(Model):
-    """A scene file."""
-
-    kind: ClassVar[str] = "scene"
-    name: Name
-    ground: Ground | None = None
-    boxes: tuple[Box, ...] = ()
-    spheres: tuple[Sphere, ...] = ()
-    cylinders: tuple[Cylinder, ...] = ()
-    planes: tuple[Plane, ...] = ()
-    meshes: tuple[MeshFile, ...] = ()
-    height_fields: tuple[HeightField, ...] = ()
-    models: tuple[GltfModel, ...] = ()
-    surfels: tuple[Surfels, ...] = ()
-    geo_origin: GeoOrigin = GeoOrigin()
-    weather: Weather = Weather()
-
-    @model_validator(mode="after")
-    def _check(self) -> "SceneFile":
-        check_names(self)
-        return self
-
-
-def check_names(file: Model) -> None:
-    """A model's validator: objects of all kinds have different names, and none has the ground's."""
-    names = {GROUND}
-    for kind in dict.fromkeys((*KINDS, *FILES)):
-        for i, item in enumerate(getattr(file, kind, ())):
-            if item.name in names:
-                raise validation_error(
-                    f"{item.name!r} is an object already; each name may be given once", kind, i, "name"
-                )
-            names.add(item.name)
-
-
-Placed = tuple[Ground | SceneObject, Mesh]  # an object and its triangles in the world frame
+ObjectMesh = tuple[Ground | SceneObject, Mesh]  # an object and its triangles in the world frame
 
 
 @dataclass(frozen=True)
@@ -223,25 +79,25 @@ class Scene:
         parts = [(self.vertices_m, self.triangles)]
         parts += [sphere_mesh(sphere, tolerance_m) for sphere in self.file.spheres]
         parts += [cylinder_mesh(cylinder, tolerance_m) for cylinder in self.file.cylinders]
-        return joined(parts)
+        return join_meshes(parts)
 
 
 def load_scene(path: str | Path) -> Scene:
     """The scene in a YAML file. Raises ConfigError, also for a mesh that cannot be used, and SceneError if empty."""
     path = example(path)
     file = load(path, SceneFile)
-    return replace(built(file, path), path=path)
+    return replace(build_scene(file, path), path=path)
 
 
 def files_of(file: Model, folder: Path) -> list[Path]:
     """The files that a scene or a vehicle in a folder names, with those that these need."""
     paths = [folder / item.file for kind in FILES for item in getattr(file, kind, ()) if item.file]
-    return [one for path in paths for one in (path, *buffers(path))]
+    return [one for path in paths for one in (path, *buffer_files(path))]
 
 
-def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
+def build_scene(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     """The scene of a file's values; `path` and `at` are their file and key. Raises as load_scene does."""
-    objects: list[Placed] = [(file.ground, NO_MESH)] if file.ground else []
+    objects: list[ObjectMesh] = [(file.ground, NO_MESH)] if file.ground else []
     objects += [(box, box_mesh(box)) for box in file.boxes]
     objects += [(item, NO_MESH) for item in (*file.spheres, *file.cylinders)]
     objects += [(plane, plane_mesh(plane)) for plane in file.planes]
@@ -249,10 +105,10 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
     for kind in FILES:
         for i, item in enumerate(getattr(file, kind)):
             with errors_at(path, *at, kind, i, "file"):
-                objects += _unlike(_from_file(item, path.parent), taken)
+                objects += _check_new_names(_from_file(item, path.parent), taken)
     if not objects:
         raise SceneError(f"{path}: the scene is empty; give a ground or an object")
-    vertices_m, triangles = joined([mesh for _, mesh in objects])
+    vertices_m, triangles = join_meshes([mesh for _, mesh in objects])
     return Scene(
         file=file,
         names=tuple(getattr(item, "name", GROUND) for item, _ in objects),
@@ -261,12 +117,12 @@ def built(file: SceneFile, path: Path, at: Key = ()) -> Scene:
         triangles=triangles,
         triangle_object=np.repeat(np.arange(len(objects), dtype=np.int32), [len(mesh[1]) for _, mesh in objects]),
         motions=tuple(getattr(item, "motion", None) for item, _ in objects),
-        places_m=np.array([_place_m(item) for item, _ in objects]),
+        places_m=np.array([_position_m(item) for item, _ in objects]),
         items=tuple(item for item, _ in objects),
     )
 
 
-def _unlike(made: list[Placed], taken: set[str]) -> list[Placed]:
+def _check_new_names(made: list[ObjectMesh], taken: set[str]) -> list[ObjectMesh]:
     """The objects made from a file; adds their names to `taken`. Raises SceneError if one is taken already."""
     for item, _ in made:
         name = getattr(item, "name", GROUND)
@@ -276,7 +132,7 @@ def _unlike(made: list[Placed], taken: set[str]) -> list[Placed]:
     return made
 
 
-def _from_file(item: SceneObject, folder: Path) -> list[Placed]:
+def _from_file(item: SceneObject, folder: Path) -> list[ObjectMesh]:
     """The objects that are made from a file, with their triangles. Raises SceneError."""
     if isinstance(item, HeightField):
         return [(item, height_field_mesh(item, folder))]
@@ -285,9 +141,9 @@ def _from_file(item: SceneObject, folder: Path) -> list[Placed]:
     if isinstance(item, GltfModel):
         return list(model_objects(item, folder))
     assert isinstance(item, MeshFile)
-    return [(item, placed(read_mesh(folder / item.file), item))]
+    return [(item, place_mesh(read_mesh(folder / item.file), item))]
 
 
-def _place_m(item: Ground | SceneObject) -> Position:
+def _position_m(item: Ground | SceneObject) -> Position:
     """The position of an object in its file; the ground has none."""
-    return next((getattr(item, key) for key in PLACES if hasattr(item, key)), (0.0, 0.0, 0.0))
+    return next((getattr(item, key) for key in POSITION_KEYS if hasattr(item, key)), (0.0, 0.0, 0.0))

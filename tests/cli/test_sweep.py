@@ -25,9 +25,8 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.placement import plan as plans
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
-from lidarcfg.placement.sweep import sweep
-from lidarcfg.placement.workers import Cluster, Processes, WorkerDiedError
-from lidarcfg.report import SweepFolder
+from lidarcfg.placement.sweep import Cluster, Processes, WorkerDiedError, sweep
+from lidarcfg.report.sweep import SweepFolder
 from tests.command_line import lidarcfg as command
 
 BIN = Path(sys.executable).parent
@@ -126,7 +125,7 @@ def test_a_worker_that_is_killed_is_replaced(plan, serial):
 
 IDLE = """
 import os, signal
-from lidarcfg.placement.workers import Processes, WorkerDiedError
+from lidarcfg.placement.sweep import Processes, WorkerDiedError
 
 signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as commands have it
 crew = Processes(1)
@@ -165,7 +164,7 @@ def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
 class Dead:
     """Workers that are killed in every run."""
 
-    count = room = 2
+    count = capacity = 2
 
     def submit(self, function, *arguments):
         future = Future()

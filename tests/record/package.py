@@ -16,7 +16,7 @@ from lidarcfg import (
     pattern,
 )
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export as packets
+from lidarcfg.capture.export import simulated_frames as packets
 from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view
@@ -25,15 +25,16 @@ from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.placement.analytic import integrate
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.details import details
 from lidarcfg.placement.front import front
+from lidarcfg.placement.grid import seen_cuboids
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import with_solver
+from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import returns
 from lidarcfg.simulate.tasks import START_NS
-from lidarcfg.world.motion import Trajectory, load_path, prepared
+from lidarcfg.world.motion import Trajectory, build_path, load_path
 from lidarcfg.world.obstacles import NO_OBSTACLES
 from lidarcfg.world.tracer import Tracer
 from lidarcfg.world.vehicle import load_vehicle
@@ -48,10 +49,10 @@ __all__ = [
     "StudyEvaluator",
     "Tracer",
     "Trajectory",
+    "build_path",
     "concatenate",
     "decode",
     "decode_pcap",
-    "details",
     "evaluate",
     "export",
     "fill",
@@ -67,13 +68,14 @@ __all__ = [
     "packets",
     "pattern",
     "pose",
-    "prepared",
+    "report_inputs",
     "returns",
     "rig_lidars",
     "rig_of",
     "save_capture",
     "save_firings",
     "scans",
+    "seen_cuboids",
     "segment",
     "sensor_poses",
     "with_solver",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.errors import ConfigError
 from lidarcfg.io.firings import ANY_RANGE
@@ -16,7 +16,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.noise import laser_errors_m, roughen, separate
+from lidarcfg.simulate.noise import add_noise, drop_one_return, laser_errors_m
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import datagrams_of, decoded, mount, recording, scene
@@ -39,7 +39,7 @@ def exported(tmp_path, model, realism, mode="strongest"):
     one = mount(position_m=(0.3, 0.2, 1.6), rpy_deg=(2.0, 3.0, 10.0))
     one = replace(one, sensor=load_sensor(model), model=model, return_mode=mode, realism=realism)
     path = tmp_path / f"{model}.pcap"
-    write_pcap(path, in_time_order(export(Rig("r", (one,)), load_scene(ROOM), np.eye(4), SECOND_NS // 2)))
+    write_pcap(path, in_time_order(simulated_frames(Rig("r", (one,)), load_scene(ROOM), np.eye(4), SECOND_NS // 2)))
     return path
 
 
@@ -115,6 +115,7 @@ def flat(count, columns, byte):
         np.zeros((count, columns)),
         np.full((count, columns), byte, np.uint8),
         np.zeros(()),
+        np.full(count, 10.0),
     )
 
 
@@ -122,23 +123,23 @@ def test_the_noise_of_dark_targets_and_of_intensities():
     realism = Realism(seed=3, range_noise_m=0.01, dark_noise_m=0.03, intensity_noise=3)
     for byte, sigma_m in ((1, 0.03), (2, 0.01), (90, 0.01)):
         found = flat(20_000, 4, byte)
-        roughen(found, realism, 0, 0)
+        add_noise(found, realism, 0, 0)
         assert found.noise_m.std() == pytest.approx(sigma_m, rel=0.02)
         assert (found.noise_m == found.noise_m[:, :1]).all()  # one echo, four times
         assert (found.reflectivity == found.reflectivity[:, :1]).all()
         if byte == 90:
             assert found.reflectivity[:, 0].std() == pytest.approx((9 + 1 / 12) ** 0.5, rel=0.02)
     whole, parts = flat(64, 4, 50), [flat(16, 4, 50) for _ in range(4)]
-    roughen(whole, realism, 0, 0)
+    add_noise(whole, realism, 0, 0)
     for i, part in enumerate(parts):
-        roughen(part, realism, 0, 16 * i)
+        add_noise(part, realism, 0, 16 * i)
     assert (whole.noise_m == np.concatenate([part.noise_m for part in parts])).all()
     assert (whole.reflectivity == np.concatenate([part.reflectivity for part in parts])).all()
 
 
 def test_one_slot_of_a_pair_is_empty():
     pairs = flat(100_000, 2, 50)
-    separate(pairs, Realism(last_alone_fraction=0.02, strongest_alone_fraction=0.01), 0, 0)
+    drop_one_return(pairs, Realism(last_alone_fraction=0.02, strongest_alone_fraction=0.01), 0, 0)
     assert (~np.isfinite(pairs.range_m)).mean(axis=0).tolist() == pytest.approx([0.02, 0.01], rel=0.1)
     assert np.isfinite(pairs.range_m).any(axis=1).all()
 
@@ -209,7 +210,9 @@ def test_what_a_capture_does_not_say_is_no_figure(tmp_path):
     ):
         one = replace(mount(), return_mode="dual", realism=Realism(range_noise_m=0.01))
         stage = scene(tmp_path, f"spheres: [{text[:-1]}, reflectivity: 40}}]")
-        write_pcap(tmp_path / "a.pcap", in_time_order(export(Rig("r", (one,)), stage, np.eye(4), SECOND_NS // 4)))
+        write_pcap(
+            tmp_path / "a.pcap", in_time_order(simulated_frames(Rig("r", (one,)), stage, np.eye(4), SECOND_NS // 4))
+        )
         found = measured(tmp_path / "a.pcap")
         said = {name for name, value in vars(found).items() if np.isfinite(value)}
         assert "two_at_edges_percent" not in said
@@ -228,7 +231,8 @@ def test_exports_keep_what_is_reported_and_placement_what_is_promised(tmp_path):
     for at_m in (0.1, 0.3, 0.9, 103.0, 106.0):
         wall = f"planes: [{{name: wall, center_m: [{at_m}, 0, 0], size_m: [90, 90], rpy_deg: [0, -90, 0], reflectivity: 50}}]"
         write_pcap(
-            tmp_path / "a.pcap", in_time_order(export(Rig("r", (one,)), scene(tmp_path, wall), np.eye(4), 10**8))
+            tmp_path / "a.pcap",
+            in_time_order(simulated_frames(Rig("r", (one,)), scene(tmp_path, wall), np.eye(4), 10**8)),
         )
         cloud = decoded(tmp_path / "a.pcap")
         near = abs(cloud.xyz[:, 1]) < 0.05 * at_m
@@ -256,7 +260,7 @@ def test_nothing_beyond_what_is_reported_is_on_the_wire(tmp_path, model):
         range_m = []
         for height_m in (0.002, 0.1, 2.6, 3.7):
             placed = replace(mount(position_m=(0.0, 0.0, height_m)), sensor=one, model=model, data_port=6699)
-            streams = export(Rig("r", (placed,)), stage, np.eye(4), SECOND_NS // 200)
+            streams = simulated_frames(Rig("r", (placed,)), stage, np.eye(4), SECOND_NS // 200)
             write_pcap(tmp_path / "a.pcap", in_time_order(streams))
             for packet in (one.payload for one in datagrams_of(tmp_path / "a.pcap") if one.port == 6699):
                 octets = np.frombuffer(packet, np.uint8)[begin : begin + blocks * size].reshape(blocks, size)[:, head:]

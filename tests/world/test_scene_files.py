@@ -11,16 +11,16 @@ from PIL import Image
 
 from lidarcfg import inputs
 from lidarcfg.clouds.cloud import save_clouds
+from lidarcfg.clouds.las import save_las
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.io.las import save_las
+from lidarcfg.world.gltf_models import read_nodes
 from lidarcfg.world.height_field import read_heights
-from lidarcfg.world.models import read_parts
 from lidarcfg.world.surfels import CORNER, read_points
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import scene
+from tests.clouds.test_cloud import cloud
 from tests.naive.scene_files import disc_hit, height_field_hit
 from tests.refusals import refused
-from tests.test_cloud import cloud
 
 FIELD = "height_fields: [{{name: land, {}, cell_m: {}, position_m: [{}, {}, {}], reflectivity: 12}}]"
 HERE = np.zeros(3)
@@ -421,7 +421,7 @@ def test_damaged_files_are_used_or_refused_in_one_line(tmp_path, suffix):
         Image.fromarray(heights).save(whole) if suffix == "png" else np.save(whole, heights)
     else:
         (save_las if suffix in ("las", "laz") else lambda path, one: save_clouds(path, [one]))(whole, made)
-    read = {"png": read_heights, "npy": read_heights, "glb": read_parts}.get(suffix, read_points)
+    read = {"png": read_heights, "npy": read_heights, "glb": read_nodes}.get(suffix, read_points)
     refused = []
     for _ in range(50):
         data = bytearray(whole.read_bytes())

@@ -152,6 +152,7 @@ void bind_counter(nb::module_& module) {
       },
       "In how many of those places of a group that are the likeliest to be missed the object is.", "sensors", "R", "t",
       "group", "count");
+  counter.def_prop_ro("memory_bytes", &ReturnCounter::memory_bytes);
   counter.def_prop_ro("traced", &ReturnCounter::traced);
 }
 
