@@ -63,7 +63,7 @@ class Target:
     @cached_property
     def shape(self) -> core.returns.TargetShape:
         """The object as the core takes it."""
-        corners = self.mesh[0][self.mesh[1]] - self._origin_m
+        corners = self.mesh[0][self.mesh[1]] - self.origin_m
         number = np.arange(len(corners), dtype=np.int32)
         kind = np.full(len(corners), TRIANGLE, np.uint8)
         bvh = core.world.Bvh(corners.reshape(-1, 9), kind, number, np.zeros_like(number))
@@ -73,7 +73,7 @@ class Target:
     def box_m(self) -> tuple[Array, Array]:
         """(3,) each: the lower and the upper corner of its bounding box, relative to its place."""
         vertices = self.mesh[0]
-        return vertices.min(axis=0) - self._origin_m, vertices.max(axis=0) - self._origin_m
+        return vertices.min(axis=0) - self.origin_m, vertices.max(axis=0) - self.origin_m
 
     @property
     def size_m(self) -> Array:
@@ -82,7 +82,7 @@ class Target:
         return np.asarray(high - low)
 
     @property
-    def _origin_m(self) -> Array:
+    def origin_m(self) -> Array:
         """(3,) the middle of its lowest points' plane."""
         low, high = self.mesh[0].min(axis=0), self.mesh[0].max(axis=0)
         return np.array([*(low + high)[:2] / 2, low[2]])

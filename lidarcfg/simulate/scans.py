@@ -156,7 +156,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
             kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
     firing, which = np.nonzero(there)
     cloud = PointCloud(
-        xyz=_places(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
+        xyz=beam_ends_m(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
         intensity=found.reflectivity[firing, which],
         ring=np.empty(0, np.uint8),
         time_ns=fired.time_ns[firing],
@@ -168,7 +168,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     return firing, cloud
 
 
-def _places(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -> Array:
+def beam_ends_m(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -> Array:
     """(N, 3) the ends of the beams in the sensor's frame."""
     azimuth_rad, elevation_rad = encoder_rad + sensor.azimuth_offset_rad[laser], sensor.elevation_rad[laser]
     forward_m, left_m = sensor.forward_offset_m[laser], sensor.lateral_offset_m[laser]

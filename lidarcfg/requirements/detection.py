@@ -1,0 +1,372 @@
+"""Detection in time: a scenario's runs fired frame by frame, and the seconds from detection to the last moment to brake.
+
+A frame is a revolution of the slowest sensor, and counts at its end. Each firing has its own time, at which vehicle and
+target are where they are then; beams are thin and exact, and the vehicle's bodies are in their way. A run has four
+starts, a quarter of a frame apart, of which the worst counts: nobody knows where heads point when a target appears.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarcfg import maths
+from lidarcfg.errors import ConfigError
+from lidarcfg.geometry import Array, inverse, transform
+from lidarcfg.packets.codec import Firings
+from lidarcfg.requirements.braking import EMERGENCY, Braking
+from lidarcfg.requirements.scenario import BEFORE_IMPACT_S, TARGET, Approach, Extent, Scenario
+from lidarcfg.requirements.sight import Bounds, Sight, earliest_sight, places_within
+from lidarcfg.sensors.rig import Mount, Rig
+from lidarcfg.simulate.scans import beam_ends_m
+from lidarcfg.simulate.tasks import CHUNK_NS, START_NS, Drive, Task, prepared
+from lidarcfg.units import MINUTE_NS, SECOND_NS
+from lidarcfg.world.vehicle import Vehicle
+
+STARTS = 4
+RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
+ABOVE_GROUND_M = 0.1  # at least one point of a cluster is so high: the same file
+SLACK = 1e-9  # of a cosine, for rounding
+
+Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """When a target counts as detected in a frame."""
+
+    returns: int = RETURNS
+    cluster_m: float | None = None  # they are of one cluster with this tolerance; none: all together
+
+
+@dataclass(frozen=True)
+class ScenarioRun:
+    """A scenario at one speed and impact, from one start on, with some sensors lost."""
+
+    approach: Approach
+    start: int  # 0 to 3: by so many quarters of a frame closer to the impact
+    lost: tuple[int, ...]  # numbers of sensors
+    frame_s: float
+    needed_s: float  # from the last moment to brake to the impact
+    demanded: int
+    returns: Counts  # (F,) by frame: from the target, or of its largest cluster
+
+    @property
+    def frame_end_s(self) -> Array:
+        """(F,) since the start of the run."""
+        return np.asarray(np.arange(1, len(self.returns) + 1) * self.frame_s)
+
+    @property
+    def last_s(self) -> float:
+        """The last moment to brake."""
+        return self.approach.lead_s - self.needed_s
+
+    @property
+    def detected_s(self) -> float | None:
+        """The end of the first frame from which on the target is detected until the last moment to brake.
+
+        If it is not detected then: of the first frame after it in which it is; none before the impact: None.
+        """
+        enough = self.returns >= self.demanded
+        in_time = int(np.count_nonzero(self.frame_end_s <= self.last_s))
+        if in_time and enough[in_time - 1]:
+            missed = np.flatnonzero(~enough[:in_time])
+            first = int(missed[-1]) + 1 if len(missed) else 0
+        else:
+            found = np.flatnonzero(enough[in_time:])
+            if not len(found):
+                return None
+            first = in_time + int(found[0])
+        return float(self.frame_end_s[first])
+
+    @property
+    def margin_s(self) -> float:
+        """From the detection to the last moment to brake; negative: too late by so much. Never: as at the impact."""
+        return self.last_s - (self.approach.lead_s if self.detected_s is None else self.detected_s)
+
+    @property
+    def shortfall(self) -> float:
+        """Seconds short, over seconds needed: 0 in time, 1 never."""
+        return max(-self.margin_s, 0.0) / self.needed_s
+
+
+@dataclass(frozen=True)
+class ScenarioCase:
+    """A scenario at one speed and impact: its runs from all starts, complete and with sensors lost."""
+
+    speed_km_h: float
+    impact: float
+    runs: tuple[ScenarioRun, ...]
+    sight: Sight  # by the clock of start 0
+
+    @property
+    def worst(self) -> ScenarioRun:
+        """The run with the least margin."""
+        return min(self.runs, key=lambda run: run.margin_s)
+
+    @property
+    def sight_margin_s(self) -> float | None:
+        """From the earliest line of sight to the last moment to brake."""
+        return None if self.sight.seconds is None else self.runs[0].last_s - self.sight.seconds
+
+    @property
+    def achievable(self) -> bool:
+        """Whether the line of sight leaves time for a frame's end at each start."""
+        frames_s = (STARTS - 1) / STARTS * self.runs[0].frame_s
+        return self.sight_margin_s is not None and self.sight_margin_s >= frames_s
+
+
+@dataclass(frozen=True)
+class ScenarioResult:
+    """What comes of a scenario at all its speeds and impacts."""
+
+    scenario: Scenario
+    rule: Rule
+    braking: Braking
+    sensor_names: tuple[str, ...]
+    cases: tuple[ScenarioCase, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether the target is detected in time, always."""
+        return all(case.worst.margin_s >= 0.0 for case in self.cases)
+
+    @property
+    def worst(self) -> ScenarioCase:
+        """The case with the least margin."""
+        return min(self.cases, key=lambda case: case.worst.margin_s)
+
+    @property
+    def shortfall(self) -> float:
+        """Seconds short over seconds needed in the worst run of each case, mean over cases: 0 if it is met."""
+        return float(np.mean([case.worst.shortfall for case in self.cases]))
+
+
+def check_scenario(
+    scenario: Scenario,
+    mounts: Sequence[Mount],
+    vehicle: Vehicle | None,
+    *,
+    speeds_km_h: Sequence[float] | None = None,
+    rule: Rule | None = None,
+    braking: Braking = EMERGENCY,
+    lost: int = 0,
+    bounds: Bounds | None = None,
+    ground_m: float = 0.0,
+    on_progress: Callable[[float], None] = lambda fraction: None,
+) -> ScenarioResult:
+    """Whether sensors on a vehicle detect a scenario's target in time to brake.
+
+    The rule also holds with any `lost` of the sensors missing. The earliest line of sight is from anywhere within
+    `bounds`, by default from the sensors themselves; `ground_m` is the height of the ground in the vehicle frame. What
+    the sensors' realism says is left out. Raises ConfigError.
+    """
+    rule = rule or Rule()
+    extent = Extent.of(vehicle)
+    speeds = speeds_km_h or scenario.file.speeds_km_h
+    if not speeds:
+        raise ConfigError(f"{scenario.name}: has no speeds of its own; give speeds_km_h")
+    if not mounts:
+        raise ConfigError(f"{scenario.name}: there is no sensor")
+    exact = [replace(mount, realism=None) for mount in mounts]
+    frame_ns = round(MINUTE_NS / min(mount.rpm for mount in exact))
+    keys = list(product(speeds, scenario.file.impacts))
+    approaches = [_approaches(scenario, extent, *key, ground_m, frame_ns, braking) for key in keys]
+    flat = [one for starts in approaches for one in starts]
+    seen = _fired(flat, exact, vehicle, frame_ns, rule, on_progress)
+    losses = [which for count in range(lost + 1) for which in combinations(range(len(exact)), count)]
+    if bounds is None:
+        bounds = [(np.array(mount.position_m), np.array(mount.position_m)) for mount in exact]
+    places = places_within(bounds, vehicle)
+    cases = []
+    for number, (speed_km_h, impact) in enumerate(keys):
+        runs = []
+        for start, which in product(range(STARTS), losses):
+            approach = approaches[number][start]
+            returns = seen[number * STARTS + start].returns(rule, which)
+            needed_s = needed(approach, braking)
+            frame_s = frame_ns / SECOND_NS
+            runs.append(ScenarioRun(approach, start, which, frame_s, needed_s, rule.returns, returns))
+        sight = earliest_sight(runs[0].approach, runs[0].last_s, places, vehicle)
+        cases.append(ScenarioCase(speed_km_h, impact, tuple(runs), sight))
+    return ScenarioResult(scenario, rule, braking, tuple(mount.name for mount in exact), tuple(cases))
+
+
+def needed(approach: Approach, braking: Braking) -> float:
+    """Seconds from the last moment to brake to the impact."""
+    return braking.distance_m(approach.speed_m_s, approach.ahead_m_s) / approach.closing_m_s
+
+
+def _approaches(
+    scenario: Scenario, extent: Extent, speed_km_h: float, impact: float, ground_m: float, frame_ns: int, braking: Braking
+) -> list[Approach]:
+    """A run from each start. Raises ConfigError."""
+    one = Approach(scenario, extent, speed_km_h, impact, scenario.file.before_impact_s or BEFORE_IMPACT_S, ground_m)
+    at = f"{scenario.name} at {speed_km_h:g} km/h"
+    if not one.closing_m_s > 0.0:
+        raise ConfigError(f"{at}: the target moves away as fast; allowed: more than {scenario.file.path.speed_km_h:g}")
+    if scenario.file.from_m is not None:
+        one = replace(one, lead_s=scenario.file.from_m / one.closing_m_s)
+    frame_s = frame_ns / SECOND_NS
+    needed_s = needed(one, braking)
+    if one.lead_s - needed_s < 2 * frame_s:
+        what = f"braking begins {needed_s:.2f} s before the impact, a run {one.lead_s:.2f} s"
+        raise ConfigError(f"{at}: {what}; let it start earlier (before_impact_s, from_m)")
+    return [replace(one, lead_s=one.lead_s - start * frame_s / STARTS) for start in range(STARTS)]
+
+
+class _Frame(NamedTuple):
+    """The firings of a sensor in a frame."""
+
+    firings: Firings
+    starts_m: Array  # (N, 3) of the beams, in the sensor's frame
+    directions: Array  # (N, 3)
+
+
+class _Hits:
+    """The returns from a run's target: their numbers by frame and sensor, or their points, where clusters count."""
+
+    def __init__(self, frames: int, sensors: int, keep_points: bool) -> None:
+        self._counts = np.zeros((frames, sensors), np.int64)
+        self._points: list[list[Array]] | None = None
+        if keep_points:
+            self._points = [[np.empty((0, 3))] * sensors for _ in range(frames)]
+
+    def add(self, frame: int, sensor: int, points_m: Array) -> None:
+        """Points (N, 3) relative to the ground below the start of the run."""
+        self._counts[frame, sensor] = len(points_m)
+        if self._points is not None:
+            self._points[frame][sensor] = points_m
+
+    def returns(self, rule: Rule, lost: tuple[int, ...]) -> Counts:
+        """(F,) what the rule counts in each frame, without the lost sensors."""
+        kept = [sensor for sensor in range(self._counts.shape[1]) if sensor not in lost]
+        counts: Counts = self._counts[:, kept].sum(axis=1)
+        if rule.cluster_m is None or self._points is None:
+            return counts
+        for frame in np.flatnonzero(counts >= rule.returns).tolist():
+            points = np.concatenate([self._points[frame][sensor] for sensor in kept])
+            counts[frame] = largest_cluster(points, rule.cluster_m)
+        return counts
+
+
+def largest_cluster(points_m: Array, tolerance_m: float) -> int:
+    """The number of points in the largest cluster of points (N, 3), heights being above the ground.
+
+    Neighbours within the tolerance are of one cluster. One without a point at least 0.1 m above the ground is none.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(points_m).query_pairs(tolerance_m, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (len(points_m), len(points_m)))
+    count, label = connected_components(graph, directed=False)
+    high = np.zeros(count, bool)
+    high[label[points_m[:, 2] >= ABOVE_GROUND_M]] = True
+    sizes = np.bincount(label, minlength=count)[high]
+    return int(sizes.max(initial=0))
+
+
+def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> Drive:
+    """The run as `export` has it, from its start to the impact."""
+    rig = Rig("rig", tuple(mounts))
+    duration_ns = round(approach.lead_s * SECOND_NS)
+    return Drive(rig, approach.scene, approach.trajectory(START_NS), vehicle, START_NS, duration_ns)
+
+
+def _fired(
+    approaches: Sequence[Approach],
+    mounts: Sequence[Mount],
+    vehicle: Vehicle | None,
+    frame_ns: int,
+    rule: Rule,
+    on_progress: Callable[[float], None],
+) -> list[_Hits]:
+    """The returns of all runs: each sensor fires alike in all of them, so they share its firings."""
+    tasks = [prepared(drive_of(one, mounts, vehicle), CHUNK_NS) for one in approaches]
+    frames = [int(one.lead_s * SECOND_NS) // frame_ns for one in approaches]
+    hits = [_Hits(count, len(mounts), rule.cluster_m is not None) for count in frames]
+    streams = [_frames(task, frame_ns, max(frames)) for task in tasks[0]]
+    for number, fired in enumerate(zip(*streams, strict=True)):
+        for approach, of_sensors, count, found in zip(approaches, tasks, frames, hits, strict=True):
+            if number < count:
+                for sensor, frame in enumerate(fired):
+                    found.add(number, sensor, _returns(approach, of_sensors[sensor], frame, number, frame_ns))
+        on_progress((number + 1) / max(frames))
+    return hits
+
+
+def _frames(task: Task, frame_ns: int, count: int) -> Iterator[_Frame]:
+    """A sensor's firings, frame by frame."""
+    period_ns = task.timing.pace(task.mount).period_ns
+    packets = count * frame_ns // period_ns + 2
+    waiting: list[tuple[Counts, Firings]] = []  # batches, with the frame of each firing
+    frame = 0
+    for batch in task.timing.schedule(task.mount, task.start_ns, packets, max(frame_ns // period_ns, 1)):
+        if not len(batch.firings.time_ns):
+            continue
+        numbers = (batch.firings.time_ns - START_NS) // frame_ns
+        while frame < min(int(numbers.min()), count):  # later batches fire later
+            yield _frame(task.mount, waiting, frame)
+            frame += 1
+        waiting = [one for one in waiting if one[0].max() >= frame]
+        waiting.append((numbers, batch.firings))
+    for rest in range(frame, count):
+        yield _frame(task.mount, waiting, rest)
+
+
+def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) -> _Frame:
+    chosen = [(numbers == frame, fired) for numbers, fired in batches]
+    columns = [[getattr(fired, key)[which] for which, fired in chosen] for key in ("time_ns", "laser", "encoder_rad")]
+    time_ns, laser, encoder_rad = (np.concatenate(column) if column else np.empty(0) for column in columns)
+    fired = Firings(time_ns.astype(np.int64), laser.astype(np.uint8), encoder_rad)
+    starts_m = beam_ends_m(mount.sensor, fired.laser, encoder_rad, np.zeros(len(encoder_rad)))
+    ends_m = beam_ends_m(mount.sensor, fired.laser, encoder_rad, np.ones(len(encoder_rad)))
+    return _Frame(fired, starts_m, ends_m - starts_m)
+
+
+def _returns(approach: Approach, task: Task, frame: _Frame, number: int, frame_ns: int) -> Array:
+    """(N, 3) the points of the target that a sensor reports in a frame, in the world, heights above the ground."""
+    mount = task.mount
+    assert mount.sensor.range
+    some = np.flatnonzero(_may_hit(approach, mount, frame, (number + 0.5) * frame_ns / SECOND_NS, frame_ns))
+    if not len(some):
+        return np.empty((0, 3))
+    fired = Firings(frame.firings.time_ns[some], frame.firings.laser[some], frame.firings.encoder_rad[some])
+    found, _ = task.simulator.echoes(fired, 0)
+    range_m = found.range_m[:, 0]
+    least_m, most_m = mount.sensor.range.reported_m
+    if mount.range_m:
+        least_m, most_m = max(least_m, mount.range_m[0]), min(most_m, mount.range_m[1])
+    target = approach.scene.names.index(TARGET)
+    hit = np.flatnonzero((found.object[:, 0] == target) & (range_m >= least_m) & (range_m <= most_m))
+    own = frame.starts_m[some[hit]] + frame.directions[some[hit]] * range_m[hit, None]
+    points_m = transform(mount.T_vehicle_sensor, own)
+    seconds = (fired.time_ns[hit] - START_NS) / SECOND_NS
+    points_m[:, :2] += seconds[:, None] * approach.velocity_m_s
+    points_m[:, 2] -= approach.ground_m
+    return points_m
+
+
+def _may_hit(approach: Approach, mount: Mount, frame: _Frame, middle_s: float, frame_ns: int) -> NDArray[np.bool_]:
+    """(N,) which beams may hit the target: those that meet a ball in which it is during the whole frame."""
+    low, high = approach.scenario.target.box_m
+    half_s = 0.5 * frame_ns / SECOND_NS
+    moves_m = (approach.speed_m_s + approach.walk_m_s) * half_s  # both, from the middle of the frame on
+    offset_m = float(np.linalg.norm(frame.starts_m, axis=1).max(initial=0.0))
+    radius_m = 0.5 * float(np.linalg.norm(high - low)) + moves_m + offset_m
+    center_m = approach.target_points(0.5 * (low + high)[None], middle_s)
+    center_m[:, :2] -= approach.velocity_m_s * middle_s
+    toward = transform(inverse(mount.T_vehicle_sensor), center_m)[0]
+    distance_m = float(np.linalg.norm(toward))
+    assert mount.sensor.range
+    if distance_m - radius_m > mount.sensor.range.reported_m[1]:
+        return np.zeros(len(frame.directions), bool)
+    if distance_m <= radius_m:
+        return np.ones(len(frame.directions), bool)
+    least = maths.cos(maths.asin(radius_m / distance_m)) - SLACK
+    return np.asarray(frame.directions @ (toward / distance_m) >= least)
