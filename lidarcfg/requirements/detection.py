@@ -1,10 +1,11 @@
-"""Detection in time: a scenario's runs fired frame by frame, and the seconds from detection to the last moment to brake.
+"""Detection in time: a scenario's runs, fired frame by frame, and the seconds that are left to brake.
 
 A frame is a revolution of the slowest sensor, and counts at its end. Each firing has its own time, at which vehicle and
 target are where they are then; beams are thin and exact, and the vehicle's bodies are in their way. A run has four
 starts, a quarter of a frame apart, of which the worst counts: nobody knows where heads point when a target appears.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -13,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg import maths
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, inverse, transform
 from lidarcfg.packets.codec import Firings
@@ -30,6 +30,7 @@ STARTS = 4
 RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
 ABOVE_GROUND_M = 0.1  # at least one point of a cluster is so high: the same file
 SLACK = 1e-9  # of a cosine, for rounding
+SLACK_M = 1e-3  # of a distance: a target that gains speed moves along chords
 
 Counts = NDArray[np.int64]
 
@@ -201,7 +202,13 @@ def needed(approach: Approach, braking: Braking) -> float:
 
 
 def _approaches(
-    scenario: Scenario, extent: Extent, speed_km_h: float, impact: float, ground_m: float, frame_ns: int, braking: Braking
+    scenario: Scenario,
+    extent: Extent,
+    speed_km_h: float,
+    impact: float,
+    ground_m: float,
+    frame_ns: int,
+    braking: Braking,
 ) -> list[Approach]:
     """A run from each start. Raises ConfigError."""
     one = Approach(scenario, extent, speed_km_h, impact, scenario.file.before_impact_s or BEFORE_IMPACT_S, ground_m)
@@ -223,7 +230,10 @@ class _Frame(NamedTuple):
 
     firings: Firings
     starts_m: Array  # (N, 3) of the beams, in the sensor's frame
-    directions: Array  # (N, 3)
+    directions: Array  # (3, N)
+    offset_m: float  # of the beams' starts from the sensor's origin, at most
+    T_vehicle_sensor: Array
+    T_sensor_vehicle: Array
 
 
 class _Hits:
@@ -326,47 +336,51 @@ def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) 
     fired = Firings(time_ns.astype(np.int64), laser.astype(np.uint8), encoder_rad)
     starts_m = beam_ends_m(mount.sensor, fired.laser, encoder_rad, np.zeros(len(encoder_rad)))
     ends_m = beam_ends_m(mount.sensor, fired.laser, encoder_rad, np.ones(len(encoder_rad)))
-    return _Frame(fired, starts_m, ends_m - starts_m)
+    offset_m = float(np.linalg.norm(starts_m, axis=1).max(initial=0.0))
+    T_vehicle_sensor = mount.T_vehicle_sensor
+    directions = np.ascontiguousarray((ends_m - starts_m).T)
+    return _Frame(fired, starts_m, directions, offset_m, T_vehicle_sensor, inverse(T_vehicle_sensor))
 
 
 def _returns(approach: Approach, task: Task, frame: _Frame, number: int, frame_ns: int) -> Array:
     """(N, 3) the points of the target that a sensor reports in a frame, in the world, heights above the ground."""
     mount = task.mount
     assert mount.sensor.range
-    some = np.flatnonzero(_may_hit(approach, mount, frame, (number + 0.5) * frame_ns / SECOND_NS, frame_ns))
+    least_m, most_m = mount.sensor.range.reported_m
+    some = _may_hit(approach, most_m, frame, (number + 0.5) * frame_ns / SECOND_NS, frame_ns)
     if not len(some):
         return np.empty((0, 3))
     fired = Firings(frame.firings.time_ns[some], frame.firings.laser[some], frame.firings.encoder_rad[some])
     found, _ = task.simulator.echoes(fired, 0)
     range_m = found.range_m[:, 0]
-    least_m, most_m = mount.sensor.range.reported_m
     if mount.range_m:
         least_m, most_m = max(least_m, mount.range_m[0]), min(most_m, mount.range_m[1])
     target = approach.scene.names.index(TARGET)
     hit = np.flatnonzero((found.object[:, 0] == target) & (range_m >= least_m) & (range_m <= most_m))
-    own = frame.starts_m[some[hit]] + frame.directions[some[hit]] * range_m[hit, None]
-    points_m = transform(mount.T_vehicle_sensor, own)
+    own = frame.starts_m[some[hit]] + frame.directions[:, some[hit]].T * range_m[hit, None]
+    points_m = transform(frame.T_vehicle_sensor, own)
     seconds = (fired.time_ns[hit] - START_NS) / SECOND_NS
     points_m[:, :2] += seconds[:, None] * approach.velocity_m_s
     points_m[:, 2] -= approach.ground_m
     return points_m
 
 
-def _may_hit(approach: Approach, mount: Mount, frame: _Frame, middle_s: float, frame_ns: int) -> NDArray[np.bool_]:
-    """(N,) which beams may hit the target: those that meet a ball in which it is during the whole frame."""
-    low, high = approach.scenario.target.box_m
-    half_s = 0.5 * frame_ns / SECOND_NS
-    moves_m = (approach.speed_m_s + approach.walk_m_s) * half_s  # both, from the middle of the frame on
-    offset_m = float(np.linalg.norm(frame.starts_m, axis=1).max(initial=0.0))
-    radius_m = 0.5 * float(np.linalg.norm(high - low)) + moves_m + offset_m
-    center_m = approach.target_points(0.5 * (low + high)[None], middle_s)
+def _may_hit(approach: Approach, range_m: float, frame: _Frame, middle_s: float, frame_ns: int) -> NDArray[np.int64]:
+    """Which beams may hit the target: those that meet a ball in which it is during the whole frame."""
+    middle_m, radius_m = approach.scenario.ball
+    moves_m = (approach.speed_m_s + approach.walk_m_s) * 0.5 * frame_ns / SECOND_NS  # from the frame's middle on
+    reach_m = radius_m + moves_m + frame.offset_m + SLACK_M
+    center_m = approach.target_points(middle_m[None], middle_s)
     center_m[:, :2] -= approach.velocity_m_s * middle_s
-    toward = transform(inverse(mount.T_vehicle_sensor), center_m)[0]
+    toward = transform(frame.T_sensor_vehicle, center_m)[0]
     distance_m = float(np.linalg.norm(toward))
-    assert mount.sensor.range
-    if distance_m - radius_m > mount.sensor.range.reported_m[1]:
-        return np.zeros(len(frame.directions), bool)
-    if distance_m <= radius_m:
-        return np.ones(len(frame.directions), bool)
-    least = maths.cos(maths.asin(radius_m / distance_m)) - SLACK
-    return np.asarray(frame.directions @ (toward / distance_m) >= least)
+    if distance_m - reach_m > range_m:
+        return np.empty(0, np.int64)
+    if distance_m <= reach_m:
+        return np.arange(len(frame.starts_m))
+    least = math.sqrt(1 - (reach_m / distance_m) ** 2) - SLACK
+    x, y, z = toward / distance_m
+    cosine = frame.directions[0] * x
+    cosine += frame.directions[1] * y
+    cosine += frame.directions[2] * z
+    return np.flatnonzero(cosine >= least)

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from lidarcfg.config.models import FileName, Model, Name, Positive, check_names, error_at, errors_at, load
+from lidarcfg.config.models import FileName, Model, Name, check_names, error_at, errors_at, load
 from lidarcfg.config.models import validation_error as fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, shipped
@@ -24,7 +24,7 @@ from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.sensors.rig import one_of
 from lidarcfg.simulate.returns import Target
 from lidarcfg.world.meshes import box_mesh, read_mesh
-from lidarcfg.world.motion import Motion, MotionPath, TimedPose, Trajectory, prepared
+from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
 from lidarcfg.world.scene import Box, Ground, MeshFile, Scene, SceneFile, built
 from lidarcfg.world.vehicle import Vehicle
 
@@ -140,10 +140,17 @@ class Scenario:
         """As the file has it."""
         return self.file.name
 
+    @cached_property
+    def ball(self) -> tuple[Array, float]:
+        """A ball that holds the target: its middle (3,), relative to the target's place, and its radius in metres."""
+        low, high = self.target.box_m
+        return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+
 
 def presets() -> dict[str, Path]:
     """The scenarios that come with the package: their files by name."""
-    return {path.stem: path for path in sorted((shipped("data") / "scenarios").glob("*.yaml"))}
+    found = {path.stem: path for path in (shipped("data") / "scenarios").glob("*.yaml")}
+    return dict(sorted(found.items()))
 
 
 def load_scenario(name: str, folder: Path = Path()) -> Scenario:
@@ -272,7 +279,7 @@ class Approach:
             return self.walked_m - self.walk_m_s**2 / (4 * path.gain_m) * since_s**2
         return self.walk_m_s * left_s
 
-    @property
+    @cached_property
     def walked_m(self) -> float:
         """The whole way of a target that starts beside the vehicle's path. Raises ConfigError if it is too short."""
         path = self.scenario.file.path
@@ -323,7 +330,7 @@ class Approach:
         place = np.array([*self.target_m(0.0), self.ground_m])
         if self.scenario.mesh is None:
             length_m, width_m, height_m = target.size_m.tolist()
-            x, y, z = (place + [0.0, 0.0, 0.5 * height_m]).tolist()
+            x, y, z = (place + np.array([0.0, 0.0, 0.5 * height_m])).tolist()
             moving = {"yaw_deg": self.heading_deg, "motion": self._motion}
             boxes.append(_box(TARGET, (x, y, z), (length_m, width_m, height_m)).model_copy(update=moving))
         else:
@@ -358,10 +365,15 @@ class Approach:
 
     def target_points(self, points: Array, seconds: float) -> Array:
         """Points (N, 3) relative to the target's place, in the world at a time."""
-        return np.asarray(self._turned(points) + [*self.target_m(seconds), self.ground_m])
+        place = np.array([*self.target_m(seconds), self.ground_m])
+        return np.asarray(self._turned(points) + place)
 
     def _turned(self, points: Array) -> Array:
-        return transform(pose((0.0, 0.0, 0.0), (0.0, 0.0, math.radians(self.heading_deg))), points)
+        return transform(self._T_turned, points)
+
+    @cached_property
+    def _T_turned(self) -> Array:
+        return pose((0.0, 0.0, 0.0), (0.0, 0.0, math.radians(self.heading_deg)))
 
     @property
     def _motion(self) -> Motion | None:
@@ -372,7 +384,7 @@ class Approach:
         path = self.scenario.file.path
         end_s = self.lead_s + AFTER_IMPACT_S
         if path.start_m is None:
-            x, y = ((self.target_m(1.0) - start)).tolist()
+            x, y = (self.target_m(1.0) - start).tolist()
             return Motion(velocity_m_s=(x, y, 0.0))
         steady_s = self.lead_s - (self.walked_m - path.gain_m) / self.walk_m_s
         gaining_s = np.linspace(steady_s - 2 * path.gain_m / self.walk_m_s, steady_s, GAIN_POSES + 1)
