@@ -8,7 +8,7 @@ from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.meshes import box_mesh, joined, lathe
-from lidarcfg.world.scene import Box
+from lidarcfg.world.scene_file import Box
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
 

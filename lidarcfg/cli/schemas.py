@@ -15,7 +15,7 @@ KINDS = {  # module and model of each kind of file, loaded when they are needed
     "study": "lidarcfg.placement.study_file:StudyFile",
     "plan": "lidarcfg.placement.plan:PlanFile",
     "rig": "lidarcfg.sensors.rig:RigFile",
-    "scene": "lidarcfg.world.scene:SceneFile",
+    "scene": "lidarcfg.world.scene_file:SceneFile",
     "sensor": "lidarcfg.sensors.sensor:Sensor",
     "vehicle": "lidarcfg.world.vehicle:VehicleFile",
     "trajectory": "lidarcfg.world.motion:Motion",

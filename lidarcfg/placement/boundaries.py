@@ -19,7 +19,7 @@ from lidarcfg.placement.cones import Lidar
 from lidarcfg.placement.outline import Quadrics, outline, quadrics, silhouette
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
-from lidarcfg.world.scene import Cylinder, Sphere
+from lidarcfg.world.scene_file import Cylinder, Sphere
 from lidarcfg.world.solids import parts
 from lidarcfg.world.vehicle import Vehicle, mesh_of
 

@@ -28,7 +28,7 @@ from lidarcfg.placement.region import AXES, Region
 from lidarcfg.simulate.returns import Poses, Target, returns
 from lidarcfg.world.meshes import box_mesh, read_mesh
 from lidarcfg.world.obstacles import Obstacles
-from lidarcfg.world.scene import Box
+from lidarcfg.world.scene_file import Box
 from lidarcfg.world.solids import open_edges, welded
 
 STEP_M = 1.0

@@ -16,7 +16,7 @@ from lidarcfg.placement.subspace import BLIND, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world import solids
 from lidarcfg.world.meshes import box_mesh, lathe
-from lidarcfg.world.scene import Box
+from lidarcfg.world.scene_file import Box
 from lidarcfg.world.vehicle import Solid
 from tests import visibility_cases
 from tests.naive import visibility as naive
