@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from lidarcfg import core, maths
 from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_values
-from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.attitudes import freely_tilted, upright_in_the_middle
@@ -25,16 +24,17 @@ from lidarcfg.placement.detection import DetectionObject, check_fits
 from lidarcfg.placement.objective import Objective
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
-from lidarcfg.placement.robustness import Robust, mounted
-from lidarcfg.placement.slots import Slot, check_bounds, slots_of
+from lidarcfg.placement.slots import Slot, Slots, check_bounds, slots_of
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import mirrored, violation
 from lidarcfg.placement.terms import MissRate, Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
+from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
+from lidarcfg.requirements.robustness import Robust, mounted
+from lidarcfg.requirements.sensors import scanners_of
 from lidarcfg.sensors.rig import FIRST_HOST, RETURN_MODE, RPM, Mount, Rig, ports
-from lidarcfg.simulate.returns import compiled, scanner
 from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.vehicle import Vehicle, vehicle
@@ -58,6 +58,7 @@ class Study:
     surroundings: Scene | None = None  # in the vehicle frame
     visibility: Visibility | None = None  # None: every LiDAR sees everything, as in the paper
     robust: Robust | None = None  # what a rig has to withstand
+    requirements: Requirements | None = None  # what a rig must see
     zones: tuple[Zone, ...] = ()
     detection_targets: tuple[DetectionTarget, ...] = ()  # the objects that are detected by returns
     file: dict[str, Any] = field(default_factory=dict)  # the file with its defaults filled in
@@ -197,13 +198,7 @@ class Study:
 
     def scanners(self, mounts: Sequence[Mount]) -> tuple[core.returns.Scanner, ...]:
         """How the mounts' sensors fire in a revolution. Raises ConfigError if that is not known."""
-        found = []
-        for mount in mounts:
-            try:
-                found.append(scanner(mount))
-            except ConfigError as error:
-                raise error.of(mount.name) from None
-        return compiled(found)
+        return scanners_of(mounts)
 
     @property
     def obstacles(self) -> Obstacles:
@@ -300,6 +295,8 @@ def study_of(file: StudyFile, path: Path) -> Study:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
     detection_targets = _detection_targets(file, region, path)
+    found = sources(file.requirements, path)
+    seen = _visibility(file, region, bodies, surroundings)
     study = Study(
         name=path.stem,
         region=region,
@@ -313,11 +310,12 @@ def study_of(file: StudyFile, path: Path) -> Study:
         detection=file.detection,
         vehicle=bodies,
         surroundings=surroundings,
-        visibility=_visibility(file, region, bodies, surroundings),
+        visibility=seen,
         robust=file.robust,
+        requirements=_requirements(file, found, region, bodies, seen, slots),
         zones=zones,
         detection_targets=detection_targets,
-        file=_resolved(file, slots.slots, choices, path),
+        file=_resolved(file, found, slots.slots, choices, path),
     )
     if detection_targets:
         for mount, slot, number in zip(study.rig(study.lower).mounts, slots.slots, slots.group, strict=True):
@@ -368,7 +366,27 @@ def _visibility(file: StudyFile, region: Region, bodies: Vehicle | None, scene: 
     return Visibility.of(scenes if given.occlusion else [], region, given.range, given.field_of_view)
 
 
-def _resolved(file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], path: Path) -> dict[str, Any]:
+def _requirements(
+    file: StudyFile,
+    found: Sequence[Source],
+    region: Region,
+    bodies: Vehicle | None,
+    seen: Visibility | None,
+    slots: Slots,
+) -> Requirements | None:
+    """The study's requirements. Objects stand on the surroundings' ground, or else on the region's floor."""
+    if not found:
+        return None
+    obstacles = seen.obstacles if seen else NO_OBSTACLES
+    ground_m = obstacles.ground_m if math.isfinite(obstacles.ground_m) else float(region.min_m[2])
+    sensors = sum(group.count for group in file.sensors)
+    site = Site.of(bodies, obstacles, ground_m, slots.boxes_m)
+    return resolved(found, site, file.robust, file.prices, sensors)
+
+
+def _resolved(
+    file: StudyFile, found: Sequence[Source], slots: tuple[Slot, ...], choices: list[Choices], path: Path
+) -> dict[str, Any]:
     """The file's values with defaults filled in, and with the paths of models and other files resolved."""
     values, models = whole_values(file, path.parent), iter(slots)
     for group in values["sensors"]:
@@ -377,6 +395,9 @@ def _resolved(file: StudyFile, slots: tuple[Slot, ...], choices: list[Choices], 
                 group["choose"] = [choice.model if choice else NONE for choice in slot.choices]
             elif slot.model is not None:
                 group["model"] = slot.model
+    del values["requirements"]
+    if found:
+        values["requirements"] = [whole_values(one.item, one.path.parent) for one in found]
     if file.prices:
         values["prices"] = resolved_prices(file, choices)
     return values

@@ -12,9 +12,9 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluator import Evaluator, Index
-from lidarcfg.placement.robustness import mounted
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.terms import Recent
+from lidarcfg.requirements.robustness import mounted
 
 
 class StudyEvaluator:

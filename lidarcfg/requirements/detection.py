@@ -28,7 +28,10 @@ from lidarcfg.world.vehicle import Vehicle
 
 STARTS = 4
 RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
+LEAST_S = 0.5  # of a run before the last moment to brake: two revolutions of the slowest sensors, at 300 rpm, fit
+NO_SPEEDS = "has no speeds of its own; give speeds_km_h"
 ABOVE_GROUND_M = 0.1  # at least one point of a cluster is so high: the same file
+CELL = 0.57  # of a tolerance: less than 1/√3, so that all points of a cell are neighbours
 SLACK = 1e-9  # of a cosine, for rounding
 SLACK_M = 1e-3  # of a distance: a target that gains speed moves along chords
 
@@ -130,6 +133,11 @@ class ScenarioResult:
     sensor_names: tuple[str, ...]
     cases: tuple[ScenarioCase, ...]
 
+    def with_lost(self, *counts: int) -> "ScenarioResult":
+        """The runs with so many sensors lost."""
+        cases = [replace(case, runs=tuple(run for run in case.runs if len(run.lost) in counts)) for case in self.cases]
+        return replace(self, cases=tuple(cases))
+
     @property
     def met(self) -> bool:
         """Whether the target is detected in time, always."""
@@ -154,43 +162,54 @@ def check_scenario(
     speeds_km_h: Sequence[float] | None = None,
     rule: Rule | None = None,
     braking: Braking = EMERGENCY,
-    lost: int = 0,
+    losses: Sequence[int] = (0,),
     bounds: Bounds | None = None,
     ground_m: float = 0.0,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> ScenarioResult:
     """Whether sensors on a vehicle detect a scenario's target in time to brake.
 
-    The rule also holds with any `lost` of the sensors missing. The earliest line of sight is from anywhere within
-    `bounds`, by default from the sensors themselves; `ground_m` is the height of the ground in the vehicle frame. What
-    the sensors' realism says is left out. Raises ConfigError.
+    Runs are made with each number of `losses` of sensors missing, whichever these are. The earliest line of sight is
+    from anywhere within `bounds`, by default from the sensors themselves; `ground_m` is the height of the ground in the
+    vehicle frame. What the sensors' realism says is left out. Raises ConfigError.
     """
     rule = rule or Rule()
     extent = Extent.of(vehicle)
     speeds = speeds_km_h or scenario.file.speeds_km_h
     if not speeds:
-        raise ConfigError(f"{scenario.name}: has no speeds of its own; give speeds_km_h")
+        raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
     if not mounts:
         raise ConfigError(f"{scenario.name}: there is no sensor")
     exact = [replace(mount, realism=None) for mount in mounts]
     frame_ns = round(MINUTE_NS / min(mount.rpm for mount in exact))
     keys = list(product(speeds, scenario.file.impacts))
-    approaches = [_approaches(scenario, extent, *key, ground_m, frame_ns, braking) for key in keys]
+    quarter_s = frame_ns / SECOND_NS / STARTS
+    approaches = []
+    for speed_km_h, impact in keys:
+        first = approach_of(scenario, extent, speed_km_h, impact, ground_m, braking)
+        approaches.append([replace(first, lead_s=first.lead_s - start * quarter_s) for start in range(STARTS)])
     flat = [one for starts in approaches for one in starts]
     seen = _fired(flat, exact, vehicle, frame_ns, rule, on_progress)
-    losses = [which for count in range(lost + 1) for which in combinations(range(len(exact)), count)]
+    lost = [which for count in losses for which in combinations(range(len(exact)), count)]
     if bounds is None:
         bounds = [(np.array(mount.position_m), np.array(mount.position_m)) for mount in exact]
     places = places_within(bounds, vehicle)
     cases = []
     for number, (speed_km_h, impact) in enumerate(keys):
         runs = []
-        for start, which in product(range(STARTS), losses):
+        for start, which in product(range(STARTS), lost):
             approach = approaches[number][start]
-            returns = seen[number * STARTS + start].returns(rule, which)
-            needed_s = needed(approach, braking)
-            frame_s = frame_ns / SECOND_NS
-            runs.append(ScenarioRun(approach, start, which, frame_s, needed_s, rule.returns, returns))
+            runs.append(
+                ScenarioRun(
+                    approach=approach,
+                    start=start,
+                    lost=which,
+                    frame_s=frame_ns / SECOND_NS,
+                    needed_s=needed(approach, braking),
+                    demanded=rule.returns,
+                    returns=seen[number * STARTS + start].returns(rule, which),
+                )
+            )
         sight = earliest_sight(runs[0].approach, runs[0].last_s, places, vehicle)
         cases.append(ScenarioCase(speed_km_h, impact, tuple(runs), sight))
     return ScenarioResult(scenario, rule, braking, tuple(mount.name for mount in exact), tuple(cases))
@@ -201,28 +220,22 @@ def needed(approach: Approach, braking: Braking) -> float:
     return braking.distance_m(approach.speed_m_s, approach.ahead_m_s) / approach.closing_m_s
 
 
-def _approaches(
-    scenario: Scenario,
-    extent: Extent,
-    speed_km_h: float,
-    impact: float,
-    ground_m: float,
-    frame_ns: int,
-    braking: Braking,
-) -> list[Approach]:
-    """A run from each start. Raises ConfigError."""
+def approach_of(
+    scenario: Scenario, extent: Extent, speed_km_h: float, impact: float, ground_m: float, braking: Braking
+) -> Approach:
+    """The run at a speed and impact. Raises ConfigError unless it starts long enough before braking begins."""
     one = Approach(scenario, extent, speed_km_h, impact, scenario.file.before_impact_s or BEFORE_IMPACT_S, ground_m)
     at = f"{scenario.name} at {speed_km_h:g} km/h"
     if not one.closing_m_s > 0.0:
         raise ConfigError(f"{at}: the target moves away as fast; allowed: more than {scenario.file.path.speed_km_h:g}")
     if scenario.file.from_m is not None:
         one = replace(one, lead_s=scenario.file.from_m / one.closing_m_s)
-    frame_s = frame_ns / SECOND_NS
+    one.remaining_m(0.0)
     needed_s = needed(one, braking)
-    if one.lead_s - needed_s < 2 * frame_s:
-        what = f"braking begins {needed_s:.2f} s before the impact, a run {one.lead_s:.2f} s"
-        raise ConfigError(f"{at}: {what}; let it start earlier (before_impact_s, from_m)")
-    return [replace(one, lead_s=one.lead_s - start * frame_s / STARTS) for start in range(STARTS)]
+    if one.lead_s - needed_s < LEAST_S:
+        what = f"braking begins {needed_s:.2f} s before the impact, and a run {one.lead_s:.2f} s"
+        raise ConfigError(f"{at}: {what}; let it start earlier (before_impact_s, from_m), or brake harder")
+    return one
 
 
 class _Frame(NamedTuple):
@@ -270,15 +283,35 @@ def largest_cluster(points_m: Array, tolerance_m: float) -> int:
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
 
-    pairs = cKDTree(points_m).query_pairs(tolerance_m, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), (len(points_m), len(points_m)))
-    count, label = connected_components(graph, directed=False)
+    def labels(edges: Counts) -> tuple[int, Counts]:
+        weights = np.ones(len(edges), bool)
+        graph = coo_array((weights, (edges[:, 0], edges[:, 1])), (len(points_m), len(points_m)))
+        count, label = connected_components(graph, directed=False)
+        return count, label
+
+    count, label = labels(_some_edges(points_m, tolerance_m))
+    if count > 1:
+        count, label = labels(_pairs(points_m, tolerance_m))
     high = np.zeros(count, bool)
     high[label[points_m[:, 2] >= ABOVE_GROUND_M]] = True
     sizes = np.bincount(label, minlength=count)[high]
     return int(sizes.max(initial=0))
+
+
+def _pairs(points_m: Array, tolerance_m: float) -> Counts:
+    """(E, 2) all pairs of points within a tolerance."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(points_m).query_pairs(tolerance_m, output_type="ndarray"), np.int64)
+
+
+def _some_edges(points_m: Array, tolerance_m: float) -> Counts:
+    """(E, 2) some of these pairs, few where points are dense: all of a cell with its first, and among the firsts."""
+    cells = np.floor(points_m / (CELL * tolerance_m))
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    members = np.stack([np.arange(len(points_m)), first[cell.ravel()]], axis=1)
+    return np.concatenate([members, first[_pairs(points_m[first], tolerance_m)]])
 
 
 def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> Drive:

@@ -11,62 +11,40 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from lidarcfg.config.models import FileName, Model, Name, check_names, error_at, errors_at, load
+from lidarcfg.config.models import Model, Name, check_names, errors_at, load
 from lidarcfg.config.models import validation_error as fault
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example, shipped
 from lidarcfg.geometry import Array, pose, transform
-from lidarcfg.sensors.rig import one_of
+from lidarcfg.requirements.file import SPEED_MAX_KM_H, ObjectFile, ObjectOrName, Size, Speed
+from lidarcfg.requirements.target import shipped_objects, target_of
 from lidarcfg.simulate.returns import Target
-from lidarcfg.world.meshes import box_mesh, read_mesh
 from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
-from lidarcfg.world.scene import Box, Ground, MeshFile, Scene, SceneFile, built
+from lidarcfg.world.scene import Scene, built
+from lidarcfg.world.scene_file import Box, Ground, MeshFile, SceneFile
 from lidarcfg.world.vehicle import Vehicle
 
 KM_H = 1 / 3.6  # in m/s
-SPEED_MAX_KM_H = 300.0
-SIZE_MAX_M = 100.0
 BEFORE_IMPACT_S = 6.0
 AFTER_IMPACT_S = 1.0  # the target's motion goes on for this long
 GAIN_POSES = 32  # timed poses while a target gains speed
 TARGET = "target"  # its name in a scene
 GROUND_REFLECTIVITY = 15  # of asphalt, a guess; returns do not depend on it
 REFLECTIVITY = 20  # of everything else, likewise
-UPRIGHT_DEG = 90.0
+ACROSS_DEG = 90.0
+NO_BODY = "a scenario needs the vehicle's body, whose front reaches the target; give vehicle"
 
-Speed = Annotated[float, Field(gt=0, le=SPEED_MAX_KM_H)]
 Speeds = Annotated[tuple[Speed, ...], Field(min_length=1, max_length=100)]
 Walk = Annotated[float, Field(ge=0, le=SPEED_MAX_KM_H)]
-Size = Annotated[float, Field(gt=0, le=SIZE_MAX_M)]
 Length = Annotated[float, Field(ge=0, le=1000)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Fractions = Annotated[tuple[Fraction, ...], Field(min_length=1, max_length=100)]
 Side = Literal["right", "left"]
-
-
-class TargetFile(Model):
-    """What must be seen: one of data/objects by its name, a box, or a mesh."""
-
-    name: Name | None = None
-    size_m: tuple[Size, Size, Size] | None = None  # along its heading, across, up
-    mesh: FileName | None = None  # relative to the file
-
-    @model_validator(mode="after")
-    def _check(self) -> "TargetFile":
-        one_of(self, "name", "size_m", "mesh")
-        return self
-
-
-def _of_name(value: Any) -> Any:
-    return {"name": value} if isinstance(value, str) else value
-
-
-TargetOrName = Annotated[TargetFile, BeforeValidator(_of_name, json_schema_input_type=TargetFile | str)]
 
 
 class PathFile(Model):
@@ -111,7 +89,7 @@ class ScenarioFile(Model):
     backwards: bool = False  # the vehicle reverses
     before_impact_s: Annotated[float, Field(gt=0, le=120)] | None = None  # when a run starts; none: 6
     from_m: Annotated[float, Field(gt=0, le=5000)] | None = None  # or how far the vehicle then is from the impact
-    target: TargetOrName
+    target: ObjectOrName
     path: PathFile = PathFile()
     impacts: Fractions = (0.5,)  # where across the vehicle's front, as a fraction of its width from its right side
     cars: tuple[CarFile, ...] = ()
@@ -153,32 +131,35 @@ def presets() -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def load_scenario(name: str, folder: Path = Path()) -> Scenario:
-    """A preset by its name, or the scenario in a file relative to a folder. Raises ConfigError and SceneError."""
-    known = presets()
-    path = known.get(name.lower())
-    if path is None:
+def load_scenario(name: str, folder: Path = Path(), target: ObjectFile | None = None) -> Scenario:
+    """A preset by its name, or the scenario in a file relative to a folder; with another target, if one is given.
+
+    Raises ConfigError and SceneError.
+    """
+    if Path(name).suffix:
         path = example(folder / name)
-        if not path.suffix and not path.exists():
-            raise ConfigError(f"no scenario is called {name!r}; allowed: {', '.join(known)}, or the path of a file")
-    return scenario_of(load(path, ScenarioFile), path)
-
-
-def scenario_of(file: ScenarioFile, path: Path) -> Scenario:
-    """The scenario of a file's values. Raises ConfigError and SceneError."""
-    given = file.target
-    if given.size_m:
-        return Scenario(file, Target(box_mesh(_box(TARGET, (0.0, 0.0, 0.0), given.size_m))), None)
-    if given.name:
-        objects = {one.stem: one for one in sorted((shipped("data") / "objects").glob("*.ply"))}
-        if given.name not in objects:
-            what = f"no object is called {given.name!r}; allowed: {', '.join(objects)}"
-            raise error_at(path, ("target", "name"), what)
-        found = objects[given.name]
     else:
-        found = path.parent / str(given.mesh)
+        known = presets()
+        if name.lower() not in known:
+            raise ConfigError(f"no scenario is called {name!r}; allowed: {', '.join(known)}, or the path of a .yaml")
+        path = known[name.lower()]
+    return scenario_in(path) if target is None else scenario_of(load(path, ScenarioFile), target, folder)
+
+
+def scenario_in(path: Path) -> Scenario:
+    """The scenario in a file. Raises ConfigError with file, line and key."""
+    file = load(path, ScenarioFile)
     with errors_at(path, "target"):
-        return Scenario(file, Target(read_mesh(found)), os.path.realpath(found))
+        return scenario_of(file, file.target, path.parent)
+
+
+def scenario_of(file: ScenarioFile, target: ObjectFile, folder: Path) -> Scenario:
+    """The scenario of a file's values with a target that a file in a folder describes. Raises ConfigError."""
+    found = target_of(target, folder)
+    if target.size_m:
+        return Scenario(file, found, None)
+    path = shipped_objects()[target.name] if target.name else folder / str(target.mesh)
+    return Scenario(file, found, os.path.realpath(path))
 
 
 @dataclass(frozen=True)
@@ -194,7 +175,7 @@ class Extent:
     def of(cls, vehicle: Vehicle | None) -> "Extent":
         """Of a vehicle's bodies. Raises ConfigError without them."""
         if vehicle is None:
-            raise ConfigError("a scenario needs the vehicle's body, whose front reaches the target; give vehicle")
+            raise ConfigError(NO_BODY)
         vertices = vehicle.scene.mesh()[0]
         low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
         return cls(front_m=high[0], rear_m=low[0], right_m=low[1], left_m=high[1])
@@ -256,7 +237,7 @@ class Approach:
         """Of the target."""
         crosses = self.scenario.file.path.crosses_from
         if crosses:
-            return UPRIGHT_DEG if crosses == "right" else -UPRIGHT_DEG
+            return ACROSS_DEG if crosses == "right" else -ACROSS_DEG
         return 180.0 if self.scenario.file.backwards else 0.0
 
     @property

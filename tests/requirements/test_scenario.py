@@ -1,7 +1,6 @@
 """Scenarios: geometry and braking by hand, sight by a shadow's line, and frames as an export of the same drive has them."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,8 @@ from lidarcfg.requirements.detection import (
     largest_cluster,
     needed,
 )
-from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_scenario, presets, scenario_of
+from lidarcfg.requirements.file import ObjectFile
+from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_scenario, presets
 from lidarcfg.requirements.sight import earliest_sight, places_within
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
@@ -199,7 +199,7 @@ def test_frames_are_an_exports(name, models, speed_km_h, rpms, sedan):
     ]
     scenario = load_scenario(name)
     scenario = replace(scenario, file=scenario.file.model_copy(update={"before_impact_s": 2.4, "from_m": None}))
-    found = check_scenario(scenario, mounts, sedan, speeds_km_h=[speed_km_h], lost=1)
+    found = check_scenario(scenario, mounts, sedan, speeds_km_h=[speed_km_h], losses=(0, 1))
     (case,) = found.cases
     for run in case.runs:
         if run.start in (0, 3) and len(run.lost) == 1:
@@ -282,8 +282,7 @@ def test_all_presets_are_whole(sedan):
 def test_a_mesh_is_a_target(sedan):
     """The child of data/objects instead of the box, which is larger: fewer returns, at the same place."""
     scenario = load_scenario("cpra-child")
-    values = scenario.file.model_dump(exclude_none=True) | {"target": {"name": "child"}}
-    mesh = scenario_of(ScenarioFile.model_validate(values), Path("x.yaml"))
+    mesh = load_scenario("cpra-child", target=ObjectFile(name="child"))
     rear = [mount("vlp-16", (-2.5, 0.0, 0.6), (0, 0, 0))]
     box, child = (check_scenario(one, rear, sedan, speeds_km_h=[8]) for one in (scenario, mesh))
     runs = box.cases[0].runs[0], child.cases[0].runs[0]
@@ -333,9 +332,9 @@ def test_what_cannot_be_checked(sedan, tmp_path):
 
     known = "ccrs, cpfa, cpla, cpna, cpnco, cpra-adult, cpra-adult-walking, cpra-child, cpra-child-walking"
     said = refused(lambda: load_scenario("cpxy"))
-    assert said == f"no scenario is called 'cpxy'; allowed: {known}, or the path of a file"
+    assert said == f"no scenario is called 'cpxy'; allowed: {known}, or the path of a .yaml"
     (tmp_path / "s.yaml").write_text(FILE.replace("target: child", "target: giraffe"))
-    assert "s.yaml:3:1: target.name: no object is called 'giraffe'; allowed: car, child" in refused(
+    assert "s.yaml:3:1: target: no object is called 'giraffe'; allowed: car, child" in refused(
         lambda: load_scenario("s.yaml", tmp_path)
     )
     nobody = refused(lambda: check_scenario(load_scenario("cpna"), two(), None))
