@@ -73,5 +73,47 @@ def count_returns(
 ) -> None:
     """Add to counts (P, S, phases) the returns from an object at some, which (N,), of places (P, 4)."""
 
+def count_lowest(
+    places: Array,
+    which: NDArray[np.int64],
+    scanners: Sequence[Scanner],
+    R: Array,
+    t: Array,
+    target: TargetShape,
+    obstacles: Obstacles,
+    cap: int,
+    wanted: int,
+    counts: NDArray[np.int32],
+    phases: NDArray[np.int8],
+) -> None:
+    """Write the returns (P, S) in each sensor's worst phase, at most `cap`, where they are below 0, and that phase.
+
+    At each place the nearest sensors come first; once `wanted` of them have `cap` the others stay unknown.
+    """
+
+def count_clusters(
+    places: Array,
+    which: NDArray[np.int64],
+    scanners: Sequence[Scanner],
+    R: Array,
+    t: Array,
+    target: TargetShape,
+    obstacles: Obstacles,
+    tolerance_m: float,
+    above_m: float,
+    lost: int,
+    sensors: int,
+    joint: bool,
+    cap: int,
+    counts: NDArray[np.int32],
+    phases: NDArray[np.int8],
+) -> None:
+    """Write the points (P,) of the largest cluster in the worst case, and the phases (P, S) there; -1: lost.
+
+    Neighbours in a cluster are within a tolerance, and one of its points is at least at the height `above_m`. With
+    `lost` sensors gone; of all others together, or if `sensors` is not 0 of each of so many alone. Of all combinations
+    of phases where `joint`, else with each sensor in that of its fewest returns. Values of `cap` or more are bounds.
+    """
+
 def detection_probabilities(counts: NDArray[np.int32], phases: NDArray[np.int64], enough: int) -> Array:
     """(P,) the probability of at least so many returns of counts (P, S, phases), each sensor in any of its phases."""

@@ -24,7 +24,7 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
         "verdict",
         Column("requirement", overflow="fold"),
         *(Column(name, justify="right") for name in ("demanded", "reached", "margin", *others)),
-        Column("worst place", overflow="fold"),
+        *(Column(name, justify="right") for name in ("worst at (m)", "heading", "from body")),
         Column("sensors lost", overflow="fold"),
         box=SIMPLE,
     )
@@ -37,7 +37,7 @@ def print_verdict(found: Verdict, against: Verdict | None = None) -> None:
             quantity(one.reached, one.unit),
             signed(one.margin, one.unit),
             *beside,
-            worst_place(one),
+            *_worst_cells(one),
             lost_sensors(one),
         )
     console = terminal()
@@ -96,6 +96,18 @@ def worst_place(one: RequirementVerdict) -> str:
     if one.worst.distance_m is not None:
         at += f"; {one.worst.distance_m:.2f} m from the body"
     return at
+
+
+def _worst_cells(one: RequirementVerdict) -> list[str]:
+    """The worst place for the table."""
+    worst = one.worst
+    if worst is None:
+        return ["", "", ""]
+    return [
+        f"{worst.x_m:.2f}, {worst.y_m:.2f}",
+        "" if worst.heading_deg is None else f"{worst.heading_deg:.0f}°",
+        "" if worst.distance_m is None else f"{worst.distance_m:.2f} m",
+    ]
 
 
 def lost_sensors(one: RequirementVerdict) -> str:

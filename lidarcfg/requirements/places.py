@@ -21,6 +21,7 @@ FINEST_RAD = math.radians(15)  # between refined headings
 LEAST_STEP_M = 0.02  # in a zone that holds no place of a coarser grid
 PLACES_MAX = 5_000_000
 PLACE_BYTES = 300  # of memory, while they are found
+KEYS_PER_UNIT = 1e6  # metres and radians, by which places are told apart
 FIT_M = 1e-9  # by which an object may reach over the zone's side, for rounding
 
 Flags = NDArray[np.bool_]
@@ -165,14 +166,21 @@ class Stand:
         columns = at_m[:, :1], at_m[:, 1:], self.ground_m, self.headings_rad
         return np.stack([np.broadcast_to(column, shape).ravel() for column in columns], axis=1)
 
-    def around(self, places: Array, step_m: float, step_rad: float) -> Array:
-        """(n, 4) the neighbours of places (P, 4) on a grid of these spacings that are in the zone."""
-        offsets = np.array(
-            [
-                (x, y, 0.0, turn)
-                for x, y, turn in product((-step_m, 0.0, step_m), (-step_m, 0.0, step_m), (-step_rad, 0.0, step_rad))
-            ]
-        )
+    def around(self, places: Array, step_m: float, step_rad: float, seen: set[tuple[int, ...]]) -> Array:
+        """(n, 4) the neighbours of places (P, 4) at these spacings that are in the zone and not in `seen`.
+
+        They are added to it.
+        """
+        steps = (-step_m, 0.0, step_m)
+        turns = (-step_rad, 0.0, step_rad) if step_rad else (0.0,)
+        offsets = np.array([(x, y, 0.0, turn) for x, y, turn in product(steps, steps, turns)])
         found = (places[:, None] + offsets).reshape(-1, 4)
-        found = found[self.holds(found)]
-        return np.ascontiguousarray(found)
+        found[:, 3] %= 2 * math.pi
+        keys = np.rint(found[:, [0, 1, 3]] * KEYS_PER_UNIT).astype(np.int64).tolist()
+        fresh = []
+        for number, key in enumerate(map(tuple, keys)):
+            if key not in seen:
+                seen.add(key)
+                fresh.append(number)
+        found = found[fresh]
+        return np.ascontiguousarray(found[self.holds(found)])

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lidarcfg.errors import ConfigError
+from lidarcfg.requirements.sensors import OnPlaces, no_progress
 from lidarcfg.requirements.verdict import RequirementVerdict
 from lidarcfg.sensors.rig import Mount
 
@@ -27,7 +28,12 @@ class PriceRequirement:
             total += self.prices[mount.model]
         return total
 
-    def judge(self, mounts: Sequence[Mount]) -> RequirementVerdict:
+    @property
+    def work(self) -> int:
+        """For progress: next to nothing."""
+        return 1
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         return _at_most(self.name, "price_at_most", self.at_most, self.price(mounts))
 
@@ -39,7 +45,12 @@ class SensorsRequirement:
     name: str
     at_most: int
 
-    def judge(self, mounts: Sequence[Mount]) -> RequirementVerdict:
+    @property
+    def work(self) -> int:
+        """For progress: next to nothing."""
+        return 1
+
+    def judge(self, mounts: Sequence[Mount], on_places: OnPlaces = no_progress) -> RequirementVerdict:
         """The verdict on a rig."""
         return _at_most(self.name, "sensors_at_most", self.at_most, len(mounts))
 

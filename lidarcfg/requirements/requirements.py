@@ -18,16 +18,25 @@ from lidarcfg.requirements.file import HEADINGS_DEG, RequirementFile, Requiremen
 from lidarcfg.requirements.footprint import Footprint
 from lidarcfg.requirements.objects import ObjectRequirement
 from lidarcfg.requirements.places import Stand, Zone
+from lidarcfg.requirements.posts import LIMIT_M, PostPlaces, PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.robustness import Robust
 from lidarcfg.requirements.scenario import NO_BODY, Extent, load_scenario
 from lidarcfg.requirements.scenarios import ScenarioRequirement
+from lidarcfg.requirements.shadow import HEIGHT_M, WITHIN_M, ShadowRequirement
 from lidarcfg.requirements.sight import Bounds
 from lidarcfg.requirements.target import target_of
 from lidarcfg.world.obstacles import Obstacles
 from lidarcfg.world.vehicle import Vehicle
 
-Requirement = ObjectRequirement | ScenarioRequirement | PriceRequirement | SensorsRequirement
+Requirement = (
+    ObjectRequirement
+    | PostRequirement
+    | ShadowRequirement
+    | ScenarioRequirement
+    | PriceRequirement
+    | SensorsRequirement
+)
 
 
 @dataclass(frozen=True)
@@ -118,6 +127,10 @@ def resolved(
         match one.item.marker:
             case "object":
                 items.append(_object(one, site, lost))
+            case "post_height_m":
+                items.append(_post(one, site, lost, robust))
+            case "shadow_at_most_m3":
+                items.append(_shadow(one, site, lost, robust))
             case "price_at_most":
                 items.append(_price(one, prices))
             case "sensors_at_most":
@@ -178,6 +191,50 @@ def _object(one: Source, site: Site, lost: int) -> ObjectRequirement:
         lost=lost,
         cluster_m=item.cluster_m,
     )
+
+
+def _post(one: Source, site: Site, lost: int, robust: Robust | None) -> PostRequirement:
+    item = one.item
+    assert item.post_height_m
+    zone = _zone(one, site)
+    assert site.body
+    within_m = item.within_m or (0.0, LIMIT_M)
+    posts = PostPlaces.around(site.body, site.ground_m, within_m, zone)
+    if not posts.counts.any():
+        raise one.error("no post stands there; widen the zone", "within_m")
+    return PostRequirement(
+        name=item.name,
+        posts=posts,
+        height_m=item.post_height_m,
+        first_seen_at_most_m=item.first_seen_at_most_m,
+        gap_at_most_m=item.gap_at_most_m,
+        limit_m=within_m[1],
+        obstacles=site.obstacles,
+        lost=lost,
+        robust=robust,
+    )
+
+
+def _shadow(one: Source, site: Site, lost: int, robust: Robust | None) -> ShadowRequirement:
+    item = one.item
+    assert item.shadow_at_most_m3 is not None
+    _zone(one, site)
+    assert site.body
+    assert site.vehicle
+    found = ShadowRequirement(
+        name=item.name,
+        at_most_m3=item.shadow_at_most_m3,
+        height_m=item.height_m or HEIGHT_M,
+        within_m=item.within_m or WITHIN_M,
+        vehicle=site.vehicle,
+        body=site.body,
+        ground_m=site.ground_m,
+        lost=lost,
+        robust=robust,
+    )
+    with errors_at(one.path, *one.at, "within_m"):
+        found.points_m  # noqa: B018  # raises for too many points
+    return found
 
 
 def _scenario(one: Source, site: Site, lost: int) -> ScenarioRequirement:

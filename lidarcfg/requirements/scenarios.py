@@ -57,9 +57,17 @@ class ScenarioRequirement:
         )
 
     def judge(
-        self, mounts: Sequence[Mount], on_progress: Callable[[float], None] = lambda fraction: None
+        self, mounts: Sequence[Mount], on_places: Callable[[int], None] = lambda count: None
     ) -> RequirementVerdict:
-        """The verdict on a rig. Raises ConfigError."""
+        """The verdict on a rig; `on_places` is told how much more of `work` is done. Raises ConfigError."""
+        done = 0
+
+        def on_progress(fraction: float) -> None:
+            nonlocal done
+            now = round(fraction * self.work)
+            on_places(now - done)
+            done = now
+
         return self.check(mounts, on_progress).verdict
 
 

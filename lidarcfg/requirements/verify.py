@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.requirements.objects import ObjectJudge, ObjectRequirement
+from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.requirements import Requirements
-from lidarcfg.requirements.scenarios import ScenarioRequirement
-from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
+from lidarcfg.requirements.verdict import Verdict
 from lidarcfg.sensors.rig import Mount
 
 OnProgress = Callable[[float, str], None]
@@ -32,22 +32,22 @@ class Verifier:
 
         Raises ConfigError for sensors that cannot be simulated or have no price, and if none would be left.
         """
-        work = [judge.work if isinstance(judge, ObjectJudge | ScenarioRequirement) else 1 for judge in self.judges]
-        total = sum(work)
+        work = [judge.work for judge in self.judges]
         done = 0
-        out: list[RequirementVerdict] = []
-        for judge, own, item in zip(self.judges, work, self.requirements.items, strict=True):
-
-            def on_fraction(fraction: float, done: int = done, own: int = own, name: str = item.name) -> None:
-                on_progress((done + own * fraction) / total, name)
-
-            on_fraction(0.0)
-            if isinstance(item, ObjectRequirement | ScenarioRequirement) and item.lost >= len(mounts):
-                what = f"{item.lost} of the rig's {len(mounts)} sensors lost leave none"
+        out = []
+        for judge, item in zip(self.judges, self.requirements.items, strict=True):
+            lost = 0 if isinstance(item, PriceRequirement | SensorsRequirement) else item.lost
+            if lost >= len(mounts):
+                what = f"{lost} of the rig's {len(mounts)} sensors lost leave none"
                 raise ConfigError(f"{item.name}: {what}; allowed: at most {len(mounts) - 1}")
-            if isinstance(judge, ObjectJudge | ScenarioRequirement):
-                out.append(judge.judge(mounts, on_fraction))
-            else:
-                out.append(judge.judge(mounts))
-            done += own
+            on_progress(done / sum(work), item.name)
+            begun = done
+
+            def on_places(count: int, name: str = item.name, most: int = begun + judge.work) -> None:
+                nonlocal done
+                done = min(done + count, most)
+                on_progress(done / sum(work), name)
+
+            out.append(judge.judge(mounts, on_places))
+            done = begun + judge.work
         return Verdict(tuple(out))
