@@ -104,7 +104,7 @@ def scanners(rig: Rig) -> list[Scanner]:
 
 def within(study: Study, pose: Array) -> bool:
     """Whether a sensor at a pose is inside a body, where it sees nothing."""
-    return study.vehicle is not None and study.vehicle.around(pose[:3]) is not None
+    return study.vehicle is not None and study.vehicle.body_at(pose[:3]) is not None
 
 
 def drawn_rigs(study: Study, count: int) -> tuple[list[Rig], list[bool]]:

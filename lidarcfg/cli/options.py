@@ -138,17 +138,17 @@ def warn_of(vehicle: "Vehicle | None") -> None:
 
 def load_trajectory(path: Path | None, at: str, start_ns: int) -> "Trajectory":
     """The vehicle's motion, which starts at X,Y,YAW_DEG; without a file the vehicle stands there."""
-    from lidarcfg.capture.manifest import place
+    from lidarcfg.capture.manifest import parse_pose
     from lidarcfg.world.motion import Trajectory, load_path
 
-    return Trajectory(_parsed(place, at, "--at"), load_path(path), start_ns)
+    return Trajectory(_parsed(parse_pose, at, "--at"), load_path(path), start_ns)
 
 
 def nanoseconds(start: str) -> int:
     """Nanoseconds since 1970 (UTC) of a time in ISO 8601."""
-    from lidarcfg.capture.manifest import time_ns
+    from lidarcfg.capture.manifest import parse_time_ns
 
-    return _parsed(time_ns, start, "--start")
+    return _parsed(parse_time_ns, start, "--start")
 
 
 def _parsed(read: "Callable[[str], T]", text: str, option: str) -> "T":

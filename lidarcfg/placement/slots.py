@@ -195,7 +195,7 @@ def check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
     """Raises ConfigError where a sensor could only be placed inside a body."""
     for i, group in enumerate(file.sensors):
         low, high = (np.array(bound[:3]) for bound in group.bounds)
-        name = None if bodies.allow_inside or group.on else bodies.holds(low, high)
+        name = None if bodies.allow_inside or group.on else bodies.body_containing(low, high)
         if name:
             what = (
                 f"every place within its bounds is inside the vehicle's {name!r}; move them, or set allow_inside: true"

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarcfg.capture.manifest import CaptureManifest
+from lidarcfg.capture.manifest import CaptureManifest, read_manifest
 from lidarcfg.config.kinds import DISCRIMINATING_KEYS, kind_of
-from lidarcfg.config.models import load, load_keys
+from lidarcfg.config.models import load_keys
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import example
 from lidarcfg.packets.families import codec
@@ -143,9 +143,9 @@ def _trajectory(path: Path) -> tuple[str, Iterable[str]]:
 
 
 def _manifest(path: Path) -> tuple[str, Iterable[str]]:
-    manifest = load(path, CaptureManifest)
+    manifest = read_manifest(path)
     for key in ("rig", "scene", "trajectory", "vehicle"):
-        manifest.path(key, path)
+        manifest.input_path(key)
     return f"{manifest.duration_s:g} s from {manifest.start} on, by version {manifest.version}", ()
 
 

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array, inverse, transform
-from lidarcfg.packets.codec import Firings
 from lidarcfg.requirements.braking import EMERGENCY, Braking
 from lidarcfg.requirements.scenario import BEFORE_IMPACT_S, TARGET, Approach, Extent, Scenario
 from lidarcfg.requirements.sight import Bounds, Sight, earliest_sight, places_within
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.scans import beam_ends_m
-from lidarcfg.simulate.tasks import CHUNK_NS, START_NS, Drive, Task, prepared
+from lidarcfg.simulate.scans import beam_ends
+from lidarcfg.simulate.tasks import CHUNK_NS, START_NS, Drive, Task, build_tasks
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 from lidarcfg.world.vehicle import Vehicle
 
@@ -330,7 +330,7 @@ def _fired(
     on_progress: Callable[[float], None],
 ) -> list[_Hits]:
     """The returns of all runs: each sensor fires alike in all of them, so they share its firings."""
-    tasks = [prepared(drive_of(one, mounts, vehicle), CHUNK_NS) for one in approaches]
+    tasks = [build_tasks(drive_of(one, mounts, vehicle), CHUNK_NS) for one in approaches]
     frames = [int(one.lead_s * SECOND_NS) // frame_ns for one in approaches]
     hits = [_Hits(count, len(mounts), rule.cluster_m is not None) for count in frames]
     streams = [_frames(task, frame_ns, max(frames)) for task in tasks[0]]
@@ -367,8 +367,8 @@ def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) 
     columns = [[getattr(fired, key)[which] for which, fired in chosen] for key in ("time_ns", "laser", "encoder_rad")]
     time_ns, laser, encoder_rad = (np.concatenate(column) if column else np.empty(0) for column in columns)
     fired = Firings(time_ns.astype(np.int64), laser.astype(np.uint8), encoder_rad)
-    starts_m = beam_ends_m(mount.sensor, fired.laser, encoder_rad, np.zeros(len(encoder_rad)))
-    ends_m = beam_ends_m(mount.sensor, fired.laser, encoder_rad, np.ones(len(encoder_rad)))
+    starts_m = beam_ends(mount.sensor, fired.laser, encoder_rad, np.zeros(len(encoder_rad)))
+    ends_m = beam_ends(mount.sensor, fired.laser, encoder_rad, np.ones(len(encoder_rad)))
     offset_m = float(np.linalg.norm(starts_m, axis=1).max(initial=0.0))
     T_vehicle_sensor = mount.T_vehicle_sensor
     directions = np.ascontiguousarray((ends_m - starts_m).T)

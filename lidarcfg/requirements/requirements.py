@@ -246,7 +246,7 @@ def _scenario(one: Source, site: Site, lost: int) -> ScenarioRequirement:
         if site.vehicle is None:
             raise ConfigError(NO_BODY)
         if not speeds_km_h:
-            raise ConfigError(NO_SPEEDS)
+            raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
         braking = item.braking or EMERGENCY
         for speed_km_h, impact in product(speeds_km_h, scenario.file.impacts):
             approach_of(scenario, Extent.of(site.vehicle), speed_km_h, impact, site.ground_m, braking)

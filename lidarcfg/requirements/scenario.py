@@ -24,8 +24,8 @@ from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.requirements.file import SPEED_MAX_KM_H, ObjectFile, ObjectOrName, Size, Speed
 from lidarcfg.requirements.target import shipped_objects, target_of
 from lidarcfg.simulate.returns import Target
-from lidarcfg.world.motion import Motion, TimedPose, Trajectory, prepared
-from lidarcfg.world.scene import Scene, built
+from lidarcfg.world.motion import Motion, TimedPose, Trajectory, build_path
+from lidarcfg.world.scene import Scene, build_scene
 from lidarcfg.world.scene_file import Box, Ground, MeshFile, SceneFile
 from lidarcfg.world.vehicle import Vehicle
 
@@ -332,7 +332,7 @@ class Approach:
     @cached_property
     def scene(self) -> Scene:
         """The scene of the file."""
-        return built(self.scene_file, Path(self.scenario.name))
+        return build_scene(self.scene_file, Path(self.scenario.name))
 
     @property
     def motion(self) -> Motion:
@@ -342,7 +342,7 @@ class Approach:
 
     def trajectory(self, zero_ns: int) -> Trajectory:
         """The vehicle's, when the run starts at a time."""
-        return Trajectory(np.eye(4), prepared(self.motion), zero_ns)
+        return Trajectory(np.eye(4), build_path(self.motion), zero_ns)
 
     def target_points(self, points: Array, seconds: float) -> Array:
         """Points (N, 3) relative to the target's place, in the world at a time."""

@@ -12,7 +12,7 @@ import numpy as np
 from lidarcfg.core import world
 from lidarcfg.geometry import Array
 from lidarcfg.requirements.scenario import Approach, Scenario
-from lidarcfg.world.tracer import Tracer
+from lidarcfg.world.tracer import Tracer, build_bvh
 from lidarcfg.world.vehicle import Vehicle
 
 PLACES_M = 0.25  # between places, at most
@@ -104,11 +104,9 @@ class _Looks:
 
 def _cars(approach: Approach) -> world.Bvh:
     """The hierarchy over the parked cars."""
-    from lidarcfg.world.tracer import bvh
-
     scene = approach.scene
     parked = {car.name for car in approach.scenario.file.cars}
-    return bvh(scene, np.array([name in parked for name in scene.names]), np.zeros(3))
+    return build_bvh(scene, np.array([name in parked for name in scene.names]), np.zeros(3))
 
 
 def earliest_sight(approach: Approach, last_s: float, places: Array, vehicle: Vehicle | None) -> Sight:

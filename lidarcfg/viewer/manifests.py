@@ -44,7 +44,7 @@ def complete_inputs(
 
     def from_manifest(key: str) -> Path | None:
         try:
-            return manifest.path(key, path)
+            return manifest.input_path(key)
         except ConfigError as error:
             on_warning(f"{error}; it is not shown")
             return None

@@ -6,8 +6,8 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.meshes import Mesh, joined
-from lidarcfg.world.motion import MotionPath, prepared, rotated
+from lidarcfg.world.meshes import Mesh, join_meshes
+from lidarcfg.world.motion import MotionPath, build_path, rotate
 from lidarcfg.world.scene import NO_MESH, Scene
 
 
@@ -44,7 +44,7 @@ def parts(scene: Scene) -> list[Part]:
         one = replace(scene, file=file.model_copy(update=alone), triangles=scene.triangles[scene.triangle_object == i])
         vertices, triangles = _compact(one.mesh())
         assert motion
-        found.append(Part((vertices - scene.places_m[i], triangles), scene.places_m[i], prepared(motion)))
+        found.append(Part((vertices - scene.places_m[i], triangles), scene.places_m[i], build_path(motion)))
     return found
 
 
@@ -54,8 +54,8 @@ def mesh_at(scene: Scene, since_ns: int) -> Mesh:
     found = [NO_MESH]
     for part in parts(scene):
         R, t = part.poses(seconds)
-        found.append((rotated(R[:1], part.mesh[0]) + t[0], part.mesh[1]))
-    return joined(found)
+        found.append((rotate(R[:1], part.mesh[0]) + t[0], part.mesh[1]))
+    return join_meshes(found)
 
 
 def _static(items: tuple) -> tuple:  # type: ignore[type-arg]  # of any kind of object

@@ -23,10 +23,10 @@ from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.units import SECOND_NS
 from lidarcfg.viewer.colours import colour
 from lidarcfg.viewer.rig_source import RigSource
-from lidarcfg.world.motion import Trajectory, standing
+from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, load_scene
 from lidarcfg.world.scene_file import SceneFile
-from lidarcfg.world.vehicle import Vehicle, carried
+from lidarcfg.world.vehicle import Vehicle, resolve_vehicle
 
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]
 CAPTURES = (".pcap", ".pcapng", ".cap")
@@ -62,7 +62,7 @@ class Stage:
     @property
     def trajectory(self) -> Trajectory:
         """Where the vehicle is at each time."""
-        return self.drive or standing(self.T_world_vehicle)
+        return self.drive or Trajectory.static(self.T_world_vehicle)
 
     @property
     def vehicle(self) -> Vehicle | None:
@@ -167,7 +167,7 @@ def load_stage(
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? choose one with --rig")
     if selection != ALL and not captures:
         raise ConfigError("--from, --to and --sensor select a part of a capture; there is none among the files")
-    trajectory = at if isinstance(at, Trajectory) else standing(at)
+    trajectory = at if isinstance(at, Trajectory) else Trajectory.static(at)
     if captures and not rigs and not trajectory.path.is_static:
         raise ConfigError(f"{captures[0]}: deskewing needs the rig that recorded it; give it with --rig")
     clouds = [load_cloud(path, on_warning) for path in of("cloud")]
@@ -183,7 +183,7 @@ def load_stage(
         raise ConfigError(f"{truth}: needs the rig that recorded the capture; give it, too")
     if loaded and loaded.to_choose:
         on_warning(_first_choices(loaded))
-    body = carried(rigs[0] if rigs else None, vehicle)
+    body = resolve_vehicle(rigs[0] if rigs else None, vehicle)
     if loaded and not rigs:
         rigs = [loaded.rig(loaded.midpoint)]
     return Stage(

@@ -164,7 +164,7 @@ def test_a_plain_error_is_a_row_of_its_own(plan, tmp_path):
 class Dead:
     """Workers that are killed in every run."""
 
-    count = room = 2
+    count = capacity = 2
 
     def submit(self, function, *arguments):
         future = Future()

@@ -113,7 +113,7 @@ def test_maps_and_rings_add_up(tmp_path):
         rings, seen = shown.rings[name], found.return_counts[name]
         assert rings.detected.sum() == pytest.approx(seen.probability.sum())
         assert rings.places.sum() == len(seen.probability)
-    at = shown.places["crate"]
+    at = shown.detection_maps["crate"]
     assert at.detected.sum() == pytest.approx(found.return_counts["crate"].probability.sum())
     assert at.places.max() == 2
     assert (at.low_m.tolist(), at.high_m.tolist()) == ([-9, -6], [9, 6])
@@ -121,7 +121,7 @@ def test_maps_and_rings_add_up(tmp_path):
     cell = tuple(((place[:2] - at.low_m) / 1.5).astype(int))
     first = found.return_counts["crate"].target.part == found.return_counts["crate"].target.part[0]
     assert at.detected[cell] == pytest.approx(found.return_counts["crate"].probability[first].sum())
-    assert "child" not in shown.places
+    assert "child" not in shown.detection_maps
 
 
 def test_drawn_places_have_an_interval_that_holds_the_rate_of_many(tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
@@ -25,7 +25,7 @@ from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_
 from lidarcfg.requirements.sight import earliest_sight, places_within
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.boxes import boxed
+from lidarcfg.world.boxes import boxed_objects
 from lidarcfg.world.vehicle import load_vehicle
 from tests.naive import scenario as naive
 from tests.returns_cases import mount
@@ -85,7 +85,7 @@ def test_where_the_target_is(name, impact):
     inward = 1 if path.crosses_from == "right" else -1
     place_m = (impact - 0.5) * 1.9
     way_m = path.start_m + inward * place_m
-    (target,) = (box for box in boxed(one.scene) if box.name == "target")
+    (target,) = (box for box in boxed_objects(one.scene) if box.name == "target")
     for seconds in (0.0, 1.3, 2.5, 2.9, 3.4, 4.5, 5.99):
         left_m = naive.walked(way_m, path.gain_m, path.speed_km_h / 3.6, 6.0 - seconds)
         wanted = [2.4 + 30 / 3.6 * 6.0, place_m - inward * left_m]
@@ -170,7 +170,7 @@ def exported(one, mounts, vehicle, duration_ns, frame_ns):
     """(frames, sensors) the records of the target in an export of the drive."""
     records = []
     drive = drive_of(one, mounts, vehicle)
-    streams = export(
+    streams = simulated_frames(
         Rig("r", tuple(mounts)), one.scene, drive.trajectory, duration_ns, on_truth=records.append, vehicle=vehicle
     )
     assert sum(len(frames.records) for frames in in_time_order(streams)) > 0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.study import load_study, study_of
@@ -88,6 +88,7 @@ def test_the_verdict_in_seconds(files):
 
 def test_what_no_rig_can_do(files):
     """Comfortably, the child comes into sight too late; and nothing is said of it where a rig does it all the same."""
+    (files / "short.yaml").write_text(SHORT.replace("2.4", "4.0"))
     _, found = judged(files, ("[50]", "[20], braking: comfort"))
     assert not found.passed
     assert "at 20 km/h the target comes into sight too late" in found.not_achievable
@@ -159,7 +160,9 @@ def test_the_files_of_a_drive(files, target):
     rig, scene = load_rig(written.rig), load_scene(written.scene)
     motion = Trajectory(np.eye(4), load_path(written.trajectory), START_NS)
     records = []
-    streams = export(rig, scene, motion, 23 * SECOND_NS // 10, on_truth=records.append, vehicle=rig_vehicle(rig))
+    streams = simulated_frames(
+        rig, scene, motion, 23 * SECOND_NS // 10, on_truth=records.append, vehicle=rig_vehicle(rig)
+    )
     for _ in in_time_order(streams):
         pass
     truth = np.concatenate(records)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lidarcfg.capture.export import export, in_time_order
+from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.capture.ground_truth import TruthFile
 from lidarcfg.capture.objects import load_objects
 from lidarcfg.capture.pcap import write_pcap
@@ -34,7 +34,7 @@ from lidarcfg.viewer.shades import point_colours
 from lidarcfg.viewer.stage import Stage, kind_of, load_stage
 from lidarcfg.viewer.still import save_still
 from lidarcfg.viewer.window import parts
-from lidarcfg.world.motion import standing
+from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import AT_NS, STREET, no_warning, recording, scene, tilted_rig
 
@@ -204,7 +204,7 @@ def test_objects_of_a_capture_are_the_ones_that_its_points_lie_on(tmp_path, mode
     seen, tilted = scene(tmp_path, text), tilted_rig()
     rig = replace(tilted, mounts=tuple(replace(mount, return_mode=mode) for mount in tilted.mounts))
     with TruthFile(tmp_path / "t.npz", [m.name for m in rig.mounts], seen.names) as truth:
-        streams = export(rig, seen, standing(np.eye(4)), 30_000_000, AT_NS, truth.add)
+        streams = simulated_frames(rig, seen, Trajectory.static(np.eye(4)), 30_000_000, AT_NS, truth.add)
         write_pcap(tmp_path / "t.pcap", in_time_order(streams))
         truth.save()
     paths = [tmp_path / "t.pcap", tmp_path / "t.npz"]
