@@ -31,6 +31,7 @@ RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yam
 LEAST_S = 0.5  # of a run before the last moment to brake: two revolutions of the slowest sensors, at 300 rpm, fit
 NO_SPEEDS = "has no speeds of its own; give speeds_km_h"
 ABOVE_GROUND_M = 0.1  # at least one point of a cluster is so high: the same file
+FEW = 300  # points, whose pairs are all looked at
 CELL = 0.57  # of a tolerance: less than 1/√3, so that all points of a cell are neighbours
 SLACK = 1e-9  # of a cosine, for rounding
 SLACK_M = 1e-3  # of a distance: a target that gains speed moves along chords
@@ -281,22 +282,27 @@ def largest_cluster(points_m: Array, tolerance_m: float) -> int:
 
     Neighbours within the tolerance are of one cluster. One without a point at least 0.1 m above the ground is none.
     """
+    if len(points_m) <= FEW:
+        label = _components(_pairs(points_m, tolerance_m), len(points_m))
+    else:  # the points of a cell are neighbours, so few pairs join most of them
+        _, first, cell = np.unique(
+            np.floor(points_m / (CELL * tolerance_m)), axis=0, return_index=True, return_inverse=True
+        )
+        label = _components(_pairs(points_m[first], tolerance_m), len(first))[cell.ravel()]
+        label = _components(_bridges(points_m, label, tolerance_m), int(label.max()) + 1)[label]
+    high = np.zeros(int(label.max(initial=-1)) + 1, bool)
+    high[label[points_m[:, 2] >= ABOVE_GROUND_M]] = True
+    sizes = np.bincount(label, minlength=len(high))[high]
+    return int(sizes.max(initial=0))
+
+
+def _components(edges: Counts, count: int) -> Counts:
+    """(count,) the number of each node's connected component in a graph with edges (E, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    def labels(edges: Counts) -> tuple[int, Counts]:
-        weights = np.ones(len(edges), bool)
-        graph = coo_array((weights, (edges[:, 0], edges[:, 1])), (len(points_m), len(points_m)))
-        count, label = connected_components(graph, directed=False)
-        return count, label
-
-    count, label = labels(_some_edges(points_m, tolerance_m))
-    if count > 1:
-        count, label = labels(_pairs(points_m, tolerance_m))
-    high = np.zeros(count, bool)
-    high[label[points_m[:, 2] >= ABOVE_GROUND_M]] = True
-    sizes = np.bincount(label, minlength=count)[high]
-    return int(sizes.max(initial=0))
+    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
 def _pairs(points_m: Array, tolerance_m: float) -> Counts:
@@ -306,12 +312,21 @@ def _pairs(points_m: Array, tolerance_m: float) -> Counts:
     return np.asarray(cKDTree(points_m).query_pairs(tolerance_m, output_type="ndarray"), np.int64)
 
 
-def _some_edges(points_m: Array, tolerance_m: float) -> Counts:
-    """(E, 2) some of these pairs, few where points are dense: all of a cell with its first, and among the firsts."""
-    cells = np.floor(points_m / (CELL * tolerance_m))
-    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    members = np.stack([np.arange(len(points_m)), first[cell.ravel()]], axis=1)
-    return np.concatenate([members, first[_pairs(points_m[first], tolerance_m)]])
+def _bridges(points_m: Array, label: Counts, tolerance_m: float) -> Counts:
+    """(E, 2) the pairs of parts, which `label` (N,) numbers, that have points within a tolerance of each other."""
+    from scipy.spatial import cKDTree
+
+    edges = [np.empty((0, 2), np.int64)]
+    for part in range(int(label.max()) + 1):
+        own = points_m[label == part]
+        near = ((points_m >= own.min(axis=0) - tolerance_m) & (points_m <= own.max(axis=0) + tolerance_m)).all(axis=1)
+        near &= label != part
+        if near.any():
+            most_m = np.nextafter(tolerance_m, np.inf)
+            distance_m, _ = cKDTree(own).query(points_m[near], distance_upper_bound=most_m)
+            others = np.unique(label[near][np.isfinite(distance_m)])
+            edges.append(np.stack([np.full(len(others), part), others], axis=1))
+    return np.concatenate(edges)
 
 
 def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> Drive:

@@ -238,6 +238,11 @@ def test_clusters():
     for _ in range(20):
         points = rng.uniform(0, 0.8, (rng.integers(1, 60), 3))
         assert largest_cluster(points, 0.15) == naive.largest_cluster(points.tolist(), 0.15)
+    for rows_m in (0.14, 0.16, 0.2):  # scan lines, dense along and sparse across
+        lines = [rng.uniform(0, 1.2, 130).cumsum() * 0.003 for _ in range(4)]
+        points = np.concatenate([np.stack([x, 0 * x, 0 * x + n * rows_m], axis=1) for n, x in enumerate(lines)])
+        points += rng.uniform(-0.01, 0.01, points.shape)
+        assert largest_cluster(points, 0.15) == naive.largest_cluster(points.tolist(), 0.15)
 
 
 def test_points_are_on_the_target(sedan, monkeypatch):
