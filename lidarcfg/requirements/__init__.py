@@ -6,5 +6,5 @@ each; `robustness` says what failures and mounts that are off leave of a rig; `r
 `verify` judges a rig by all of them, and `verdict` is what it finds.
 
 Of scenarios, `braking` says when braking must begin, `scenario` where vehicle, target and parked cars are, `sight` from
-when on anything could be seen, and `detection` when the sensors see it.
+when on anything could be seen, `frames` and `clusters` what the sensors see, and `detection` whether that is in time.
 """

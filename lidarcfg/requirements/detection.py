@@ -1,28 +1,23 @@
 """Detection in time: a scenario's runs, fired frame by frame, and the seconds that are left to brake.
 
-A frame is a revolution of the slowest sensor, and counts at its end. Each firing has its own time, at which vehicle and
-target are where they are then; beams are thin and exact, and the vehicle's bodies are in their way. A run has four
-starts, a quarter of a frame apart, of which the worst counts: nobody knows where heads point when a target appears.
+A frame counts at its end. A run has four starts, a quarter of a frame apart, of which the worst counts: nobody knows
+where heads point when a target appears.
 """
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.errors import ConfigError
-from lidarcfg.geometry import Array, inverse, transform
+from lidarcfg.geometry import Array
 from lidarcfg.requirements.braking import EMERGENCY, Braking
-from lidarcfg.requirements.scenario import BEFORE_IMPACT_S, TARGET, Approach, Extent, Scenario
+from lidarcfg.requirements.frames import fire
+from lidarcfg.requirements.scenario import BEFORE_IMPACT_S, Approach, Extent, Scenario
 from lidarcfg.requirements.sight import Bounds, Sight, earliest_sight, places_within
-from lidarcfg.sensors.firing import Firings
-from lidarcfg.sensors.rig import Mount, Rig
-from lidarcfg.simulate.scans import beam_ends
-from lidarcfg.simulate.tasks import CHUNK_NS, START_NS, Drive, Task, build_tasks
+from lidarcfg.sensors.rig import Mount
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 from lidarcfg.world.vehicle import Vehicle
 
@@ -30,11 +25,6 @@ STARTS = 4
 RETURNS = 10  # Autoware's least cluster: autonomous_emergency_braking.param.yaml of autoware_launch at 025908d
 LEAST_S = 0.5  # of a run before the last moment to brake: two revolutions of the slowest sensors, at 300 rpm, fit
 NO_SPEEDS = "has no speeds of its own; give speeds_km_h"
-ABOVE_GROUND_M = 0.1  # at least one point of a cluster is so high: the same file
-FEW = 300  # points, whose pairs are all looked at
-CELL = 0.57  # of a tolerance: less than 1/√3, so that all points of a cell are neighbours
-SLACK = 1e-9  # of a cosine, for rounding
-SLACK_M = 1e-3  # of a distance: a target that gains speed moves along chords
 
 Counts = NDArray[np.int64]
 
@@ -190,7 +180,7 @@ def check_scenario(
         first = approach_of(scenario, extent, speed_km_h, impact, ground_m, braking)
         approaches.append([replace(first, lead_s=first.lead_s - start * quarter_s) for start in range(STARTS)])
     flat = [one for starts in approaches for one in starts]
-    seen = _fired(flat, exact, vehicle, frame_ns, rule, on_progress)
+    seen = fire(flat, exact, vehicle, frame_ns, rule.cluster_m is not None, on_progress)
     lost = [which for count in losses for which in combinations(range(len(exact)), count)]
     if bounds is None:
         bounds = [(np.array(mount.position_m), np.array(mount.position_m)) for mount in exact]
@@ -208,7 +198,7 @@ def check_scenario(
                     frame_s=frame_ns / SECOND_NS,
                     needed_s=needed(approach, braking),
                     demanded=rule.returns,
-                    returns=seen[number * STARTS + start].returns(rule, which),
+                    returns=seen[number * STARTS + start].counts(which, rule.returns, rule.cluster_m),
                 )
             )
         sight = earliest_sight(runs[0].approach, runs[0].last_s, places, vehicle)
@@ -237,198 +227,3 @@ def approach_of(
         what = f"braking begins {needed_s:.2f} s before the impact, and a run {one.lead_s:.2f} s"
         raise ConfigError(f"{at}: {what}; let it start earlier (before_impact_s, from_m), or brake harder")
     return one
-
-
-class _Frame(NamedTuple):
-    """The firings of a sensor in a frame."""
-
-    firings: Firings
-    starts_m: Array  # (N, 3) of the beams, in the sensor's frame
-    directions: Array  # (3, N)
-    offset_m: float  # of the beams' starts from the sensor's origin, at most
-    T_vehicle_sensor: Array
-    T_sensor_vehicle: Array
-
-
-class _Hits:
-    """The returns from a run's target: their numbers by frame and sensor, or their points, where clusters count."""
-
-    def __init__(self, frames: int, sensors: int, keep_points: bool) -> None:
-        self._counts = np.zeros((frames, sensors), np.int64)
-        self._points: list[list[Array]] | None = None
-        if keep_points:
-            self._points = [[np.empty((0, 3))] * sensors for _ in range(frames)]
-
-    def add(self, frame: int, sensor: int, points_m: Array) -> None:
-        """Points (N, 3) relative to the ground below the start of the run."""
-        self._counts[frame, sensor] = len(points_m)
-        if self._points is not None:
-            self._points[frame][sensor] = points_m
-
-    def returns(self, rule: Rule, lost: tuple[int, ...]) -> Counts:
-        """(F,) what the rule counts in each frame, without the lost sensors."""
-        kept = [sensor for sensor in range(self._counts.shape[1]) if sensor not in lost]
-        counts: Counts = self._counts[:, kept].sum(axis=1)
-        if rule.cluster_m is None or self._points is None:
-            return counts
-        for frame in np.flatnonzero(counts >= rule.returns).tolist():
-            points = np.concatenate([self._points[frame][sensor] for sensor in kept])
-            counts[frame] = largest_cluster(points, rule.cluster_m)
-        return counts
-
-
-def largest_cluster(points_m: Array, tolerance_m: float) -> int:
-    """The number of points in the largest cluster of points (N, 3), heights being above the ground.
-
-    Neighbours within the tolerance are of one cluster. One without a point at least 0.1 m above the ground is none.
-    """
-    if len(points_m) <= FEW:
-        label = _components(_pairs(points_m, tolerance_m), len(points_m))
-    else:  # the points of a cell are neighbours, so few pairs join most of them
-        _, first, cell = np.unique(
-            np.floor(points_m / (CELL * tolerance_m)), axis=0, return_index=True, return_inverse=True
-        )
-        label = _components(_pairs(points_m[first], tolerance_m), len(first))[cell.ravel()]
-        label = _components(_bridges(points_m, label, tolerance_m), int(label.max()) + 1)[label]
-    high = np.zeros(int(label.max(initial=-1)) + 1, bool)
-    high[label[points_m[:, 2] >= ABOVE_GROUND_M]] = True
-    sizes = np.bincount(label, minlength=len(high))[high]
-    return int(sizes.max(initial=0))
-
-
-def _components(edges: Counts, count: int) -> Counts:
-    """(count,) the number of each node's connected component in a graph with edges (E, 2)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
-
-
-def _pairs(points_m: Array, tolerance_m: float) -> Counts:
-    """(E, 2) all pairs of points within a tolerance."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(points_m).query_pairs(tolerance_m, output_type="ndarray"), np.int64)
-
-
-def _bridges(points_m: Array, label: Counts, tolerance_m: float) -> Counts:
-    """(E, 2) the pairs of parts, which `label` (N,) numbers, that have points within a tolerance of each other."""
-    from scipy.spatial import cKDTree
-
-    edges = [np.empty((0, 2), np.int64)]
-    for part in range(int(label.max()) + 1):
-        own = points_m[label == part]
-        near = ((points_m >= own.min(axis=0) - tolerance_m) & (points_m <= own.max(axis=0) + tolerance_m)).all(axis=1)
-        near &= label != part
-        if near.any():
-            most_m = np.nextafter(tolerance_m, np.inf)
-            distance_m, _ = cKDTree(own).query(points_m[near], distance_upper_bound=most_m)
-            others = np.unique(label[near][np.isfinite(distance_m)])
-            edges.append(np.stack([np.full(len(others), part), others], axis=1))
-    return np.concatenate(edges)
-
-
-def drive_of(approach: Approach, mounts: Sequence[Mount], vehicle: Vehicle | None) -> Drive:
-    """The run as `export` has it, from its start to the impact."""
-    rig = Rig("rig", tuple(mounts))
-    duration_ns = round(approach.lead_s * SECOND_NS)
-    return Drive(rig, approach.scene, approach.trajectory(START_NS), vehicle, START_NS, duration_ns)
-
-
-def _fired(
-    approaches: Sequence[Approach],
-    mounts: Sequence[Mount],
-    vehicle: Vehicle | None,
-    frame_ns: int,
-    rule: Rule,
-    on_progress: Callable[[float], None],
-) -> list[_Hits]:
-    """The returns of all runs: each sensor fires alike in all of them, so they share its firings."""
-    tasks = [build_tasks(drive_of(one, mounts, vehicle), CHUNK_NS) for one in approaches]
-    frames = [int(one.lead_s * SECOND_NS) // frame_ns for one in approaches]
-    hits = [_Hits(count, len(mounts), rule.cluster_m is not None) for count in frames]
-    streams = [_frames(task, frame_ns, max(frames)) for task in tasks[0]]
-    for number, fired in enumerate(zip(*streams, strict=True)):
-        for approach, of_sensors, count, found in zip(approaches, tasks, frames, hits, strict=True):
-            if number < count:
-                for sensor, frame in enumerate(fired):
-                    found.add(number, sensor, _returns(approach, of_sensors[sensor], frame, number, frame_ns))
-        on_progress((number + 1) / max(frames))
-    return hits
-
-
-def _frames(task: Task, frame_ns: int, count: int) -> Iterator[_Frame]:
-    """A sensor's firings, frame by frame."""
-    period_ns = task.timing.pace(task.mount).period_ns
-    packets = count * frame_ns // period_ns + 2
-    waiting: list[tuple[Counts, Firings]] = []  # batches, with the frame of each firing
-    frame = 0
-    for batch in task.timing.schedule(task.mount, task.start_ns, packets, max(frame_ns // period_ns, 1)):
-        if not len(batch.firings.time_ns):
-            continue
-        numbers = (batch.firings.time_ns - START_NS) // frame_ns
-        while frame < min(int(numbers.min()), count):  # later batches fire later
-            yield _frame(task.mount, waiting, frame)
-            frame += 1
-        waiting = [one for one in waiting if one[0].max() >= frame]
-        waiting.append((numbers, batch.firings))
-    for rest in range(frame, count):
-        yield _frame(task.mount, waiting, rest)
-
-
-def _frame(mount: Mount, batches: Sequence[tuple[Counts, Firings]], frame: int) -> _Frame:
-    chosen = [(numbers == frame, fired) for numbers, fired in batches]
-    columns = [[getattr(fired, key)[which] for which, fired in chosen] for key in ("time_ns", "laser", "encoder_rad")]
-    time_ns, laser, encoder_rad = (np.concatenate(column) if column else np.empty(0) for column in columns)
-    fired = Firings(time_ns.astype(np.int64), laser.astype(np.uint8), encoder_rad)
-    starts_m = beam_ends(mount.sensor, fired.laser, encoder_rad, np.zeros(len(encoder_rad)))
-    ends_m = beam_ends(mount.sensor, fired.laser, encoder_rad, np.ones(len(encoder_rad)))
-    offset_m = float(np.linalg.norm(starts_m, axis=1).max(initial=0.0))
-    T_vehicle_sensor = mount.T_vehicle_sensor
-    directions = np.ascontiguousarray((ends_m - starts_m).T)
-    return _Frame(fired, starts_m, directions, offset_m, T_vehicle_sensor, inverse(T_vehicle_sensor))
-
-
-def _returns(approach: Approach, task: Task, frame: _Frame, number: int, frame_ns: int) -> Array:
-    """(N, 3) the points of the target that a sensor reports in a frame, in the world, heights above the ground."""
-    mount = task.mount
-    assert mount.sensor.range
-    least_m, most_m = mount.sensor.range.reported_m
-    some = _may_hit(approach, most_m, frame, (number + 0.5) * frame_ns / SECOND_NS, frame_ns)
-    if not len(some):
-        return np.empty((0, 3))
-    fired = Firings(frame.firings.time_ns[some], frame.firings.laser[some], frame.firings.encoder_rad[some])
-    found, _ = task.simulator.echoes(fired, 0)
-    range_m = found.range_m[:, 0]
-    if mount.range_m:
-        least_m, most_m = max(least_m, mount.range_m[0]), min(most_m, mount.range_m[1])
-    target = approach.scene.names.index(TARGET)
-    hit = np.flatnonzero((found.object[:, 0] == target) & (range_m >= least_m) & (range_m <= most_m))
-    own = frame.starts_m[some[hit]] + frame.directions[:, some[hit]].T * range_m[hit, None]
-    points_m = transform(frame.T_vehicle_sensor, own)
-    seconds = (fired.time_ns[hit] - START_NS) / SECOND_NS
-    points_m[:, :2] += seconds[:, None] * approach.velocity_m_s
-    points_m[:, 2] -= approach.ground_m
-    return points_m
-
-
-def _may_hit(approach: Approach, range_m: float, frame: _Frame, middle_s: float, frame_ns: int) -> NDArray[np.int64]:
-    """Which beams may hit the target: those that meet a ball in which it is during the whole frame."""
-    middle_m, radius_m = approach.scenario.ball
-    moves_m = (approach.speed_m_s + approach.walk_m_s) * 0.5 * frame_ns / SECOND_NS  # from the frame's middle on
-    reach_m = radius_m + moves_m + frame.offset_m + SLACK_M
-    center_m = approach.target_points(middle_m[None], middle_s)
-    center_m[:, :2] -= approach.velocity_m_s * middle_s
-    toward = transform(frame.T_sensor_vehicle, center_m)[0]
-    distance_m = float(np.linalg.norm(toward))
-    if distance_m - reach_m > range_m:
-        return np.empty(0, np.int64)
-    if distance_m <= reach_m:
-        return np.arange(len(frame.starts_m))
-    least = math.sqrt(1 - (reach_m / distance_m) ** 2) - SLACK
-    x, y, z = toward / distance_m
-    cosine = frame.directions[0] * x
-    cosine += frame.directions[1] * y
-    cosine += frame.directions[2] * z
-    return np.flatnonzero(cosine >= least)

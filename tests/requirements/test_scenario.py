@@ -9,21 +9,16 @@ from lidarcfg.capture.export import in_time_order, simulated_frames
 from lidarcfg.config.models import loads
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import transform
-from lidarcfg.requirements import detection
+from lidarcfg.requirements import frames
 from lidarcfg.requirements.braking import COMFORT, EMERGENCY, Braking
-from lidarcfg.requirements.detection import (
-    START_NS,
-    Rule,
-    ScenarioRun,
-    check_scenario,
-    drive_of,
-    largest_cluster,
-    needed,
-)
+from lidarcfg.requirements.clusters import largest_cluster
+from lidarcfg.requirements.detection import Rule, ScenarioRun, check_scenario, needed
 from lidarcfg.requirements.file import ObjectFile
+from lidarcfg.requirements.frames import drive_of
 from lidarcfg.requirements.scenario import Approach, Extent, ScenarioFile, load_scenario, presets
 from lidarcfg.requirements.sight import earliest_sight, places_within
 from lidarcfg.sensors.rig import Rig
+from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.boxes import boxed_objects
 from lidarcfg.world.vehicle import load_vehicle
@@ -173,7 +168,7 @@ def exported(one, mounts, vehicle, duration_ns, frame_ns):
     streams = simulated_frames(
         Rig("r", tuple(mounts)), one.scene, drive.trajectory, duration_ns, on_truth=records.append, vehicle=vehicle
     )
-    assert sum(len(frames.records) for frames in in_time_order(streams)) > 0
+    assert sum(len(some.records) for some in in_time_order(streams)) > 0
     truth = np.concatenate(records)
     truth = truth[truth["object"] == one.scene.names.index("target")]
     number = (truth["time_ns"] - START_NS) // frame_ns
@@ -222,7 +217,7 @@ def test_skipping_beams_changes_nothing(sedan, monkeypatch):
     scenario = replace(scenario, file=scenario.file.model_copy(update={"before_impact_s": 2.0}))
     few = check_scenario(scenario, two(), sedan, speeds_km_h=[40])
     everything = lambda approach, range_m, frame, middle_s, frame_ns: np.arange(len(frame.starts_m))  # noqa: E731
-    monkeypatch.setattr(detection, "_may_hit", everything)
+    monkeypatch.setattr(frames, "_may_hit", everything)
     whole = check_scenario(scenario, two(), sedan, speeds_km_h=[40])
     for one, other in zip(few.cases[0].runs, whole.cases[0].runs, strict=True):
         np.testing.assert_array_equal(one.returns, other.returns)
@@ -249,7 +244,7 @@ def test_points_are_on_the_target(sedan, monkeypatch):
     """What clusters are made of lies on the box's surface, where the target is when each beam is fired."""
     kept = []
     monkeypatch.setattr(
-        detection._Hits, "add", lambda self, frame, sensor, points: kept.append((self, frame, sensor, points))
+        frames.TargetReturns, "add", lambda self, frame, sensor, points: kept.append((self, frame, sensor, points))
     )
     scenario = load_scenario("cpnco")
     scenario = replace(scenario, file=scenario.file.model_copy(update={"before_impact_s": 1.5}))
