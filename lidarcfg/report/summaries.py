@@ -16,7 +16,7 @@ from lidarcfg.placement.combinations import combinations
 from lidarcfg.placement.plan import load_plan
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import BUDGETS
-from lidarcfg.report.words import counted
+from lidarcfg.report.describe import counted
 from lidarcfg.requirements.requirements import load_requirements
 from lidarcfg.requirements.scenario import scenario_in
 from lidarcfg.sensors.rig import Mount, load_rig
@@ -28,7 +28,7 @@ from lidarcfg.world.vehicle import Vehicle, check_outside, load_vehicle, rig_veh
 
 @dataclass(frozen=True)
 class Summary:
-    """What a file is."""
+    """A file's kind, what it would do, and what looks wrong."""
 
     kind: str
     text: str  # what it would do

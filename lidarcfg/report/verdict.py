@@ -7,8 +7,7 @@ from xml.etree import ElementTree
 from rich.box import SIMPLE
 from rich.table import Column, Table
 
-from lidarcfg.report.names import truncate
-from lidarcfg.report.terminal import terminal
+from lidarcfg.report.text import terminal, truncate
 from lidarcfg.requirements.verdict import RequirementVerdict, Verdict
 
 PASS, FAIL = "PASS", "FAIL"

@@ -21,7 +21,7 @@ from lidarcfg.requirements.places import Stand, Zone
 from lidarcfg.requirements.posts import LIMIT_M, PostPlaces, PostRequirement
 from lidarcfg.requirements.prices import PriceRequirement, SensorsRequirement
 from lidarcfg.requirements.robustness import Robust
-from lidarcfg.requirements.scenario import NO_BODY, Extent, load_scenario
+from lidarcfg.requirements.scenario import Extent, load_scenario
 from lidarcfg.requirements.scenarios import ScenarioRequirement
 from lidarcfg.requirements.shadow import HEIGHT_M, WITHIN_M, ShadowRequirement
 from lidarcfg.requirements.sight import Bounds
@@ -117,8 +117,12 @@ def resolved(
     robust: Robust | None = None,
     prices: Mapping[str, float] | None = None,
     sensors: int | None = None,
+    models: Sequence[str] = (),
 ) -> Requirements:
-    """The requirements at a site; `sensors`: how many the study has. Raises ConfigError with file, line and key."""
+    """The requirements at a site; `sensors`: how many the study has, `models`: which may be among them.
+
+    Raises ConfigError with file, line and key.
+    """
     items: list[Requirement] = []
     for one in found:
         lost = one.item.lost if one.item.lost is not None else (robust.lost if robust else None) or 0
@@ -132,14 +136,12 @@ def resolved(
             case "shadow_at_most_m3":
                 items.append(_shadow(one, site, lost, robust))
             case "price_at_most":
-                items.append(_price(one, prices))
+                items.append(_price(one, prices, models))
             case "sensors_at_most":
                 assert one.item.sensors_at_most
                 items.append(SensorsRequirement(one.item.name, one.item.sensors_at_most))
             case "scenario":
                 items.append(_scenario(one, site, lost))
-            case marker:
-                raise one.error("is not checked yet", marker)
     return Requirements(tuple(items), site, robust)
 
 
@@ -240,11 +242,11 @@ def _shadow(one: Source, site: Site, lost: int, robust: Robust | None) -> Shadow
 def _scenario(one: Source, site: Site, lost: int) -> ScenarioRequirement:
     item = one.item
     assert item.scenario
+    if site.vehicle is None:
+        raise one.error("needs the vehicle's body, and the study has no vehicle; give one", "scenario")
     with errors_at(one.path, *one.at, "scenario"):
         scenario = load_scenario(item.scenario, one.path.parent, item.target)
         speeds_km_h = item.speeds_km_h or scenario.file.speeds_km_h
-        if site.vehicle is None:
-            raise ConfigError(NO_BODY)
         if not speeds_km_h:
             raise ConfigError(f"{scenario.name}: {NO_SPEEDS}")
         braking = item.braking or EMERGENCY
@@ -263,8 +265,11 @@ def _scenario(one: Source, site: Site, lost: int) -> ScenarioRequirement:
     )
 
 
-def _price(one: Source, prices: Mapping[str, float] | None) -> PriceRequirement:
+def _price(one: Source, prices: Mapping[str, float] | None, models: Sequence[str]) -> PriceRequirement:
     assert one.item.price_at_most
     if not prices:
         raise one.error("needs the study's prices, and there are none; give a price for each model", "price_at_most")
+    for model in models:
+        if model not in prices:
+            raise one.error(f"{model!r} has no price; give it one in the study's prices", "price_at_most")
     return PriceRequirement(one.item.name, one.item.price_at_most, dict(prices))

@@ -137,7 +137,7 @@ def test_a_studys_values_are_whole(files):
         (("[50]", "[50], returns: 0"), "returns: 0 is too small; allowed: at least 1"),
         (("[50]", "[50], lost: 2"), "2 of 2 sensors lost leave none"),
         (("[50]", "[50], within_m: [0, 1]"), "within_m: does not go with scenario"),
-        (("vehicle:", "#"), "a scenario needs the vehicle's body, whose front reaches the target; give vehicle"),
+        (("vehicle:", "#"), "needs the vehicle's body, and the study has no vehicle; give one"),
     ],
 )
 def test_mistakes(files, wrong, said):

@@ -255,6 +255,41 @@ Bvh view_of(std::shared_ptr<const Memory> memory) {
   return out;
 }
 
+void require(bool holds, const char* message) {
+  if (!holds) {
+    throw std::invalid_argument(message);
+  }
+}
+
+/// Whether a node's child may be the leaf of this code, or none.
+bool is_leaf(std::int32_t code, Index shapes) {
+  const LeafCode leaf(code);
+  return leaf.first() <= leaf.end() && leaf.end() <= shapes;
+}
+
+void check(const Bvh& bvh) {
+  const Index shapes = bvh.size();
+  require(shapes <= most_shapes, "leaves: too many");
+  require(std::ssize(bvh.kind) == shapes, "kind: one for each leaf");
+  require(std::ssize(bvh.number) == shapes, "number: one for each leaf");
+  require(std::ssize(bvh.object) == shapes, "object: one for each leaf");
+  require(bvh.nodes.empty() == bvh.leaves.empty(), "nodes: none, or without leaves");
+  require(std::ranges::all_of(bvh.kind, [](Kind one) { return one <= Kind::instance; }), "kind: unknown");
+  std::vector<int> level(bvh.nodes.size());  // of the nodes that another one leads to
+  for (Index n = 0; n < std::ssize(bvh.nodes); ++n) {
+    require(level[n] > 0 || n == 0, "nodes: not after the node that leads to it");
+    for (const std::int32_t code : bvh.nodes[n].child) {
+      if (code < 0) {
+        require(is_leaf(code, shapes), "nodes: beyond the leaves");
+        continue;
+      }
+      require(n < code && code < std::ssize(bvh.nodes) && level[code] == 0, "nodes: not a tree");
+      level[code] = level[n] + 1;
+      require(level[code] < most_levels, "nodes: too many levels");
+    }
+  }
+}
+
 }  // namespace
 
 Box Box::none() { return {{inf, inf, inf}, {-inf, -inf, -inf}}; }
@@ -308,6 +343,7 @@ Bvh build(View<const Shape> shapes, View<const Kind> kind, View<const std::int32
 }
 
 Bvh copy_of(const Bvh& views) {
+  check(views);
   return view_of(std::make_shared<Memory>(Memory{{views.nodes.begin(), views.nodes.end()},
                                                  {views.leaves.begin(), views.leaves.end()},
                                                  {views.kind.begin(), views.kind.end()},

@@ -19,7 +19,7 @@ from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.report.html import Table
-from lidarcfg.report.names import truncate
+from lidarcfg.report.text import truncate
 from lidarcfg.sensors.rig import Rig
 
 PACKAGES = ("numpy", "scipy", "open3d", "matplotlib")

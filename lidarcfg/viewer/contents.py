@@ -1,4 +1,4 @@
-"""What is shown: any mix of captures, clouds, rigs, a study and scenes, in the vehicle frame."""
+"""The contents of a view: any mix of captures, clouds, rigs, a study and scenes, in the vehicle frame."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from lidarcfg.capture.decode import decode_pcap
+from lidarcfg.capture.manifest import Input, load_manifest, manifest_path
 from lidarcfg.capture.objects import Objects, load_objects, own_objects
 from lidarcfg.capture.selection import ALL, Selection
 from lidarcfg.clouds.cloud import SUFFIXES, PointCloud, concatenate, load_cloud, read_arrays
@@ -21,7 +22,6 @@ from lidarcfg.inputs import check_regular
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.units import SECOND_NS
-from lidarcfg.viewer.colours import colour
 from lidarcfg.viewer.rig_source import RigSource
 from lidarcfg.world.motion import Trajectory
 from lidarcfg.world.scene import Scene, load_scene
@@ -34,11 +34,12 @@ YAMLS = (".yaml", ".yml", ".json")
 YAML_KINDS: tuple[Kind, ...] = ("study", "rig", "scene")
 APART_S = 86_400.0  # that the points may lie after the start of a trajectory
 BEFORE_S = 1.0  # that a sensor may fire before it
+SAME = ("rig", "trajectory", "at", "start")  # of captures that are shown together
 MAGIC = {bytes.fromhex(code) for code in ("d4c3b2a1", "a1b2c3d4", "4d3cb2a1", "a1b23c4d", "0a0d0d0a")}
 
 
 @dataclass(frozen=True)
-class Stage:
+class Contents:
     """What is shown, in the vehicle frame; each part may be missing.
 
     Of a vehicle that drives this is the frame at the time of the first point: all points are deskewed into it.
@@ -80,17 +81,11 @@ class Stage:
     def zero_ns(self) -> int:
         """When dynamic objects are at their places: when the trajectory starts, or else at the first point."""
         zero_ns = self.trajectory.zero_ns
-        return zero_ns if near(self.first_ns, zero_ns) else self.first_ns
-
-    @property
-    def colours(self) -> dict[str, str]:
-        """A colour for each sensor's name: the cloud's, then the rigs'."""
-        names = [*self.cloud.sensor_names, *(mount.name for rig in self.rigs for mount in rig.mounts)]
-        return {name: colour(i) for i, name in enumerate(dict.fromkeys(names))}
+        return zero_ns if is_near(self.first_ns, zero_ns) else self.first_ns
 
 
 def kind_of(path: Path) -> Kind:
-    """What a file is, by its suffix or else its first bytes. Raises ConfigError for any other file."""
+    """The kind of a file, by its suffix or else its first bytes. Raises ConfigError for any other file."""
     suffix = path.suffix.lower()
     if suffix in CAPTURES:
         return "capture"
@@ -124,7 +119,7 @@ def _yaml_kind(path: Path) -> Kind:
     )
 
 
-def near(time_ns: int, zero_ns: int) -> bool:
+def is_near(time_ns: int, zero_ns: int) -> bool:
     """Whether a time is within a day after a start."""
     return -BEFORE_S <= (time_ns - zero_ns) / SECOND_NS <= APART_S
 
@@ -135,7 +130,7 @@ def first_ns(trajectory: Trajectory) -> int:
     return trajectory.zero_ns + round(first_s * SECOND_NS)
 
 
-def load_stage(
+def load_contents(
     paths: Sequence[Path],
     rig: Path | None,
     model: str | None,
@@ -143,8 +138,8 @@ def load_stage(
     on_warning: Callable[[str], None],
     selection: Selection = ALL,
     vehicle: Path | None = None,
-) -> Stage:
-    """All the files as one stage; `rig` is the one that recorded the captures, and comes first.
+) -> Contents:
+    """Everything in the files; `rig` is the one that recorded the captures, and comes first.
 
     `at` is where the vehicle stands, T_world_vehicle (4, 4), or its trajectory, by which points are deskewed. Of
     captures, only the selection is read. A study without a rig gets one at the midpoint of its bounds. The vehicle is
@@ -157,12 +152,12 @@ def load_stage(
         return [path for found, path in files if found == kind]
 
     rig_paths = [*([rig] if rig else []), *of("rig")]
-    source = RigSource.of(example(rig_paths[0])) if rig_paths else None
+    source = RigSource.read(example(rig_paths[0])) if rig_paths else None
     rigs = [load_rig(path) for path in rig_paths]
-    study = _only(of("study"), "study")
+    study = _at_most_one(of("study"), "study")
     loaded = load_study(study) if study else None
     captures = of("capture")
-    truth = _only(of("truth"), "truth")
+    truth = _at_most_one(of("truth"), "truth")
     if len(rigs) > 1 and captures and not rig:
         raise ConfigError(f"{captures[0]}: which of {len(rigs)} rigs recorded it? choose one with --rig")
     if selection != ALL and not captures:
@@ -186,7 +181,7 @@ def load_stage(
     body = resolve_vehicle(rigs[0] if rigs else None, vehicle)
     if loaded and not rigs:
         rigs = [loaded.rig(loaded.midpoint)]
-    return Stage(
+    return Contents(
         cloud=cloud,
         objects=load_objects(truth, cloud, rigs[0]) if truth else own_objects(cloud),
         rigs=tuple(rigs),
@@ -206,7 +201,7 @@ def _first_pose(clouds: list[PointCloud], trajectory: Trajectory) -> Array:
         return T
     times = [int(end) for cloud in clouds if len(cloud.xyz) for end in (cloud.time_ns.min(), cloud.time_ns.max())]
     for time_ns in (min(times), max(times)) if times else ():
-        if not near(time_ns, trajectory.zero_ns):
+        if not is_near(time_ns, trajectory.zero_ns):
             seconds = (time_ns - trajectory.zero_ns) / SECOND_NS
             raise ConfigError(
                 f"a point is {abs(seconds):.6g} s {'after' if seconds > 0 else 'before'} the trajectory's start; "
@@ -243,8 +238,66 @@ def _first_choices(study: Study) -> str:
     return f"{study.name}: {shown}. optimize writes a study of each choice"
 
 
-def _only(paths: list[Path], what: str) -> Path | None:
+def _at_most_one(paths: list[Path], what: str) -> Path | None:
     """The one file of a kind, if there is any. Raises ConfigError where there are more."""
     if len(paths) > 1:
         raise ConfigError(f"{paths[1]}: is a second {what} beside {paths[0]}; allowed: one")
     return paths[0] if paths else None
+
+
+@dataclass(frozen=True)
+class DriveInputs:
+    """The rig that recorded captures, where and when; unknown parts are None."""
+
+    rig: Path | None = None
+    scene: Path | None = None
+    vehicle: Path | None = None
+    trajectory: Path | None = None
+    at: str | None = None  # X,Y,YAW_DEG
+    start: str | None = None  # ISO 8601
+
+
+def complete_inputs(
+    files: Sequence[Path], given: DriveInputs, on_warning: Callable[[str], None]
+) -> tuple[list[Path], DriveInputs]:
+    """The files, with the recorded scene if no other is given, and `given` completed by the captures' manifests.
+
+    If a file of a manifest has changed since the export, it is omitted with a warning. Raises ConfigError.
+    """
+    kinds = [kind_of(example(path)) for path in files]
+    captures = [path for path, kind in zip(files, kinds, strict=True) if kind == "capture"]
+    found = [(manifest_path(path), load_manifest(path)) for path in captures if manifest_path(path).exists()]
+    if not found:
+        return list(files), given
+    path, manifest = found[0]
+    for other_path, other in found[1:]:
+        for key in SAME:
+            if getattr(given, key) is None and _differ(getattr(manifest, key), getattr(other, key)):
+                raise ConfigError(f"{other_path}: is of another {key} than {path}; choose one with --{key}")
+
+    def from_manifest(key: str) -> Path | None:
+        try:
+            return manifest.input_path(key)
+        except ConfigError as error:
+            on_warning(f"{error}; it is not shown")
+            return None
+
+    rig = given.rig or (None if "rig" in kinds else from_manifest("rig"))
+    known = rig is not None or "rig" in kinds  # otherwise points are in their sensors' frames
+    scene = None if "scene" in kinds else from_manifest("scene")
+    filled = DriveInputs(
+        rig=rig,
+        scene=scene,
+        vehicle=given.vehicle or (None if "study" in kinds else from_manifest("vehicle")),
+        trajectory=given.trajectory or (from_manifest("trajectory") if known else None),
+        at=given.at or manifest.at,
+        start=given.start or manifest.start,
+    )
+    return [*files, *([scene] if scene else [])], filled
+
+
+def _differ(one: Input | str | None, other: Input | str | None) -> bool:
+    """Whether two manifests name other files, or values."""
+    if isinstance(one, Input) and isinstance(other, Input):
+        return one.sha256 != other.sha256
+    return one != other
