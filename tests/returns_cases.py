@@ -66,7 +66,7 @@ def within(one, fired):
     if one.azimuth_fov_deg is None:
         return np.ones(len(fired.laser), bool)
     how = pattern(one)
-    decided = fired.encoder_rad - np.tile(how.lag_rad - how.decides_rad, len(fired.laser) // len(how.laser))
+    decided = fired.encoder_rad - np.tile(how.lag_rad - how.gating_rad, len(fired.laser) // len(how.laser))
     low, high = one.azimuth_fov_deg
     return (np.degrees(decided) - low) % 360 <= ((high - low) % 360 or 360)
 

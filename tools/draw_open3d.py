@@ -52,8 +52,8 @@ def solids(meshes: list[tuple[Any, str, float]]) -> Figure:
         corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
         drawn = Poly3DCollection(corners, facecolors=colour, alpha=alpha, shade=True, zorder=number)
         axes.add_collection3d(drawn)
-    axes.set(xlim=(-8, 8), ylim=(-5, 5), zlim=(0, 4), xlabel="x (m)", ylabel="y (m)")
-    axes.set_box_aspect((16, 10, 4))
+    axes.set(xlim=(-4, 4), ylim=(-2.5, 2.5), zlim=(0, 2), xlabel="x (m)", ylabel="y (m)")
+    axes.set_box_aspect((8, 5, 2), zoom=1.2)
     axes.view_init(28, -55)
     return figure
 

@@ -12,8 +12,8 @@ from lidarcfg.capture.ground_truth import RECORD, records
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, types
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import (
@@ -35,7 +35,7 @@ from lidarcfg.world.vehicle import Vehicle
 OnTruth = Callable[[NDArray[np.void]], None]
 
 
-def export(
+def simulated_frames(
     rig: Rig,
     scene: Scene,
     at: Array | Trajectory,
@@ -64,7 +64,7 @@ def export(
     ]
 
 
-def save_companions(path: Path, mounts: Sequence[Mount]) -> list[Path]:
+def save_sidecar_files(path: Path, mounts: Sequence[Mount]) -> list[Path]:
     """Write the files that readers need beside the capture at `path`, and return them."""
     written = []
     for mount in mounts:
@@ -81,9 +81,10 @@ def data_bytes(drive: Drive) -> int:
     _check_all(drive.rig.mounts, drive.duration_ns)
     total = 0.0
     for mount in drive.rig.mounts:
-        maker, everywhere = codec(mount.sensor), replace(mount, azimuth_fov_deg=None)
+        maker = codec(mount.sensor)
+        everywhere = replace(mount, azimuth_fov_deg=None)
         batch = next(iter(maker.schedule(everywhere, drive.start_ns, 1, 1)))
-        shape = len(batch.firings.time_ns), len(types(mount.return_mode))
+        shape = len(batch.firings.time_ns), len(RETURN_TYPES[mount.return_mode])
         packet = maker.encode(everywhere, batch, np.full(shape, np.inf), np.zeros(shape, np.uint8))
         packets = drive.duration_ns // maker.pace(mount).period_ns * fired_fraction(mount)
         total += packets * sum(map(len, frames(mount.host, packet).records))
@@ -128,7 +129,8 @@ def in_time_order(streams: Iterable[Iterator[Frames]]) -> Iterator[Frames]:
         if not heads:
             return
         until_ns, last = min((int(head.time_ns[-1]), i) for i, head in heads.items())
-        times_ns, records = [], []
+        times_ns = []
+        records = []
         for i, head in sorted(heads.items()):
             count = int(np.searchsorted(head.time_ns, until_ns, "right" if i <= last else "left"))
             times_ns.append(head.time_ns[:count])
@@ -152,14 +154,16 @@ class _Chunk:
 
 def _data_stream(task: Task, runner: TaskRunner, on_truth: OnTruth | None) -> Iterator[Frames]:
     """The data packets completed within the duration, each sent when complete."""
-    maker, mount = codec(task.mount.sensor), task.mount
+    maker = codec(task.mount.sensor)
+    mount = task.mount
 
     def make(batch: Batch, found: Echoes) -> _Chunk:
         range_m = found.range_m + found.noise_m
         payloads = maker.encode(mount, batch, range_m, found.reflectivity)
         truth = np.empty(0, RECORD)
         if on_truth:
-            types, sent = maker.return_types(mount, range_m, found.reflectivity), maker.sent(mount, batch, payloads)
+            types = maker.return_types(mount, range_m, found.reflectivity)
+            sent = maker.sent(mount, batch, payloads)
             truth = records(task.index, types, batch.firings, found, sent)
         return _Chunk(frames(mount.host, payloads), truth)
 

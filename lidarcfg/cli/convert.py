@@ -56,7 +56,7 @@ def convert(
     capture:              folder   rosbag2       a PointCloud2 per scan (SQLite)
       .pcap .pcapng       folder   rosbag2-mcap  the same as MCAP; needs --to
                           .mcap    mcap          the same as one MCAP file
-                          .bag     rosbag1       the same of ROS 1
+                          .bag     rosbag1       the same for ROS 1
                           folder   kitti-odometry  needs --truth of an export
                           folder   kitti-object  the same: labels, boxes
                           folder   nuscenes      the same: all tables
@@ -92,7 +92,7 @@ def convert(
 
 
 def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
-    """What an export noted of a capture, or none if it is a recording. Raises ConfigError, also where it is needed."""
+    """The drive that an export's manifest describes; None for a recording. Raises ConfigError where it is needed."""
     from lidarcfg.capture.manifest import load_manifest, manifest_path
     from lidarcfg.errors import ConfigError
     from lidarcfg.io.formats import FOLDERS
@@ -113,9 +113,10 @@ def _drive(capture: Path, name: str, truth: Path | None) -> "Drive | None":
         )
     manifest = load_manifest(capture)
     hint = "--rig takes the sensors' poses alone" if name not in FOLDERS and not truth else "export it again"
-    rig, scene, trajectory, vehicle = (
-        manifest.path(key, beside, hint) for key in ("rig", "scene", "trajectory", "vehicle")
-    )
+    rig = manifest.input_path("rig", hint)
+    scene = manifest.input_path("scene", hint)
+    trajectory = manifest.input_path("trajectory", hint)
+    vehicle = manifest.input_path("vehicle", hint)
     assert rig
     if not scene:
         raise ConfigError(f"{beside}: names no scene; export with the scene's file")

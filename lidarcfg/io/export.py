@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarcfg.capture import export as packets
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.manifest import manifest_path
 from lidarcfg.capture.manifest_writer import ManifestInputs
 from lidarcfg.capture.pcap import write_pcap
@@ -79,9 +79,9 @@ def export(
         written = formats.save_dataset(output, form, dataset, False, on_warning)
         companions: list[Path] = []
     else:
-        streams = packets.export(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
-        written = formats.Amount(write_pcap(output, packets.in_time_order(streams)), "frames")
-        companions = packets.save_companions(output, rig.mounts)
+        streams = simulated_frames(rig, scene, moved, drive.duration_ns, vehicle=drive.vehicle)
+        written = formats.Amount(write_pcap(output, in_time_order(streams)), "frames")
+        companions = save_sidecar_files(output, rig.mounts)
     remove_outdated(inputs.outdated(output))
     files = output, *companions, *inputs.save(output, drive, on_warning)
     return Exported(files, written.count, written.what)

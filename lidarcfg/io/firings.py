@@ -13,15 +13,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.capture.decode import Capture
 from lidarcfg.capture.pcapng import SECTION
+from lidarcfg.capture.reader import CaptureReader
 from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.models import COORDINATE_MAX_M, loads
 from lidarcfg.errors import CloudError, ConfigError, ConversionError, PacketError
 from lidarcfg.files import replacing
+from lidarcfg.geometry import Bytes
 from lidarcfg.io.repack import CUTS, capture_bytes, read_records
-from lidarcfg.packets.codec import Batch, Firings, Measurements, Octets
+from lidarcfg.packets.codec import Measurements
 from lidarcfg.packets.families import codec
+from lidarcfg.sensors.firing import Batch, Firings
 from lidarcfg.sensors.rig import DATA_PORT, FIRST_HOST, RPM, SINGLE, TELEMETRY_PORT, Mount
 from lidarcfg.sensors.sensor import Reported, Sensor
 
@@ -60,7 +62,7 @@ class Source:
     sensor: Sensor
     found: Measurements
 
-    def packets(self) -> Octets:
+    def packets(self) -> Bytes:
         """(P, size): what its firings make, whatever limits of range exports keep."""
         sensor = self.sensor
         if sensor.range:
@@ -77,7 +79,7 @@ class Source:
             rpm=RPM,
             return_mode=self.found.return_mode,  # type: ignore[arg-type]  # a text that was checked when it was read
         )
-        return codec(sensor).packed(mount, self.found)
+        return codec(sensor).encode_measurements(mount, self.found)
 
 
 def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWarning) -> ConvertedSize:
@@ -91,7 +93,7 @@ def save_firings(path: Path, capture: Path, model: str | None, on_warning: OnWar
     kept = list[str]()
     arrays: dict[str, NDArray[Any]] = {}
     counted = ConvertedSize(0, 0, 0)
-    for recorded in Capture(capture, on_warning, model=model).sources():
+    for recorded in CaptureReader(capture, on_warning, model=model).recordings():
         mine = records.of(recorded.name, recorded.packets.shape[1])
         maker = codec(recorded.sensor)
         modes = maker.return_modes(recorded.source, mine.packets)
@@ -148,7 +150,7 @@ def is_firings(path: Path) -> bool:
     return "sources" in read_arrays(path, ("sources",))
 
 
-def _columns(one: Source, recorded: Octets) -> dict[str, NDArray[Any]]:
+def _columns(one: Source, recorded: Bytes) -> dict[str, NDArray[Any]]:
     """The columns of a source, and what of its packets (P, size) they do not say."""
     made = one.packets().ravel()
     rest_at = np.flatnonzero(made != recorded.ravel())
@@ -224,7 +226,7 @@ def _packets(
     said: Mapping[str, Any],
     columns: Mapping[str, NDArray[Any]],
     more: Mapping[str, NDArray[Any]],
-) -> Octets:
+) -> Bytes:
     """(P, size): the packets of a source."""
     sensor = loads(json.dumps(said["sensor"]), Sensor, f"{path}: {number}/sensor")
     lengths = {"number": "packets", "host_ns": "packets", "rest_at": "", "rest": ""}

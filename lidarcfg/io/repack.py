@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from lidarcfg.capture.fragments import Reassembly
 from lidarcfg.capture.frames import IP, UDP, fragment, ip_packets
-from lidarcfg.capture.pcap import whole_capture
+from lidarcfg.capture.pcap import frames_in_memory
 from lidarcfg.errors import CloudError, PacketError
+from lidarcfg.geometry import Bytes, Times
 from lidarcfg.inputs import check_memory, check_regular, read_regular
-from lidarcfg.packets.codec import Octets, Times
 
 SIZE_MAX = 4_000_000_000  # bytes of a capture
 COPIES = 60  # bytes of memory per byte of it
@@ -52,7 +52,7 @@ class Datagram(NamedTuple):
 class SourcePackets:
     """The packets of one endpoint."""
 
-    packets: Octets  # (P, size)
+    packets: Bytes  # (P, size)
     host_ns: Times  # (P,)
     datagrams: list[Datagram]  # (P,)
 
@@ -91,7 +91,7 @@ class Records:
         return columns | {"at": at, "raw": np.frombuffer(b"".join(left), np.uint8)}
 
 
-def capture_bytes(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Octets]) -> Iterator[bytes]:
+def capture_bytes(path: Path, arrays: Mapping[str, NDArray[Any]], packets: Sequence[Bytes]) -> Iterator[bytes]:
     """The bytes of a capture from its arrays, with the packets (P, size) of its sources. Raises CloudError."""
     at, source, packet, first, size, headers = (arrays[key].astype(np.int64) for key in CUTS)
     raw = arrays["raw"].tobytes()
@@ -146,7 +146,7 @@ def read_records(path: Path) -> Records:
 
 def _rows(data: bytes, name: str) -> Iterator[tuple[int, int, int, int, bool, Any]]:
     """Host time and `IpPackets`' columns of each UDP datagram, or fragment of one."""
-    for piece in whole_capture(data, name):
+    for piece in frames_in_memory(data, name):
         found = ip_packets(piece)
         keep = found.whole | found.part
         columns = (piece.time_ns[found.which], found.ip, found.length, found.end, found.part)

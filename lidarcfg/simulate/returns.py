@@ -143,7 +143,7 @@ def _compiled(one: Scanner, phases: int) -> core.returns.Scanner:
         step_rad=pattern.step_rad / pattern.phases(phases),
         phases=pattern.phases(phases),
         lag_rad=np.ascontiguousarray(pattern.lag_rad),
-        gating_rad=np.ascontiguousarray(pattern.decides_rad),
+        gating_rad=np.ascontiguousarray(pattern.gating_rad),
         offset_rad=sensor.azimuth_offset_rad[laser],
         elevation_rad=sensor.elevation_rad[laser],
         start_m=np.stack([column[laser] for column in offsets], axis=1),

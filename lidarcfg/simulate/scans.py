@@ -11,10 +11,10 @@ import numpy as np
 
 from lidarcfg import maths
 from lidarcfg.clouds.cloud import PointCloud, concatenate
-from lidarcfg.geometry import Array
+from lidarcfg.geometry import Array, Bytes, Times
 from lidarcfg.inputs import check_memory
-from lidarcfg.packets.codec import Batch, Firings, Octets, Times, types
 from lidarcfg.packets.families import timing
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Firings
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.echoes import Echoes
@@ -149,7 +149,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     (least_m, most_m) = sensor.range.reported_m
     range_m = found.range_m + found.noise_m
     there = (range_m >= least_m) & (range_m <= most_m)
-    kinds = np.broadcast_to(np.array(types(mount.return_mode), np.uint8), range_m.shape).copy()
+    kinds = np.broadcast_to(np.array(RETURN_TYPES[mount.return_mode], np.uint8), range_m.shape).copy()
     if mount.dual:
         bright = found.reflectivity
         alike = there.all(axis=1) & (range_m[:, 0] == range_m[:, 1]) & (bright[:, 0] == bright[:, 1])
@@ -159,7 +159,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
             kinds[there.all(axis=1) & (bright[:, at] < bright[:, 1 - at]), at] = SECOND_STRONGEST
     firing, which = np.nonzero(there)
     cloud = PointCloud(
-        xyz=_beam_ends(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
+        xyz=beam_ends(sensor, fired.laser[firing], fired.encoder_rad[firing], range_m[firing, which]),
         intensity=found.reflectivity[firing, which],
         ring=np.empty(0, np.uint8),
         time_ns=fired.time_ns[firing],
@@ -171,7 +171,7 @@ def _points(mount: Mount, fired: Firings, found: Echoes) -> tuple[Times, PointCl
     return firing, cloud
 
 
-def _beam_ends(sensor: Sensor, laser: Octets, encoder_rad: Array, range_m: Array) -> Array:
+def beam_ends(sensor: Sensor, laser: Bytes, encoder_rad: Array, range_m: Array) -> Array:
     """(N, 3) the ends of the beams in the sensor's frame."""
     azimuth_rad = encoder_rad + sensor.azimuth_offset_rad[laser]
     elevation_rad = sensor.elevation_rad[laser]

@@ -9,7 +9,7 @@ from lidarcfg import maths
 from lidarcfg.core import simulate, world
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor

@@ -13,8 +13,8 @@ from lidarcfg.config.models import COORDINATE_MAX_M
 from lidarcfg.errors import ConfigError
 from lidarcfg.futures import ordered_results
 from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Batch, Pace, Timing, types
 from lidarcfg.packets.families import timing
+from lidarcfg.sensors.firing import RETURN_TYPES, Batch, Pace, Timing
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.sensors.sensor import Range
 from lidarcfg.simulate.echoes import Echoes
@@ -116,7 +116,7 @@ def fired_fraction(mount: Mount) -> float:
 
 def most_returns_per_ns(mount: Mount, pace: Pace) -> float:
     """The rate of a mount's returns if each ray returns."""
-    return pace.firings * fired_fraction(mount) * len(types(mount.return_mode)) / pace.period_ns
+    return pace.firings * fired_fraction(mount) * len(RETURN_TYPES[mount.return_mode]) / pace.period_ns
 
 
 def checked_timing(mount: Mount, duration_ns: int) -> Timing:

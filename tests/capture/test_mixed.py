@@ -12,7 +12,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order, save_companions
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.replay import replay
 from lidarcfg.capture.selection import Selection
@@ -45,9 +45,11 @@ DRIVEN = Trajectory(
 def sent(folder, rig, at=None):
     """A capture in the street with what readers need beside it, and the ground truth."""
     path, truth = folder / "mixed.pcap", []
-    streams = export(rig, load_scene(STREET), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append)
+    streams = simulated_frames(
+        rig, load_scene(STREET), np.eye(4) if at is None else at, DURATION_NS, on_truth=truth.append
+    )
     write_pcap(path, in_time_order(streams))
-    save_companions(path, rig.mounts)
+    save_sidecar_files(path, rig.mounts)
     return path, np.concatenate(truth)
 
 

@@ -16,7 +16,7 @@ from lidarcfg import (
     pattern,
 )
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export as packets
+from lidarcfg.capture.export import simulated_frames as packets
 from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate, load_cloud
 from lidarcfg.core import view

@@ -9,7 +9,7 @@ import pytest
 from lidarcfg.core import simulate
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import pose
-from lidarcfg.packets.codec import Firings
+from lidarcfg.sensors.firing import Firings
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lidarcfg.capture.decode import decode_pcap
-from lidarcfg.capture.export import export, in_time_order, save_companions
+from lidarcfg.capture.export import in_time_order, save_sidecar_files, simulated_frames
 from lidarcfg.capture.pcap import write_pcap
 from lidarcfg.capture.scans import scans
 from lidarcfg.clouds.cloud import concatenate
@@ -64,9 +64,9 @@ def mount(model="os1-32", rpm=600.0, fov=None, phase=None, dual=False, **setting
 def exported(folder, street, one, duration_ns=100_000_000, way=T_WORLD_VEHICLE):
     """The capture, its metadata and its ground truth."""
     truth, path = [], folder / "a.pcap"
-    streams = export(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
+    streams = simulated_frames(Rig("one", (one,)), street, way, duration_ns, on_truth=truth.append)
     write_pcap(path, in_time_order(streams))
-    (metadata,) = save_companions(path, [one])
+    (metadata,) = save_sidecar_files(path, [one])
     assert metadata == folder / "a.json"
     return path, metadata, np.concatenate(truth)
 
@@ -355,7 +355,7 @@ def test_mistakes_of_a_rig(tmp_path, street, line, message):
     path = tmp_path / "rig.yaml"
     path.write_text(f"name: r\nsensors:\n- {{name: a, model: os1-32, position_m: [0, 0, 2], {line}}}\n")
     with pytest.raises(ConfigError, match=message):
-        export(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
+        simulated_frames(load_rig(path), street, T_WORLD_VEHICLE, 10**9)
 
 
 def test_a_rig_of_two_makers(tmp_path):
