@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from lidarcfg.config.models import Given
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
@@ -71,7 +71,7 @@ class Placement:
 
 
 def optimize(
-    study: Study | str | Path,
+    study: Study | Given,
     threads: int | None = None,
     on_cycle: Callable[[Cycle, Rig, Log], None] | None = None,
     log: Log | None = None,
@@ -80,14 +80,14 @@ def optimize(
 ) -> Placement:
     """Search for the rig with the least objective. The result depends on the seed, not on the number of threads.
 
-    The study is a file, or what is loaded from it. `on_cycle` gets the state of the search, the best rig and the
-    log at the end of each cycle. `on_evaluations` is called from time to time, also within a cycle, with the number
-    of evaluations so far. `log` resumes an earlier search, which ends where an uninterrupted one would (unless its
-    budget is in seconds). Without `skip` every trial is evaluated in full, which changes only the time. An
-    interrupt (Ctrl-C) ends the search and keeps the best rig so far. Raises ConfigError if nothing is free to move,
-    or if no rig meets the constraints.
+    The study is a file, a dict with its keys, or what is loaded from it. `on_cycle` gets the state of the search,
+    the best rig and the log at the end of each cycle. `on_evaluations` is called from time to time, also within a
+    cycle, with the number of evaluations so far. `log` resumes an earlier search, which ends where an uninterrupted
+    one would (unless its budget is in seconds). Without `skip` every trial is evaluated in full, which changes only
+    the time. An interrupt (Ctrl-C) ends the search and keeps the best rig so far. Raises ConfigError if nothing is
+    free to move, or if no rig meets the constraints.
     """
-    study = loaded(study, load_study)
+    study = loaded(study, load_study, Study)
     if study.to_choose:
         raise ConfigError("the study has models to choose; `front` searches for the best rig of each price")
     dimensions = int(study.free.sum())
