@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.simulate.returns import Target, compiled, returns, scanner
 from lidarcfg.world.obstacles import Obstacles
-from lidarcfg.world.tracer import bvh
+from lidarcfg.world.tracer import build_bvh
 from lidarcfg.world.vehicle import load_vehicle
 from tests.returns_cases import lidars, mount
 from tests.test_tools import ROOT
@@ -61,7 +61,7 @@ def test_it_counts_as_the_simulator_does_as_far_as_phases_explain(judge, tmp_pat
     found = judge.counts(write(tmp_path, model), body, ("child", "tyre", "dog"), 25, 10.0, 7)
     one = mount(model, (0.3, 0.4, 1.9), (-12, 7, 30))
     poses = sensor_poses(lidars([one]))
-    tree = bvh(load_vehicle(SEDAN).scene, np.array([True]), np.zeros(3))
+    tree = build_bvh(load_vehicle(SEDAN).scene, np.array([True]), np.zeros(3))
     obstacles = Obstacles.of(tree, np.zeros(3))
     for name, counted in found.items():
         thing = judge.OBJECTS[name]()

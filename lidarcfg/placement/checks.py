@@ -35,8 +35,8 @@ FEW_S = 0.01  # an evaluation this quick is never called slow
 LONG_S = 20.0  # of processor time, to evaluate one rig
 SAMPLES = (64, 512, 4096)  # of places of objects, by which that time is estimated
 SURE_S = 0.5  # of them that took so long, no more are needed
+HIGHEST_M = 40.0  # above the ground: no vehicle carries a sensor there
 RIGHT_RAD = math.pi / 4  # whole multiples of it look like radians with two decimals, too
-HIGH_M = 40.0  # above the ground: no vehicle is so high
 STEEPEST_RAD = 0.6  # no beam table is this narrow in degrees: such elevations look like radians
 
 
@@ -52,13 +52,10 @@ def study_warnings(path: str | Path, study: Study) -> Iterator[str]:
 def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
     bounds = [bound for group in file.sensors for bound in (group.min, group.max) if bound]
     in_degrees = _are_in_degrees(bounds)
-    ground_m = study.requirements.site.ground_m if study.requirements else file.region.min_m[2]
     for i, group in enumerate(file.sensors):
         for bound in ("min", "max"):
             yield from _angles(("sensors", i, bound), getattr(group, bound), in_degrees)
-            if getattr(group, bound):
-                height_m = getattr(group, bound).position_m[2]
-                yield from _height(("sensors", i, bound), height_m, ground_m)
+        yield from _heights(i, group, file.region.min_m[2])
         yield from _elevations(("sensors", i), group)
         yield from _places(i, group, study, file.region.exclude)
     for i, box in enumerate(file.region.exclude):
@@ -69,10 +66,10 @@ def _of_study(file: StudyFile, study: Study) -> Iterator[Suspect]:
     yield from _many_returns(study)
 
 
-def rig_warnings(path: str | Path, ground_m: float | None = None) -> Iterator[str]:
-    """Warnings about a rig's file. The ground is at z = 0 unless another height is known."""
+def rig_warnings(path: str | Path, ground_m: float = 0.0) -> Iterator[str]:
+    """Warnings about a rig's file; the ground is at this height of the vehicle frame."""
     path = example(path)
-    yield from _lines(path, _of_rig(load(path, RigFile), ground_m or 0.0))
+    yield from _lines(path, _of_rig(load(path, RigFile), ground_m))
 
 
 def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
@@ -85,8 +82,8 @@ def _lines(path: Path, found: Iterator[Suspect]) -> Iterator[str]:
 def _of_rig(file: RigFile, ground_m: float) -> Iterator[Suspect]:
     in_degrees = _are_in_degrees(file.sensors)
     for i, mount in enumerate(file.sensors):
-        yield from _height(("sensors", i), mount.position_m[2], ground_m)
         yield from _angles(("sensors", i), mount, in_degrees)
+        yield from _height(("sensors", i, "position_m", 2), mount.position_m[2], ground_m, "")
         yield from _elevations(("sensors", i), mount)
 
 
@@ -106,6 +103,15 @@ def _angles(at: Key, item: PoseBound | MountFile | None, in_degrees: bool) -> It
         yield (*at, "rpy_deg"), f"{what}, beside others that are degrees"
 
 
+def _turns(item: RequirementFile) -> Iterator[Suspect]:
+    """Angles of a requirement that look like radians."""
+    for key in ("headings_deg", "sector_deg"):
+        turns = getattr(item, key) or ()
+        suspects = [angle for angle in turns if _is_in_radians(angle, in_degrees=False)]
+        if suspects:
+            yield (key,), f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians; give degrees"
+
+
 def _are_in_degrees(items: Iterable[PoseBound | MountFile]) -> bool:
     """Whether any of these is turned by more than radians say."""
     return any(abs(angle) > 2 * math.pi for item in items for angle in item.rpy_deg or ())
@@ -123,21 +129,19 @@ def _is_in_radians(angle: float, in_degrees: bool) -> bool:
     return steps != 0 and abs(angle - steps * math.pi / 12) < 6e-4 and angle != round(angle, 2)
 
 
-def _height(at: Key, z_m: float, ground_m: float) -> Iterator[Suspect]:
-    """A sensor below the ground, or higher than any vehicle."""
+def _heights(index: int, group: GroupFile, ground_m: float) -> Iterator[Suspect]:
+    """Bounds below the ground, which is the region's floor, or far above it."""
+    if group.min and group.max:
+        for bound, pose in (("min", group.min), ("max", group.max)):
+            yield from _height(("sensors", index, bound, "position_m", 2), pose.position_m[2], ground_m, " bound")
+
+
+def _height(at: Key, z_m: float, ground_m: float, what: str) -> Iterator[Suspect]:
+    """A place below the ground, or so far above it that it is in another unit or frame."""
     if z_m < ground_m:
-        yield (*at, "position_m", 2), f"{z_m:g} is {ground_m - z_m:.4g} m below the ground"
-    elif z_m > ground_m + HIGH_M:
-        yield (*at, "position_m", 2), f"{z_m:g} is {z_m - ground_m:.4g} m above the ground, higher than any vehicle"
-
-
-def _turns(item: RequirementFile) -> Iterator[Suspect]:
-    """Angles of a requirement that look like radians."""
-    for key in ("headings_deg", "sector_deg"):
-        turns = getattr(item, key) or ()
-        suspects = [angle for angle in turns if _is_in_radians(angle, True)]
-        if suspects:
-            yield (key,), f"{suspects[0]:g} looks like {math.degrees(suspects[0]):.0f}° in radians; give degrees"
+        yield at, f"this{what} is {ground_m - z_m:g} m below the ground, which is at z = {ground_m:g}"
+    elif z_m - ground_m > HIGHEST_M:
+        yield at, f"this{what} is {z_m - ground_m:g} m above the ground; are these metres?"
 
 
 def _elevations(at: Key, item: GroupFile | MountFile) -> Iterator[Suspect]:
