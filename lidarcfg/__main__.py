@@ -1,5 +1,5 @@
 """`python -m lidarcfg` is the command line."""
 
-from lidarcfg.cli import main
+from lidarcfg.cli.main import main
 
 main()

@@ -6,7 +6,8 @@ import numpy as np
 import open3d as o3d
 from scipy.spatial import ConvexHull
 
-from lidarcfg.world.scene import Scene, SceneFile
+from lidarcfg.world.scene import Scene
+from lidarcfg.world.scene_file import SceneFile
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import scene
 from tests.naive import rays as naive

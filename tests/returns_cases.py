@@ -13,7 +13,8 @@ from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.simulator import Simulator
 from lidarcfg.units import MINUTE_NS, SECOND_NS
 from lidarcfg.world.motion import standing
-from lidarcfg.world.scene import Scene, SceneFile
+from lidarcfg.world.scene import Scene
+from lidarcfg.world.scene_file import SceneFile
 from lidarcfg.world.tracer import Tracer
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])

@@ -28,7 +28,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.motion import Motion
-from lidarcfg.world.scene import SceneFile
+from lidarcfg.world.scene_file import SceneFile
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -15,12 +15,12 @@ import yaml
 from lidarcfg import inputs
 from lidarcfg.capture.decode import decode_pcap
 from lidarcfg.clouds.cloud import load_cloud, read_arrays, save_clouds
+from lidarcfg.clouds.las import load_las
+from lidarcfg.config import document as yaml_document
 from lidarcfg.config.document import LARGE, Document
-from lidarcfg.config.models import document as yaml_document
 from lidarcfg.config.models import load
 from lidarcfg.errors import CloudError, ConfigError, LidarcfgError
 from lidarcfg.io.kitti import load_kitti
-from lidarcfg.io.las import load_las
 from lidarcfg.placement import evaluator
 from lidarcfg.placement.cones import lidar
 from lidarcfg.placement.evaluator import Evaluator
@@ -32,8 +32,8 @@ from lidarcfg.sensors.sensor import Beams
 from lidarcfg.world.meshes import read_mesh
 from lidarcfg.world.motion import load_path
 from tests.capture_fixtures import no_warning
+from tests.clouds.test_cloud import cloud
 from tests.command_line import lidarcfg
-from tests.test_cloud import cloud
 
 READERS = {
     ".pcap": lambda path: list(decode_pcap(path, no_warning)),

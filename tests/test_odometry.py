@@ -9,7 +9,7 @@ import lidarcfg
 from lidarcfg.sensors.rig import load_rig
 from lidarcfg.simulate.tasks import START_NS
 from lidarcfg.units import SECOND_NS
-from lidarcfg.world.models import read_parts
+from lidarcfg.world.gltf_models import read_parts
 from lidarcfg.world.motion import Trajectory, load_path
 from lidarcfg.world.scene import load_scene
 from lidarcfg.world.tracer import Tracer

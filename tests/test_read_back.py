@@ -24,7 +24,7 @@ from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.report.results import fingerprint
 from lidarcfg.sensors.rig import load_rig, save_rig
 from lidarcfg.world.motion import Motion
-from lidarcfg.world.scene import SceneFile
+from lidarcfg.world.scene_file import SceneFile
 from tests.command_line import lidarcfg
 from tests.studies import study_of
 from tests.test_docs import PAGES, blocks, named_files

@@ -18,10 +18,10 @@ from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import inverse, pose, transform
 from lidarcfg.packets.velodyne.layout import PACKET
 from lidarcfg.placement.cones import Lidar, gaps_at
-from lidarcfg.placement.criterion import Criterion
-from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.grid import beam_gaps
-from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.metric import max_vsr, vsr_m
+from lidarcfg.placement.objective import Criterion
 from lidarcfg.placement.optimize import costs, optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.solvers.bee_colony import BeeColony

@@ -5,10 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.grid import seen_cuboids
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world.meshes import box_mesh, joined, lathe
-from lidarcfg.world.scene import Box
+from lidarcfg.world.scene_file import Box
 from tests.naive import visibility as naive
 from tests.ray_cases import mesh_scene
 
@@ -74,7 +75,8 @@ def compared(count, pairs, rng):
         origins = [*places, *on_surface(mesh, rng, 3), *rng.uniform(low, low + size, (2, 3))]
         origin = np.asarray(origins[rng.integers(len(origins))], float)
         visibility = Visibility.of([mesh_scene(*mesh)], region)
-        (seen,) = visibility.seen(region, [lidar(origin, rng.uniform(-1, 1, 3), np.array([0.0]))])
+        lidars = [lidar(origin, rng.uniform(-1, 1, 3), np.array([0.0]))]
+        (seen,) = seen_cuboids(region, lidars, visibility.sight(lidars))
         targets = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1)[region.included]
         hidden = np.empty(len(targets), np.bool_)
         naive.hidden(corners, origin, targets, hidden)

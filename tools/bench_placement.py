@@ -25,13 +25,13 @@ import numpy as np
 from page import ROOT, machine
 
 from lidarcfg.core import placement as core
-from lidarcfg.placement import worst_subspaces
-from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.cones import Lidar, cone_rows
 from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.metric import vsr_of_counts
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.study import Study, load_study, with_solver
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from lidarcfg.requirements.robustness import Robust
 
 SEED, RIGS = 1, 5
@@ -104,6 +104,11 @@ def rigs(study: Study) -> list[tuple[str, list[Lidar]]]:
     return [(name, list(study.lidars(p))) for name, p in named]
 
 
+def largest(workspace: core.WorstSubspaces, lidars: list[Lidar]) -> float:
+    """Max VSR in metres."""
+    return workspace.max_vsr(cone_rows(lidars), UNLIMITED_SIGHT)
+
+
 def evaluations(study: Study) -> None:
     """One evaluation, in full, on one thread."""
     print("\n| one evaluation, 48,000 cuboids, 4 × 16 beams, one thread | median (ms) | spread | |\n|---|---|---|---|")
@@ -111,9 +116,9 @@ def evaluations(study: Study) -> None:
     grid = grid_of(study.region)
     workspace = core.WorstSubspaces(grid)
     for name, lidars in rigs(study):
-        assert abs(worst_subspaces.max_vsr(grid, lidars) - pipeline(study.region, lidars)) < 1e-12
+        assert abs(largest(workspace, lidars) - pipeline(study.region, lidars)) < 1e-12
         for label, function in (
-            ("lidarcfg", partial(worst_subspaces.max_vsr, grid, lidars, workspace)),
+            ("lidarcfg", partial(largest, workspace, lidars)),
             ("numpy + cc3d + bincount", partial(pipeline, study.region, lidars)),
         ):
             seconds.setdefault((label, name), []).extend(timed(function, 25))
@@ -127,10 +132,10 @@ FINE_GRID = """
 import json, resource, statistics, sys, time
 import numpy as np
 from lidarcfg.core import placement as core
-from lidarcfg.placement import worst_subspaces
-from lidarcfg.placement.cones import lidar
+from lidarcfg.placement.cones import cone_rows, lidar
 from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 part, poses, sines = json.loads(sys.argv[1])
 region = Region.from_boxes((0, 0, 0), (60, 20, 4), np.array([1, 0.5, 0.2]) / part, (((27, 8, 0), (33, 12, 4)),))
 grid, sines = grid_of(region), np.array(sines)
@@ -140,7 +145,7 @@ for number, rig in enumerate([poses[0], *poses]):
     lidars = [lidar(row[:3], row[3:], sines) for row in rig]
     for _ in range(3):
         started = time.perf_counter()
-        worst_subspaces.max_vsr(grid, lidars, workspace)
+        workspace.max_vsr(cone_rows(lidars), UNLIMITED_SIGHT)
         seconds += [time.perf_counter() - started] * (number > 0)
 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps([region.included.size, statistics.median(seconds), max(seconds), memory]))
@@ -167,10 +172,10 @@ import json, statistics, sys, time
 from dataclasses import replace
 import numpy as np
 from lidarcfg.core import placement as core
-from lidarcfg.placement import worst_subspaces
+from lidarcfg.placement.cones import cone_rows
 from lidarcfg.placement.grid import grid_of
 from lidarcfg.placement.optimize import optimize
-from lidarcfg.placement.sight import UNLIMITED_SIGHT
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from lidarcfg.placement.study import load_study, with_solver
 study, cycles = load_study(sys.argv[1]), int(sys.argv[2])
 grid, rng = grid_of(study.region), np.random.default_rng(1)
@@ -179,10 +184,10 @@ seconds = [], []
 for poses in study.poses(rng.random((10, int(study.free.sum())))):
     lidars = study.lidars(poses)
     for of, sight in zip(seconds, (study.visibility.sight(lidars), UNLIMITED_SIGHT), strict=True):
-        worst_subspaces.max_vsr(grid, lidars, workspace, sight)
+        workspace.max_vsr(cone_rows(lidars), sight)
         for _ in range(5):
             started = time.perf_counter()
-            worst_subspaces.max_vsr(grid, lidars, workspace, sight)
+            workspace.max_vsr(cone_rows(lidars), sight)
             of.append(time.perf_counter() - started)
 runs = []
 for one in (study, replace(study, visibility=None, vehicle=None)) if cycles else ():

@@ -16,8 +16,8 @@ from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Mount, Rig, ports
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.units import SECOND_NS
+from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import standing
-from lidarcfg.world.scene import GeoOrigin
 
 START_NS = 1_700_000_000 * 10**9
 HESAI, ROBOSENSE = ("pandar-xt32", "pandar-xt16", "xt32m2x", "qt128"), ("helios-16p", "helios-32")

@@ -26,8 +26,8 @@ sys.path.insert(0, str(ROOT))
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import gaps_at
-from lidarcfg.placement.evaluator import max_vsr
 from lidarcfg.placement.grid import beam_gaps
+from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import segment
 from lidarcfg.world.scene import Scene, load_scene

@@ -9,7 +9,7 @@ import numpy as np
 
 import lidarcfg
 from lidarcfg import report
-from lidarcfg.placement.details import details
+from lidarcfg.placement.report_inputs import report_inputs
 
 # %% Two rigs in one study
 # Two sensors on the roof; and the study's four, each at the midpoint of its bounds.
@@ -30,7 +30,7 @@ assert found["four"].detection["lost_cargo"].rate > found["roof"].detection["los
 # %% Where the beams are
 # How many beams cross an upright pole, over all positions in the region.
 rigs = {"roof": roof, "four": four}
-full = {name: details(study, rig, found[name]) for name, rig in rigs.items()}
+full = {name: report_inputs(study, rig, found[name]) for name, rig in rigs.items()}
 for name, rig in full.items():
     beams = rig.coverage
     print(f"{name:5} {beams.median_beams:.0f} beams in the median, none at {beams.by_none:.1%} of all positions")

@@ -17,8 +17,9 @@ from lidarcfg.packets.families import codec
 from lidarcfg.sensors.rig import Mount, Rig
 from lidarcfg.simulate.echoes import Echoes
 from lidarcfg.simulate.tasks import START_NS, Crew, Drive, Run, Task, checked_timing, fired_fraction, prepared, worked
+from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Trajectory, standing
-from lidarcfg.world.scene import GeoOrigin, Scene
+from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import Vehicle
 
 OnTruth = Callable[[NDArray[np.void]], None]

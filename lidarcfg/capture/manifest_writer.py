@@ -23,7 +23,8 @@ from lidarcfg.sensors.sensor import catalogue
 from lidarcfg.simulate.tasks import Drive
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import Trajectory
-from lidarcfg.world.scene import Scene, SceneFile, files_of
+from lidarcfg.world.scene import Scene, files_of
+from lidarcfg.world.scene_file import SceneFile
 from lidarcfg.world.vehicle import Vehicle
 
 SIDECAR_SUFFIXES = (

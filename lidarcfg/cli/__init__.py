@@ -3,5 +3,3 @@
 `main` has the help page and the exit codes; each other module is a command, or what several commands share. A command
 reads its inputs, makes one library call and prints one table.
 """
-
-from lidarcfg.cli.main import main as main

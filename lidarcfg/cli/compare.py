@@ -35,8 +35,8 @@ def compare(
     on the poses are not enforced.
     """
     from lidarcfg import report
-    from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate as evaluation
+    from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.placement.study import load_study
     from lidarcfg.sensors.rig import load_rig
 
@@ -57,7 +57,7 @@ def compare(
 
             on_evaluated(0.0)
             found = evaluation(loaded, rig, tolerance, on_progress=on_evaluated)
-            shown = details(loaded, rig, found, cheap_cuboids=0).without_cuboids()
+            shown = report_inputs(loaded, rig, found, cheap_cuboids=0).without_cuboids()
             named.append((str(path), rig, shown))
     compared = report.contenders(named)
     if output:

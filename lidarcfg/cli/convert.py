@@ -79,7 +79,7 @@ def convert(
     warnings: list[str] = []
     drive = None if rig or form.kind != "capture" or form.name == "firings" else _drive(source, form.name, truth)
     if drive:
-        from lidarcfg.io.load_drive import load_drive
+        from lidarcfg.io.drive_dataset import load_drive
 
         made = load_drive(source, drive, truth, model, warnings.append)
         found = formats.save_dataset(output, form, made, False, warnings.append)

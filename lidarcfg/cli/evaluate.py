@@ -51,8 +51,8 @@ def evaluate(
     with progress(quiet or as_json, keep=False) as on_progress:
         on_progress(0.0, f"reading {study}")
         from lidarcfg import report
-        from lidarcfg.placement.details import details
         from lidarcfg.placement.evaluation import evaluate as evaluation
+        from lidarcfg.placement.report_inputs import report_inputs
         from lidarcfg.placement.sensitivity import robustness
         from lidarcfg.placement.study import load_study
         from lidarcfg.sensors.rig import load_rig
@@ -67,7 +67,7 @@ def evaluate(
         beside = baseline_of(loaded, baseline, on_progress)
         on_progress(0.0, f"evaluating {rig}")
         found = evaluation(loaded, mounted, tolerance, on_progress=lambda done: on_progress(done, f"evaluating {rig}"))
-        shown = details(loaded, mounted, found) if output or beside else None
+        shown = report_inputs(loaded, mounted, found) if output or beside else None
         found = shown.evaluation if shown else replace(found, robustness=robustness(loaded, mounted))
         if output and shown:
             commands = report.Commands(command_line(), command_line())
@@ -85,8 +85,8 @@ def evaluate(
 def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "Baseline | None":
     """The rig to compare with, evaluated. Raises ConfigError if it cannot be evaluated in the study."""
     from lidarcfg import report
-    from lidarcfg.placement.details import details
     from lidarcfg.placement.evaluation import evaluate as evaluation
+    from lidarcfg.placement.report_inputs import report_inputs
     from lidarcfg.sensors.rig import load_rig
 
     if path is None:
@@ -94,7 +94,7 @@ def baseline_of(study: "Study", path: Path | None, on_progress: OnProgress) -> "
     on_progress(0.0, f"evaluating {path}")
     rig = load_rig(path)
     check_rig(study, path, rig)
-    return report.Baseline(rig, str(path), details(study, rig, evaluation(study, rig)).without_cuboids())
+    return report.Baseline(rig, str(path), report_inputs(study, rig, evaluation(study, rig)).without_cuboids())
 
 
 def check_rig(study: "Study", path: Path, rig: "Rig") -> None:

@@ -62,6 +62,6 @@ def _line(search: "FrontRun") -> str:
     """One line on the state of the search."""
     on_front = search.on_front()
     rate = search.evaluations / max(search.seconds, 1e-9)
-    tried = sum(entrant.evaluations > 0 for entrant in search.entrants)
+    tried = sum(one.evaluations > 0 for one in search.searches)
     state = f"{sum(on_front)} on the front, {tried} of {len(on_front)} combinations tried"
     return f"{state}  {rate:,.0f} evaluations/s"

@@ -23,8 +23,8 @@ from lidarcfg.cli.options import (
 from lidarcfg.cli.progress import progress
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.details import Details
     from lidarcfg.placement.optimize import Cycle, Log, Placement
+    from lidarcfg.placement.report_inputs import ReportInputs
     from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
     from lidarcfg.sensors.rig import Rig
@@ -127,14 +127,14 @@ def optimize(
 
 def _search(
     study: "Study", threads: int | None, log: "Log | None", folder: Path, on_progress: OnProgress
-) -> "tuple[Placement, Details]":
+) -> "tuple[Placement, ReportInputs]":
     """The best rig, with progress; what is found so far is saved every few seconds."""
     import time
 
     from lidarcfg import report
-    from lidarcfg.placement.details import details
     from lidarcfg.placement.optimize import Budget
     from lidarcfg.placement.optimize import optimize as search
+    from lidarcfg.placement.report_inputs import report_inputs
 
     saved = told = time.monotonic()
     fraction = 0.0
@@ -160,7 +160,7 @@ def _search(
     if found.interrupted:
         click.get_current_context().ensure_object(Interrupts).take()
     on_progress(1.0, "evaluating the best rig")
-    return found, details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+    return found, report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
 
 
 def _repeat_command(study: Path, folder: Path, solver: "Solver", found: "Placement") -> str:

@@ -16,7 +16,7 @@ KINDS = {  # module and model of each kind of file, loaded when they are needed
     "requirements": "lidarcfg.requirements.file:RequirementsFile",
     "plan": "lidarcfg.placement.plan:PlanFile",
     "rig": "lidarcfg.sensors.rig:RigFile",
-    "scene": "lidarcfg.world.scene:SceneFile",
+    "scene": "lidarcfg.world.scene_file:SceneFile",
     "sensor": "lidarcfg.sensors.sensor:Sensor",
     "vehicle": "lidarcfg.world.vehicle:VehicleFile",
     "trajectory": "lidarcfg.world.motion:Motion",

@@ -15,9 +15,8 @@ from lidarcfg.cli.progress import duration, progress
 from lidarcfg.errors import ConfigError
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.plan import Plan, Run
-    from lidarcfg.placement.sweep import Outcome
-    from lidarcfg.placement.workers import Workers
+    from lidarcfg.placement.plan import Plan, SweepCase
+    from lidarcfg.placement.sweep import Outcome, Workers
     from lidarcfg.report import SweepFolder
 
 
@@ -30,7 +29,7 @@ class Where:
 
     def workers(self) -> "Workers":
         """Start local ones, or connect to a cluster's. Raises ConfigError."""
-        from lidarcfg.placement.workers import Cluster, Processes
+        from lidarcfg.placement.sweep import Cluster, Processes
 
         return Cluster(self.scheduler) if self.scheduler else Processes(self.processes)
 
@@ -97,7 +96,7 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
-def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quiet: bool) -> int:
+def _do(plan: "Plan", runs: list["SweepCase"], kept: "SweepFolder", where: Where, quiet: bool) -> int:
     """Do the runs, and keep what comes of them; returns how many have no rig."""
     from lidarcfg.placement.sweep import sweep
 
@@ -109,7 +108,7 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
             what = f"{finished} of {len(plan.runs)} runs" + (f", {failed} without a rig" if failed else "")
             on_progress(finished / len(plan.runs), what)
 
-        def done(run: "Run", outcome: "Outcome") -> None:
+        def done(run: "SweepCase", outcome: "Outcome") -> None:
             nonlocal failed, finished
             kept.save(run, outcome)
             failed += outcome.rig is None
@@ -125,7 +124,7 @@ def _do(plan: "Plan", runs: list["Run"], kept: "SweepFolder", where: Where, quie
     return failed
 
 
-def _estimate(plan: "Plan", runs: list["Run"], where: Where, quiet: bool) -> None:
+def _estimate(plan: "Plan", runs: list["SweepCase"], where: Where, quiet: bool) -> None:
     """Print about how long some runs of a plan take."""
     from lidarcfg.placement.sweep import Pace, pace, size
 

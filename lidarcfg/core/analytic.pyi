@@ -1,12 +1,10 @@
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
-from lidarcfg.placement.analytic import Sheaf, Sums
-from lidarcfg.placement.boundaries import Bounds, Crossings, Flips, Lattice
-
+Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Labels = NDArray[np.int32]
@@ -16,6 +14,82 @@ Node = Counts | Sequence[int]
 
 LINES_PER_EDGE: int
 DIRECTION_BINS: int
+
+class Sheaf(Protocol):
+    """A grid as lines along one axis see it."""
+
+    @property
+    def axis(self) -> int: ...
+    @property
+    def label(self) -> NDArray[np.int32]: ...
+    @property
+    def within(self) -> Flags: ...
+    @property
+    def low(self) -> Array: ...
+    @property
+    def edge(self) -> Array: ...
+    @property
+    def cones(self) -> Array: ...
+
+class Sums(Protocol):
+    """What lines add up by subspace, to be written."""
+
+    @property
+    def volume(self) -> Array: ...
+    @property
+    def shadow(self) -> Array: ...
+    @property
+    def surface(self) -> Array: ...
+    @property
+    def parent(self) -> Counts: ...
+
+class Lattice(Protocol):
+    """The lines along one axis."""
+
+    @property
+    def axis(self) -> int: ...
+    @property
+    def low(self) -> Array: ...
+    @property
+    def edge(self) -> Array: ...
+    @property
+    def shape(self) -> tuple[int, int, int]: ...
+
+class Bounds(Protocol):
+    """Edges and quadrics that may bound what a LiDAR sees."""
+
+    @property
+    def foot(self) -> Array: ...
+    @property
+    def edges(self) -> Array: ...
+    @property
+    def quadrics(self) -> Array: ...
+    @property
+    def first(self) -> Counts: ...
+    @property
+    def item(self) -> Counts: ...
+
+class Crossings(Protocol):
+    """What lines cross, one line after the other."""
+
+    @property
+    def first(self) -> Counts: ...
+    @property
+    def at(self) -> Array: ...
+    @property
+    def weight(self) -> Array: ...
+
+class Flips(Protocol):
+    """Where states change along lines."""
+
+    @property
+    def start(self) -> Flags: ...
+    @property
+    def first(self) -> Counts: ...
+    @property
+    def at(self) -> Array: ...
+    @property
+    def weight(self) -> Array: ...
 
 def cross_cones(across: Vector, cone: Array, low: float, high: float) -> tuple[Array, Array]:
     """Where the line at (u, v) crosses cones (6 + beams) between low and high, ascending; and |n·e| there."""

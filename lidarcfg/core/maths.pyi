@@ -1,4 +1,7 @@
-from lidarcfg.geometry import Array
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 def sin(x: Array, out: Array) -> None:
     """Write the sines of angles in radians."""

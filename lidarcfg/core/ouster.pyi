@@ -3,8 +3,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
-
+Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
 Words = NDArray[np.uint32]

@@ -1,16 +1,78 @@
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
-from lidarcfg.placement.batch import Batch, BatchResult, Sources
-from lidarcfg.placement.sight import Sight
+from lidarcfg.core.visibility import Obstacles, Sight
 
+Array = NDArray[np.float64]
 Words = NDArray[np.uint64]
 Counts = NDArray[np.int64]
 Labels = NDArray[np.int32]
 Flags = NDArray[np.bool_]
+
+class Placed(Protocol):
+    """LiDARs at poses."""
+
+    @property
+    def cones(self) -> Array: ...
+    @property
+    def limits(self) -> Array: ...
+    @property
+    def obstacles(self) -> Obstacles: ...
+
+class Batch(Protocol):
+    """Trials to evaluate, and what is known of their food sources."""
+
+    @property
+    def placed(self) -> Placed: ...
+    @property
+    def upper_bound(self) -> Array: ...
+    @property
+    def moved(self) -> Flags: ...
+    @property
+    def source(self) -> Counts: ...
+    @property
+    def certificates(self) -> Counts: ...
+    @property
+    def links(self) -> Words: ...
+    @property
+    def same_position(self) -> Flags: ...
+    @property
+    def clear(self) -> Words: ...
+    @property
+    def smoothing(self) -> float: ...
+
+class BatchResult(Protocol):
+    """What becomes of trials, to be written."""
+
+    @property
+    def cost(self) -> Array: ...
+    @property
+    def refuted_by(self) -> Counts: ...
+    @property
+    def certificates(self) -> Counts: ...
+    @property
+    def links(self) -> Words: ...
+    @property
+    def clear(self) -> Words: ...
+
+class Sources(Protocol):
+    """Food sources whose links are to be recomputed."""
+
+    @property
+    def row(self) -> Counts: ...
+    @property
+    def placed(self) -> Placed: ...
+    @property
+    def changed(self) -> Flags: ...
+    @property
+    def same_position(self) -> Flags: ...
+    @property
+    def links(self) -> Words: ...
+    @property
+    def clear(self) -> Words: ...
 
 class Grid:
     """A region as rows of bits, 64 cuboids along x, with a margin; it does not change."""

@@ -3,9 +3,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarcfg.core.visibility import Obstacles
 from lidarcfg.core.world import Bvh
-from lidarcfg.geometry import Array
-from lidarcfg.world.obstacles import Obstacles
+
+Array = NDArray[np.float64]
 
 class Scanner:
     """A sensor's firing pattern, whatever its pose: H heads of all phases, F firings a cycle; it does not change."""

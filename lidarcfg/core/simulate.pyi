@@ -1,11 +1,87 @@
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.core import world
-from lidarcfg.geometry import Array
-from lidarcfg.packets.codec import Firings
-from lidarcfg.simulate.echoes import Echoes, SubRays
-from lidarcfg.simulate.simulator import Lasers, Mounting, Surfaces
+
+Array = NDArray[np.float64]
+
+class Firings(Protocol):
+    """Firings of one sensor."""
+
+    @property
+    def time_ns(self) -> NDArray[np.int64]: ...
+    @property
+    def laser(self) -> NDArray[np.uint8]: ...
+    @property
+    def encoder_rad(self) -> Array: ...
+
+class Surfaces(Protocol):
+    """Which objects are hit, and how they reflect."""
+
+    @property
+    def object(self) -> NDArray[np.int32]: ...
+    @property
+    def reflectivity(self) -> NDArray[np.uint8]: ...
+
+class Lasers(Protocol):
+    """The lasers of a sensor, and the rays of a beam of each."""
+
+    @property
+    def cos_elevation(self) -> Array: ...
+    @property
+    def sin_elevation(self) -> Array: ...
+    @property
+    def cos_offset(self) -> Array: ...
+    @property
+    def sin_offset(self) -> Array: ...
+    @property
+    def forward_m(self) -> Array: ...
+    @property
+    def left_m(self) -> Array: ...
+    @property
+    def up_m(self) -> Array: ...
+    @property
+    def across(self) -> Array: ...
+    @property
+    def above(self) -> Array: ...
+
+class Mounting(Protocol):
+    """Where a sensor is."""
+
+    @property
+    def T_world_start(self) -> Array: ...
+    @property
+    def path(self) -> world.Path: ...
+    @property
+    def zero_ns(self) -> int: ...
+    @property
+    def T_vehicle_sensor(self) -> Array: ...
+
+class SubRays(Protocol):
+    """What the rays of beams hit; written by trace_firings, but `laser`."""
+
+    @property
+    def range_m(self) -> Array: ...
+    @property
+    def reflectivity(self) -> NDArray[np.uint8]: ...
+    @property
+    def object(self) -> NDArray[np.int32]: ...
+    @property
+    def cosine(self) -> Array: ...
+    @property
+    def laser(self) -> NDArray[np.uint8]: ...
+
+class Echoes(Protocol):
+    """Candidates of firings, to be written."""
+
+    @property
+    def range_m(self) -> Array: ...
+    @property
+    def reflectivity(self) -> NDArray[np.uint8]: ...
+    @property
+    def object(self) -> NDArray[np.int32]: ...
 
 def merge_echoes(
     rays: SubRays,

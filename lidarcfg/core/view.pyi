@@ -1,8 +1,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
-
+Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 def blend_triangles(

@@ -1,10 +1,39 @@
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarcfg.core.world import Bvh
-from lidarcfg.geometry import Array
-from lidarcfg.placement.coverage import Span
-from lidarcfg.placement.sight import Sight
+
+Array = NDArray[np.float64]
+
+class Obstacles(Protocol):
+    """What blocks beams, relative to a point."""
+
+    @property
+    def tree(self) -> Bvh: ...
+    @property
+    def boxes(self) -> Array: ...
+    @property
+    def origin_m(self) -> Array: ...
+    @property
+    def ground_m(self) -> float: ...
+
+class Sight(Protocol):
+    """What LiDARs at known poses may see."""
+
+    @property
+    def limits(self) -> Array: ...
+    @property
+    def obstacles(self) -> Obstacles: ...
+
+class Span(Protocol):
+    """Least and greatest beam gaps on lines, to be widened."""
+
+    @property
+    def low(self) -> NDArray[np.int32]: ...
+    @property
+    def high(self) -> NDArray[np.int32]: ...
 
 def boxes_of(bvh: Bvh) -> Array:
     """(6, 16) low and high corners of boxes that together hold a hierarchy's shapes; (6, 0) if there are none."""

@@ -4,7 +4,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarcfg.geometry import Array
+Array = NDArray[np.float64]
 
 class Bvh:
     """An immutable bounding volume hierarchy over S shapes, in the order of its leaves: a slot is a place there."""

@@ -151,7 +151,7 @@ def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bo
     if form.lacks:
         on_warning(f"{output}: {form.name} has no {form.lacks}")
     if form.name in CLOUDS:
-        from lidarcfg.io.points import save_points
+        from lidarcfg.io.drive_dataset import save_points
 
         return f"{save_points(output, dataset, deskew):,} points"
     if form.name in FOLDERS:
@@ -165,8 +165,8 @@ def save_dataset(output: Path, form: Format, dataset: "DriveDataset", deskew: bo
 
 
 def _save_folder(output: Path, name: str, dataset: "DriveDataset") -> int:
-    from lidarcfg.io.kitti_folders import save_objects, save_odometry
-    from lidarcfg.io.nuscenes_tables import save_tables
+    from lidarcfg.io.kitti import save_objects, save_odometry
+    from lidarcfg.io.nuscenes import save_tables
 
     save = {"kitti-odometry": save_odometry, "kitti-object": save_objects, "nuscenes": save_tables}[name]
     with replacing_folder(output, *FOLDERS[name]) as folder:
@@ -208,7 +208,7 @@ def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning)
     if cloud.object is not None and name in ("las", "laz", "kitti"):
         on_warning(f"{output}: {name} has no objects of points")
     if name in ("las", "laz"):
-        from lidarcfg.io.las import save_las
+        from lidarcfg.clouds.las import save_las
 
         save_las(output, cloud)
     elif name == "kitti":
@@ -223,7 +223,7 @@ def _convert_cloud(source: Path, output: Path, name: str, on_warning: OnWarning)
 def _load(source: Path, on_warning: OnWarning) -> PointCloud:
     suffix = source.suffix.lower()
     if suffix in (".las", ".laz"):
-        from lidarcfg.io.las import load_las
+        from lidarcfg.clouds.las import load_las
 
         return load_las(source, on_warning)
     if suffix == ".bin":

@@ -21,8 +21,8 @@ from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
     from lidarcfg.sensors.rig import Mount
+    from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
-    from lidarcfg.world.scene import GeoOrigin
 
 Times = NDArray[np.int64]
 Octets = NDArray[np.uint8]

@@ -1,12 +1,23 @@
 """Placement: where the LiDARs should sit, by Liu, Arief and Zhao (2018) and beyond.
 
-To read in the order of the paper: `region` cuts the space around the vehicle into cuboids; `cones` says between which
-beams of a LiDAR a point lies; `grid` links neighbouring cuboids that no cone separates; `subspace` has what the links
-connect; `metric` its volume to surface; `worst_subspaces` finds the largest ratio without the others; `solvers` propose
-rigs; `evaluator` says what many of them cost; `optimize` runs a search, and `evaluation` says all of one rig.
+The paper in two calls, each a page to read:
 
-Beyond the paper: `visibility` is what bodies, ranges and fields of view hide; `detection` and `return_counts` what
-becomes of objects; `terms`, `objective` and `criterion` what is minimised; `robustness` what failures and mounts that
-are off cost; `surfaces` where on a body sensors may sit; `choices` and `front` which sensors for which money; `plan`
-and `sweep` many searches. A study, in `study_file` and `study`, says which of it is wanted.
+    study = load_study("paper.yaml")  # what may be placed where
+    rig = place(study)  # a solver proposes rigs; the one with the least cost is kept
+    max_vsr(study.region, rig_lidars(rig))  # region -> cones -> labels -> subspaces -> VSR
+
+`max_vsr` is in `metric`, `place` in `pipeline`. To read in this order: `region` cuts the space around the vehicle into
+cuboids; `cones` says between which beams of a LiDAR a point lies; `visibility` what it does not see; `grid` compares
+the labels of neighbouring cuboids; `subspace` connects those of the same label; `metric` has their volume to surface;
+`solvers` minimise over a unit cube; `evaluator` says what many rigs cost; `optimize` runs a search, and `pipeline` is
+that in ten lines. `evaluation` says everything of one rig. `study_file`, `slots` and `study` read a study.
+
+Beyond the paper: `objective` has the terms that may be minimised, `zones` what weighs more, `detection`,
+`return_counts` and `blind_spots` what becomes of objects; `robustness`, `study_evaluator` and `sensitivity` what
+failures and mounts that are off cost; `surfaces` where on a body sensors may sit; `analytic` and `boundaries` the error
+of the measure; `combinations` and `front` which sensors for which money; `plan` and `sweep` many searches.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

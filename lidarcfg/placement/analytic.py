@@ -68,7 +68,7 @@ class Seen(NamedTuple):
     whole: Counts  # (n,) the number of the subspace that each is part of
 
     def joined(self) -> "Seen":
-        """The same for whole subspaces; parts that belong to another one are 0."""
+        """The sums of whole subspaces; those of parts that belong to another one are 0."""
         n = self.whole.size
 
         def total(rows: Array) -> Array:
@@ -100,9 +100,12 @@ def integrate(
 
     boundaries: of these LiDARs, if known; they are the same on every grid.
     """
-    region, n = subspaces.region, len(subspaces)
+    region = subspaces.region
+    n = len(subspaces)
     beams = np.array([lidar.sin_elevation.size for lidar in lidars], np.int64)
-    volume, shadow, surface = np.zeros((3, n)), np.zeros((3, n)), np.zeros(n)
+    volume = np.zeros((3, n))
+    shadow = np.zeros((3, n))
+    surface = np.zeros(n)
     whole = np.arange(n, dtype=np.int64)
     uncut = region.cut.included if region.cut else region.included
     boundaries = boundaries or Boundaries(region, lidars, visibility)
@@ -112,7 +115,8 @@ def integrate(
             order = axes_from(axis)
             cones = np.full((len(lidars), 6 + beams.max(initial=0)), np.nan)
             for m, lidar in enumerate(lidars):
-                cones[m, :3], cones[m, 3:6] = lidar.position_m[order], lidar.axis[order]
+                cones[m, :3] = lidar.position_m[order]
+                cones[m, 3:6] = lidar.axis[order]
                 cones[m, 6 : 6 + beams[m]] = lidar.sin_elevation
             label = np.ascontiguousarray(subspaces.label.transpose(order))
             within = np.ascontiguousarray(uncut.transpose(order))
@@ -145,7 +149,8 @@ def level(
     """Max VSR on one grid. Faces have at most √3 times the area: what is below half the largest is not the worst."""
     subspaces = segment(region, lidars, visibility)
     parts = integrate(subspaces, lidars, visibility, boundaries)
-    seen, faces = parts.joined(), np.zeros(len(subspaces))
+    seen = parts.joined()
+    faces = np.zeros(len(subspaces))
     np.maximum.at(faces, parts.whole, vsr_m(subspaces))
     counts = (seen.surface > 0.0) & (faces > 0.5 * faces.max())
     vsr = np.divide(seen.volume_m3, seen.surface_m2, out=np.zeros(faces.size), where=counts)
@@ -192,7 +197,8 @@ def analytic(
         )
     finer = f"the first grid for a tolerance, of {8 * region.included.size:,} cuboids,"
     check_memory(finer, CUBOID_BYTES * 8 * region.included.size, "use larger cuboids, or no tolerance")
-    started, limited = time.perf_counter(), bool(visibility or region.cut)
+    started = time.perf_counter()
+    limited = bool(visibility or region.cut)
     boundaries = Boundaries(region, lidars, visibility)
     coarse = level(region, lidars, visibility, boundaries)
     while True:

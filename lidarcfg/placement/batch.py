@@ -1,6 +1,11 @@
-"""What the core takes and returns of a search's trials; see core/placement/evaluator.h."""
+"""A batch of trials: what the core takes and returns of it, and the threads that share it.
 
-from typing import NamedTuple
+The types are those of core/placement/evaluator.h, field by field.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +15,11 @@ from lidarcfg.placement.grid import Counts, Words
 from lidarcfg.world.obstacles import Obstacles
 
 Flags = NDArray[np.bool_]
+
+
+Counter = NDArray[np.int64]  # (1,) the next trial
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 class Placed(NamedTuple):
@@ -53,3 +63,36 @@ class Sources(NamedTuple):
     same_position: Flags  # (n, lidars) whose `clear` is not
     links: Words  # as in Batch
     clear: Words  # as in Batch
+
+
+def parallel_for(
+    pool: Executor,
+    workspaces: Sequence[T],
+    count: int,
+    most: int,
+    work: Callable[[Counter, int, T], R],
+    on_begun: Callable[[int], None] | None = None,
+) -> list[R]:
+    """Have a thread for each workspace call work(counter, most, workspace), which takes numbers below `count`.
+
+    This thread has the first workspace, and takes at most `most` numbers at a time. In between it may be interrupted,
+    and tells `on_begun` how many more numbers were taken. After an exception other threads take no more. Returns what
+    the calls return.
+    """
+    counter = np.zeros(1, np.int64)
+    reported = 0
+    done = []
+    others = [pool.submit(work, counter, count, workspace) for workspace in workspaces[1:count]]
+    try:
+        while counter[0] < count:
+            done.append(work(counter, most, workspaces[0]))
+            if on_begun:
+                taken = min(int(counter[0]), count)
+                on_begun(taken - reported)
+                reported = taken
+        if on_begun and reported < count:
+            on_begun(count - reported)
+    except BaseException:  # an interrupt, too: other threads stop
+        counter[0] = count
+        raise
+    return done + [other.result() for other in others]

@@ -133,7 +133,8 @@ class Contour:
     @property
     def area_m2(self) -> float:
         """The area between the body's outline and the contour."""
-        inner, distance = self.directions.outline_m, np.nan_to_num(self.distance_m)
+        inner = self.directions.outline_m
+        distance = np.nan_to_num(self.distance_m)
         return float((((inner + distance) ** 2 - inner**2) * (math.pi / AZIMUTHS)).sum())
 
 
@@ -224,7 +225,8 @@ def largest_m(
     blind = some[~seen(points.xyz[some])]
     if len(blind):
         return float(far[blind[0]]), int(blind[0])
-    found, best = NONE, -math.inf
+    found = NONE
+    best = -math.inf
     for begin in range(0, len(far), CHUNK):
         some = np.arange(begin, min(begin + CHUNK, len(far)))
         some = some[far[some] > best - around.step_m]  # what is nearer by a step cannot end farther out

@@ -13,14 +13,14 @@ from lidarcfg.config.document import Key
 from lidarcfg.config.models import all_errors_at, load
 from lidarcfg.files import example
 from lidarcfg.geometry import Array
-from lidarcfg.placement.choices import unused_prices
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.metric import max_vsr
+from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.region import AXES, BoxFile, Region
 from lidarcfg.placement.return_counts import DetectionTarget, return_counts
+from lidarcfg.placement.slots import unused_prices
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import GroupFile, PoseBound, StudyFile
-from lidarcfg.placement.terms import Trial
 from lidarcfg.sensors.rig import MountFile, RigFile
 
 Suspect = tuple[Key, str]  # where something looks wrong, and what
@@ -123,7 +123,8 @@ def _places(index: int, group: GroupFile, study: Study, excluded: tuple[BoxFile,
 
 def _snapped(index: int, box: BoxFile, region: Region) -> Iterator[Suspect]:
     """Excluded boxes whose faces do not coincide with those of cuboids, and the box that each is taken for."""
-    at, taken = ("region", "exclude", index), []
+    at = ("region", "exclude", index)
+    taken = []
     for axis, (low, high, centres) in enumerate(zip(box.min_m, box.max_m, region.centres(), strict=True)):
         inside = centres[(centres >= low) & (centres < high)]
         if not len(inside):
@@ -146,7 +147,8 @@ def _slow(study: Study) -> Iterator[Suspect]:
     if study.is_max_vsr:
         return
     poses: Array = study.poses(np.full((1, int(study.free.sum())), 0.5))[0]
-    lidars, criterion = study.lidars(poses), study.criterion()
+    lidars = study.lidars(poses)
+    criterion = study.criterion()
 
     def seconds(what: str) -> float:
         began = time.perf_counter()
@@ -167,11 +169,12 @@ def _slow(study: Study) -> Iterator[Suspect]:
 
 
 def _many_returns(study: Study) -> Iterator[Suspect]:
-    """Objects at so many places that counting the returns of a rig takes long: a part of the places says so."""
+    """Objects with too many places to count the returns of a rig quickly, as a part of the places shows."""
     unlike = {one.item.appearance: one for one in study.detection_targets}.values()
     if not unlike:
         return
-    rig, total = study.rig(study.midpoint), sum(len(one.places) for one in unlike)
+    rig = study.rig(study.midpoint)
+    total = sum(len(one.places) for one in unlike)
     scanners = study.scanners(rig.mounts)
     lidars = rig_lidars(rig)
 
@@ -194,5 +197,5 @@ def _many_returns(study: Study) -> Iterator[Suspect]:
 
 
 def _thinned(one: DetectionTarget, every: int) -> DetectionTarget:
-    """The object at every so many of its places."""
+    """The object at each `every`-th of its places."""
     return replace(one, places=np.ascontiguousarray(one.places[::every]), part=one.part[::every])

@@ -2,20 +2,29 @@
 
 The sensors of a group are interchangeable, so a group's part of a combination is a multiset of its models; mirrored
 sensors are chosen in pairs. A combination without any sensor is none, nor is one of which failures leave none.
+
+Combinations learn from each other: the best rigs of one are starts for a local search in another.
 """
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lidarcfg.config.models import NAME_MAX
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.choices import Choice
-from lidarcfg.placement.slots import Slot, slot_name
+from lidarcfg.geometry import Array
+from lidarcfg.placement.slots import Choice, Slot, slot_name
 from lidarcfg.placement.study import Study
 
+CHANGES_MAX = 2  # sensors exchanged, added and removed
+DRAWS = 4  # of the pose of a sensor that is new
+STARTS_MAX = 40
 FOLDER_MAX = 80  # characters of a combination's name, which becomes a folder's
 
 
@@ -50,7 +59,8 @@ class _Group:
 
 def combinations(study: Study) -> list[Combination]:
     """All combinations of a study that has choices, in the order of its groups and of their choices."""
-    groups, first = [], 0
+    groups = []
+    first = 0
     for values in study.file["sensors"]:
         groups.append(_Group(values, first, 2 if "mirror_y_m" in values else 1))
         first += values["count"]
@@ -95,10 +105,10 @@ def _combination(
             for number in range(count):
                 slot = slot_name(values.get("name"), count, number, len(slots))
                 of = study.slots[place + number]
-                seat = choice.surface.image if choice.surface and number % group.together else choice.surface
+                surface = choice.surface.image if choice.surface and number % group.together else choice.surface
                 given = group.values.get("azimuth_fov_deg")
                 fov_deg = choice.sensor.field_of_view_deg(tuple(given) if given else None)
-                slots.append(Slot(slot, choice.sensor, model, of.range_m, fov_deg, seat))
+                slots.append(Slot(slot, choice.sensor, model, of.range_m, fov_deg, surface))
                 numbers.append(place + number)
                 members.append(i)
             place += count
@@ -128,3 +138,71 @@ def _name(groups: list[_Group], chosen: tuple[tuple[Choice | None, ...], ...]) -
 def _plain(name: str) -> str:
     """A name as a valid part of a file name."""
     return re.sub(r"[^A-Za-z0-9.-]+", "-", name)
+
+
+@dataclass(frozen=True)
+class Example:
+    """A rig of some combination, in its unit cube."""
+
+    combination: Combination
+    x: Array  # (free coordinates,)
+    objective: float
+
+
+@dataclass(frozen=True, eq=False)
+class SensorSlot:
+    """A sensor of a combination, or a mirrored pair, and its free coordinates."""
+
+    group: int
+    model: str | None
+    columns: NDArray[np.int64]
+
+
+def starts(combination: Combination, examples: Sequence[Example], rng: np.random.Generator) -> Array:
+    """(n, free coordinates) points of a combination's unit cube, made from examples, those of the best one first.
+
+    The rig of another combination fits if at most CHANGES_MAX sensors are exchanged, added or removed. Sensors of the
+    same group and model keep their poses, then those of the same group; a sensor that is new stands anywhere within its
+    bounds.
+    """
+    slots = _sensor_slots(combination)
+    found = []
+    for example in sorted(examples, key=lambda example: example.objective):
+        for _ in range(DRAWS):
+            x, is_new = _fitted(slots, example, rng)
+            if x is not None:
+                found.append(x)
+            if x is None or not is_new:
+                break
+    return np.array(found[:STARTS_MAX]).reshape(-1, combination.study.free.sum())
+
+
+def _sensor_slots(combination: Combination) -> list[SensorSlot]:
+    study = combination.study
+    return [
+        SensorSlot(combination.groups[i], slot.model, np.flatnonzero(study.groups == i))
+        for i, slot in enumerate(study.slots)
+        if np.isnan(study.mirror[i])
+    ]
+
+
+def _fitted(slots: Sequence[SensorSlot], example: Example, rng: np.random.Generator) -> tuple[Array | None, bool]:
+    """The example's poses for these slots, and whether one was drawn; None if too many sensors differ."""
+    left = _sensor_slots(example.combination)
+    left = [left[i] for i in rng.permutation(len(left))]  # which of several is removed
+    taken: dict[int, SensorSlot] = {}
+    for same in (True, False):  # model and group, then group alone
+        for i, slot in enumerate(slots):
+            if i not in taken:
+                fits = [one for one in left if one.group == slot.group and (one.model == slot.model or not same)]
+                if fits:
+                    taken[i] = fits[0]
+                    left.remove(fits[0])
+    exchanged = sum(one.model != slots[i].model for i, one in taken.items())
+    new = len(slots) - len(taken)
+    if exchanged + new + len(left) > CHANGES_MAX:
+        return None, False
+    x = rng.random(sum(len(slot.columns) for slot in slots))
+    for i, one in taken.items():
+        x[slots[i].columns] = example.x[one.columns]
+    return x, new > 0

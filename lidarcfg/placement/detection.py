@@ -143,7 +143,8 @@ def check_fits(item: DetectionObject, region: Region, size_m: tuple[float, ...] 
     size_m = size_m or item.box_m
     for axis, (need, have) in enumerate(zip(cuboids_needed(size_m, region.cuboid_m), region.shape, strict=True)):
         if need > have:
-            size, most = size_m[axis], region.max_m[axis] - region.min_m[axis]
+            size = size_m[axis]
+            most = region.max_m[axis] - region.min_m[axis]
             raise ConfigError(
                 f"{item.name}: size_m[{axis}]: {size:g} is more than the region's {most:g} along {AXES[axis]}"
             )
@@ -159,7 +160,8 @@ def detection(subspaces: Subspaces, item: DetectionObject, counted: Counted | No
         found = _drawn(subspaces, item, item.samples)
     else:
         counted = counted or counted_places(subspaces, item)
-        detected, places = int(counted.detected.sum()), int(counted.places.sum())
+        detected = int(counted.detected.sum())
+        places = int(counted.places.sum())
         found = Detection(detected / max(places, 1), places, 0.0)
     if found.places == 0:
         raise ConfigError(f"{item.name}: has no free place in the region")
@@ -179,7 +181,7 @@ def counted_places(subspaces: Subspaces, item: DetectionObject) -> Counted:
 
 
 def boxes_counted(subspaces: Subspaces, size: tuple[int, int, int], layers: int, threshold: int = 1) -> Counted:
-    """The same for a box of this many cuboids, whose lowest layer is one of the first `layers`."""
+    """Where a box of `size` cuboids is detected, and where it can be; its lowest layer is one of the first `layers`."""
     held = np.zeros(len(subspaces), np.bool_)
     detected, places = core.analytic.detected_positions(subspaces.label, size, threshold, layers, ALL, held)
     return Counted(detected, places, held)
@@ -242,14 +244,16 @@ def detection_by_distance(
     Places beyond the last of `edges_m` are in no ring. counted: the result of `counted_places`, if known.
     """
     n = len(edges_m) - 1
-    detected, places = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    detected = np.zeros(n, np.int64)
+    places = np.zeros(n, np.int64)
     region = subspaces.region
     if item.samples:
         for box in drawn_boxes(region, item.box_m, item.on_ground, item.samples):
             at = ring(box[:, 0], box[:, 1], middle_m, edges_m)
             for i in range(n):
                 met = _detected_boxes(subspaces, item, box[at == i])
-                detected[i], places[i] = detected[i] + met[0], places[i] + met[1]
+                detected[i] += met[0]
+                places[i] += met[1]
         return Rings(edges_m, detected, places)
     found, free, _ = counted or counted_places(subspaces, item)
     size = cuboids_needed(item.box_m, region.cuboid_m)
@@ -267,7 +271,8 @@ def ring(x_m: Array, y_m: Array, middle_m: Array, edges_m: Array) -> Counts:
 
 
 def _drawn(subspaces: Subspaces, item: DetectionObject, samples: int) -> Detection:
-    rates, places = [], 0
+    rates = []
+    places = 0
     for box in drawn_boxes(subspaces.region, item.box_m, item.on_ground, samples):
         detected, free = _detected_boxes(subspaces, item, box)
         places += free
@@ -317,4 +322,56 @@ def _detected_boxes(subspaces: Subspaces, item: DetectionObject, box: Array) -> 
     region = subspaces.region
     return core.analytic.detected_boxes(
         subspaces.label, region.min_m, region.cuboid_m, box, item.box_m, item.most_touched
+    )
+
+
+@dataclass(frozen=True)
+class GapFit:
+    """Where an object can be without a beam entering it: wholly inside one subspace."""
+
+    size_m: tuple[float, float, float]
+    on_ground: bool  # or at any height
+    in_worst: bool  # whether it fits into the subspace of the largest VSR
+    subspaces: int  # into how many it fits
+    largest_vsr_m: float | None  # of these; None where there are none
+    nearest_m: float | None  # from the vehicle to the middle of the nearest place, along the ground
+    nearest_at_m: tuple[float, float] | None  # that place
+
+
+def gap_fit(
+    subspaces: Subspaces, vsr_m: Array, item: DetectionObject, vehicle_m: Array, counted: Counted | None = None
+) -> GapFit | None:
+    """Where a box fits into a single subspace, at its two headings along the axes; None for a mesh.
+
+    counted: the result of `counted_places`, if known. A box inside a subspace touches only cuboids of that subspace.
+    It touches fewest where it is aligned with the grid, so it is enough to test these places.
+    """
+    if item.size_m is None:
+        return None
+    length, width, height = item.size_m
+    on_ground = item.on_ground or item.returns is not None
+    found = set[int]()
+    places = []
+    for size_m in dict.fromkeys(((length, width, height), (width, length, height))):
+        size = cuboids_needed(size_m, subspaces.region.cuboid_m)
+        if any(need > have for need, have in zip(size, subspaces.region.shape, strict=True)):
+            continue
+        if counted is None or item.threshold != 1 or size_m != item.size_m:
+            counted = boxes_counted(subspaces, size, 1 if on_ground else subspaces.region.shape[2])
+        found |= set(np.flatnonzero(counted.held).tolist())
+        corner = np.argwhere(counted.detected < counted.places)
+        places.append(subspaces.region.min_m[:2] + (corner + np.array(size[:2]) / 2) * subspaces.region.cuboid_m[:2])
+    if not found:
+        return GapFit(item.size_m, on_ground, False, 0, None, None, None)
+    at = np.concatenate(places)
+    far = np.hypot(*(at - vehicle_m).T)
+    nearest = int(np.argmin(far))
+    return GapFit(
+        item.size_m,
+        on_ground,
+        int(np.argmax(vsr_m)) in found,
+        len(found),
+        float(vsr_m[sorted(found)].max()),
+        float(far[nearest]),
+        (float(at[nearest, 0]), float(at[nearest, 1])),
     )

@@ -15,9 +15,10 @@ from lidarcfg.placement.cones import Lidar, rig_lidars
 from lidarcfg.placement.detection import Counted, Detection, counted_places, detection
 from lidarcfg.placement.metric import Extent, Spheres, extents, surface_m2, volume_m3, vsr_m
 from lidarcfg.placement.return_counts import ReturnCounts, return_counts
-from lidarcfg.placement.sensitivity import Robustness, ZoneVsr, by_zone
+from lidarcfg.placement.sensitivity import Robustness
 from lidarcfg.placement.study import Study, load_study
 from lidarcfg.placement.subspace import BLIND, Subspaces, segment
+from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.sensors.rig import Rig, load_rig
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import check_outside
@@ -86,7 +87,8 @@ def evaluate(
         check_outside(study.vehicle, rig.mounts)
     converged = None if tolerance is None else analytic(study.region, rig_lidars(rig), tolerance, study.visibility)
     subspaces = segment(study.region, rig_lidars(rig), study.visibility)
-    vsr, spheres = vsr_m(subspaces), Spheres(subspaces)
+    vsr = vsr_m(subspaces)
+    spheres = Spheres(subspaces)
     numbers = np.argsort(-vsr, kind="stable")[:worst_count].tolist()
     where = extents(subspaces, numbers)
     worst = _worst(rig, subspaces, vsr, spheres, dict(zip(numbers, where, strict=True)))
@@ -96,7 +98,8 @@ def evaluate(
     }
     rates = _rates(study, subspaces, seen, counted)
     blind = blind_spots(study, subspaces, rig_lidars(rig))
-    zones, seconds = by_zone(study, subspaces), time.perf_counter() - started
+    zones = max_vsr_by_zone(study.zones, subspaces)
+    seconds = time.perf_counter() - started
     return Evaluation(
         subspaces=subspaces,
         vsr_m=vsr,
@@ -115,7 +118,9 @@ def evaluate(
 
 def _worst(rig: Rig, subspaces: Subspaces, vsr: Array, spheres: Spheres, where: dict[int, Extent]) -> tuple[Worst, ...]:
     """The subspaces with these numbers."""
-    volume, surface, found = volume_m3(subspaces), surface_m2(subspaces), []
+    volume = volume_m3(subspaces)
+    surface = surface_m2(subspaces)
+    found = []
     for number, extent in where.items():
         low, high = extent.bounds_m
         gaps = subspaces.gap[number].tolist()

@@ -20,21 +20,18 @@ from numpy.typing import NDArray
 from lidarcfg.core import placement as core
 from lidarcfg.geometry import Array, level, up
 from lidarcfg.inputs import check_memory
-from lidarcfg.placement.batch import Batch, BatchResult, Placed, Sources
+from lidarcfg.placement.batch import Batch, BatchResult, Counter, Placed, Sources, parallel_for
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, placed
-from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.grid import Words, check_grid, cuboid_number, grid_of
-from lidarcfg.placement.metric import vsr_m
-from lidarcfg.placement.parallel import Counter, parallel_for
+from lidarcfg.placement.metric import max_vsr as max_vsr
+from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sight import LIMITS, UNLIMITED_SIGHT
-from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.terms import Trial
-from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.visibility import LIMITS, UNLIMITED_SIGHT, Visibility
 
 CACHE_BYTES = 256 * 2**20
 LABEL_BYTES = 6  # of memory a cuboid, where its subspace's number is needed
-SLICE, SLICE_CUBOIDS = 1000, 5e7  # trials between two looks at the clock, and the most cuboids in them
+SLICE = 1000  # trials between two looks at the clock
+SLICE_CUBOIDS = 5e7  # in them, at most
 REMEMBERED = 10_000  # trials that may take the place of a food source
 CERTIFICATES = 12  # of a food source, see core/placement/evaluator.h
 FEW = 8  # LiDARs, of which a trial takes no longer than its cuboids; of more it takes as much longer
@@ -43,13 +40,8 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
-def max_vsr(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> float:
-    """The paper's cost: the largest volume-to-surface ratio over all subspaces, in metres (eq. 10)."""
-    return float(vsr_m(segment(region, lidars, visibility)).max())
-
-
 def slice_of(cuboids: int, threads: int) -> int:
-    """Trials of so many cuboids between two looks at the clock: one for each thread at least."""
+    """Trials of `cuboids` cuboids between two looks at the clock: one for each thread at least."""
     return min(SLICE, max(threads, int(SLICE_CUBOIDS / cuboids)))
 
 
@@ -162,7 +154,7 @@ class Evaluator:
     def _weighted(
         self, criterion: Criterion, poses: Array, source: Index, source_poses: Array, upper_bound: Array
     ) -> Array:
-        """The same for other terms: certificates of max VSR first, then the subspaces of what they did not refute."""
+        """(n,) the costs by several terms: certificates of max VSR first, then the trials that they did not refute."""
         out = np.full(len(poses), np.nan)
         self._pause = max(self._pause - 1, 0)
         if criterion.max_vsr is not None and not self._pause:
@@ -203,7 +195,7 @@ class Evaluator:
         certificates = [np.empty(0, np.int64)]
         for case, one in enumerate(criterion.cases(trial)):
             if one.is_cut:
-                values.append(one.worth_m)
+                values.append(one.weighted_vsr_m)
                 i, j, k = np.unravel_index(one.first, self._region.shape)
                 first = case * 64 * self._grid.rows
                 certificates.append(first + cuboid_number(self._grid, (i, j, k)))

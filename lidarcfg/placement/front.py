@@ -8,7 +8,7 @@ So most of the budget goes to the front. Every combination gets at least 1 / NEG
 the front have, because early values say little.
 
 After the first part of its own search, and again whenever that search has grown by the factor LATER, a combination
-learns from the others for TRANSFER evaluations: see transfer.py. None of this depends on the budget, so a resumed
+learns from the others for TRANSFER evaluations: see combinations.py. None of this depends on the budget, so a resumed
 search ends where an uninterrupted one does.
 """
 
@@ -20,17 +20,19 @@ import numpy as np
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.combinations import Combination, combinations
-from lidarcfg.placement.optimize import INFEASIBLE, Budget, Cycle, Log, Placement, Run
+from lidarcfg.placement.combinations import Combination, Example, combinations, starts
+from lidarcfg.placement.optimize import INFEASIBLE, Budget, Cycle, Log, Placement, SearchRun
 from lidarcfg.placement.solvers import start_search
-from lidarcfg.placement.solvers.search import Search, Trials
+from lidarcfg.placement.solvers.cma_es import WarmStart
+from lidarcfg.placement.solvers.search import FixedPoint, Search
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.transfer import Example, Transfer, starts
 
 PROGRESS = 0.4
 NEGLECT = 4.0
-PART, GROWTH = 200, 0.25  # evaluations of a part, at least; of those so far
-TRANSFER, LATER = 150, 16
+PART = 200  # evaluations of a part, at least
+GROWTH = 0.25  # of a part, by the evaluations so far
+TRANSFER = 150  # evaluations by which a combination learns from the others
+LATER = 16  # the growth of its own search after which it does so again
 
 
 @dataclass(frozen=True)
@@ -76,31 +78,13 @@ class Front:
 
     @property
     def evaluations(self) -> int:
-        """Of all combinations."""
+        """Evaluations of all combinations."""
         return sum(candidate.evaluations for candidate in self.candidates)
 
     @property
     def dominated_evaluations(self) -> int:
-        """Of the combinations that are not on the front."""
+        """Evaluations of the combinations that are not on the front."""
         return sum(candidate.evaluations for candidate in self.candidates if not candidate.on_front)
-
-
-class FixedPoint:
-    """The search of a study in which nothing is free to move: one trial, again and again."""
-
-    def __init__(self) -> None:
-        self.cycles = 0
-        self.best_x, self.best_cost = np.empty(0), math.inf
-        self.sources, self.mean_cost = np.empty((1, 0)), math.inf
-
-    def ask(self) -> Trials:
-        """The only trial."""
-        return Trials("trial", self.sources, np.zeros(1, np.int64), np.full(1, math.inf))
-
-    def tell(self, cost: Array) -> None:
-        """Its cost (1,)."""
-        self.cycles += 1
-        self.best_cost = self.mean_cost = float(cost[0])
 
 
 def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]:
@@ -109,10 +93,12 @@ def on_front(prices: Sequence[float], objectives: Sequence[float]) -> list[bool]
     One pair dominates another if neither its price nor its objective is larger, and one of them is smaller; of equal
     pairs the first counts. Pairs without a rig that meets the constraints are on no front.
     """
-    best, found = math.inf, [False] * len(prices)
+    best = math.inf
+    found = [False] * len(prices)
     for i in sorted(range(len(prices)), key=lambda i: (prices[i], objectives[i])):
         if objectives[i] < min(best, INFEASIBLE):
-            best, found[i] = objectives[i], True
+            best = objectives[i]
+            found[i] = True
     return found
 
 
@@ -131,7 +117,8 @@ def front(
     """
     if not study.to_choose:
         raise ConfigError("nothing to choose in the study: no group has `choose`")
-    search, interrupted = FrontRun(study, logs), False
+    search = FrontRun(study, logs)
+    interrupted = False
     try:
         search.run(threads, on_part, skip)
     except KeyboardInterrupt:
@@ -139,7 +126,7 @@ def front(
     return search.result(interrupted)
 
 
-class Entrant:
+class CandidateSearch:
     """A combination and its searches: the ordinary one first, then those that learn from others."""
 
     def __init__(self, combination: Combination, logs: Sequence[Log]) -> None:
@@ -148,18 +135,18 @@ class Entrant:
         study = combination.study
         search = start_search(study.solver, study.coordinates) if study.free.any() else FixedPoint()
         self.runs = [self._run(search)]
-        self._transfer: Transfer | None = None  # the last one's search
+        self._transfer: WarmStart | None = None  # the last one's search
 
-    def _run(self, search: Search) -> Run:
-        return Run(self.combination.study, search, self._logs.pop(0) if self._logs else None)
+    def _run(self, search: Search) -> SearchRun:
+        return SearchRun(self.combination.study, search, self._logs.pop(0) if self._logs else None)
 
     @property
-    def own(self) -> Run:
+    def own(self) -> SearchRun:
         """The ordinary search."""
         return self.runs[0]
 
     @property
-    def best(self) -> Run:
+    def best(self) -> SearchRun:
         """The search with the best rig."""
         return min(self.runs, key=lambda run: run.best_cost)
 
@@ -170,17 +157,17 @@ class Entrant:
 
     @property
     def evaluations(self) -> int:
-        """Of all its searches."""
+        """Evaluations of all its searches."""
         return sum(run.evaluations for run in self.runs)
 
     @property
     def cycles(self) -> int:
-        """Of all its searches."""
+        """Cycles of all its searches."""
         return sum(run.cycles for run in self.runs)
 
     @property
     def seconds(self) -> float:
-        """Of all its searches."""
+        """Seconds of all its searches."""
         return sum(run.seconds for run in self.runs)
 
     @property
@@ -189,29 +176,30 @@ class Entrant:
         return self.evaluations > 0 and not self.combination.study.free.any()
 
     @property
-    def is_to_learn(self) -> bool:
+    def should_transfer(self) -> bool:
         """Whether its own search has grown enough to learn from the others again."""
         return self.own.evaluations >= PART * int(LATER ** (len(self.runs) - 1))
 
-    def learn(self, entrants: Sequence["Entrant"], number: int) -> Run | None:
-        """A search that starts from the best rigs of all; None if no rig fits. `number` is this entrant's index."""
-        known = [entrant for entrant in entrants if entrant.objective < math.inf]
+    def learn(self, searches: Sequence["CandidateSearch"], number: int) -> SearchRun | None:
+        """A search that starts from the best rigs of all; None if no rig fits. `number` is this candidate's index."""
+        known = [candidate for candidate in searches if candidate.objective < math.inf]
         examples = [Example(one.combination, one.best.best_x, one.objective) for one in known]
         rng = np.random.default_rng([self.combination.study.solver.seed, number, len(self.runs)])
         found = starts(self.combination, examples, rng)
         if not len(found):
             return None
-        self._transfer = Transfer(found, int(rng.integers(2**63)))
+        self._transfer = WarmStart(found, int(rng.integers(2**63)))
         self.runs.append(self._run(self._transfer))
         return self.runs[-1]
 
-    def is_over(self, run: Run) -> bool:
+    def is_over(self, run: SearchRun) -> bool:
         """Whether one of its searches has nothing more to try for now."""
         return self.is_done or (run is not self.own and self._transfer is not None and self._transfer.over)
 
     def placement(self, interrupted: bool) -> Placement:
         """The best rig, with the ordinary search's history and log."""
-        found, own = self.best.placement(interrupted), self.own
+        found = self.best.placement(interrupted)
+        own = self.own
         if len(self.runs) == 1:
             return found
         last = Cycle(self.cycles, self.evaluations, self.best.best_cost, own.history[-1].mean, self.seconds)
@@ -237,30 +225,30 @@ class FrontRun:
     def __init__(self, study: Study, logs: Sequence[Sequence[Log]] = ()) -> None:
         self.study = study
         ones = combinations(study)
-        self.entrants = [Entrant(one, log) for one, log in zip(ones, logs or [()] * len(ones), strict=True)]
+        self.searches = [CandidateSearch(one, log) for one, log in zip(ones, logs or [()] * len(ones), strict=True)]
         self.history: list[Part] = []
         self._prices = np.array([one.price for one in ones])
         self._budget = Budget.of(study.solver)
 
     @property
     def evaluations(self) -> int:
-        """Of all combinations."""
-        return sum(entrant.evaluations for entrant in self.entrants)
+        """Evaluations of all combinations."""
+        return sum(candidate.evaluations for candidate in self.searches)
 
     @property
     def cycles(self) -> int:
-        """Of all combinations."""
-        return sum(entrant.cycles for entrant in self.entrants)
+        """Cycles of all combinations."""
+        return sum(candidate.cycles for candidate in self.searches)
 
     @property
     def seconds(self) -> float:
-        """Of all combinations."""
-        return sum(entrant.seconds for entrant in self.entrants)
+        """Seconds of all combinations."""
+        return sum(candidate.seconds for candidate in self.searches)
 
     @property
     def objectives(self) -> Array:
         """(combinations,) the least so far; inf without a rig that meets the constraints."""
-        return np.array([entrant.objective for entrant in self.entrants])
+        return np.array([candidate.objective for candidate in self.searches])
 
     @property
     def spent(self) -> float:
@@ -273,35 +261,37 @@ class FrontRun:
 
     def logs(self) -> list[list[Log]]:
         """Everything needed to resume: the logs of each combination's searches."""
-        return [[run.log() for run in entrant.runs] for entrant in self.entrants]
+        return [[run.log() for run in candidate.runs] for candidate in self.searches]
 
     def run(self, threads: int | None, on_part: Callable[["FrontRun"], None] | None = None, skip: bool = True) -> None:
         """Search until the budget is spent, or nothing is left to try."""
         while (i := self._next()) is not None and not (self.history and self._is_spent()):
-            entrant = self.entrants[i]
-            learner = entrant.learn(self.entrants, i) if entrant.is_to_learn else None
+            candidate = self.searches[i]
+            learner = candidate.learn(self.searches, i) if candidate.should_transfer else None
             if learner:
-                self._work(entrant, learner, TRANSFER, threads, skip)
+                self._work(candidate, learner, TRANSFER, threads, skip)
             else:
-                self._work(entrant, entrant.own, max(PART, int(GROWTH * entrant.own.evaluations)), threads, skip)
-            state = entrant.evaluations, entrant.best.best_cost, self.on_front()[i], self.seconds
-            self.history.append(Part(self.evaluations, entrant.combination.name, *state))
+                self._work(candidate, candidate.own, max(PART, int(GROWTH * candidate.own.evaluations)), threads, skip)
+            state = candidate.evaluations, candidate.best.best_cost, self.on_front()[i], self.seconds
+            self.history.append(Part(self.evaluations, candidate.combination.name, *state))
             if on_part:
                 on_part(self)
 
-    def _work(self, entrant: Entrant, run: Run, evaluations: int, threads: int | None, skip: bool) -> None:
+    def _work(
+        self, candidate: CandidateSearch, run: SearchRun, evaluations: int, threads: int | None, skip: bool
+    ) -> None:
         """Run a part of one of its searches."""
         end = run.evaluations + evaluations
         with run.evaluator(threads, skip) as evaluator:
             while True:
                 run.step(evaluator, self._left(run))
-                if entrant.is_over(run) or run.evaluations >= end or self._is_spent():
+                if candidate.is_over(run) or run.evaluations >= end or self._is_spent():
                     return
 
     def _is_spent(self) -> bool:
         return self._budget.spent(self.evaluations, self.cycles)
 
-    def _left(self, run: Run) -> Budget:
+    def _left(self, run: SearchRun) -> Budget:
         """The budget of one search, so that all together do not exceed theirs."""
         budget = self._budget
         evaluations = None if budget.evaluations is None else budget.evaluations - self.evaluations + run.evaluations
@@ -310,25 +300,26 @@ class FrontRun:
 
     def _next(self) -> int | None:
         """The combination that will soonest be on the front: first those not tried yet, by price."""
-        there = [i for i, entrant in enumerate(self.entrants) if not entrant.is_done]
+        there = [i for i, candidate in enumerate(self.searches) if not candidate.is_done]
         if not there:
             return None
-        fresh = [i for i in there if not self.entrants[i].evaluations]
+        fresh = [i for i in there if not self.searches[i].evaluations]
         if fresh:
             return min(fresh, key=lambda i: self._prices[i])
-        spent = np.array([max(entrant.evaluations, 1) for entrant in self.entrants])
-        effort = np.log(spent) + delay(self._prices, self.objectives)
+        spent = np.array([max(candidate.evaluations, 1) for candidate in self.searches])
+        effort = np.log(spent) + required_growth(self._prices, self.objectives)
         return min(there, key=lambda i: effort[i])
 
     def result(self, interrupted: bool) -> Front:
         """The front so far. Raises KeyboardInterrupt if there is none yet, ConfigError where no rig is allowed."""
-        if not any(math.isfinite(entrant.best.best_cost) for entrant in self.entrants):
+        if not any(math.isfinite(candidate.best.best_cost) for candidate in self.searches):
             raise KeyboardInterrupt
-        on_front, objectives = self.on_front(), self.objectives.tolist()
+        on_front = self.on_front()
+        objectives = self.objectives.tolist()
         if not any(on_front):
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
         order = sorted(range(len(on_front)), key=lambda i: (self._prices[i], objectives[i]))
-        ones = self.entrants
+        ones = self.searches
         return Front(
             points=tuple(Point(ones[i].combination, ones[i].placement(interrupted)) for i in order if on_front[i]),
             candidates=tuple(
@@ -341,7 +332,7 @@ class FrontRun:
         )
 
 
-def delay(prices: Array, objectives: Array) -> Array:
+def required_growth(prices: Array, objectives: Array) -> Array:
     """(n,) the logarithm of the factor by which each search must grow to reach the front, as assumed above."""
     order = np.lexsort((objectives, prices))
     least = np.empty(len(prices))

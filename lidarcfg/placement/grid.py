@@ -1,4 +1,4 @@
-"""A region as rows of bits, 64 cuboids along x to a word, and the links between neighbouring cuboids on it.
+"""Labels: a region as rows of bits, 64 cuboids along x to a word, and the links between neighbouring cuboids on it.
 
 Two neighbours lie in one subspace if no cone passes between them, that is if every digit of their base-n labels is
 the same; a LiDAR that does not see a cuboid has one digit for it, whatever its beams. So each row of up to 64 cuboids
@@ -10,6 +10,7 @@ Rows are numbered ((k + 1)(ny + 2) + j + 1) · chunks + c, so that every neighbo
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,13 @@ from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.placement.cones import FIRST, Lidar, cone_rows, gaps_at
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sight import UNLIMITED_SIGHT, Sight
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT, Sight
 
 Words = NDArray[np.uint64]
 Counts = NDArray[np.int64]
 BEAMS_MAX = 1_000_000  # of all LiDARs together
 LARGE = 2**14  # rows from which on what LiDARs see is found on threads
-WORDS = 16  # a row that an evaluation needs at least, beside three for each LiDAR
+WORDS = 16  # a row that an evaluation needs at least, besides three for each LiDAR
 
 
 def grid_of(region: Region, weights: tuple[Array, NDArray[np.integer]] | None = None) -> core.Grid:
@@ -44,17 +45,11 @@ def pack(bits: NDArray[np.bool_]) -> Words:
     nx, ny, nz = bits.shape
     words = np.zeros((nz + 2, ny + 2, -(-nx // 64)), np.uint64)
     for chunk in range(words.shape[2]):
-        octets = np.zeros((nz, ny, 8), np.uint8)
+        bytes_ = np.zeros((nz, ny, 8), np.uint8)
         found = np.packbits(bits[64 * chunk : 64 * chunk + 64], axis=0, bitorder="little")
-        octets[..., : len(found)] = found.transpose(2, 1, 0)
-        words[1:-1, 1:-1, chunk] = octets.view("<u8")[..., 0]
+        bytes_[..., : len(found)] = found.transpose(2, 1, 0)
+        words[1:-1, 1:-1, chunk] = bytes_.view("<u8")[..., 0]
     return words
-
-
-def unpack(region: Region, words: Words) -> NDArray[np.bool_]:
-    """(…, nx, ny, nz) the bits of words (…, rows)."""
-    every = [count_set(region, one[None]).astype(np.bool_) for one in words.reshape(-1, words.shape[-1])]
-    return np.array(every, np.bool_).reshape(*words.shape[:-1], *region.shape)
 
 
 def count_set(region: Region, words: Words) -> NDArray[np.integer]:
@@ -64,8 +59,8 @@ def count_set(region: Region, words: Words) -> NDArray[np.integer]:
     chunks = words.reshape(len(words), nz + 2, ny + 2, -1)[:, 1:-1, 1:-1].astype("<u8", copy=False)
     for j in range(ny):
         for chunk in range(chunks.shape[3]):
-            octets = np.ascontiguousarray(chunks[:, :, j, chunk]).view(np.uint8).reshape(len(words), nz, 8)
-            count = np.unpackbits(octets, axis=2, bitorder="little").sum(axis=0, dtype=out.dtype)
+            bytes_ = np.ascontiguousarray(chunks[:, :, j, chunk]).view(np.uint8).reshape(len(words), nz, 8)
+            count = np.unpackbits(bytes_, axis=2, bitorder="little").sum(axis=0, dtype=out.dtype)
             part = out[64 * chunk : 64 * chunk + 64, j]
             part[:] = count.T[: len(part)]
     return out
@@ -90,26 +85,39 @@ def check_grid(grid: core.Grid, lidars: int, beams: int, threads: int = 1) -> No
     check_memory(what, needed, "use larger cuboids or fewer beams")
 
 
-def linked(
-    region: Region, lidars: Sequence[Lidar], sight: Sight = UNLIMITED_SIGHT
-) -> tuple[core.Grid, Words, Words | None]:
-    """A region's grid, the links (rows, 3) of some LiDARs on it, and, where sight is limited, what they see."""
+class Labels(NamedTuple):
+    """Which neighbouring cuboids of a region have the same label, for some LiDARs."""
+
+    region: Region
+    lidars: Sequence[Lidar]
+    grid: core.Grid  # the region as rows of bits
+    links: Words  # (rows, 3) whether a cuboid and the one before it along x, y and z have the same label
+    seen: Words | None  # (lidars, rows) the cuboids that each LiDAR sees; None: all
+
+
+def compare_labels(region: Region, lidars: Sequence[Lidar], sight: Sight = UNLIMITED_SIGHT) -> Labels:
+    """Compare the labels of neighbouring cuboids (paper, III-B): equal where no cone passes between their centres.
+
+    Raises LidarcfgError where there are too many beams, or where memory does not hold the comparison.
+    """
     grid = grid_of(region)
     cones = cone_rows(lidars)
     check_grid(grid, len(cones), cones.shape[1] - FIRST)
     seen = _seen(grid, cones, sight) if len(sight.limits) else None
     links = np.empty((grid.rows, 3), np.uint64)
     core.links(grid, cones, np.empty((0, grid.rows), np.uint64) if seen is None else seen, links)
-    return grid, links, seen
+    return Labels(region, lidars, grid, links, seen)
 
 
-def seen_words(region: Region, lidars: Sequence[Lidar], sight: Sight) -> Words:
-    """(lidars, rows): which cuboids each LiDAR sees."""
-    return _seen(grid_of(region), cone_rows(lidars), sight)
+def seen_cuboids(region: Region, lidars: Sequence[Lidar], sight: Sight) -> NDArray[np.bool_]:
+    """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
+    words = _seen(grid_of(region), cone_rows(lidars), sight)
+    each = [count_set(region, row[None]).astype(np.bool_) for row in words]
+    return np.array(each, np.bool_).reshape(len(lidars), *region.shape)
 
 
 def _seen(grid: core.Grid, cones: Array, sight: Sight) -> Words:
-    """The same; on threads where the grid is large."""
+    """(lidars, rows) the words of which cuboids each LiDAR sees, computed on threads where the grid is large."""
     if grid.rows <= LARGE or len(cones) <= 1:
         return core.seen(grid, cones, sight)
 

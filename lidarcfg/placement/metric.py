@@ -1,4 +1,4 @@
-"""How large a subspace is: the paper's volume-to-surface ratio, and the largest sphere inside."""
+"""How large subspaces are: the paper's volume-to-surface ratio (VSR), and the largest sphere inside."""
 
 import math
 from collections.abc import Sequence
@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 
 from lidarcfg import core
 from lidarcfg.geometry import Array
+from lidarcfg.placement.cones import Lidar
+from lidarcfg.placement.grid import compare_labels
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import Subspaces
+from lidarcfg.placement.subspace import Subspaces, connect
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT, Visibility
 
 Counts = NDArray[np.int64]
 Lines = NDArray[np.int32]
@@ -37,8 +40,16 @@ def vsr_m(subspaces: Subspaces) -> Array:
     return vsr_of_counts(subspaces.cuboids, subspaces.internal, subspaces.region.cuboid_m)
 
 
+def max_vsr(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> float:
+    """The paper's cost of a rig: the largest VSR of its subspaces, in metres (eq. 10)."""
+    sight = visibility.sight(lidars) if visibility else UNLIMITED_SIGHT  # beyond the paper: what bodies hide
+    labels = compare_labels(region, lidars, sight)  # equal where no cone passes between two neighbours
+    subspaces = connect(labels)  # no beam enters them
+    return float(vsr_m(subspaces).max())
+
+
 def vsr_of_counts(cuboids: Counts, internal: Counts, cuboid_m: Array) -> Array:
-    """(n,) the same from cuboids (n,), the faces inside (n, 3) and a cuboid's edges (3,)."""
+    """(n,) VSR from cuboids (n,), the faces inside (n, 3) and a cuboid's edges (3,)."""
     return _volume(cuboids, cuboid_m) / _surface(cuboids, internal, cuboid_m)
 
 
@@ -94,7 +105,7 @@ class Extent:
 
     @cached_property
     def counts(self) -> tuple[Counts, Counts, Counts]:
-        """Of its cuboids by layer along x, y and z."""
+        """The number of its cuboids by layer along x, y and z."""
         across_x, _, across_z = self.lines
         x, y = (across_z.sum(axis=axis, dtype=np.int64) for axis in (1, 0))
         return x, y, across_x.sum(axis=0, dtype=np.int64)
@@ -112,7 +123,8 @@ class Extent:
     @property
     def bounds_m(self) -> tuple[Array, Array]:
         """The box around it: its lower and upper corner, (3,) each."""
-        low, edge = self.region.min_m, self.region.cuboid_m
+        low = self.region.min_m
+        edge = self.region.cuboid_m
         return low + self.low * edge, low + self.high * edge
 
     @property

@@ -13,12 +13,13 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.files import loaded
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluation import Evaluation, evaluate
-from lidarcfg.placement.evaluator import Evaluator, max_vsr
+from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.solvers import start_search
 from lidarcfg.placement.solvers.search import Search, Trials, checked
 from lidarcfg.placement.study import Study, load_study
+from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.study_file import Solver
-from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.sensors.rig import Rig
 
 INFEASIBLE = 1e6  # cost of a rig that violates the constraints, times 1 + the violation
@@ -92,14 +93,12 @@ def optimize(
     dimensions = int(study.free.sum())
     if dimensions == 0:
         raise ConfigError("nothing to optimise: every bound is equal; evaluate the rig instead")
-    run, budget, interrupted = (
-        Run(study, start_search(study.solver, study.coordinates), log),
-        Budget.of(study.solver),
-        False,
-    )
+    run = SearchRun(study, start_search(study.solver, study.coordinates), log)
+    budget = Budget.of(study.solver)
+    interrupted = False
     with run.evaluator(threads, skip, on_evaluations) as evaluator:
         try:
-            while not (run.history and budget.spent(run.evaluations, run.cycles)):
+            while not run.is_over(budget):
                 if run.step(evaluator, budget) and on_cycle:
                     on_cycle(run.history[-1], run.rig(), run.log())
         except KeyboardInterrupt:
@@ -155,7 +154,7 @@ class Work:
         )
 
 
-class Run:
+class SearchRun:
     """A search in progress. It first replays the costs in `log`, without evaluating anything.
 
     `best_x` and `best_cost` are those of the best trial so far; `work` is the work done so far. A run may pause: each
@@ -164,12 +163,17 @@ class Run:
 
     def __init__(self, study: Study, search: Search, log: Log | None = None) -> None:
         log = log or Log.empty()
-        self.study, self._search = study, search
-        self._replay, self._told = log.cost, [log.cost]
-        self._spent, self._since = log.seconds, math.inf  # seconds before this part; when it began
+        self.study = study
+        self._search = search
+        self._replay = log.cost
+        self._told = [log.cost]
+        self._spent = log.seconds  # before this part
+        self._since = math.inf  # when it began
+        self._smooths = False  # whether its evaluator smooths the costs of trials that ask for it
         self.asked = {"first": 0, "scout": 0, "trial": 0}
         self.history: list[Cycle] = []
-        self.best_x, self.best_cost = search.best_x, math.inf
+        self.best_x = search.best_x
+        self.best_cost = math.inf
         self.work = Work()
 
     @property
@@ -202,23 +206,38 @@ class Run:
         """An evaluator for one part of the run."""
         self._since = time.perf_counter()
         with StudyEvaluator(self.study, threads, skip, on_evaluations) as one:
+            self._smooths = one.smooths
             try:
                 yield one
             finally:
                 self.work = self.work.plus(one)
-                self._spent, self._since = self.seconds, math.inf
+                self._spent = self.seconds
+                self._since = math.inf
+
+    def is_over(self, budget: Budget) -> bool:
+        """Whether a limit is reached; there is always a first batch."""
+        return bool(self.history) and budget.spent(self.evaluations, self.cycles)
 
     def step(self, evaluator: StudyEvaluator, budget: Budget) -> bool:
         """Evaluate one batch of trials. Returns whether it added a line to the history that is not replayed."""
+        trials = self.ask()
+        cost = self.costs(trials, evaluator, budget)
+        return self.tell(trials, cost, budget)
+
+    def ask(self) -> Trials:
+        """The solver's next trials: points of the unit cube."""
+        return self._search.ask()
+
+    def tell(self, trials: Trials, cost: Array, budget: Budget) -> bool:
+        """Tell the solver the costs of its trials, and keep the best. Returns as `step` does."""
         search = self._search
-        trials = search.ask()
-        kind = trials.phase if trials.phase in self.asked else "trial"
-        cost = self._costs(evaluator, trials, kind, budget)
+        kind = self._kind(trials)
         self.asked[kind] += len(cost)
         best = int(np.argmin(cost))
-        counts = not (trials.smoothing and evaluator.smooths)
+        counts = not (trials.smoothing and self._smooths)
         if cost[best] < self.best_cost and counts:
-            self.best_x, self.best_cost = trials.x[best].copy(), float(cost[best])
+            self.best_x = trials.x[best].copy()
+            self.best_cost = float(cost[best])
         cycles = search.cycles
         if len(cost) == len(trials.x):  # a batch cut short is not told: a resumed run asks for all of it again
             search.tell(cost)
@@ -228,15 +247,19 @@ class Run:
         self.history.append(state)
         return not len(self._replay)
 
-    def _costs(self, evaluator: StudyEvaluator, trials: Trials, kind: str, budget: Budget) -> Array:
-        """The costs of the trials, replayed from the log while it lasts; fewer if a budget cuts the batch short."""
+    def _kind(self, trials: Trials) -> str:
+        return trials.phase if trials.phase in self.asked else "trial"
+
+    def costs(self, trials: Trials, evaluator: StudyEvaluator, budget: Budget) -> Array:
+        """The costs of the rigs at the trials, those of the log first; fewer if a budget cuts the batch short."""
         count = len(trials.x)
         if len(self._replay) >= count:
-            cost, self._replay = self._replay[:count], self._replay[count:]
+            cost = self._replay[:count]
+            self._replay = self._replay[count:]
             return cost
         self._replay = self._replay[:0]
         left = count
-        if budget.evaluations is not None and kind == "trial":
+        if budget.evaluations is not None and self._kind(trials) == "trial":
             left = min(left, budget.evaluations - self.evaluations)
         cost = costs(self.study, evaluator, self._search.sources, trials, left, budget.deadline)
         if len(cost) == count:
@@ -249,7 +272,9 @@ class Run:
             raise KeyboardInterrupt
         if self.best_cost >= INFEASIBLE:
             raise ConfigError("found no rig that keeps the constraints; widen the bounds, or search longer")
-        study, rig, log = self.study, self.rig(), self.log()
+        study = self.study
+        rig = self.rig()
+        log = self.log()
         # before the evaluation, not during it, since either may need a gigabyte
         midpoint = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
         return Placement(
@@ -283,7 +308,9 @@ def costs(
     step = count if deadline == math.inf else evaluator.slice
     for first in range(0, count, step):
         part = slice(first, min(first + step, count))
-        poses, source, upper_bound = study.poses(trials.x[part]), trials.source[part], trials.upper_bound[part]
+        poses = study.poses(trials.x[part])
+        source = trials.source[part]
+        upper_bound = trials.upper_bound[part]
         violation = study.violation(poses)
         cost = INFEASIBLE * (1.0 + violation)
         allowed = np.flatnonzero(violation == 0.0)

@@ -30,7 +30,7 @@ PART = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 SHOWN = 40  # characters of a value in a message
 KEPT = 4  # studies in memory
 Values = dict[str, Any]  # of a study's keys, by path
-Places = list[tuple[str, Key]]  # the paths that a run varies, and where in the plan each value is
+Varied = list[tuple[str, Key]]  # the paths that a run varies, and where in the plan each value is
 
 
 class PlanFile(Model):
@@ -53,9 +53,9 @@ class PlanFile(Model):
         return math.prod(map(len, self.vary.values())) * max(len(self.together), 1)
 
     @property
-    def grid(self) -> Iterator[Places]:
+    def grid(self) -> Iterator[Varied]:
         """The places in the plan of each run's values."""
-        rows: list[Places] = [[(path, ("together", i, path)) for path in row] for i, row in enumerate(self.together)]
+        rows: list[Varied] = [[(path, ("together", i, path)) for path in row] for i, row in enumerate(self.together)]
         axes = [rows] if rows else []
         axes += [[[(path, ("vary", path, i))] for i in range(len(values))] for path, values in self.vary.items()]
         return (list(chain.from_iterable(choice)) for choice in product(*axes))
@@ -125,8 +125,8 @@ def shown(value: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Run:
-    """A run of a plan."""
+class SweepCase:
+    """A case of a sweep: the study of one combination of a plan's values."""
 
     number: int  # from 1, in the order of the plan
     values: Values
@@ -141,7 +141,7 @@ class Plan:
     path: Path
     study: str  # the study's file as the plan names it; empty for an inline study
     varied: tuple[str, ...]  # paths
-    runs: tuple[Run, ...]
+    runs: tuple[SweepCase, ...]
     studies: "Studies"
 
 
@@ -260,7 +260,7 @@ def _check_place(base: Document, path: str, plan: Document, at: Key) -> None:
             value = (value or {}).get(part)
 
 
-def _run(number: int, places: Places, plan: Document, base: Document, studies: Studies) -> Run:
+def _run(number: int, places: Varied, plan: Document, base: Document, studies: Studies) -> SweepCase:
     """A run of the plan. Raises ConfigError where it is not possible."""
     varied = base
     for path, at in places:
@@ -276,10 +276,10 @@ def _run(number: int, places: Places, plan: Document, base: Document, studies: S
             raise
     except ConfigError as error:
         raise _placed(error, plan, base, places, values) from None
-    return Run(number, values, file, digest)
+    return SweepCase(number, values, file, digest)
 
 
-def _placed(error: ConfigError, plan: Document, base: Document, places: Places, values: Values) -> ConfigError:
+def _placed(error: ConfigError, plan: Document, base: Document, places: Varied, values: Values) -> ConfigError:
     """The error of a run's study, at the value in the plan that causes it; else with all values of the run."""
     name, key, what = error.at or ("", (), "")
     if name == plan.name and key[:1] in (("vary",), ("together",)):

@@ -13,21 +13,21 @@ from lidarcfg.config.models import COORDINATE_MAX_M, Model, Position, validation
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
+from lidarcfg.world.vehicle import Vehicle
 
 if TYPE_CHECKING:
     import open3d
-
-    from lidarcfg.world.vehicle import Vehicle
 
 CUBOIDS_MAX = 2**31 - 1  # labels are int32
 CUBOID_BYTES = 11  # of memory to evaluate one, measured
 CUBOID_ADDRESSES = 110  # of bytes that are reserved for one, most of which are never used
 VOXEL_BYTES = 300  # of memory for one of Open3D's, and to make it
-NEAREST_M, NEAREST = 1e-9, 1e-12  # least distance of centres; the second relative to the coordinates
+NEAREST_M = 1e-9  # least distance of centres
+NEAREST = 1e-12  # the same relative to the coordinates
 Edge = Annotated[float, Field(gt=0, le=COORDINATE_MAX_M)]
 Edges = tuple[Edge, Edge, Edge]
 AXES = "xyz"
-NEAR = 5000  # so many counts of cuboids below and above are tried for round sizes
+NEAR = 5000  # counts of cuboids below and above that are tried for round sizes
 
 
 class BoxFile(Model):
@@ -55,7 +55,8 @@ class RegionFile(BoxFile):
     def _check_division(self) -> "RegionFile":
         total = 1
         for axis in range(3):
-            length, edge = self.max_m[axis] - self.min_m[axis], self.cuboid_m[axis]
+            length = self.max_m[axis] - self.min_m[axis]
+            edge = self.cuboid_m[axis]
             count = max(round(length / edge), 1) if length / edge <= CUBOIDS_MAX else CUBOIDS_MAX + 1
             total *= count
             if total > CUBOIDS_MAX:
@@ -89,7 +90,7 @@ def _is_round(size: float) -> bool:
 class Cut(NamedTuple):
     """The part of a region that bodies exclude."""
 
-    bodies: "Vehicle"
+    bodies: Vehicle
     packed: NDArray[np.uint8]  # which cuboids counted before, eight to a byte
     shape: tuple[int, ...]
 
@@ -140,7 +141,7 @@ class Region:
         check_memory(f"a region of {cuboids:,} cuboids", CUBOID_BYTES * cuboids, "use larger cuboids", reserved)
         return cls.from_boxes(file.min_m, file.max_m, file.cuboid_m, boxes)
 
-    def without(self, bodies: "Vehicle") -> "Region":
+    def without(self, bodies: Vehicle) -> "Region":
         """The region without the cuboids whose centres are inside of a vehicle's excluded bodies."""
         included = self.included.copy()
         for name in bodies.excluded:
@@ -225,7 +226,7 @@ class Region:
 
 
 def check_voxels(count: int) -> None:
-    """Raises LidarcfgError where memory does not hold so many voxels of Open3D."""
+    """Raises LidarcfgError where memory does not hold `count` voxels of Open3D."""
     check_memory(f"a grid of {count:,} voxels", VOXEL_BYTES * count, "use larger cuboids")
 
 

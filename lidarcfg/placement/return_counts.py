@@ -85,7 +85,8 @@ class ReturnCounts:
 
     def rings(self, middle_m: Array, edges_m: Array) -> Rings:
         """Its places by their distance from a point; see `detection_by_distance`."""
-        at, n = ring(self.target.places[:, 0], self.target.places[:, 1], middle_m, edges_m), len(edges_m) - 1
+        at = ring(self.target.places[:, 0], self.target.places[:, 1], middle_m, edges_m)
+        n = len(edges_m) - 1
         detected = np.bincount(at, self.probability, n + 1)[:n]
         return Rings(edges_m, detected, np.bincount(at, minlength=n + 1)[:n])
 
@@ -119,7 +120,9 @@ def detection_target(region: Region, item: DetectionObject, target: Target) -> D
     if item.samples:
         _check_count(item, item.samples)
         boxes = list(drawn_boxes(region, size, True, item.samples))
-        part, grid, low = np.repeat(np.arange(len(boxes)), [len(some) for some in boxes]), (0, 0), region.min_m[:2]
+        part = np.repeat(np.arange(len(boxes)), [len(some) for some in boxes])
+        grid = (0, 0)
+        low = region.min_m[:2]
         places = np.concatenate(boxes)
     else:
         step_m = item.step_m or STEP_M
@@ -131,11 +134,14 @@ def detection_target(region: Region, item: DetectionObject, target: Target) -> D
         shape = len(x), len(y), len(heading)
         columns = x[:, None, None], y[:, None], region.min_m[2], heading
         places = np.stack([np.broadcast_to(column, shape).ravel() for column in columns], axis=1)
-        part, grid = np.arange(len(x) * len(y)).repeat(len(heading)), (len(x), len(y))
+        part = np.arange(len(x) * len(y)).repeat(len(heading))
+        grid = (len(x), len(y))
         low = middle - count / 2 * step_m
         inside = _inside(region, places, target.size_m)
-        places, part = places[inside], part[inside]
-    label, cuboid_m = np.where(region.included, np.int32(0), np.int32(-1)), region.cuboid_m
+        places = places[inside]
+        part = part[inside]
+    label = np.where(region.included, np.int32(0), np.int32(-1))
+    cuboid_m = region.cuboid_m
     free = [core.analytic.detected_boxes(label, region.min_m, cuboid_m, box[None], size, 0)[1] for box in places]
     which = np.array(free, bool)
     if not which.any() or (item.samples and part[which][0] == part[which][-1]):
@@ -177,7 +183,8 @@ def return_counts(
     found: dict[int, ReturnCounts] = {}
     for one, numbers in zip(first, alike.values(), strict=True):
         counted = returns(one.places, one.target, scanners, poses, obstacles, on_places=on_places)
-        worst, mean = counted.worst, counted.mean
+        worst = counted.worst
+        mean = counted.mean
         for number in numbers:
             enough = targets[number].enough
             found[number] = ReturnCounts(targets[number], worst, mean, counted.probability(enough))
@@ -224,7 +231,7 @@ class MissCounter:
 
 
 def _most(limit: float, count: int) -> float:
-    """Out of so many places, those from which on a miss rate is at least a limit, also as it is rounded."""
+    """The least number of missed places, out of `count`, whose rounded miss rate is at least a limit."""
     if limit > 1.0:
         return math.inf  # never
     most = limit * count

@@ -6,32 +6,23 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.criterion import Criterion
 from lidarcfg.placement.evaluator import Evaluator
 from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.objective import Criterion, Trial
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.subspace import Subspaces
-from lidarcfg.placement.terms import Trial
-from lidarcfg.placement.zones import ELSEWHERE, rest_max_vsr_m
+from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.sensors.rig import Rig
 
 CUBOIDS_MAX = 1_000_000  # for larger regions it is omitted
-STEP_M, STEP_DEG, OFFSETS = 0.01, 0.1, (-5, -1, 1, 5)  # steps by which a coordinate is off
+STEP_M = 0.01  # of a position
+STEP_DEG = 0.1  # of an angle
+OFFSETS = (-5, -1, 1, 5)  # steps by which a coordinate is off
 HUGE = float(np.finfo(np.float64).max)  # to beat: everything does
 
 
 @dataclass(frozen=True)
-class ZoneVsr:
-    """Max VSR in a zone."""
-
-    name: str
-    weight: float
-    max_vsr_m: float
-
-
-@dataclass(frozen=True)
-class Left:
-    """A rig, whole or with LiDARs lost."""
+class DegradedRig:
+    """A rig without one of its LiDARs; or the whole one, to compare with."""
 
     lost: str | None  # the mount that fails; None: the whole rig
     max_vsr_m: float
@@ -43,14 +34,14 @@ class Left:
 class Robustness:
     """The effects of failures and mounting errors on a rig."""
 
-    whole: Left
-    without: tuple[Left, ...]  # each LiDAR in turn; none where there is one alone
+    whole: DegradedRig
+    without: tuple[DegradedRig, ...]  # each LiDAR in turn; none where there is one alone
     change_m: Array  # (lidars, 6, OFFSETS) of max VSR, with x, y, z, roll, pitch or yaw off
 
     @property
-    def worst(self) -> Left | None:
+    def worst(self) -> DegradedRig | None:
         """The case of failure with the largest max VSR."""
-        return max(self.without, key=lambda left: left.max_vsr_m, default=None)
+        return max(self.without, key=lambda rig: rig.max_vsr_m, default=None)
 
     @property
     def slope_m(self) -> Array:
@@ -70,33 +61,27 @@ class Robustness:
         return float((self.increase_m[:, 3:] if angles else self.increase_m[:, :3]).max())
 
 
-def by_zone(study: Study, subspaces: Subspaces) -> tuple[ZoneVsr, ...]:
-    """Max VSR in each of the study's zones and outside of them; empty without zones."""
-    if not study.zones:
-        return ()
-    vsr = vsr_m(subspaces)
-    found = [ZoneVsr(zone.name, zone.weight, zone.max_vsr_m(subspaces, vsr)) for zone in study.zones]
-    rest = rest_max_vsr_m(study.zones, subspaces, vsr)
-    return (*found, ZoneVsr(ELSEWHERE, 1.0, rest)) if rest is not None else tuple(found)
-
-
 def robustness(study: Study, rig: Rig) -> Robustness | None:
     """The effects of failures and mounting errors; None where the region has too many cuboids for a quick answer."""
     if study.region.included.size > CUBOIDS_MAX:
         return None
-    trial, criterion = Trial(study.region, rig_lidars(rig), study.visibility), study.criterion(mounts=rig.mounts)
-    names, everyone = [mount.name for mount in rig.mounts], range(len(rig.mounts))
+    trial = Trial(study.region, rig_lidars(rig), study.visibility)
+    criterion = study.criterion(mounts=rig.mounts)
+    names = [mount.name for mount in rig.mounts]
+    everyone = range(len(rig.mounts))
     without = [
-        _left(study, criterion, trial.left(tuple(i for i in everyone if i != lost)), names[lost])
+        _degraded(study, criterion, trial.left(tuple(i for i in everyone if i != lost)), names[lost])
         for lost in everyone
         if len(names) > 1
     ]
-    return Robustness(_left(study, criterion, trial, None), tuple(without), changes_m(study, rig))
+    return Robustness(_degraded(study, criterion, trial, None), tuple(without), changes_m(study, rig))
 
 
-def _left(study: Study, criterion: Criterion, trial: Trial, lost: str | None) -> Left:
+def _degraded(study: Study, criterion: Criterion, trial: Trial, lost: str | None) -> DegradedRig:
     subspaces = trial.subspaces
-    return Left(lost, float(vsr_m(subspaces).max()), criterion.of(trial), by_zone(study, subspaces))
+    return DegradedRig(
+        lost, float(vsr_m(subspaces).max()), criterion.of(trial), max_vsr_by_zone(study.zones, subspaces)
+    )
 
 
 def changes_m(study: Study, rig: Rig, step_m: float = STEP_M, step_deg: float = STEP_DEG) -> Array:

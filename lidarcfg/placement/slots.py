@@ -1,15 +1,20 @@
-"""The sensors that a study places: one slot each, in the order of its groups, and the bounds of their poses."""
+"""The sensors that a study places: one slot each, in the order of its groups, and the bounds of their poses.
+
+Where a study lets one choose models, a slot has them with their prices.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarcfg.config.models import NAME_MAX, error_at
 from lidarcfg.geometry import Array
-from lidarcfg.placement.choices import Choices
 from lidarcfg.placement.cones import Lidar, sensor_lidar
 from lidarcfg.placement.study_file import NONE, GroupFile, StudyFile
 from lidarcfg.placement.surfaces import Surface, on_surface
@@ -17,7 +22,65 @@ from lidarcfg.sensors.rig import HOSTS, resolve_sensor
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.vehicle import Vehicle
 
-BETWEEN_DEG = 10.0  # by so much a sensor may tilt less between the places of its surface that were tried
+BETWEEN_DEG = 10.0  # how much less a sensor may tilt between the places of its surface that were tried
+ROLL = 3
+PITCH = 4
+NEARLY_RAD = 1e-3  # bounds that far from half a turn still count as one; the paper's end at 3.1415
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A model that may be chosen for a sensor."""
+
+    model: str  # its name in files
+    sensor: Sensor
+    price: float
+    surface: Surface | None = None  # the surface that it sits on, with its own base
+
+
+Choices = tuple[Choice | None, ...]  # None: no sensor
+
+
+def choices_of(file: StudyFile, path: Path) -> list[Choices]:
+    """The models of each group: those to choose from, or the one that is given; empty if no group has a choice.
+
+    Raises ConfigError for models that are not known, and for two names of one model.
+    """
+    if all(group.choose is None for group in file.sensors):
+        return [() for _ in file.sensors]
+    prices = file.prices or {}
+    found = []
+    for i, group in enumerate(file.sensors):
+        choices: list[Choice | None] = []
+        for n, name in enumerate(group.choose or (group.model or "",)):
+            if name == NONE:
+                choices.append(None)
+                continue
+            at = ("choose", n) if group.choose else ()
+            sensor, model = resolve_sensor(path, i, name, None, *at)
+            if sensor in [choice.sensor for choice in choices if choice]:
+                raise error_at(path, ("sensors", i, *at), f"{name!r} is a choice already under another name")
+            choices.append(Choice(model or name, sensor, prices[name]))
+        found.append(tuple(choices))
+    return found
+
+
+def resolved_prices(file: StudyFile, choices: list[Choices]) -> dict[str, Any]:
+    """The prices, with models named as in resolved files."""
+    names = [group.choose or (group.model,) for group in file.sensors]
+    known = {
+        name: choice.model
+        for group, of_group in zip(names, choices, strict=True)
+        for name, choice in zip(group, of_group, strict=False)
+        if name and choice
+    }
+    return {known.get(name, name): price for name, price in (file.prices or {}).items()}
+
+
+def unused_prices(file: StudyFile) -> list[str]:
+    """The models that have a price but that no sensor may be of."""
+    used = {model for group in file.sensors for model in group.choose or (group.model,)}
+    return [model for model in file.prices or {} if model not in used]
 
 
 @dataclass(frozen=True)
@@ -52,7 +115,10 @@ class Slots:
 def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, path: Path) -> Slots:
     """The slots of a file's groups; `choices` by group. Raises ConfigError."""
     found: list[Slot] = []
-    lower, upper, mirror, member = [], [], [], []
+    lower = []
+    upper = []
+    mirror = []
+    member = []
     for i, (group, models) in enumerate(zip(file.sensors, choices, strict=True)):
         offered = tuple(
             choice and replace(choice, surface=_surface(file, bodies, choice.sensor, path, i)) for choice in models
@@ -71,8 +137,8 @@ def slots_of(file: StudyFile, choices: list[Choices], bodies: Vehicle | None, pa
                 what = f"makes a sensor's name of {len(name)} characters; allowed: at most {NAME_MAX}"
                 raise error_at(path, ("sensors", i, "name"), what)
             image = group.mirror_y_m is not None and number % 2 == 1
-            seat = surface.image if surface and image else surface
-            found.append(Slot(name, sensor, model, group.range_m, fov_deg, seat, offered))
+            own_surface = surface.image if surface and image else surface
+            found.append(Slot(name, sensor, model, group.range_m, fov_deg, own_surface, offered))
             member.append(i)
             lower.append(group.bounds[0])
             upper.append(group.bounds[1])
@@ -89,7 +155,8 @@ def _surface(file: StudyFile, bodies: Vehicle | None, sensor: Sensor, path: Path
     if not (group.on and bodies):
         return None
     surface = on_surface(group.on, bodies, sensor, group.mirror_y_m, path, ("sensors", i, "on"))
-    limit_deg, least_deg = file.constraints.max_tilt_deg, math.degrees(surface.patch.least_tilt_rad)
+    limit_deg = file.constraints.max_tilt_deg
+    least_deg = math.degrees(surface.patch.least_tilt_rad)
     if not group.on.upright and NONE not in (group.choose or ()) and least_deg > limit_deg + BETWEEN_DEG:
         what = f"{limit_deg:g} is impossible: sensors[{i}] tilts by {least_deg:.4g} or more wherever its base was tried"
         raise error_at(path, ("constraints", "max_tilt_deg"), what)
@@ -121,3 +188,34 @@ def check_bounds(file: StudyFile, path: Path, bodies: Vehicle) -> None:
                 f"every place within its bounds is inside the vehicle's {name!r}; move them, or set allow_inside: true"
             )
             raise error_at(path, ("sensors", i), what)
+
+
+def freely_tilted(lidars: Sequence[Lidar], lower: Array, upper: Array, free: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n, 2) the free coordinates that are roll and pitch of sensors that may be tilted any way.
+
+    A sensor whose beams are symmetric sees the same upside down, so half a turn of roll and of pitch are all there is.
+    Where both go from 0 to half a turn, as in the paper, a sensor stands upright in each corner of these bounds, and a
+    search that tilts it a little to the other side would have to jump. Bounds and `free` are (sensors, 6).
+    """
+    number = np.cumsum(free).reshape(free.shape) - 1
+    found = []
+    for i, lidar in enumerate(lidars):
+        symmetric = np.allclose(lidar.sin_elevation, -lidar.sin_elevation[::-1])
+        half_turns = all(
+            free[i, k] and lower[i, k] == 0.0 and abs(upper[i, k] - math.pi) < NEARLY_RAD for k in (ROLL, PITCH)
+        )
+        if symmetric and half_turns:
+            found.append((number[i, ROLL], number[i, PITCH]))
+    return np.array(found, np.int64).reshape(-1, 2)
+
+
+def center_on_upright(unit: Array, angles: NDArray[np.int64]) -> Array:
+    """Where points (n, coordinates) of the unit cube, with upright in its middle, are between the bounds, 0 … 1.
+
+    angles (m, 2): as from freely_tilted. Pitch beyond its bounds is half a turn less, with roll to the other side.
+    """
+    roll, pitch = angles.T
+    out = unit.copy()
+    out[:, roll] = (0.5 + np.where(unit[:, pitch] < 0.5, -1.0, 1.0) * unit[:, roll]) % 1.0
+    out[:, pitch] = (0.5 + unit[:, pitch]) % 1.0
+    return out

@@ -15,20 +15,25 @@ from lidarcfg import core, maths
 from lidarcfg.config.models import NAME_MAX, error_at, errors_at, load, whole_values
 from lidarcfg.files import example
 from lidarcfg.geometry import Array, up
-from lidarcfg.placement.attitudes import freely_tilted, upright_in_the_middle
 from lidarcfg.placement.blind_spots import AZIMUTHS, Directions, directions, outline_m
-from lidarcfg.placement.choices import Choices, choices_of, resolved_prices
 from lidarcfg.placement.cones import Lidar, placed
-from lidarcfg.placement.criterion import EVERY_CASE, Criterion
 from lidarcfg.placement.detection import DetectionObject, check_fits
-from lidarcfg.placement.objective import Objective
+from lidarcfg.placement.objective import EVERY_CASE, Criterion, MissRate, Objective, Trial
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import DetectionTarget, detection_target, target
-from lidarcfg.placement.slots import Slot, check_bounds, slots_of
+from lidarcfg.placement.slots import (
+    Choices,
+    Slot,
+    center_on_upright,
+    check_bounds,
+    choices_of,
+    freely_tilted,
+    resolved_prices,
+    slots_of,
+)
 from lidarcfg.placement.solvers.search import Coordinates
 from lidarcfg.placement.study_file import BUDGETS, NONE, Constraints, Solver, StudyFile, VisibilityFile
 from lidarcfg.placement.surfaces import mirrored, violation
-from lidarcfg.placement.terms import MissRate, Trial
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.placement.zones import Zone, weights, zone
 from lidarcfg.requirements.requirements import Requirements, Site, Source, resolved, sources
@@ -95,7 +100,7 @@ class Study:
 
         1 is exactly upper, except for angles that attitudes.py arranges.
         """
-        return self._settled(self._coordinates(upright_in_the_middle(unit, self._freely_tilted)))
+        return self._repaired(self._coordinates(center_on_upright(unit, self._freely_tilted)))
 
     @cached_property
     def midpoint(self) -> Array:
@@ -104,7 +109,7 @@ class Study:
         for i, slot in enumerate(self.slots):
             if slot.surface and np.isnan(self.mirror[i]):
                 found[0, i, :3] = slot.surface.patch.nearest_m(found[0, i, :3], slot.surface.across)
-        poses: Array = self._settled(found)[0]
+        poses: Array = self._repaired(found)[0]
         return poses
 
     @cached_property
@@ -121,7 +126,7 @@ class Study:
         out[:, free] = np.where(unit == 1.0, high, np.clip(low + unit * (high - low), low, high))
         return out
 
-    def _settled(self, coordinates: Array) -> Array:
+    def _repaired(self, coordinates: Array) -> Array:
         """Coordinates as poses: mirrored sensors get their images' poses, others are placed on their surfaces."""
         images = np.flatnonzero(~np.isnan(self.mirror))
         coordinates[:, images] = mirrored(coordinates[:, images - 1], self.mirror[images])
@@ -135,7 +140,8 @@ class Study:
 
         Sensors off their surface violate them, and sensors inside a closed body unless the vehicle allows that.
         """
-        limit_deg, least_m = self.constraints.max_tilt_deg, self.constraints.min_distance_m
+        limit_deg = self.constraints.max_tilt_deg
+        least_m = self.constraints.min_distance_m
         total = np.zeros(len(poses))
         if limit_deg < 180.0:
             tilt = maths.acos(np.clip(up(poses[..., 3:])[..., 2], -1.0, 1.0))
@@ -154,13 +160,15 @@ class Study:
         lidars = len(self.slots)
         if self.robust is None:
             return 1, lidars
-        kept, drawn = self.robust.kept(lidars), self.robust.drawn
+        kept = self.robust.kept(lidars)
+        drawn = self.robust.drawn
         return len(kept) + drawn, int(kept.sum()) + drawn * lidars
 
     @property
     def objective_cuts(self) -> bool:
         """Whether the objective needs the subspaces: all but detection by returns and the blind spot's distance do."""
-        wanted, returns = self.objective, {item.name for item in self.detection if item.returns}
+        wanted = self.objective
+        returns = {item.name for item in self.detection if item.returns}
         own = (wanted.max_vsr, wanted.inscribed_radius, wanted.blind_volume, wanted.seen_by_two)
         return wanted.is_max_vsr or any(one is not None for one in own) or bool(set(wanted.detection) - returns)
 
@@ -172,7 +180,9 @@ class Study:
     def chosen(self, numbers: Sequence[int], slots: Sequence[Slot], file: dict[str, Any]) -> "Study":
         """The study with these slots instead of its own; each takes the bounds of the slot with its number."""
         rows = list(numbers)
-        lower, upper, mirror = self.lower[rows], self.upper[rows], self.mirror[rows]
+        lower = self.lower[rows]
+        upper = self.upper[rows]
+        mirror = self.mirror[rows]
         return replace(self, slots=tuple(slots), lower=lower, upper=upper, mirror=mirror, file=file)
 
     @property
@@ -235,7 +245,9 @@ class Study:
 
         if self.robust is None:
             return self.criterion().of(at(poses))
-        costs, whole, errors = [], self.criterion(), self.robust.errors(len(self.slots))
+        costs = []
+        whole = self.criterion()
+        errors = self.robust.errors(len(self.slots))
         if self.robust.lost:
             costs.append(self.criterion(self.robust.kept(len(self.slots))).of(at(poses)))
         if self.robust.drawn:
@@ -290,7 +302,8 @@ def study_of(file: StudyFile, path: Path) -> Study:
         if not region.included.any():
             raise error_at(path, ("vehicle",), "leaves no cuboid in the region")
         check_bounds(file, path, bodies)
-    surroundings, zones = _surroundings(file, path), _zones(file, region, path)
+    surroundings = _surroundings(file, path)
+    zones = _zones(file, region, path)
     if file.robust:
         with errors_at(path, "robust", "lost"):
             file.robust.check(len(slots.slots))
@@ -382,7 +395,8 @@ def _resolved(
     file: StudyFile, found: Sequence[Source], slots: tuple[Slot, ...], choices: list[Choices], path: Path
 ) -> dict[str, Any]:
     """The file's values with defaults filled in, and with the paths of models and other files resolved."""
-    values, models = whole_values(file, path.parent), iter(slots)
+    values = whole_values(file, path.parent)
+    models = iter(slots)
     for group in values["sensors"]:
         for slot in islice(models, group["count"]):
             if "choose" in group:

@@ -246,7 +246,8 @@ class StudyFile(Model):
         """
         total = 1
         for group in self.sensors:
-            kinds, places = len(group.choose or (None,)), group.count // group.together
+            kinds = len(group.choose or (None,))
+            places = group.count // group.together
             total *= math.comb(kinds + places - 1, places)
             if total >= COUNTED:
                 return total
@@ -255,7 +256,8 @@ class StudyFile(Model):
 
 def _check_constraints(file: StudyFile) -> None:
     """Raises a fault for constraints that no poses within the bounds keep."""
-    limit_deg, apart_m = file.constraints.max_tilt_deg, file.constraints.min_distance_m
+    limit_deg = file.constraints.max_tilt_deg
+    apart_m = file.constraints.min_distance_m
     boxes = []
     for i, group in enumerate(file.sensors):
         low, high = (np.array(bound) for bound in group.bounds)

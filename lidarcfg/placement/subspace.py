@@ -10,16 +10,13 @@ from numpy.typing import NDArray
 from lidarcfg.core import placement as core
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
-from lidarcfg.placement.components import components
 from lidarcfg.placement.cones import Lidar, cone_rows
-from lidarcfg.placement.grid import Words, count_set, cuboid_number, linked
+from lidarcfg.placement.grid import Labels, compare_labels, count_set, cuboid_number
 from lidarcfg.placement.region import Region, check_voxels
-from lidarcfg.placement.sight import UNLIMITED_SIGHT
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT, Visibility
 
 if TYPE_CHECKING:
     import open3d
-
-    from lidarcfg.placement.visibility import Visibility
 
 BLIND = -1  # the gap index of a LiDAR that does not see a subspace
 
@@ -64,46 +61,46 @@ class Subspaces:
         return self.region.voxel_grid(index, np.stack([level, 0.2 + 0 * level, 1 - level], axis=1))
 
 
-def segment(region: Region, lidars: Sequence[Lidar], visibility: "Visibility | None" = None) -> Subspaces:
+def segment(region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> Subspaces:
     """Cut a region into its connected subspaces. Raises ConfigError where every cuboid is excluded."""
+    sight = visibility.sight(lidars) if visibility else UNLIMITED_SIGHT
+    return connect(compare_labels(region, lidars, sight))
+
+
+def connect(labels: Labels) -> Subspaces:
+    """Connect neighbouring cuboids of the same label to subspaces (paper, III-C), in raster order of first cuboids.
+
+    Raises ConfigError where every cuboid is excluded.
+    """
+    region = labels.region
     if not region.included.any():
         raise ConfigError("the region has no cuboid left: everything is excluded")
-    grid, links, seen = linked(region, lidars, visibility.sight(lidars) if visibility else UNLIMITED_SIGHT)
-    return _subspaces(region, grid, links, lidars, seen)
+    label = np.empty(region.shape, np.int32)
+    cuboids, internal, first = core.label_components(labels.grid, labels.links, label)
+    index = np.unravel_index(first, region.shape)
+    points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
+    gap = core.beam_gaps(points, cone_rows(labels.lidars))
+    if labels.seen is None:
+        return Subspaces(region, label, cuboids, internal, gap, first)
+    i, j, k = index
+    number = cuboid_number(labels.grid, (i, j, k))
+    is_seen = labels.seen[:, number >> 6] >> (number & 63).astype(np.uint64) & np.uint64(1)
+    gap[is_seen.T == 0] = BLIND
+    return Subspaces(region, label, cuboids, internal, gap, first, count_set(region, labels.seen))
 
 
 class Links:
     """The links of each LiDAR, computed once, for the subspaces of any of them."""
 
-    def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: "Visibility | None" = None) -> None:
-        self._region = region
-        self._lidars = lidars
+    def __init__(self, region: Region, lidars: Sequence[Lidar], visibility: Visibility | None = None) -> None:
         sights = [visibility.sight([one]) if visibility else UNLIMITED_SIGHT for one in lidars]
-        each = [linked(region, [one], sight) for one, sight in zip(lidars, sights, strict=True)]
-        self._grid = each[0][0]
-        self._links = np.stack([links for _, links, _ in each])  # (lidars, rows, 3)
-        seen = [words for _, _, words in each if words is not None]
-        self._seen = np.concatenate(seen) if seen else None  # (lidars, rows)
+        self._each = [compare_labels(region, [one], sight) for one, sight in zip(lidars, sights, strict=True)]
 
     def subspaces(self, kept: Sequence[int]) -> Subspaces:
-        """The result of `segment` for these LiDARs alone."""
-        which = list(kept)
-        links = np.bitwise_and.reduce(self._links[which])
-        seen = None if self._seen is None else self._seen[which]
-        return _subspaces(self._region, self._grid, links, [self._lidars[i] for i in which], seen)
-
-
-def _subspaces(
-    region: Region, grid: core.Grid, links: Words, lidars: Sequence[Lidar], seen_words: Words | None
-) -> Subspaces:
-    """The subspaces by their links (rows, 3), and by what the LiDARs see (lidars, rows) if sight is limited."""
-    label, cuboids, internal, first = components(grid, links)
-    index = np.unravel_index(first, region.shape)
-    points = np.stack([axis[n] for axis, n in zip(region.centres(), index, strict=True)], axis=1)
-    gap = core.beam_gaps(points, cone_rows(lidars))
-    if seen_words is None:
-        return Subspaces(region, label, cuboids, internal, gap, first)
-    i, j, k = index
-    number = cuboid_number(grid, (i, j, k))
-    gap[(seen_words[:, number >> 6] >> (number & 63).astype(np.uint64) & np.uint64(1)).T == 0] = BLIND
-    return Subspaces(region, label, cuboids, internal, gap, first, count_set(region, seen_words))
+        """The subspaces that `segment` finds for these LiDARs alone."""
+        ones = [self._each[i] for i in kept]
+        links = np.bitwise_and.reduce([one.links for one in ones])
+        seen = [one.seen for one in ones if one.seen is not None]
+        lidars = [one.lidars[0] for one in ones]
+        first = ones[0]
+        return connect(Labels(first.region, lidars, first.grid, links, np.concatenate(seen) if seen else None))

@@ -28,7 +28,7 @@ from lidarcfg.world.vehicle import Solid, Vehicle
 Side = Literal["above", "front", "rear", "left", "right"]
 OUT: dict[str, tuple[int, int]] = {"above": (2, 1), "front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1)}
 OPPOSITE = {"left": "right", "right": "left"}  # in a mirror along the vehicle
-RINGS = ((0.5, 8), (1.0, 16))  # of a disc's samples, beside its middle: radius, number
+RINGS = ((0.5, 8), (1.0, 16))  # of a disc's samples, besides its middle: radius, number
 DISC = np.array(
     [(0.0, 0.0)]
     + [
@@ -112,7 +112,9 @@ class Surface:
     @cached_property
     def image(self) -> "Surface":
         """The surface of the other sensor of a pair."""
-        low, high, y_m = self.low_m.copy(), self.high_m.copy(), self.mirror_y_m or 0.0
+        low = self.low_m.copy()
+        high = self.high_m.copy()
+        y_m = self.mirror_y_m or 0.0
         low[1], high[1] = 2 * y_m - self.high_m[1], 2 * y_m - self.low_m[1]
         side = OPPOSITE.get(self.side, self.side)
         return replace(self, side=side, low_m=low, high_m=high, is_image=not self.is_image)
@@ -133,7 +135,8 @@ class Surface:
         pitch_m = max(self.radius_m / RELIEF, math.sqrt(area / RELIEF_MAX))
         lines = [np.arange(low, high + 2 * pitch_m, pitch_m) for low, high in edges]
         points = np.zeros((len(lines[0]), len(lines[1]), 3))
-        points[..., self.across[0]], points[..., self.across[1]] = lines[0][:, None], lines[1]
+        points[..., self.across[0]] = lines[0][:, None]
+        points[..., self.across[1]] = lines[1]
         return Relief((float(lines[0][0]), float(lines[1][0])), pitch_m, self.radius_m, self.heights_m(points))
 
     def heights_m(self, points_m: Array) -> Array:
@@ -144,7 +147,8 @@ class Surface:
 
     def seen(self, points_m: Array) -> Hits:
         """The first hits of the lines of sight through points (N, 3) on the vehicle."""
-        starts, inward = points_m.copy(), np.zeros_like(points_m)
+        starts = points_m.copy()
+        inward = np.zeros_like(points_m)
         starts[:, self.axis] = self.sign * self._start_m
         inward[:, self.axis] = -self.sign
         return self.tracer.cast(starts, inward)
@@ -174,7 +178,8 @@ class Surface:
 
     def violation(self, poses: Array) -> Array:
         """(n,) by how much sensors at poses (n, 6) are off the surface, in metres; 0 where they sit on it."""
-        bases, mount = self.bases_m(poses), self._mount(poses)
+        bases = self.bases_m(poses)
+        mount = self._mount(poses)
         heights = self.heights_m(bases[:, None] + self._disc_m)
         away = (heights - self.sign * bases[:, self.axis, None]) * (self.sign * mount[:, self.axis, None])
         for axis in self.across:
@@ -192,7 +197,9 @@ class Surface:
 
     def roughness(self, poses: Array) -> Array:
         """(n,) by how much the relief under bases at poses (n, 6), all without violation, departs from their planes."""
-        relief, mount, bases = self.relief, self._mount(poses), self.bases_m(poses)
+        relief = self.relief
+        mount = self._mount(poses)
+        bases = self.bases_m(poses)
         points, away = zip(*(relief.under(bases[:, axis], i) for i, axis in enumerate(self.across)), strict=True)
         heights = relief.heights_m[points[0][:, :, None], points[1][:, None, :]]
         off = (heights - self.sign * bases[:, self.axis, None, None]) * (self.sign * mount[:, self.axis, None, None])
@@ -277,7 +284,8 @@ class Patch:
     def cells_m(self) -> Array:
         """(F, 4, 3) the cells of the grid at whose corners bases fit."""
         index = [np.arange(max(count, 2)).clip(max=count - 1) for count in self.fits.shape]  # a line has cells, too
-        bases, fits = self.bases_m[np.ix_(*index)], self.fits[np.ix_(*index)]
+        bases = self.bases_m[np.ix_(*index)]
+        fits = self.fits[np.ix_(*index)]
         corners = [(slice(a, a - 1 or None), slice(b, b - 1 or None)) for a, b in ((0, 0), (1, 0), (1, 1), (0, 1))]
         whole = np.logical_and.reduce([fits[corner] for corner in corners])
         cells: Array = np.stack([bases[corner][whole] for corner in corners], axis=1)
@@ -363,7 +371,8 @@ def on_surface(
         upright=file.upright,
         mirror_y_m=mirror_y_m,
     )
-    tried, seen = surface.patch, f"of {file.body!r} as seen from {'' if file.side == 'above' else 'the '}{file.side}"
+    tried = surface.patch
+    seen = f"of {file.body!r} as seen from {'' if file.side == 'above' else 'the '}{file.side}"
     if not tried.hit.any():
         raise error_at(path, (*at, "within"), f"holds nothing {seen}")
     if not tried.fits.any():

@@ -6,6 +6,7 @@ lies on hides it, nor one that the LiDAR stands on.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +14,31 @@ from numpy.typing import NDArray
 from lidarcfg import core, maths
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import Lidar, cone_rows
-from lidarcfg.placement.grid import seen_words, unpack
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sight import BEYOND, LIMITS, UNLIMITED_SIGHT, WITHIN, Sight
-from lidarcfg.world.obstacles import Obstacles
+from lidarcfg.world.obstacles import NO_OBSTACLES, Obstacles
 from lidarcfg.world.scene import Scene
 from lidarcfg.world.vehicle import obstacles
 
+LIMITS = 9  # columns of Sight.limits
+WITHIN = 1.0  # the kind of a field of view of up to half a turn; 0: all around
+BEYOND = 2.0  # of a wider one
 ROUND_M = 1024.0  # the local origin is a multiple of it, so that subtracting it loses nothing
 EXACT = 1e-15  # a cosine or sine below it is 0
 
 
+class Sight(NamedTuple):
+    """What LiDARs at known poses may see, as the core takes it; no rows of limits: everything."""
+
+    limits: Array  # (lidars, 9) least and greatest range, squared; the normals of two planes; kind of field of view
+    obstacles: Obstacles
+
+
+UNLIMITED_SIGHT = Sight(np.empty((0, LIMITS)), NO_OBSTACLES)
+
+
 @dataclass(frozen=True)
 class Visibility:
-    """What limits the sight of LiDARs, beside their beams."""
+    """What limits the sight of LiDARs, besides their beams."""
 
     obstacles: Obstacles
     range: bool = True
@@ -53,7 +65,7 @@ class Visibility:
         return len(self.obstacles.tree) > 0 or self.obstacles.ground_m < np.inf
 
     def transparent(self) -> "Visibility":
-        """The same as if nothing hid anything."""
+        """This without obstacles: nothing hides anything."""
         return replace(self, obstacles=UNLIMITED_SIGHT.obstacles)
 
     def limits(self, lidars: Sequence[Lidar], level: Array | None = None) -> Array:
@@ -80,10 +92,6 @@ class Visibility:
     def sight(self, lidars: Sequence[Lidar]) -> Sight:
         """What the core takes of these LiDARs."""
         return Sight(self.limits(lidars), self.obstacles)
-
-    def seen(self, region: Region, lidars: Sequence[Lidar]) -> NDArray[np.bool_]:
-        """(lidars, nx, ny, nz): which cuboids each LiDAR sees; none that is excluded."""
-        return unpack(region, seen_words(region, lidars, self.sight(lidars)))
 
     def seen_points(self, points_m: Array, lidar: Lidar) -> NDArray[np.bool_]:
         """(N,): which points (N, 3) a LiDAR sees."""

@@ -72,7 +72,7 @@ def zone(file: ZoneFile, region: Region) -> Zone:
     return found
 
 
-def the_rest(zones: Sequence[Zone], region: Region) -> Iterator[NDArray[np.bool_]]:
+def outside_zones(zones: Sequence[Zone], region: Region) -> Iterator[NDArray[np.bool_]]:
     """Which cuboids that count lie in no zone, by layer along x: (ny, nz) each."""
     cells = [one.cells(region) for one in zones]
     for i, included in enumerate(region.included):
@@ -86,9 +86,28 @@ def the_rest(zones: Sequence[Zone], region: Region) -> Iterator[NDArray[np.bool_
 def rest_max_vsr_m(zones: Sequence[Zone], subspaces: Subspaces, vsr: Array) -> float | None:
     """The largest of the VSRs (n,) of subspaces that have a cuboid in no zone; None where there is none."""
     found = np.zeros(len(vsr), np.bool_)
-    for label, rest in zip(subspaces.label, the_rest(zones, subspaces.region), strict=True):
+    for label, rest in zip(subspaces.label, outside_zones(zones, subspaces.region), strict=True):
         found[label[rest]] = True
     return float(vsr[found].max()) if found.any() else None
+
+
+@dataclass(frozen=True)
+class ZoneVsr:
+    """Max VSR in a zone."""
+
+    name: str
+    weight: float
+    max_vsr_m: float
+
+
+def max_vsr_by_zone(zones: Sequence[Zone], subspaces: Subspaces) -> tuple[ZoneVsr, ...]:
+    """Max VSR in each zone and outside of them; empty without zones."""
+    if not zones:
+        return ()
+    vsr = vsr_m(subspaces)
+    found = [ZoneVsr(zone.name, zone.weight, zone.max_vsr_m(subspaces, vsr)) for zone in zones]
+    rest = rest_max_vsr_m(zones, subspaces, vsr)
+    return (*found, ZoneVsr(ELSEWHERE, 1.0, rest)) if rest is not None else tuple(found)
 
 
 class Weights(NamedTuple):
@@ -102,7 +121,8 @@ def weights(zones: Sequence[Zone], region: Region) -> Weights | None:
     """By cuboid the greatest weight of its zones, 1 in none; None without zones. Raises LidarcfgError."""
     if not zones:
         return None
-    level, cuboids = np.unique([1.0, *(one.weight for one in zones)]), region.included.size
+    level = np.unique([1.0, *(one.weight for one in zones)])
+    cuboids = region.included.size
     what = f"weighing {cuboids:,} cuboids by zones of {len(level)} weights"
     check_memory(what, (WEIGHT_BYTES + len(level) / 8) * cuboids, "use larger cuboids or fewer weights")
     number = np.zeros(region.shape, np.min_scalar_type(len(level)))
@@ -110,12 +130,13 @@ def weights(zones: Sequence[Zone], region: Region) -> Weights | None:
         part = number[one.cells(region)]
         np.maximum(part, np.searchsorted(level, one.weight).astype(number.dtype) + number.dtype.type(1), out=part)
     elsewhere = np.searchsorted(level, 1.0) + 1
-    for layer, rest, included in zip(number, the_rest(zones, region), region.included, strict=True):
-        layer[rest], layer[~included] = elsewhere, 0
+    for layer, rest, included in zip(number, outside_zones(zones, region), region.included, strict=True):
+        layer[rest] = elsewhere
+        layer[~included] = 0
     return Weights(level, number)
 
 
-def worth_m(subspaces: Subspaces, weight: Weights | None) -> Array:
+def weighted_vsr_m(subspaces: Subspaces, weight: Weights | None) -> Array:
     """(n,) the VSR of subspaces, times the greatest weight of their cuboids."""
     vsr = vsr_m(subspaces)
     if weight is None:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from lidarcfg.placement.details import Details
+from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.report.html import Figure, Table
 from lidarcfg.sensors.rig import Rig
 
@@ -19,7 +19,7 @@ class Baseline:
 
     rig: Rig
     file: str
-    details: Details
+    details: ReportInputs
 
 
 def beside(table: Table | None, baseline: Table | None) -> Table | None:

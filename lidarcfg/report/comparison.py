@@ -11,8 +11,8 @@ from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
+from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.baseline import Baseline
@@ -47,7 +47,7 @@ class Contender:
     letter: str  # identifies it, even if the same rig is compared twice
     rig: Rig
     file: str
-    details: Details
+    details: ReportInputs
 
     @property
     def found(self) -> Evaluation:
@@ -75,7 +75,7 @@ def check_count(rigs: int) -> None:
         raise ConfigError(f"{counted(rigs, 'rig')} to compare; allowed: 2 to {RIGS_MAX}")
 
 
-def contenders(named: Sequence[tuple[str, Rig, Details]]) -> list[Contender]:
+def contenders(named: Sequence[tuple[str, Rig, ReportInputs]]) -> list[Contender]:
     """The rigs as (file, rig, details), lettered in their order. Raises ConfigError unless there are 2 to 10."""
     check_count(len(named))
     return [
@@ -84,7 +84,7 @@ def contenders(named: Sequence[tuple[str, Rig, Details]]) -> list[Contender]:
     ]
 
 
-def with_baseline(rig: Rig, file: Path, details: Details, baseline: Baseline) -> list[Contender]:
+def with_baseline(rig: Rig, file: Path, details: ReportInputs, baseline: Baseline) -> list[Contender]:
     """A result and its baseline."""
     return contenders([(str(file), rig, details), (baseline.file, baseline.rig, baseline.details)])
 

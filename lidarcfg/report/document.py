@@ -9,10 +9,10 @@ import numpy as np
 from lidarcfg import __version__
 from lidarcfg.config.document import yaml_text
 from lidarcfg.placement.analytic import Analytic
-from lidarcfg.placement.details import Details
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation, Worst
 from lidarcfg.placement.optimize import Placement
+from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report import drawings
 from lidarcfg.report.baseline import Baseline, beside, figures_beside
@@ -55,7 +55,7 @@ class Commands:
 def report(
     study: Study,
     rig: Rig,
-    details: Details,
+    details: ReportInputs,
     values: dict[str, Any],
     placement: Placement | None,
     commands: Commands | None,
@@ -90,7 +90,7 @@ def report(
         vehicle=[f"{value:.2f}" for value in details.vehicle_m],
         limits=describe_limits(study),
         coverage=_coverage(details, rig),
-        hides=describe_hiding(details.hiding),
+        hides=describe_hiding(details.gap_fits),
         analytic=_analytic(found, found.analytic, baseline) if found.analytic else None,
         exact_rates=any(not item.samples for item in study.detection),
         drawn_rates=any(item.samples for item in study.detection),
@@ -103,14 +103,14 @@ def report(
     )
 
 
-def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]:
+def _tables(study: Study, rig: Rig, details: ReportInputs) -> dict[str, Table | None]:
     """The tables of a rig by their names in the template."""
     found = details.evaluation
     robust = details.evaluation.robustness
     return {
         "mounts": mounts_table(rig),
         "worst": _worst(found),
-        "hiding": _hiding(details) if details.hiding else None,
+        "hiding": _hiding(details) if details.gap_fits else None,
         "detection": _detection(study, found),
         "rings": _rings(details.rings),
         "zones": zones_table(found.zones) if found.zones else None,
@@ -123,7 +123,7 @@ def _tables(study: Study, rig: Rig, details: Details) -> dict[str, Table | None]
 
 
 def _drawings(
-    study: Study, rig: Rig, details: Details, placement: Placement | None, baseline: Baseline | None
+    study: Study, rig: Rig, details: ReportInputs, placement: Placement | None, baseline: Baseline | None
 ) -> dict[str, Any]:
     found = details.evaluation
     region = study.region
@@ -133,7 +133,7 @@ def _drawings(
     rings: list[tuple[str, Any]] = [("", {name: details.rings[name] for name in shown})]
     if baseline:
         rings = [(item, {name: one.rings[item] for name, one in both}) for item in shown]
-    places = {name: details.places[name] for name in shown if name in details.places}
+    places = {name: details.detection_maps[name] for name in shown if name in details.detection_maps}
     return {
         "mounts": drawings.draw_mounts(study, rig),
         "surfaces": draw_surfaces(study, rig) if any(slot.surface for slot in study.slots) else None,
@@ -153,7 +153,7 @@ def _of_baseline(baseline: Baseline) -> list[Figure]:
     return _summary(replace(baseline.details, midpoint_max_vsr_m=None))
 
 
-def _summary(details: Details) -> list[Figure]:
+def _summary(details: ReportInputs) -> list[Figure]:
     found = details.evaluation
     midpoint = details.midpoint_max_vsr_m
     worst = found.worst[0]
@@ -228,10 +228,10 @@ def _worst(found: Evaluation) -> Table:
     return Table(caption, ("", *sizes, "between the beams, by sensor"), rows, texts=(6,))
 
 
-def _hiding(details: Details) -> Table:
+def _hiding(details: ReportInputs) -> Table:
     """Which objects fit into a subspace."""
     rows = []
-    for name, found in details.hiding.items():
+    for name, found in details.gap_fits.items():
         row = [truncate(name), "yes" if found.in_worst else "no", f"{found.subspaces:,}"]
         if found.nearest_at_m is None:
             rows.append([*row, "–", "–", "–"])
@@ -250,7 +250,7 @@ def _hiding(details: Details) -> Table:
     return Table(caption, head, rows, texts=(1, 5))
 
 
-def _shape(details: Details) -> Table:
+def _shape(details: ReportInputs) -> Table:
     """Sizes of the subspaces, and beams across poles."""
     found = details.evaluation
     known = details.coverage
@@ -310,7 +310,7 @@ def _rings(rings: dict[str, Rings]) -> Table | None:
     return Table("Detection rate and number of positions, by distance", ("distance (m)", *rings), rows)
 
 
-def _coverage(details: Details, rig: Rig) -> dict[str, str | None]:
+def _coverage(details: ReportInputs, rig: Rig) -> dict[str, str | None]:
     known = details.coverage
     return {
         "beams": f"{known.median_beams:g}",

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.coverage import Coverage
-from lidarcfg.placement.details import Details, Places
 from lidarcfg.placement.detection import Rings
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Placement
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.report_inputs import Coverage, DetectionMap, ReportInputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report.canvas import (
     BAR_IN,
@@ -212,7 +211,7 @@ def draw_worst(study: Study, rig: Rig, found: Evaluation) -> Markup:
     return drawing("worst", 4.6, alt, draw)
 
 
-def draw_sizes(named: Sequence[tuple[str, Details]]) -> Markup:
+def draw_sizes(named: Sequence[tuple[str, ReportInputs]]) -> Markup:
     """Histograms of VSR: the number of subspaces, and the percentage of the region's volume that they hold."""
     most = max(rig.evaluation.max_vsr_m for _, rig in named)
     least = min(float(rig.evaluation.vsr_m.min()) for _, rig in named)
@@ -281,7 +280,7 @@ def least_detected(found: Sequence[Evaluation]) -> list[str]:
     return sorted(by_rate[:OBJECTS_MAX], key=names.index)
 
 
-def draw_places(region: Region, rig: Rig, places: Mapping[str, Places]) -> Markup:
+def draw_places(region: Region, rig: Rig, places: Mapping[str, DetectionMap]) -> Markup:
     """Where each object is detected, from above."""
     size = region.max_m - region.min_m
     columns = min(len(places), 2)

@@ -17,9 +17,9 @@ from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
-from lidarcfg.placement.details import details
 from lidarcfg.placement.front import Candidate, Front, Point
 from lidarcfg.placement.optimize import Log
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import Study
 from lidarcfg.report.document import Commands
 from lidarcfg.report.front_plot import draw_front, front_svg
@@ -103,7 +103,7 @@ def _save_point(point: Point, folder: Path, commands: Commands) -> None:
     """Write the study of a combination, and the results of its search as `optimize` writes them."""
     study = point.combination.study
     found = point.placement
-    shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+    shown = report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
     write_text(yaml_text(study.file), folder / STUDY)
     save_placement(study, found, shown, folder, commands)
 

@@ -17,9 +17,9 @@ from lidarcfg.clouds.cloud import read_arrays
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.placement.blind_spots import Contour
-from lidarcfg.placement.details import Details
 from lidarcfg.placement.evaluation import Evaluation
 from lidarcfg.placement.optimize import Log, Placement
+from lidarcfg.placement.report_inputs import ReportInputs
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES
@@ -126,7 +126,7 @@ def baseline_dict(study: Study, baseline: Baseline) -> dict[str, Any]:
 def save_evaluation(
     study: Study,
     rig: Rig,
-    details: Details,
+    details: ReportInputs,
     folder: Path,
     commands: Commands | None = None,
     baseline: Baseline | None = None,
@@ -147,7 +147,7 @@ def save_evaluation(
 def save_placement(
     study: Study,
     found: Placement,
-    details: Details,
+    details: ReportInputs,
     folder: Path,
     commands: Commands | None = None,
     baseline: Baseline | None = None,

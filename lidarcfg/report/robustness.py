@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Left, Robustness, ZoneVsr
+from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, DegradedRig, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
+from lidarcfg.placement.zones import ZoneVsr
 from lidarcfg.report.canvas import colour, drawing, label
 from lidarcfg.report.html import Table
 from lidarcfg.report.names import truncate
@@ -41,7 +42,7 @@ def lost_table(found: Robustness, study: Study) -> Table:
     """Max VSR with each LiDAR lost, in all and by zone, and the study's objective if it is another."""
     with_objective = bool(study.zones) or not study.objective.is_max_vsr
 
-    def row(left: Left) -> list[str]:
+    def row(left: DegradedRig) -> list[str]:
         more = left.max_vsr_m / found.whole.max_vsr_m - 1
         values = [f"{left.max_vsr_m:.6f}", f"{more:+.1%}" if left.lost is not None else ""]
         values += [f"{zone.max_vsr_m:.6f}" for zone in left.zones]

@@ -8,7 +8,7 @@ from typing import Any
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.files import replacing
-from lidarcfg.placement.plan import Plan, Run, versions
+from lidarcfg.placement.plan import Plan, SweepCase, versions
 from lidarcfg.placement.sweep import Outcome
 from lidarcfg.report.plots import save_figure
 from lidarcfg.report.results import check_writable, to_json
@@ -42,7 +42,7 @@ class SweepFolder:
         with replacing(self.folder / PLAN) as file:
             file.write(self._about)
 
-    def row(self, run: Run) -> Row | None:
+    def row(self, run: SweepCase) -> Row | None:
         """A run's row of the table, or None if it is not done."""
         with suppress(OSError, ValueError):
             found = json.loads((self._at(run) / "result.json").read_text())
@@ -50,7 +50,7 @@ class SweepFolder:
                 return self._row(run, found)
         return self._failed.get(run.number)
 
-    def save(self, run: Run, outcome: Outcome) -> None:
+    def save(self, run: SweepCase, outcome: Outcome) -> None:
         """Save the result of a run, unless another attempt may end otherwise."""
         found = outcome.found | {"rig": None, "version": versions()["lidarcfg"], "error": outcome.error or None}
         if outcome.rig:
@@ -96,10 +96,10 @@ class SweepFolder:
         save_figure(figure, self.folder / PLOT)
         return [PLOT]
 
-    def _at(self, run: Run) -> Path:
+    def _at(self, run: SweepCase) -> Path:
         return self.folder / "runs" / run.digest
 
-    def _row(self, run: Run, found: Row) -> Row:
+    def _row(self, run: SweepCase, found: Row) -> Row:
         values = {
             path: value if path in self._plain or value is None else json.dumps(value, ensure_ascii=False)
             for path, value in run.values.items()

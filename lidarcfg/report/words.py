@@ -13,8 +13,7 @@ from lidarcfg import __version__
 from lidarcfg.errors import ConfigError
 from lidarcfg.geometry import Array
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.detection import DetectionObject, Returns
-from lidarcfg.placement.hiding import Hiding
+from lidarcfg.placement.detection import DetectionObject, GapFit, Returns
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.return_counts import HEADINGS_DEG, STEP_M
 from lidarcfg.placement.study import Study
@@ -97,7 +96,7 @@ def describe_object(item: DetectionObject) -> str:
     return f"{size} m, {where}, {how}; detected if in more than {counted(item.most_touched, 'subspace')}"
 
 
-def describe_hiding(hiding: Mapping[str, Hiding]) -> list[str]:
+def describe_hiding(hiding: Mapping[str, GapFit]) -> list[str]:
     """A sentence for each object: whether it can be where no beam enters it, and where."""
     return [
         f"{truncate(name)} ({_size(found.size_m)}, {_heights(found)}) {_fits(found)}." for name, found in hiding.items()
@@ -108,11 +107,11 @@ def _size(size_m: Sequence[float]) -> str:
     return " × ".join(f"{edge:g}" for edge in size_m) + " m"
 
 
-def _heights(found: Hiding) -> str:
+def _heights(found: GapFit) -> str:
     return "on the ground" if found.on_ground else "at any height"
 
 
-def _fits(found: Hiding) -> str:
+def _fits(found: GapFit) -> str:
     if found.nearest_at_m is None:
         return "fits into no gap: wherever it is, a beam or the edge of a sensor's sight crosses it"
     at = vector(found.nearest_at_m, ".1f")

@@ -8,7 +8,7 @@ from lidarcfg.files import shipped
 from lidarcfg.requirements.file import ObjectFile
 from lidarcfg.simulate.returns import Target
 from lidarcfg.world.meshes import box_mesh, read_mesh
-from lidarcfg.world.scene import Box
+from lidarcfg.world.scene_file import Box
 from lidarcfg.world.solids import open_edges, welded
 
 

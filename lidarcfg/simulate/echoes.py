@@ -1,4 +1,4 @@
-"""What a sensor reports of its hits: echoes of a wide beam, rain and fog, repeatable from a seed.
+"""Echoes of a wide beam: what its rays hit, merged, and what rain and fog send back.
 
 The power of an echo follows the LiDAR equation for extended Lambertian targets, P ~ ρ cos θ exp(-2 α r) / r²
 (Jelalian, Laser Radar Systems, 1992, ch. 1; Rasshofer, Spies and Spies, Adv. Radio Sci. 9, 2011, 49-60).
@@ -17,8 +17,8 @@ from lidarcfg.core import simulate
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import Sensor
-from lidarcfg.simulate.noise import CELL, lose, roughen, uniforms
-from lidarcfg.world.scene import Weather
+from lidarcfg.simulate.random_numbers import CELL, uniforms
+from lidarcfg.world.scene_file import Weather
 
 PULSE_M = 0.75  # half the length of a 5 ns pulse: a guess, no maker states it
 CELLS = 24  # of PULSE_M, from the sensor's minimum range on, that rain and fog can send an echo from
@@ -64,6 +64,7 @@ class Echoes:
     noise_m: Array  # to be added
     reflectivity: NDArray[np.uint8]
     object: NDArray[np.int32]  # -1: none, or rain and fog
+    strongest_m: Array  # (N,) the exact range of the strongest echo, reported or not
 
 
 def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.int32], return_mode: str) -> Echoes:
@@ -74,6 +75,7 @@ def single(range_m: Array, reflectivity: NDArray[np.uint8], objects: NDArray[np.
         noise_m=np.broadcast_to(0.0, shape),
         reflectivity=np.broadcast_to(reflectivity, shape),
         object=np.broadcast_to(objects, shape),
+        strongest_m=range_m[:, 0],
     )
 
 
@@ -109,12 +111,12 @@ def echoes(
     hits: SubRays,
     candidates: Sequence[int] = CANDIDATES,
 ) -> Echoes:
-    """Candidates (N, C) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
+    """Exact candidates (N, C) of firings `first` to `first` + N, whose beams are rays with weights (K,)."""
     assert sensor.range
     count = len(hits.range_m)
     alpha = extinction_per_m(weather)
-    others = 0 if candidates[0] == STRONGEST else 1  # noise is alike for the strongest and those at its range
-    which = np.array([*[STRONGEST] * others, *candidates], np.uint8)
+    extra = 0 if candidates[0] == STRONGEST else 1
+    which = np.array([STRONGEST, *candidates][1 - extra :], np.uint8)
     least = 0.1 / realism.range_10_percent_m**2 if realism.range_10_percent_m else 0.0
     if alpha and not least:
         least = 0.1 / sensor.range.max_m**2
@@ -128,12 +130,17 @@ def echoes(
         noise_m=np.zeros((count, len(which))),
         reflectivity=np.empty((count, len(which)), np.uint8),
         object=np.empty((count, len(which)), np.int32),
+        strongest_m=np.empty(0),
     )
     range_max_m = sensor.range.reported_m[1]
     simulate.merge_echoes(hits, weights, range_max_m, _step_rad(sensor, realism), least, droplets, fade, which, found)
-    lose(found, realism, sensor_index, first)
-    roughen(found, realism, sensor_index, first)
-    return Echoes(*(np.ascontiguousarray(values[:, others:]) for values in vars(found).values()))
+    return Echoes(
+        range_m=np.ascontiguousarray(found.range_m[:, extra:]),
+        noise_m=np.ascontiguousarray(found.noise_m[:, extra:]),
+        reflectivity=np.ascontiguousarray(found.reflectivity[:, extra:]),
+        object=np.ascontiguousarray(found.object[:, extra:]),
+        strongest_m=found.range_m[:, 0].copy(),
+    )
 
 
 def _step_rad(sensor: Sensor, realism: Realism) -> float:

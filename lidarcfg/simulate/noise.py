@@ -1,48 +1,34 @@
-"""Noise and dropouts: random numbers by firing and by laser, repeatable from a seed.
+"""Noise, dropouts and the constant errors of lasers, applied to the echoes of firings.
 
 The figures of real sensors stand in `sensors/*.yaml`; tests/simulate/roughness.py measures them.
 """
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.sensors.realism import Realism
+from lidarcfg.simulate.echoes import Echoes
+from lidarcfg.simulate.random_numbers import ALONE, DROPOUT, INTENSITY, LASER, NOISE, uniforms
 
-if TYPE_CHECKING:
-    from lidarcfg.simulate.echoes import Echoes
-
-DROPOUT, NOISE, CELL, LASER, INTENSITY, ALONE = range(6)  # streams of random numbers
 DARK = 2  # reflectivities below are of dark targets
 
 
-def uniforms(realism: Realism, sensor_index: int, stream: int, first: int, count: int) -> Array:
-    """Random numbers `first` to `first` + count of a stream, in (0, 1), independent of how the stream is divided.
-
-    `first` and `count` are multiples of four: Philox generates four at a time.
-    """
-    assert first % 4 == 0
-    assert count % 4 == 0
-    philox = np.random.Philox(key=[realism.seed, 8 * sensor_index + stream], counter=[first // 4, 0, 0, 0])
-    return np.random.Generator(philox).random(count) + 2.0**-54
-
-
-def lose(found: "Echoes", realism: Realism, sensor_index: int, first: int) -> None:
-    """Remove all echoes of some firings; firings are numbered from `first` on."""
+def apply_dropout(found: Echoes, realism: Realism, sensor_index: int, first: int) -> None:
+    """Remove all echoes of a fraction of the firings; firings are numbered from `first` on."""
     if realism.dropout_fraction:
         lost = uniforms(realism, sensor_index, DROPOUT, first, len(found.range_m)) < realism.dropout_fraction
         found.range_m[lost] = np.inf
+        found.strongest_m[lost] = np.inf
 
 
-def roughen(found: "Echoes", realism: Realism, sensor_index: int, first: int) -> None:
+def add_noise(found: Echoes, realism: Realism, sensor_index: int, first: int) -> None:
     """Write the range noise of each candidate, and add noise to its reflectivity; equal echoes get equal noise."""
     dark_m = realism.range_noise_m if realism.dark_noise_m is None else realism.dark_noise_m
     if realism.range_noise_m or dark_m:
         sigma_m = np.where(found.reflectivity < DARK, dark_m, realism.range_noise_m)
-        found.noise_m[:] = sigma_m * _normals(realism, sensor_index, NOISE, first, found.range_m)
+        found.noise_m[:] = sigma_m * _normals(realism, sensor_index, NOISE, first, found)
     if realism.intensity_noise:
-        levels = realism.intensity_noise * _normals(realism, sensor_index, INTENSITY, first, found.range_m)
+        levels = realism.intensity_noise * _normals(realism, sensor_index, INTENSITY, first, found)
         found.reflectivity[:] = np.clip(np.rint(found.reflectivity + levels), 0, 255)
 
 
@@ -60,18 +46,18 @@ def laser_errors_m(realism: Realism, sensor_index: int, lasers: int) -> Array:
     return np.asarray(realism.laser_error_m * (scores / scores.std())[which])
 
 
-def separate(pairs: "Echoes", realism: Realism, sensor_index: int, first: int) -> None:
-    """Empty one slot of some dual returns (N, 2), strongest and last."""
+def drop_one_return(pairs: Echoes, realism: Realism, sensor_index: int, first: int) -> None:
+    """Drop the strongest or the last of a fraction of dual returns (N, 2), in that order."""
     if realism.last_alone_fraction or realism.strongest_alone_fraction:
         drawn = uniforms(realism, sensor_index, ALONE, first, len(pairs.range_m))
         pairs.range_m[drawn < realism.last_alone_fraction, 0] = np.inf
         pairs.range_m[1 - drawn < realism.strongest_alone_fraction, 1] = np.inf
 
 
-def _normals(realism: Realism, sensor_index: int, stream: int, first: int, range_m: Array) -> Array:
-    """Normal numbers for candidates (N, R): one for the strongest and those at its range, one for the others."""
+def _normals(realism: Realism, sensor_index: int, stream: int, first: int, found: Echoes) -> Array:
+    """Normal numbers for echoes (N, R): one for the strongest and those at its range, one for the others."""
     from scipy.special import ndtri
 
-    count = len(range_m)
+    count = len(found.range_m)
     normal = ndtri(uniforms(realism, sensor_index, stream, 2 * first, 2 * count)).reshape(count, 2)
-    return np.asarray(np.where(range_m == range_m[:, :1], normal[:, :1], normal[:, 1:]))
+    return np.asarray(np.where(found.range_m == found.strongest_m[:, None], normal[:, :1], normal[:, 1:]))

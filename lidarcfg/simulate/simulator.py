@@ -14,9 +14,9 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Mount
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.simulate.echoes import CELLS, REPORTED, Echoes, SubRays, beam, echoes, extinction_per_m, single
-from lidarcfg.simulate.noise import laser_errors_m, separate
+from lidarcfg.simulate.noise import add_noise, apply_dropout, drop_one_return, laser_errors_m
 from lidarcfg.world.motion import Trajectory
-from lidarcfg.world.scene import Weather
+from lidarcfg.world.scene_file import Weather
 from lidarcfg.world.tracer import NO_SHAPES, NO_SLOT, Tracer
 
 EXACT, CLEAR = Realism(), Weather()
@@ -101,9 +101,11 @@ class Simulator:
             return single(hits.range_m, hits.reflectivity, hits.object, mount.return_mode), counts
         candidates = REPORTED[mount.return_mode]
         reported = echoes(sensor, self._realism, self._weather, self._index, first, self._weights, hits, candidates)
+        apply_dropout(reported, self._realism, self._index, first)
+        add_noise(reported, self._realism, self._index, first)
         reported.noise_m[:] += self._errors_m[fired.laser][:, None]
         if mount.return_mode == "dual":
-            separate(reported, self._realism, self._index, first)
+            drop_one_return(reported, self._realism, self._index, first)
         return reported, counts
 
     def _trace(self, fired: Firings) -> SubRays:

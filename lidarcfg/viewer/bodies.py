@@ -10,15 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from lidarcfg.geometry import Array, up
 from lidarcfg.placement.blind_spots import fraction_below
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.evaluator import max_vsr
-from lidarcfg.placement.metric import Extent, extents, volume_m3, vsr_m
+from lidarcfg.placement.metric import Extent, extents, max_vsr, volume_m3, vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.sensitivity import ZoneVsr, by_zone
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import COORDINATES
 from lidarcfg.placement.subspace import Subspaces, segment
 from lidarcfg.placement.surfaces import Surface
 from lidarcfg.placement.visibility import Visibility
+from lidarcfg.placement.zones import ZoneVsr, max_vsr_by_zone
 from lidarcfg.sensors.rig import Rig
 
 TOLERANCE = 1e-9  # metres and radians
@@ -90,7 +89,7 @@ def scored(study: Study, spaces: Subspaces, worst: int) -> RigScore:
         for number, extent in zip(numbers, extents(spaces, numbers), strict=True)
     ]
     blind = _blind(spaces) if study.visibility else None
-    return RigScore(float(vsr.max()), len(spaces), tuple(bodies), blind, by_zone(study, spaces))
+    return RigScore(float(vsr.max()), len(spaces), tuple(bodies), blind, max_vsr_by_zone(study.zones, spaces))
 
 
 def _within(spaces: Subspaces, extent: Extent) -> NDArray[np.int32]:

@@ -24,7 +24,8 @@ from lidarcfg.units import SECOND_NS
 from lidarcfg.viewer.colours import colour
 from lidarcfg.viewer.rig_source import RigSource
 from lidarcfg.world.motion import Trajectory, standing
-from lidarcfg.world.scene import Scene, SceneFile, load_scene
+from lidarcfg.world.scene import Scene, load_scene
+from lidarcfg.world.scene_file import SceneFile
 from lidarcfg.world.vehicle import Vehicle, carried
 
 Kind = Literal["capture", "cloud", "truth", "rig", "study", "scene"]

@@ -10,7 +10,8 @@ from lidarcfg.geometry import Array, rotation
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.categories import NAMES
 from lidarcfg.world.motion import MotionPath, prepared
-from lidarcfg.world.scene import Box, Cylinder, Ground, Plane, Scene, SceneObject, Sphere
+from lidarcfg.world.scene import Scene
+from lidarcfg.world.scene_file import Box, Cylinder, Ground, Plane, SceneObject, Sphere
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +15,7 @@ from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.world.meshes import FILE_MAX, Mesh, check_readable
-
-if TYPE_CHECKING:
-    from lidarcfg.world.scene import HeightField
+from lidarcfg.world.scene_file import HeightField
 
 SUFFIXES = ".png", ".npy"
 CELLS_MAX = 10_000_000
@@ -28,7 +25,7 @@ IHDR = struct.Struct(">16xIIBB")  # 16 bytes, then width, height, bits and colou
 GREY, BITS = 0, (8, 16)
 
 
-def height_field_mesh(item: "HeightField", folder: Path) -> Mesh:
+def height_field_mesh(item: HeightField, folder: Path) -> Mesh:
     """The triangles of a height field in the world frame, facing up; cells are cut from south-west to north-east.
 
     Raises SceneError if its file cannot be used.

@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,7 @@ from lidarcfg.errors import SceneError
 from lidarcfg.geometry import Array, pose, transform
 from lidarcfg.inputs import check_regular
 from lidarcfg.world.gltf import SUFFIXES, check_nodes
-
-if TYPE_CHECKING:
-    from lidarcfg.world.scene import Box, Cylinder, MeshFile, Plane, Sphere
+from lidarcfg.world.scene_file import Box, Cylinder, MeshFile, Plane, Sphere
 
 _CLOUD = "a point cloud has no surfaces; give it under surfels, with a radius, in a scene"
 NO_MESHES = {  # by suffix: what the file is instead, and what to do
@@ -39,7 +36,7 @@ FILE_MAX = 500_000_000  # bytes of a mesh's file: ten million triangles
 Mesh = tuple[Array, NDArray[np.int64]]  # vertices (V, 3) in metres, triangles (T, 3)
 
 
-def box_mesh(box: "Box") -> Mesh:
+def box_mesh(box: Box) -> Mesh:
     """Eight corners, twelve triangles."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -48,21 +45,21 @@ def box_mesh(box: "Box") -> Mesh:
     return transform(T_world_box, corners * box.size_m), triangles
 
 
-def plane_mesh(plane: "Plane") -> Mesh:
+def plane_mesh(plane: Plane) -> Mesh:
     """Four corners, two triangles."""
     corners = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
     T_world_plane = pose(plane.center_m, np.radians(plane.rpy_deg))
     return transform(T_world_plane, corners * (*plane.size_m, 1.0)), np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def cylinder_mesh(cylinder: "Cylinder", tolerance_m: float) -> Mesh:
+def cylinder_mesh(cylinder: Cylinder, tolerance_m: float) -> Mesh:
     """Two rings and the centres of its ends, within a tolerance of the cylinder."""
     radius, height = cylinder.radius_m, cylinder.height_m
     profile = np.array([[0, 0], [radius, 0], [radius, height], [0, height]])
     return lathe(profile, _facets(radius, tolerance_m), cylinder.base_m)
 
 
-def sphere_mesh(sphere: "Sphere", tolerance_m: float) -> Mesh:
+def sphere_mesh(sphere: Sphere, tolerance_m: float) -> Mesh:
     """Rings from pole to pole, within a tolerance of the sphere."""
     facets = _facets(sphere.radius_m, tolerance_m / 2)  # half along the rings, half across
     angle = np.linspace(0, math.pi, facets // 2 + 1)
@@ -89,7 +86,7 @@ def _facets(radius_m: float, tolerance_m: float) -> int:
     return min(max(2 * math.ceil(math.pi / half / 2), 16), 512)
 
 
-def placed(mesh: Mesh, item: "MeshFile") -> Mesh:
+def placed(mesh: Mesh, item: MeshFile) -> Mesh:
     """The mesh in the world frame. Raises SceneError if its scale makes it too large."""
     vertices, triangles = mesh
     far = np.flatnonzero((abs(vertices) > COORDINATE_MAX_M / item.scale).any(axis=1))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,7 @@ from lidarcfg.errors import CloudError, ConversionError, SceneError
 from lidarcfg.geometry import Array
 from lidarcfg.inputs import check_memory
 from lidarcfg.world.meshes import FILE_MAX, Mesh, check_readable, placed
-
-if TYPE_CHECKING:
-    from lidarcfg.world.scene import Surfels
+from lidarcfg.world.scene_file import Surfels
 
 SIDES = 6
 CORNER = math.sqrt(2 * math.pi / (SIDES * maths.sin(2 * math.pi / SIDES)))  # a corner's distance, in radii: equal areas
@@ -31,7 +29,7 @@ NORMAL = "nx", "ny", "nz"
 Points = tuple[Array, Array | None]  # (N, 3) places and, where they are known, (N, 3) normals
 
 
-def surfels_mesh(item: "Surfels", folder: Path) -> Mesh:
+def surfels_mesh(item: Surfels, folder: Path) -> Mesh:
     """The discs around a file's points, in the world frame. Raises SceneError if it cannot be used."""
     points, normals = read_points(folder / item.file)
     return placed(discs(points, normals, item.radius_m / item.scale), item)

@@ -16,7 +16,8 @@ from lidarcfg.core import world
 from lidarcfg.geometry import Array
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.motion import MotionPath, prepared
-from lidarcfg.world.scene import Cylinder, Scene, Sphere
+from lidarcfg.world.scene import Scene
+from lidarcfg.world.scene_file import Cylinder, Sphere
 
 TRIANGLE, SPHERE, CYLINDER = range(3)  # kinds of shapes
 NO_SLOT, GROUND_SLOT = -2, -1

@@ -23,19 +23,8 @@ from lidarcfg.geometry import Array
 from lidarcfg.sensors.rig import NO_VEHICLE, Mount, Rig
 from lidarcfg.sensors.sensor import Byte
 from lidarcfg.world.meshes import Mesh
-from lidarcfg.world.scene import (
-    KINDS,
-    Box,
-    Cylinder,
-    MeshFile,
-    Plane,
-    Scene,
-    SceneFile,
-    SceneObject,
-    Sphere,
-    built,
-    check_names,
-)
+from lidarcfg.world.scene import Scene, built
+from lidarcfg.world.scene_file import KINDS, Box, Cylinder, MeshFile, Plane, SceneFile, SceneObject, Sphere, check_names
 from lidarcfg.world.solids import Inside, holds, inside, inside_points, open_edges, parts, welded
 from lidarcfg.world.tracer import NO_SHAPES, Tracer, shapes_of
 

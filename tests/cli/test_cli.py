@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from lidarcfg import __version__
+from lidarcfg.cli import progress as module
 from lidarcfg.cli.interrupts import Interrupts
-from lidarcfg.cli.main import progress as module
 from lidarcfg.cli.progress import progress
 from tests.command_line import lidarcfg, started
 
@@ -250,7 +250,7 @@ def test_an_interrupt_that_was_raised_by_a_progress_does_not_come_again():
 
 BROKEN = """
 import os, signal, sys, time
-from lidarcfg import cli
+from lidarcfg.cli import main as cli
 from lidarcfg.errors import LidarcfgError
 
 def work(*_, obj, **__):

@@ -25,8 +25,7 @@ from lidarcfg.errors import ConfigError
 from lidarcfg.placement import plan as plans
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import load_plan
-from lidarcfg.placement.sweep import sweep
-from lidarcfg.placement.workers import Cluster, Processes, WorkerDiedError
+from lidarcfg.placement.sweep import Cluster, Processes, WorkerDiedError, sweep
 from lidarcfg.report import SweepFolder
 from tests.command_line import lidarcfg as command
 
@@ -126,7 +125,7 @@ def test_a_worker_that_is_killed_is_replaced(plan, serial):
 
 IDLE = """
 import os, signal
-from lidarcfg.placement.workers import Processes, WorkerDiedError
+from lidarcfg.placement.sweep import Processes, WorkerDiedError
 
 signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as commands have it
 crew = Processes(1)

@@ -18,7 +18,7 @@ from lidarcfg.placement.study_file import StudyFile
 from lidarcfg.sensors.rig import RigFile
 from lidarcfg.sensors.sensor import Sensor
 from lidarcfg.world.motion import Motion
-from lidarcfg.world.scene import SceneFile
+from lidarcfg.world.scene_file import SceneFile
 
 GOOD = "name: a\nbeams:\n  elevation_deg: [-1, 1e-05]\n"
 

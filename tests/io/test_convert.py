@@ -18,8 +18,8 @@ from lidarcfg.clouds.cloud import save_clouds
 from lidarcfg.errors import LidarcfgError
 from lidarcfg.io.formats import FORMATS, INPUTS, chosen
 from tests.capture_fixtures import write_datagrams
+from tests.clouds.test_cloud import cloud
 from tests.command_line import lidarcfg
-from tests.test_cloud import cloud
 
 ROOT = Path(__file__).parents[2]
 ROOF = ROOT / "data/rigs/roof.yaml"

@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from laspy.header import GpsTimeType
 
 from lidarcfg.clouds.cloud import FIELDS, PointCloud, load_cloud, save_clouds
+from lidarcfg.clouds.las import gps_seconds, load_las, save_las, unix_ns
 from lidarcfg.errors import CloudError, ConversionError
 from lidarcfg.io.formats import INPUTS, chosen, convert
-from lidarcfg.io.gps import gps_seconds, unix_ns
 from lidarcfg.io.kitti import load_kitti, save_kitti
-from lidarcfg.io.las import load_las, save_las
 from tests.capture_fixtures import no_warning
-from tests.test_cloud import assert_same, cloud
+from tests.clouds.test_cloud import assert_same, cloud
 
 UTM = (432_100.25, 5_412_345.75, 118.5)
 EXACT = ("intensity", "ring", "sensor", "return_type")

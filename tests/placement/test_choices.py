@@ -12,7 +12,7 @@ import yaml
 from lidarcfg.config.models import load
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.combinations import combinations
-from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.study_file import StudyFile
 from tests.refusals import exchanged, refused

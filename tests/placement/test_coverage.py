@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.coverage import beams_across, coverage
-from lidarcfg.placement.details import ring_edges_m
 from lidarcfg.placement.detection import DetectionObject, detection, detection_by_distance
 from lidarcfg.placement.region import Region
+from lidarcfg.placement.report_inputs import beams_across, coverage, ring_edges_m
 from lidarcfg.placement.study import load_study
 from lidarcfg.placement.subspace import segment
 from tests.naive import placement as naive

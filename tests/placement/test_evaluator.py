@@ -5,14 +5,14 @@ import pytest
 
 from lidarcfg.placement import sweep
 from lidarcfg.placement.cones import lidar
-from lidarcfg.placement.evaluator import Evaluator, max_vsr
-from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.evaluator import Evaluator
+from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.solvers import annealing
 from lidarcfg.placement.study import load_study, with_solver
+from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.tolerance import StudyEvaluator
 
 STUDY = """
 region: {{min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25], exclude: [{{min_m: [5, 3, 0], max_m: [7, 5, 3]}}]}}
@@ -255,8 +255,8 @@ def test_skipping_changes_nothing_in_rounds_that_smooth(tmp_path, monkeypatch, m
     """Short rounds, so that there are several; the result's cost is that of its rig, unsmoothed."""
     path = tmp_path / "s.yaml"
     path.write_text(STUDY.format(beams=[-20, -8, 4, 15], count=3, limit=1000, seed=1) + more)
-    monkeypatch.setattr(annealing, "FIRST", 20)
-    monkeypatch.setattr(annealing, "SECOND", 400)
+    monkeypatch.setattr(annealing, "FIRST_WORK", 20)
+    monkeypatch.setattr(annealing, "SECOND_WORK", 400)
     study, smoothed = with_solver(load_study(path), method="annealing", evaluations=4000), []
     asked = StudyEvaluator.costs
 

@@ -8,7 +8,7 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.combinations import combinations
-from lidarcfg.placement.front import FrontRun, delay, front, on_front
+from lidarcfg.placement.front import FrontRun, front, on_front, required_growth
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from lidarcfg.sensors.sensor import load_sensor
@@ -103,7 +103,7 @@ def test_dominance_and_its_ties():
 
 def test_who_is_next():
     """Worked out by hand: 0 on the front, 2 % above it at 40 % an e-fold, far above it, and not feasible."""
-    found = delay(np.array([1.0, 2.0, 2.0, 3.0, 4.0]), np.array([1.0, 1.02, 2.0, 0.5, math.inf]))
+    found = required_growth(np.array([1.0, 2.0, 2.0, 3.0, 4.0]), np.array([1.0, 1.02, 2.0, 0.5, math.inf]))
     np.testing.assert_allclose(found, [0.0, 0.05, math.log(4), 0.0, math.log(4)], rtol=1e-12)
 
 
@@ -113,9 +113,9 @@ def test_each_search_is_the_ordinary_one(tmp_path):
     search.run(threads=2)
     found = search.result(False)
     assert found.evaluations == 6000 == sum(c.evaluations for c in found.candidates) == found.history[-1].evaluations
-    for entrant in search.entrants[::3]:
-        alone = optimize(with_solver(entrant.combination.study, evaluations=entrant.own.evaluations), threads=1)
-        assert alone.objective == entrant.own.best_cost >= entrant.objective
+    for one in search.searches[::3]:
+        alone = optimize(with_solver(one.combination.study, evaluations=one.own.evaluations), threads=1)
+        assert alone.objective == one.own.best_cost >= one.objective
     for point in found.points:
         poses = [(*mount.position_m, *mount.rpy_rad) for mount in point.placement.rig.mounts]
         assert point.combination.study.cost(np.array(poses)) == point.placement.objective

@@ -6,15 +6,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from lidarcfg.errors import LidarcfgError
+from lidarcfg.core import placement as core
+from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.geometry import rotation
-from lidarcfg.placement.components import components
-from lidarcfg.placement.cones import Lidar, gaps_at
-from lidarcfg.placement.grid import beam_gaps, check_grid, grid_of, linked
+from lidarcfg.placement.cones import Lidar, cone_rows, gaps_at
+from lidarcfg.placement.grid import beam_gaps, check_grid, compare_labels, grid_of
 from lidarcfg.placement.metric import vsr_m
 from lidarcfg.placement.region import Region
-from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.worst_subspaces import max_vsr
+from lidarcfg.placement.subspace import connect, segment
+from lidarcfg.placement.visibility import UNLIMITED_SIGHT
 from tests.naive import placement as naive
 
 FAN = np.arange(-15.0, 16.0, 2.0)
@@ -60,19 +60,24 @@ def direct(centres, included, lidars):
 def check(region, lidars):
     """Rows give the direct result: labels, counts, gaps at points and on the grid, and the largest V / S."""
     label, cuboids, internal, first = direct(region.centres(), region.included, lidars)
-    grid, links, _ = linked(region, lidars)
-    mine = components(grid, links)
-    for ours, theirs in zip(mine, (label, cuboids, internal, first), strict=True):
-        assert np.array_equal(ours, theirs)
-    assert mine[0].dtype == np.int32
+    labels = compare_labels(region, lidars)
+    if len(first):
+        mine = connect(labels)
+        assert np.array_equal(mine.label, label)
+        assert np.array_equal(mine.cuboids, cuboids)
+        assert np.array_equal(mine.internal, internal)
+        assert np.array_equal(mine.first, first)
+        assert mine.label.dtype == np.int32
+        assert core.WorstSubspaces(labels.grid).max_vsr(cone_rows(lidars), UNLIMITED_SIGHT) == vsr_m(mine).max()
+    else:
+        with pytest.raises(ConfigError, match="everything is excluded"):
+            connect(labels)
     points = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
     for one in lidars:
         gap = digits(region.centres(), one)
         assert np.array_equal(gaps_at(points, one), gap.ravel())
         on_grid = beam_gaps(region, one)
         assert np.array_equal(on_grid[region.included], gap[region.included])
-    if len(first):
-        assert max_vsr(grid, lidars) == vsr_m(segment(region, lidars)).max()
     return label
 
 

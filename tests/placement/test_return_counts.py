@@ -14,12 +14,12 @@ from lidarcfg.placement import checks
 from lidarcfg.placement import return_counts as return_counts_module
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
+from lidarcfg.placement.objective import Trial
 from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.return_counts import MissCounter, return_counts
 from lidarcfg.placement.study import load_study
-from lidarcfg.placement.terms import Trial
 from lidarcfg.report.words import describe_object
 from tests.returns_cases import at_place, box, revolution, simulated, tracer_of
 from tests.studies import study_of
@@ -108,7 +108,7 @@ def test_maps_and_rings_add_up(tmp_path):
     loaded = study(tmp_path)
     rig = rig_of(loaded)
     found = evaluate(loaded, rig)
-    shown = details(loaded, rig, found)
+    shown = report_inputs(loaded, rig, found)
     for name in ("crate", "child"):
         rings, seen = shown.rings[name], found.return_counts[name]
         assert rings.detected.sum() == pytest.approx(seen.probability.sum())

@@ -8,7 +8,7 @@ import pytest
 
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.evaluator import max_vsr
+from lidarcfg.placement.metric import max_vsr
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.study import load_study, with_solver
 from tests.refusals import exchanged, refused

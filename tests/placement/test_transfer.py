@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from lidarcfg.placement.combinations import combinations
+from lidarcfg.placement.combinations import STARTS_MAX, Example, combinations, starts
+from lidarcfg.placement.solvers.cma_es import WarmStart
 from lidarcfg.placement.study import load_study
-from lidarcfg.placement.transfer import STARTS_MAX, Example, Transfer, starts
 
 STUDY = """region: {min_m: [0, 0, 0], max_m: [12, 8, 3], cuboid_m: [1, 0.5, 0.25]}
 prices: {vlp-16: 1, fan-4: 2}
@@ -58,7 +58,7 @@ def test_the_search_goes_on_from_the_best_start():
     """A narrow bowl far from the middle, found within it."""
     target = np.array([0.93, 0.07, 0.5])
     first = np.array([[0.5, 0.5, 0.5], [0.9, 0.1, 0.45], [0.1, 0.9, 0.1]])
-    search, asked = Transfer(first, 3), 0
+    search, asked = WarmStart(first, 3), 0
     while not search.over and asked < 3000:
         x = search.ask().x
         asked += len(x)

@@ -8,15 +8,15 @@ import pytest
 from lidarcfg.errors import ConfigError
 from lidarcfg.placement.cones import lidar, rig_lidars
 from lidarcfg.placement.evaluation import evaluate
-from lidarcfg.placement.evaluator import max_vsr
-from lidarcfg.placement.metric import vsr_m
+from lidarcfg.placement.grid import seen_cuboids
+from lidarcfg.placement.metric import max_vsr, vsr_m
 from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.subspace import BLIND, segment
 from lidarcfg.placement.visibility import Visibility
 from lidarcfg.world import solids
 from lidarcfg.world.meshes import box_mesh, lathe
-from lidarcfg.world.scene import Box
+from lidarcfg.world.scene_file import Box
 from lidarcfg.world.vehicle import Solid
 from tests import visibility_cases
 from tests.naive import visibility as naive
@@ -59,7 +59,7 @@ def test_a_plates_shadow_by_similar_triangles(tmp_path):
     along = (x - 1) / np.where(x > 4, 4.05 - 1, np.inf)  # from the sensor to the plate's far side is 1
     by_hand = (x > 4) & (abs(y - 2) < 0.5 * along)
     assert by_hand.any()
-    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    (seen,) = seen_cuboids(loaded.region, rig_lidars(rig), loaded.visibility.sight(rig_lidars(rig)))
     near = abs(abs(y - 2) - 0.5 * along) < 0.05  # the near side casts the wider shadow
     assert (seen == ~by_hand)[~near].all()
     spaces = segment(loaded.region, rig_lidars(rig), loaded.visibility)
@@ -72,7 +72,7 @@ def test_a_range_is_a_shell(tmp_path):
     rig, centres = at(loaded)
     assert rig.mounts[0].range_m == (1.5, 6)
     distance = np.linalg.norm(centres - (1, 2, 1), axis=-1)
-    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    (seen,) = seen_cuboids(loaded.region, rig_lidars(rig), loaded.visibility.sight(rig_lidars(rig)))
     assert np.array_equal(seen, (distance >= 1.5) & (distance <= 6))
 
 
@@ -84,7 +84,7 @@ def test_a_field_of_view_is_a_sector(tmp_path, low, high):
     rig, centres = at(loaded)
     clockwise = 30 - np.degrees(np.arctan2(centres[..., 1] - 2, centres[..., 0] - 5))
     width = (high - low) % 360 or 360
-    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    (seen,) = seen_cuboids(loaded.region, rig_lidars(rig), loaded.visibility.sight(rig_lidars(rig)))
     assert np.array_equal(seen, (clockwise - low) % 360 <= width)
 
 
@@ -156,7 +156,7 @@ def test_most_of_a_triangles_shadow_takes_no_segments(seed):
     region = Region.from_boxes((2, -2, -2), (8, 2, 2), (0.05, 0.25, 0.25))
     lidars = [lidar(np.array([-3, *rng.uniform(-1, 1, 2)]), np.zeros(3), np.zeros(1))]
     visibility = Visibility.of([body], region)
-    (seen,) = visibility.seen(region, lidars)
+    (seen,) = seen_cuboids(region, lidars, visibility.sight(lidars))
     targets = np.stack(np.meshgrid(*region.centres(), indexing="ij"), axis=-1).reshape(-1, 3)
     hidden = np.empty(len(targets), bool)
     naive.hidden(vertices.reshape(4, 3, 3), lidars[0].position_m, targets, hidden)
@@ -185,7 +185,7 @@ def test_the_whole_pipeline_cuboid_by_cuboid(seed):
     spaces = segment(region, known, visibility)
     label, seen, worst = naive.subspaces(low, high, edges, region.included, plain, mesh[0][mesh[1]])
     assert np.array_equal(spaces.label, label)
-    assert np.array_equal(visibility.seen(region, known), np.array(seen) & region.included)
+    assert np.array_equal(seen_cuboids(region, known, visibility.sight(known)), np.array(seen) & region.included)
     assert np.array_equal(spaces.seen_by, np.sum(seen, axis=0) * region.included)
     assert vsr_m(spaces).max() == pytest.approx(worst, rel=1e-12)
 
@@ -221,7 +221,7 @@ def test_ground_hides_what_is_below_it_and_what_moves_hides_nothing(tmp_path):
     )
     loaded = study(tmp_path, STUDY + "surroundings: yard.yaml\n")
     rig, centres = at(loaded)
-    (seen,) = loaded.visibility.seen(loaded.region, rig_lidars(rig))
+    (seen,) = seen_cuboids(loaded.region, rig_lidars(rig), loaded.visibility.sight(rig_lidars(rig)))
     assert np.array_equal(seen, centres[..., 2] >= 0.75)  # centres on the ground are seen
     assert loaded.file["surroundings"] == str(tmp_path / "yard.yaml")
     with pytest.raises(ConfigError, match=r"study\.yaml:5:1: surroundings: .*none\.yaml: no such file"):

@@ -25,11 +25,12 @@ from lidarcfg.io.firings import save_capture, save_firings
 from lidarcfg.placement.analytic import integrate
 from lidarcfg.placement.cones import poses as sensor_poses
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.details import details
 from lidarcfg.placement.front import front
+from lidarcfg.placement.grid import seen_cuboids
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import with_solver
+from lidarcfg.placement.study_evaluator import StudyEvaluator
 from lidarcfg.placement.subspace import segment
-from lidarcfg.placement.tolerance import StudyEvaluator
 from lidarcfg.sensors.rig import Rig
 from lidarcfg.simulate.returns import returns
 from lidarcfg.simulate.tasks import START_NS
@@ -51,7 +52,6 @@ __all__ = [
     "concatenate",
     "decode",
     "decode_pcap",
-    "details",
     "evaluate",
     "export",
     "fill",
@@ -68,12 +68,14 @@ __all__ = [
     "pattern",
     "pose",
     "prepared",
+    "report_inputs",
     "returns",
     "rig_lidars",
     "rig_of",
     "save_capture",
     "save_firings",
     "scans",
+    "seen_cuboids",
     "segment",
     "sensor_poses",
     "with_solver",

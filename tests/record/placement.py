@@ -84,9 +84,9 @@ def details_of(found) -> dict[str, object]:
     answers |= {key: getattr(found.coverage, key) for key in ("median_beams", "by_none", "by_one_sensor")}
     for name, rings in found.rings.items():
         answers |= named(name, {"rings detected": rings.detected, "rings places": rings.places})
-    for name, places in found.places.items():
+    for name, places in found.detection_maps.items():
         answers |= named(name, {"above detected": places.detected, "above places": places.places})
-    for name, one in found.hiding.items():
+    for name, one in found.gap_fits.items():
         keys = "in_worst", "subspaces", "largest_vsr_m", "nearest_m", "nearest_at_m"
         answers |= named(name, {f"hiding {key}": getattr(one, key) for key in keys})
     if robust := found.evaluation.robustness:
@@ -132,7 +132,7 @@ for each in ("paper-3x8", "car-max-vsr", "round"):
     @case(f"details of {each}")
     def _detailed(folder: Path, name: str = each) -> Answers:
         rig = rigs(name, 1)[0]
-        found = package.details(study(name), rig, package.evaluate(study(name), rig))
+        found = package.report_inputs(study(name), rig, package.evaluate(study(name), rig))
         return details_of(found) | evaluation_of(found.evaluation)
 
 
@@ -158,7 +158,7 @@ def _sight(folder: Path) -> Answers:
         low, high = one.region.min_m, one.region.max_m
         points = low + np.random.Generator(np.random.Philox(2)).random((3000, 3)) * (high - low)
         for kind, sight in (("limited", one.visibility), ("transparent", one.visibility.transparent())):
-            answers[f"{name} {kind} cuboids"] = sight.seen(one.region, lidars)
+            answers[f"{name} {kind} cuboids"] = package.seen_cuboids(one.region, lidars, sight.sight(lidars))
             answers[f"{name} {kind} points"] = np.array([sight.seen_points(points, lidar) for lidar in lidars])
         answers[f"{name} outline"] = one.outline_m
     return answers

@@ -10,9 +10,9 @@ from lidarcfg import report
 from lidarcfg.cli.main import cli
 from lidarcfg.errors import ConfigError, LidarcfgError
 from lidarcfg.placement.analytic import Analytic
-from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.metric import Spheres
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.comparison import rows
 from lidarcfg.sensors.rig import load_rig
@@ -47,7 +47,9 @@ def folder(tmp_path_factory):
 def compared(folder, study, *names, tolerance=None):
     loaded = load_study(folder / study)
     rigs = [(name, load_rig(folder / f"{name}.yaml")) for name in names]
-    named = [(name, rig, details(loaded, rig, evaluate(loaded, rig, tolerance), cheap_cuboids=0)) for name, rig in rigs]
+    named = [
+        (name, rig, report_inputs(loaded, rig, evaluate(loaded, rig, tolerance), cheap_cuboids=0)) for name, rig in rigs
+    ]
     return loaded, report.contenders(named)
 
 

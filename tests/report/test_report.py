@@ -11,9 +11,9 @@ import pytest
 
 from lidarcfg import report
 from lidarcfg.errors import ConfigError
-from lidarcfg.placement.details import details
 from lidarcfg.placement.evaluation import evaluate
 from lidarcfg.placement.optimize import optimize
+from lidarcfg.placement.report_inputs import report_inputs
 from lidarcfg.placement.study import load_study
 from lidarcfg.report.drawings import least_detected
 from lidarcfg.report.names import truncate
@@ -151,7 +151,7 @@ def runs(study, found, tmp_path_factory):
         patch.setenv("SOURCE_DATE_EPOCH", "1767225600")
         for folder in folders:
             commands = report.Commands("lidarcfg <typed>", "lidarcfg again")
-            shown = details(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
+            shown = report_inputs(study, found.rig, found.evaluation, found.midpoint_max_vsr_m)
             report.save_placement(study, found, shown, folder, commands)
     return folders
 
@@ -202,7 +202,7 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
     """As result.json has them; the same in a comparison, which marks the rig that sees more."""
     study = make(tmp_path, STUDY.replace("sensors:", VEHICLE + "sensors:"))
     rigs = [study.rig(study.poses(np.full((1, int(study.free.sum())), at))[0]) for at in (0.5, 0.0)]
-    shown = [details(study, rig, evaluate(study, rig), cheap_cuboids=100) for rig in rigs]
+    shown = [report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100) for rig in rigs]
     report.save_evaluation(study, rigs[0], shown[0], tmp_path / "o")
     page, result = read((tmp_path / "o/report.html").read_text()), json.loads((tmp_path / "o/result.json").read_text())
     assert "the vehicle (cab)" in page.words
@@ -232,7 +232,7 @@ def test_blind_spots_are_said_and_drawn(tmp_path):
 def test_an_evaluation_without_objects(tmp_path):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
-    shown = details(bare, rig, evaluate(bare, rig))
+    shown = report_inputs(bare, rig, evaluate(bare, rig))
     report.save_evaluation(bare, rig, shown, tmp_path / "o")
     page, bar = read((tmp_path / "o/report.html").read_text()), shown.evaluation.analytic
     assert "names no objects" in page.words
@@ -246,7 +246,7 @@ def test_an_evaluation_without_objects(tmp_path):
 def test_no_error_bar_where_it_would_cost_too_much(tmp_path):
     bare = make(tmp_path, STUDY)
     rig = load_rig(ROOT / "data/rigs/roof.yaml")
-    shown = details(bare, rig, evaluate(bare, rig), cheap_cuboids=100)
+    shown = report_inputs(bare, rig, evaluate(bare, rig), cheap_cuboids=100)
     report.save_evaluation(bare, rig, shown, tmp_path / "o")
     page = read((tmp_path / "o/report.html").read_text())
     assert shown.evaluation.analytic is None
@@ -342,7 +342,9 @@ def test_mount_surfaces_are_said_and_drawn(tmp_path):
     text = STUDY.replace("sensors:", VEHICLE + "sensors:" + mounts)
     study = make(tmp_path, text)
     rig = study.rig(study.midpoint)
-    report.save_evaluation(study, rig, details(study, rig, evaluate(study, rig), cheap_cuboids=100), tmp_path / "o")
+    report.save_evaluation(
+        study, rig, report_inputs(study, rig, evaluate(study, rig), cheap_cuboids=100), tmp_path / "o"
+    )
     page = read((tmp_path / "o/report.html").read_text())
     assert "where sensors may sit on the vehicle, from above, left, right" in [label for _, label in page.labels]
     assert "Green: the middle of a base may be here, to half its radius." in page.words
@@ -366,7 +368,7 @@ def test_of_very_many_objects_those_are_drawn_that_are_detected_least(tmp_path):
     shown = least_detected([found])
     assert len(shown) == 12
     assert max(found.detection[name].rate for name in shown) <= rates[12]
-    report.save_evaluation(study, rig, details(study, rig, found), tmp_path)
+    report.save_evaluation(study, rig, report_inputs(study, rig, found), tmp_path)
     text = (tmp_path / "report.html").read_text()
     assert "only the 12 are drawn that are detected least" in text
     assert all(f"box{n:02}" in text for n in range(20))

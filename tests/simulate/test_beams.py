@@ -135,7 +135,7 @@ def test_echoes_of_a_beam(weather):
     lasers = rng.integers(0, 3, count).astype(np.uint8)
     rays = SubRays(near, bright, objects, cosine, lasers)
     shape = count, 6
-    found = Echoes(np.empty(shape), np.zeros(shape), np.empty(shape, np.uint8), np.empty(shape, np.int32))
+    found = Echoes(np.empty(shape), np.zeros(shape), np.empty(shape, np.uint8), np.empty(shape, np.int32), np.empty(0))
     simulate.merge_echoes(rays, weights, most_m, step_rad, least, drops, fade, np.arange(6, dtype=np.uint8), found)
     out = found.range_m, found.reflectivity, found.object
     several = 0

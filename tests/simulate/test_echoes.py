@@ -7,8 +7,9 @@ from scipy import stats
 from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.simulate.echoes import CANDIDATES, REPORTED, SubRays, beam, echoes, extinction_per_m, single
-from lidarcfg.simulate.noise import uniforms
-from lidarcfg.world.scene import Weather
+from lidarcfg.simulate.noise import add_noise, apply_dropout
+from lidarcfg.simulate.random_numbers import uniforms
+from lidarcfg.world.scene_file import Weather
 from tests.capture_fixtures import scene
 
 VLP16 = load_sensor("vlp-16")
@@ -18,7 +19,7 @@ EDGE = np.array([1, 4, 1]) / 6  # weights of three sub-rays side by side
 def made(
     range_m, reflectivity, weights=(1.0,), cosine=1.0, first=0, weather=None, objects=0, which=CANDIDATES, **realism
 ):
-    """The echoes of firings (N, K)."""
+    """The echoes of firings (N, K), with their noise."""
     range_m = np.array(range_m, np.float64)
     hits = SubRays(
         range_m,
@@ -27,7 +28,11 @@ def made(
         np.broadcast_to(np.float64(cosine), range_m.shape).copy(),
         np.arange(len(range_m), dtype=np.uint8) % 2,
     )
-    return echoes(VLP16, Realism(**realism), weather or Weather(), 0, first, np.array(weights), hits, which)
+    realism = Realism(**realism)
+    found = echoes(VLP16, realism, weather or Weather(), 0, first, np.array(weights), hits, which)
+    apply_dropout(found, realism, 0, first)
+    add_noise(found, realism, 0, first)
+    return found
 
 
 def flat(range_m, count):

@@ -16,7 +16,7 @@ from lidarcfg.sensors.realism import Realism
 from lidarcfg.sensors.rig import Rig, load_rig, save_rig
 from lidarcfg.sensors.sensor import catalogue, load_sensor
 from lidarcfg.simulate.echoes import Echoes
-from lidarcfg.simulate.noise import laser_errors_m, roughen, separate
+from lidarcfg.simulate.noise import add_noise, drop_one_return, laser_errors_m
 from lidarcfg.units import SECOND_NS
 from lidarcfg.world.scene import load_scene
 from tests.capture_fixtures import datagrams_of, decoded, mount, recording, scene
@@ -115,6 +115,7 @@ def flat(count, columns, byte):
         np.zeros((count, columns)),
         np.full((count, columns), byte, np.uint8),
         np.zeros(()),
+        np.full(count, 10.0),
     )
 
 
@@ -122,23 +123,23 @@ def test_the_noise_of_dark_targets_and_of_intensities():
     realism = Realism(seed=3, range_noise_m=0.01, dark_noise_m=0.03, intensity_noise=3)
     for byte, sigma_m in ((1, 0.03), (2, 0.01), (90, 0.01)):
         found = flat(20_000, 4, byte)
-        roughen(found, realism, 0, 0)
+        add_noise(found, realism, 0, 0)
         assert found.noise_m.std() == pytest.approx(sigma_m, rel=0.02)
         assert (found.noise_m == found.noise_m[:, :1]).all()  # one echo, four times
         assert (found.reflectivity == found.reflectivity[:, :1]).all()
         if byte == 90:
             assert found.reflectivity[:, 0].std() == pytest.approx((9 + 1 / 12) ** 0.5, rel=0.02)
     whole, parts = flat(64, 4, 50), [flat(16, 4, 50) for _ in range(4)]
-    roughen(whole, realism, 0, 0)
+    add_noise(whole, realism, 0, 0)
     for i, part in enumerate(parts):
-        roughen(part, realism, 0, 16 * i)
+        add_noise(part, realism, 0, 16 * i)
     assert (whole.noise_m == np.concatenate([part.noise_m for part in parts])).all()
     assert (whole.reflectivity == np.concatenate([part.reflectivity for part in parts])).all()
 
 
 def test_one_slot_of_a_pair_is_empty():
     pairs = flat(100_000, 2, 50)
-    separate(pairs, Realism(last_alone_fraction=0.02, strongest_alone_fraction=0.01), 0, 0)
+    drop_one_return(pairs, Realism(last_alone_fraction=0.02, strongest_alone_fraction=0.01), 0, 0)
     assert (~np.isfinite(pairs.range_m)).mean(axis=0).tolist() == pytest.approx([0.02, 0.01], rel=0.1)
     assert np.isfinite(pairs.range_m).any(axis=1).all()
 

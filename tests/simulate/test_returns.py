@@ -108,7 +108,7 @@ def test_an_upright_box_straight_ahead():
 def test_mean_over_phases_is_the_solid_angle():
     """Of a fine sphere seen by one level beam: its chord's angle over the angle between firings."""
     from lidarcfg.world.meshes import sphere_mesh
-    from lidarcfg.world.scene import Sphere
+    from lidarcfg.world.scene_file import Sphere
 
     one = mount("vlp-16", (0.0, 0.0, 0.5), (0, 0, 0))
     sensor = one.sensor.model_copy(

@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from lidarcfg.world.geodesy import geographic
-from lidarcfg.world.scene import COORDINATE_MAX_M, GeoOrigin
+from lidarcfg.config.models import COORDINATE_MAX_M
+from lidarcfg.world.geodesy import GeoOrigin, geographic
 
 A_M, FLATTENING = mpmath.mpf(6378137), 1 / mpmath.mpf("298.257223563")  # WGS 84: NIMA TR8350.2
 E2 = FLATTENING * (2 - FLATTENING)

@@ -11,16 +11,16 @@ from PIL import Image
 
 from lidarcfg import inputs
 from lidarcfg.clouds.cloud import save_clouds
+from lidarcfg.clouds.las import save_las
 from lidarcfg.errors import LidarcfgError
-from lidarcfg.io.las import save_las
+from lidarcfg.world.gltf_models import read_parts
 from lidarcfg.world.height_field import read_heights
-from lidarcfg.world.models import read_parts
 from lidarcfg.world.surfels import CORNER, read_points
 from lidarcfg.world.tracer import Tracer
 from tests.capture_fixtures import scene
+from tests.clouds.test_cloud import cloud
 from tests.naive.scene_files import disc_hit, height_field_hit
 from tests.refusals import refused
-from tests.test_cloud import cloud
 
 FIELD = "height_fields: [{{name: land, {}, cell_m: {}, position_m: [{}, {}, {}], reflectivity: 12}}]"
 HERE = np.zeros(3)

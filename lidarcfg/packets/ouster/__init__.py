@@ -34,8 +34,8 @@ from lidarcfg.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
     from lidarcfg.sensors.rig import Mount
+    from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
-    from lidarcfg.world.scene import GeoOrigin
 
 __all__ = ["Facts", "Ouster", "Settings", "Unit", "unit"]
 

@@ -44,8 +44,8 @@ from lidarcfg.units import SECOND_NS
 
 if TYPE_CHECKING:
     from lidarcfg.sensors.rig import Mount
+    from lidarcfg.world.geodesy import GeoOrigin
     from lidarcfg.world.motion import Trajectory
-    from lidarcfg.world.scene import GeoOrigin
 
 
 MARK = b"UNIT#"

@@ -28,18 +28,23 @@ from lidarcfg.placement.solvers.search import Coordinates, Runs, Trials, checked
 
 CHAINS = 16  # of a population
 POPULATIONS = 3  # of a round
-PROMISING = 0.7  # the progress of a round from which on only its best population goes on
-TRIES = 8  # at most so many trials of a chain at a time; the first that it takes moves it
-TAKEN = 10  # the work of a trial that is taken, besides the 1 of any trial
-HOT, WARM, COLD = 0.03, 0.004, 0.0005  # T at the beginning, where a run goes on from a good point, and at the end
-LEAST, MOST = 0.001, 0.3  # standard deviations of Gaussian steps, in the unit cube
+SELECTION_PROGRESS = 0.7  # the progress of a round from which on only its best population goes on
+MAX_TRIALS = 8  # of a chain at a time; the first that it takes moves it
+ACCEPT_WORK = 10  # the work of a trial that is taken, besides the 1 of any trial
+T_START = 0.03  # at the beginning of a run
+T_RESTART = 0.004  # of a run that goes on from a good point
+T_END = 0.0005  # at the end
+STEP_LEAST = 0.001  # standard deviations of Gaussian steps, in the unit cube
+STEP_MOST = 0.3
 JITTER = 1e-4  # of a difference, so that chains that stand in one place can part
 STEP_COORDINATE = 0.6  # the probability of a coordinate of the group to take part in a step that moves only some
 LEARNING = (0.6, 0.1)  # the probability of a step that takes over coordinates, at the beginning and at the end
 OWN = 0.6  # the probability of taking them from its own chain
 NEARLY = 0.3  # the standard deviation of what is taken over, in those of Gaussian steps
-RENEWALS, RENEWED = 20, 2  # how often in a run the worst chains go to the best, and how many
-FIRST, SECOND = 1_000, 21_000  # the work of rounds, per dimension and population: of the first; of the second
+RENEWALS = 20  # how often in a run the worst chains go to the best
+RENEWED = 2  # how many chains
+FIRST_WORK = 1_000  # of the first round, per dimension and population
+SECOND_WORK = 21_000  # of the second
 LONGER = 1.5  # the work of every further round, by that of the one before
 SMOOTHING = 1 / 32  # of the costs in all rounds but the first; refining is without
 REFINING = 0.25  # the work of refining what a round found, by the round's
@@ -62,7 +67,9 @@ class Annealing:
         smoothing: float = 0.0,
         populations: int = 1,
     ) -> None:
-        self._rng, self._renewals, self._smoothing = rng, 0, smoothing
+        self._rng = rng
+        self._renewals = 0
+        self._smoothing = smoothing
         self._tries = 1  # of each chain at a time
         self._done = 0.0  # work of a chain so far
         self._members = np.unique(coordinates.group)[:, None] == coordinates.group
@@ -71,7 +78,7 @@ class Annealing:
         if start is not None:
             self._x[:] = start
         self._cost = np.full(len(self._x), np.inf)
-        self._hot = HOT if start is None else WARM
+        self._hot = T_START if start is None else T_RESTART
         self._work = work / CHAINS  # of each
         self.over = False
         self._asked = self._positions(smoothing)
@@ -94,7 +101,7 @@ class Annealing:
     @property
     def temperature(self) -> float:
         """How far uphill a chain goes on average, as a fraction of its cost."""
-        return float(self._hot * (COLD / self._hot) ** self.progress)
+        return float(self._hot * (T_END / self._hot) ** self.progress)
 
     def ask(self) -> Trials:
         """Where the chains begin, then some trials for each of them."""
@@ -102,15 +109,18 @@ class Annealing:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials, in order; inf stands for any cost not below what was to beat."""
-        trials, cost = self._asked, checked(cost)
+        trials = self._asked
+        cost = checked(cost)
         if trials.smoothing != self._smoothing:
             self._go_on(cost)
             return
         taken = np.flatnonzero(cost < trials.upper_bound)
         chain, first = np.unique(trials.source[taken], return_index=True)
-        self._x[chain], self._cost[chain] = trials.x[taken[first]], cost[taken[first]]
-        self._done += self._tries + TAKEN * len(taken) / len(self._x)
-        self._tries = int(np.clip(len(cost) // (2 * max(len(taken), 1)), 1, TRIES))  # so that few are taken in vain
+        self._x[chain] = trials.x[taken[first]]
+        self._cost[chain] = cost[taken[first]]
+        self._done += self._tries + ACCEPT_WORK * len(taken) / len(self._x)
+        few = len(cost) // (2 * max(len(taken), 1))  # so that few are taken in vain
+        self._tries = int(np.clip(few, 1, MAX_TRIALS))
         renews = self._done * RENEWALS >= (self._renewals + 1) * self._work
         if renews:
             self._renewals += 1
@@ -129,26 +139,31 @@ class Annealing:
         """Move the worst chains of each population to where its best are."""
         for first in range(0, len(self._x), CHAINS):
             order = first + np.argsort(self._cost[first : first + CHAINS], kind="stable")
-            worst, best = order[-RENEWED:], order[:RENEWED]
-            self._x[worst], self._cost[worst] = self._x[best], self._cost[best]
+            worst = order[-RENEWED:]
+            best = order[:RENEWED]
+            self._x[worst] = self._x[best]
+            self._cost[worst] = self._cost[best]
 
     def _go_on(self, cost: Array) -> None:
-        """Draw the next trials; from PROMISING on, of the population with the least of the costs (chains,) alone."""
+        """Draw the next trials; from SELECTION_PROGRESS on, of the population with the least cost (chains,) alone."""
         self.over = self._done >= self._work
-        if self.progress >= PROMISING and len(self._x) > CHAINS:
+        if self.progress >= SELECTION_PROGRESS and len(self._x) > CHAINS:
             first = int(np.argmin(cost)) // CHAINS * CHAINS
-            self._x, self._cost = self._x[first : first + CHAINS], self._cost[first : first + CHAINS]
+            self._x = self._x[first : first + CHAINS]
+            self._cost = self._cost[first : first + CHAINS]
         self._asked = self._draw()
 
     def _draw(self) -> Trials:
-        rng, dimensions = self._rng, self._x.shape[1]
+        rng = self._rng
+        dimensions = self._x.shape[1]
         chain = np.repeat(np.arange(len(self._x)), self._tries)
-        n, groups = len(chain), len(self._members)
+        n = len(chain)
+        groups = len(self._members)
         group = rng.integers(groups, size=n)
         moves = self._members[group]
         some = moves & (rng.random((n, dimensions)) < STEP_COORDINATE)
         some = np.where(some.any(axis=1, keepdims=True), some, moves)
-        deviation = LEAST * (MOST / LEAST) ** rng.random((n, 1))
+        deviation = STEP_LEAST * (STEP_MOST / STEP_LEAST) ** rng.random((n, 1))
         normal = rng.standard_normal((n, dimensions))
         first = chain // CHAINS * CHAINS  # of its population
         one, other = (first + (chain + rng.integers(1, CHAINS, size=n)) % CHAINS for _ in range(2))
@@ -187,17 +202,20 @@ class AnnealingRounds(Runs):
         self._rng = np.random.default_rng(seed)
         self._coordinates = coordinates
         self.rounds = 0  # begun
-        self._end_x, self._end = self.best_x, np.inf  # the best of the current round
+        self._end_x = self.best_x  # the best of the current round
+        self._end = np.inf  # its cost
         self._record = np.inf  # the best end of a round before
         self._run = self._round() if start is None else self._refining(start)
 
     @property
     def _work(self) -> float:
-        each = FIRST if self.rounds < 2 else SECOND * LONGER ** (self.rounds - 2)
+        each = FIRST_WORK if self.rounds < 2 else SECOND_WORK * LONGER ** (self.rounds - 2)
         return each * len(self._coordinates)
 
     def _round(self) -> Annealing:
-        self._refines, self._end, self.rounds = False, np.inf, self.rounds + 1
+        self._refines = False
+        self._end = np.inf
+        self.rounds += 1
         smoothing = SMOOTHING if self.rounds > 1 else 0.0
         return Annealing(self._coordinates, self._rng, self._work, None, smoothing, POPULATIONS)
 
@@ -207,9 +225,11 @@ class AnnealingRounds(Runs):
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        trials, best = self.ask(), int(np.argmin(checked(cost)))
+        trials = self.ask()
+        best = int(np.argmin(checked(cost)))
         if cost[best] < self._end and not trials.smoothing:
-            self._end_x, self._end = trials.x[best].copy(), float(cost[best])
+            self._end_x = trials.x[best].copy()
+            self._end = float(cost[best])
         super().tell(cost)
 
     def _follow(self) -> None:

@@ -12,7 +12,9 @@ from lidarcfg.placement.solvers.annealing import AnnealingRounds
 from lidarcfg.placement.solvers.cma_es import CmaEs
 from lidarcfg.placement.solvers.search import Coordinates, Trials, checked
 
-POINTS, POPULATION, STEP = 200, 30, 0.15  # random points, then CMA-ES from the best of them
+POINTS = 200  # at random, then CMA-ES from the best of them
+POPULATION = 30  # of CMA-ES
+STEP = 0.15  # of CMA-ES at the beginning
 EVALUATIONS = 200  # of CMA-ES at most, per dimension
 
 
@@ -26,7 +28,9 @@ class Auto:
         self._run: CmaEs | AnnealingRounds | None = None
         self._left = EVALUATIONS * len(coordinates)
         self.cycles = 0
-        self.best_x, self.best_cost, self.mean_cost = np.full(len(coordinates), 0.5), np.inf, np.inf
+        self.best_x = np.full(len(coordinates), 0.5)
+        self.best_cost = np.inf
+        self.mean_cost = np.inf
 
     @property
     def sources(self) -> Array:
@@ -41,9 +45,11 @@ class Auto:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x, best = self.ask().x, int(np.argmin(checked(cost)))
+        x = self.ask().x
+        best = int(np.argmin(checked(cost)))
         if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
+            self.best_x = x[best].copy()
+            self.best_cost = float(cost[best])
         self.cycles += 1
         if self._run is None:
             self.mean_cost = float(np.mean(cost))

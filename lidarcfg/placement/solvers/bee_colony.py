@@ -48,11 +48,14 @@ class BeeColony:
         trials = self._asked
         for x, source, value in zip(trials.x, trials.source, checked(cost), strict=True):
             if trials.phase in ("first", "scout") or value < self.cost[source]:
-                self.x[source], self.cost[source], self.failures[source] = x, value, 0
+                self.x[source] = x
+                self.cost[source] = value
+                self.failures[source] = 0
             else:
                 self.failures[source] += 1
             if value < self.best_cost:
-                self.best_x, self.best_cost = x.copy(), float(value)
+                self.best_x = x.copy()
+                self.best_cost = float(value)
         self._asked = self._next(trials.phase)
 
     def _next(self, phase: str) -> Trials:

@@ -8,6 +8,8 @@ from lidarcfg.placement.solvers.search import Trials, checked
 
 STEP = 0.25  # the initial standard deviation, in the unit cube
 HUGE = 1e300  # stands for inf, as cma subtracts costs
+NEAR_STEP = 0.08  # around a good point
+NEAR_POPULATION = 12
 FEWEST = 2  # dimensions that cma needs; a single one gets a dummy dimension beside it
 
 
@@ -22,10 +24,12 @@ class CmaEs:
         self, dimensions: int, seed: int, start: Array | None = None, step: float = STEP, population: int = 0
     ) -> None:
         self._rng = np.random.default_rng(seed)
-        self._dimensions, self._step = dimensions, step
+        self._dimensions = dimensions
+        self._step = step
         self._population = population or 4 + int(3 * np.log(dimensions))
         self.cycles = 0
-        self.best_x, self.best_cost = self._rng.random(dimensions), np.inf
+        self.best_x = self._rng.random(dimensions)
+        self.best_cost = np.inf
         self.mean_cost = np.inf
         self.over = False
         self._begin(start if start is not None else self.best_x)
@@ -57,7 +61,8 @@ class CmaEs:
         self._es.tell(self._asked, list(np.minimum(checked(cost), HUGE)))
         best = int(np.argmin(cost))
         if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = np.array(self._asked[best])[: self._dimensions], float(cost[best])
+            self.best_x = np.array(self._asked[best])[: self._dimensions]
+            self.best_cost = float(cost[best])
         self.mean_cost = float(np.mean(cost))
         self.cycles += 1
         self.over = bool(self._es.stop())
@@ -66,3 +71,45 @@ class CmaEs:
             self._begin(self._rng.random(self._dimensions))
         else:
             self._asked = self._es.ask()
+
+
+class WarmStart:
+    """Tries given points (n, dimensions), then runs CMA-ES around the best; `over` once that has converged."""
+
+    def __init__(self, starts: Array, seed: int) -> None:
+        self._starts = starts
+        self._seed = seed
+        self._run: CmaEs | None = None
+        self.cycles = 0
+        self.over = False
+        self.best_x = starts[0]
+        self.best_cost = np.inf
+        self.mean_cost = np.inf
+
+    @property
+    def sources(self) -> Array:
+        """The best so far; no trial is drawn around a source."""
+        best: Array = self.best_x[None]
+        return best
+
+    def ask(self) -> Trials:
+        """The starts, then a generation."""
+        if self._run:
+            return self._run.ask()
+        n = len(self._starts)
+        return Trials("trial", self._starts, np.zeros(n, np.int64), np.full(n, np.inf))
+
+    def tell(self, cost: Array) -> None:
+        """The costs (n,) of the trials."""
+        x = self.ask().x
+        best = int(np.argmin(cost))
+        if cost[best] < self.best_cost:
+            self.best_x = x[best].copy()
+            self.best_cost = float(cost[best])
+        self.mean_cost = float(np.mean(cost))
+        self.cycles += 1
+        if self._run:
+            self._run.tell(cost)
+            self.over = self._run.over
+        else:
+            self._run = CmaEs(x.shape[1], self._seed, x[best], NEAR_STEP, NEAR_POPULATION)

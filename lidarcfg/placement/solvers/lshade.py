@@ -22,12 +22,15 @@ class Lshade:
     """One run of about `evaluations` evaluations; `over` once they are used up."""
 
     def __init__(self, dimensions: int, rng: np.random.Generator, evaluations: int) -> None:
-        self._rng, self._evaluations, self._used = rng, evaluations, 0
+        self._rng = rng
+        self._evaluations = evaluations
+        self._used = 0
         self._x = rng.random((POINTS * dimensions, dimensions))
         self._cost = np.full(len(self._x), np.inf)
         self._alive = np.arange(len(self._x))  # the population: rows of _x and _cost, best first
         self._archive = np.empty((0, dimensions))
-        self._f, self._cr = np.full(MEMORIES, 0.5), np.full(MEMORIES, 0.5)  # the paper's M_F and M_CR, −1 for ⊥
+        self._f = np.full(MEMORIES, 0.5)  # the paper's M_F
+        self._cr = np.full(MEMORIES, 0.5)  # the paper's M_CR, −1 for ⊥
         self._next = 0  # the memory to write next
         self._drawn = self._f, self._cr  # F and CR of the current trials
         self.over = False
@@ -49,7 +52,8 @@ class Lshade:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials, in order; inf stands for any cost no better than the point's."""
-        trials, cost = self._asked, checked(cost)
+        trials = self._asked
+        cost = checked(cost)
         if self._used:
             self._learn(trials, cost)
         else:
@@ -59,9 +63,9 @@ class Lshade:
         most = POINTS * self._x.shape[1]
         left = round(most + (FEWEST - most) * min(self._used / self._evaluations, 1.0))
         self._alive = self._alive[np.argsort(self._cost[self._alive], kind="stable")][: max(left, FEWEST)]
-        room = int(ARCHIVE * len(self._alive))
-        if len(self._archive) > room:
-            self._archive = self._archive[self._rng.permutation(len(self._archive))[:room]]
+        size = int(ARCHIVE * len(self._alive))
+        if len(self._archive) > size:
+            self._archive = self._archive[self._rng.permutation(len(self._archive))[:size]]
         self._asked = self._draw()
 
     def _learn(self, trials: Trials, cost: Array) -> None:
@@ -79,12 +83,15 @@ class Lshade:
             self._cr[self._next] = (weight * cr**2).sum() / (weight * cr).sum() if cr.max() > 0.0 else -1.0
         self._next = (self._next + 1) % MEMORIES
         self._archive = np.concatenate([self._archive, self._x[point[better]]])
-        self._x[point[better]], self._cost[point[better]] = trials.x[better], cost[better]
+        self._x[point[better]] = trials.x[better]
+        self._cost[point[better]] = cost[better]
 
     def _draw(self) -> Trials:
         """Current-to-pbest mutation with the archive, and binomial crossover."""
-        rng, point = self._rng, self._alive
-        n, dimensions = len(point), self._x.shape[1]
+        rng = self._rng
+        point = self._alive
+        n = len(point)
+        dimensions = self._x.shape[1]
         memory = rng.integers(MEMORIES, size=n)
         cr = np.where(self._cr[memory] < 0.0, 0.0, np.clip(rng.normal(self._cr[memory], 0.1), 0.0, 1.0))
         f = _cauchy(rng, self._f[memory])
@@ -108,7 +115,8 @@ class LshadeRestarts(Runs):
     def __init__(self, dimensions: int, seed: int) -> None:
         super().__init__(dimensions)
         self._rng = np.random.default_rng(seed)
-        self._dimensions, self._evaluations = dimensions, EVALUATIONS * dimensions
+        self._dimensions = dimensions
+        self._evaluations = EVALUATIONS * dimensions
         self._run = Lshade(dimensions, self._rng, self._evaluations)
 
     def _follow(self) -> None:

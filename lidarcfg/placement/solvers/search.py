@@ -68,7 +68,7 @@ def checked(cost: Array) -> Array:
     return cost
 
 
-class Run(Sampler, Protocol):
+class SolverRun(Sampler, Protocol):
     """A part of a search, which ends."""
 
     @property
@@ -79,11 +79,12 @@ class Run(Sampler, Protocol):
 class Runs:
     """A search by runs of another, one after the other. `_run` is the current one; `_follow` begins the next."""
 
-    _run: Run
+    _run: SolverRun
 
     def __init__(self, dimensions: int) -> None:
         self.cycles = 0
-        self.best_x, self.best_cost = np.full(dimensions, 0.5), np.inf
+        self.best_x = np.full(dimensions, 0.5)
+        self.best_cost = np.inf
 
     def _follow(self) -> None:
         raise NotImplementedError  # each search by runs begins them in its own way
@@ -104,10 +105,32 @@ class Runs:
 
     def tell(self, cost: Array) -> None:
         """The costs (n,) of the trials."""
-        x, best = self.ask().x, int(np.argmin(checked(cost)))
+        x = self.ask().x
+        best = int(np.argmin(checked(cost)))
         if cost[best] < self.best_cost:
-            self.best_x, self.best_cost = x[best].copy(), float(cost[best])
+            self.best_x = x[best].copy()
+            self.best_cost = float(cost[best])
         self.cycles += 1
         self._run.tell(cost)
         if self._run.over:
             self._follow()
+
+
+class FixedPoint:
+    """A search without dimensions, as where nothing is free to move: one trial, again and again."""
+
+    def __init__(self) -> None:
+        self.cycles = 0
+        self.best_x = np.empty(0)
+        self.best_cost = np.inf
+        self.sources = np.empty((1, 0))
+        self.mean_cost = np.inf
+
+    def ask(self) -> Trials:
+        """The only trial."""
+        return Trials("trial", self.sources, np.zeros(1, np.int64), np.full(1, np.inf))
+
+    def tell(self, cost: Array) -> None:
+        """Its cost (1,)."""
+        self.cycles += 1
+        self.best_cost = self.mean_cost = float(cost[0])

@@ -172,7 +172,8 @@ def test_returns_that_are_alike_on_the_wire_are_one():
     reflectivity = np.broadcast_to(np.array([3, 9], np.uint8), range_m.shape)
     packets = encode(unit, "dual", fired, range_m, reflectivity)
     echoes = Echoes(
-        *(v.reshape(-1, 2) for v in (range_m, 0 * range_m, reflectivity, np.zeros(range_m.shape, np.int32)))
+        *(v.reshape(-1, 2) for v in (range_m, 0 * range_m, reflectivity, np.zeros(range_m.shape, np.int32))),
+        range_m.reshape(-1, 2)[:, 0],
     )
     true = records(
         0,

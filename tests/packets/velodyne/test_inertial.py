@@ -10,8 +10,8 @@ import pytest
 from lidarcfg.packets.families import codec
 from lidarcfg.sensors.sensor import load_sensor
 from lidarcfg.units import SECOND_NS
+from lidarcfg.world.geodesy import GeoOrigin
 from lidarcfg.world.motion import Motion, Trajectory, prepared
-from lidarcfg.world.scene import GeoOrigin
 from tests.capture_fixtures import AT_NS, datagrams_of, mount, recording
 
 KINDS = [0, 1, 2, 3] * 3  # gyroscope, temperature, accelerometer x, y

@@ -22,8 +22,7 @@ from lidarcfg.packets.velodyne.layout import (
 from lidarcfg.packets.velodyne.telemetry import gprmc, position_packets
 from lidarcfg.sensors.sensor import Reported, load_sensor
 from lidarcfg.units import HOUR_NS, SECOND_NS
-from lidarcfg.world.geodesy import geographic
-from lidarcfg.world.scene import GeoOrigin
+from lidarcfg.world.geodesy import GeoOrigin, geographic
 from tests.capture_fixtures import AT_NS
 from tests.naive import capture as naive
 from tests.packets.velodyne.shaped import Fired, decode, encode, firings, with_facts

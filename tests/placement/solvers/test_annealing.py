@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import kstest
 
 from lidarcfg.placement.solvers import annealing
-from lidarcfg.placement.solvers.annealing import LEARNING, OWN, TAKEN, Annealing, AnnealingRounds
+from lidarcfg.placement.solvers.annealing import ACCEPT_WORK, LEARNING, OWN, Annealing, AnnealingRounds
 from lidarcfg.placement.solvers.search import Coordinates
 
 GROUPS = np.array([0, 0, 0, 2, 2, 7])
@@ -103,8 +103,8 @@ def learned(coordinates, monkeypatch):
 
     Every coordinate of every chain is another number, and Gaussian steps are tiny, so that this can be seen.
     """
-    monkeypatch.setattr(annealing, "LEAST", 1e-12)
-    monkeypatch.setattr(annealing, "MOST", 1e-12)
+    monkeypatch.setattr(annealing, "STEP_LEAST", 1e-12)
+    monkeypatch.setattr(annealing, "STEP_MOST", 1e-12)
     run, steps, trials = Annealing(coordinates, np.random.default_rng(5), 10**9), [], 0
     count = len(coordinates)
     run.tell(np.ones(16))
@@ -163,8 +163,8 @@ def test_the_worst_chains_of_a_population_go_on_from_where_its_best_are(populati
 
 def test_populations_do_not_learn_from_each_other(monkeypatch):
     """All chains of one are in one place, and Gaussian steps are tiny: nothing that it learns leads away from there."""
-    monkeypatch.setattr(annealing, "LEAST", 1e-12)
-    monkeypatch.setattr(annealing, "MOST", 1e-12)
+    monkeypatch.setattr(annealing, "STEP_LEAST", 1e-12)
+    monkeypatch.setattr(annealing, "STEP_MOST", 1e-12)
     run = Annealing(ALIKE, np.random.default_rng(5), 10**9, populations=3)
     run.tell(np.ones(48))
     run.sources[:] = np.repeat([0.2, 0.5, 0.8], 16)[:, None]
@@ -231,7 +231,7 @@ def works(solver, rounds, ends):
         if not runs[-1][1]:
             cost[:] = 10.0
             cost[3] = ends[solver.rounds - 1]
-        runs[-1][1] += len(asked.x) + TAKEN * np.isfinite(cost).sum()
+        runs[-1][1] += len(asked.x) + ACCEPT_WORK * np.isfinite(cost).sum()
         solver.tell(cost)
     return runs
 
@@ -283,7 +283,7 @@ def test_with_smoothing_it_asks_at_times_what_its_chains_cost_without():
 
 def test_rounds_but_the_first_smooth_and_the_best_cost_that_counts_is_refined(monkeypatch):
     """Smoothed costs, which are less here, are not what a round is judged by."""
-    monkeypatch.setattr(annealing, "SECOND", 2_000)
+    monkeypatch.setattr(annealing, "SECOND_WORK", 2_000)
     solver, ends = AnnealingRounds(PAIR, 1), []
     while solver.rounds < 2:
         assert solver.ask().smoothing == 0.0

@@ -2,22 +2,80 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lidarcfg import core
 from lidarcfg.geometry import Array
 from lidarcfg.placement.analytic import analytic
 from lidarcfg.placement.cones import rig_lidars
-from lidarcfg.placement.coverage import Coverage, coverage
-from lidarcfg.placement.detection import Counts, DetectionObject, Rings, detection_by_distance
+from lidarcfg.placement.detection import DetectionObject, GapFit, Rings, detection_by_distance, gap_fit
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.evaluator import max_vsr
-from lidarcfg.placement.hiding import Hiding, hiding
-from lidarcfg.placement.metric import volume_m3
+from lidarcfg.placement.metric import max_vsr, volume_m3
 from lidarcfg.placement.region import Region
 from lidarcfg.placement.sensitivity import robustness
 from lidarcfg.placement.study import Study
+from lidarcfg.placement.subspace import BLIND, Subspaces
 from lidarcfg.sensors.rig import Rig
+
+MOST = np.int32(2**31 - 1)
+Lines = NDArray[np.int32]
+Counts = NDArray[np.int64]
+
+
+class Span(NamedTuple):
+    """The least and the greatest beam gap of each LiDAR on lines of cuboids: (lidars, a, b) each."""
+
+    low: Lines
+    high: Lines
+
+
+def beams_across(subspaces: Subspaces) -> tuple[Counts, Counts, Counts]:
+    """The number of each LiDAR's beams that cross the lines along x, y and z: (lidars, a, b) for the other two axes.
+
+    A beam is a whole cone. It crosses a line where the line's centres lie on both sides of it, so a thin pole that
+    stood along the line would be hit by it; it counts once, however often it crosses. Cuboids that are excluded, and
+    those that its sensor does not see, do not count; −1 where a line has no cuboid that counts.
+    """
+    included = subspaces.region.included
+    lidars = subspaces.gap.shape[1]
+    empty = [~included.any(axis=axis) for axis in range(3)]
+    x_span, y_span, z_span = [
+        Span(np.full((lidars, *one.shape), MOST, np.int32), np.full((lidars, *one.shape), -1, np.int32))
+        for one in empty
+    ]
+    core.visibility.widen_spans(subspaces.label, subspaces.gap, BLIND, x_span, y_span, z_span)
+    x, y, z = (
+        np.where(none, -1, np.maximum(span.high.astype(np.int64) - span.low, 0))
+        for none, span in zip(empty, (x_span, y_span, z_span), strict=True)
+    )
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """The beams across lines of cuboids, and figures of the upright lines."""
+
+    beams: tuple[Counts, Counts, Counts]  # (lidars, a, b) across the lines along x, y and z; −1 where none counts
+    median_beams: float
+    by_none: float  # fraction of the lines that no beam crosses
+    by_one_sensor: float  # fraction whose beams are all of one sensor
+
+
+def coverage(subspaces: Subspaces) -> Coverage:
+    """The beams across the lines of cuboids along each axis."""
+    along_x, along_y, along_z = beams_across(subspaces)
+    upright = along_z[:, along_z[0] >= 0]
+    sensors = (upright > 0).sum(axis=0)
+    return Coverage(
+        (along_x, along_y, along_z),
+        float(np.median(upright.sum(axis=0))),
+        float((sensors == 0).mean()),
+        float((sensors == 1).mean()),
+    )
+
 
 CHEAP_CUBOIDS = 100_000  # up to this size another evaluation takes a fraction of a second
 ONE_HALVING = 1.0  # a tolerance that the first halving of the cuboids always reaches
@@ -26,7 +84,7 @@ RING_M = (1, 2, 5)  # times a power of ten
 
 
 @dataclass(frozen=True)
-class Places:
+class DetectionMap:
     """Where an object without `samples` is detected, and where it can be, by position from above."""
 
     detected: Counts | Array  # (mx, my) over all heights, or over headings the probabilities by returns
@@ -43,7 +101,7 @@ class Places:
 
 
 @dataclass(frozen=True)
-class Details:
+class ReportInputs:
     """An evaluation, and everything else that a report shows."""
 
     evaluation: Evaluation  # with an error bar where that is cheap
@@ -53,23 +111,23 @@ class Details:
     coverage: Coverage
     vehicle_m: Array  # (2,) the origin of distances
     rings: dict[str, Rings]  # by object
-    places: dict[str, Places]  # by object without `samples`
-    hiding: dict[str, Hiding]  # by object that is a box
+    detection_maps: dict[str, DetectionMap]  # by object without `samples`
+    gap_fits: dict[str, GapFit]  # by object that is a box
 
-    def without_cuboids(self) -> "Details":
+    def without_cuboids(self) -> "ReportInputs":
         """A copy without the arrays of cuboids, to save memory where several rigs are compared."""
         found = replace(self.evaluation, subspaces=self.evaluation.subspaces.without_cuboids())
         return replace(self, evaluation=found)
 
 
-def details(
+def report_inputs(
     study: Study,
     rig: Rig,
     found: Evaluation,
     midpoint_max_vsr_m: float | None = None,
     cheap_cuboids: int = CHEAP_CUBOIDS,
-) -> Details:
-    """The details of a rig's evaluation. `midpoint_max_vsr_m`: as computed by a search, if there was one.
+) -> ReportInputs:
+    """What a report shows of a rig and its evaluation. `midpoint_max_vsr_m`: as computed by a search, if there was one.
 
     A study with more than `cheap_cuboids` cuboids gets no error bar and no value at the midpoint unless they are given.
     The effects of failures and mounting errors are omitted for large regions: see `robustness`.
@@ -80,9 +138,10 @@ def details(
     if midpoint_max_vsr_m is None and cheap and not study.to_choose:
         midpoint_max_vsr_m = max_vsr(study.region, study.lidars(study.midpoint), study.visibility)
     found = replace(found, robustness=robustness(study, rig))
-    subspaces, vehicle = found.subspaces, study.reference_m
+    subspaces = found.subspaces
+    vehicle = study.reference_m
     edges = ring_edges_m(study.region, vehicle)
-    return Details(
+    return ReportInputs(
         evaluation=found,
         midpoint_max_vsr_m=midpoint_max_vsr_m,
         volume_m3=volume_m3(subspaces),
@@ -95,26 +154,28 @@ def details(
             else detection_by_distance(subspaces, item, vehicle, edges, found.counted.get(item.name))
             for item in study.detection
         },
-        places={item.name: places(found, item) for item in study.detection if not item.samples},
-        hiding={
-            item.name: hidden
+        detection_maps={item.name: detection_map(found, item) for item in study.detection if not item.samples},
+        gap_fits={
+            item.name: fit
             for item in study.detection
-            if (hidden := hiding(subspaces, found.vsr_m, item, vehicle, found.counted.get(item.name))) is not None
+            if (fit := gap_fit(subspaces, found.vsr_m, item, vehicle, found.counted.get(item.name))) is not None
         },
     )
 
 
-def places(found: Evaluation, item: DetectionObject) -> Places:
+def detection_map(found: Evaluation, item: DetectionObject) -> DetectionMap:
     """Where an object without `samples` is detected."""
     if item.returns:
         seen = found.return_counts[item.name]
-        low, step_m = seen.target.low_m, seen.target.step_m
-        found_at, can_be = seen.from_above(seen.probability), seen.from_above(np.ones(len(seen.probability)))
-        return Places(found_at, can_be, low, low + step_m * np.array(seen.target.grid))
+        low = seen.target.low_m
+        step_m = seen.target.step_m
+        found_at = seen.from_above(seen.probability)
+        can_be = seen.from_above(np.ones(len(seen.probability)))
+        return DetectionMap(found_at, can_be, low, low + step_m * np.array(seen.target.grid))
     region = found.subspaces.region
     detected, count, _ = found.counted[item.name]
     low = region.min_m[:2] + (np.array(region.shape[:2]) - detected.shape) / 2 * region.cuboid_m[:2]
-    return Places(detected, count, low, low + detected.shape * region.cuboid_m[:2])
+    return DetectionMap(detected, count, low, low + detected.shape * region.cuboid_m[:2])
 
 
 def ring_edges_m(region: Region, centre_m: Array) -> Array:

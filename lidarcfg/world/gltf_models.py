@@ -15,11 +15,11 @@ from lidarcfg.errors import SceneError
 from lidarcfg.geometry import transform
 from lidarcfg.world.gltf import SUFFIXES, check_nodes
 from lidarcfg.world.meshes import FILE_MAX, Mesh, check_mesh, check_readable, joined, placed
+from lidarcfg.world.scene_file import GltfModel
 
 if TYPE_CHECKING:
     import trimesh
 
-    from lidarcfg.world.scene import GltfModel
 
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # of y up: -z becomes y
 SHOWN = 8  # names in a message
@@ -39,7 +39,7 @@ class Part(NamedTuple):
     mesh: Mesh  # in the file's units, z up
 
 
-def model_objects(item: "GltfModel", folder: Path) -> list[tuple["GltfModel", Mesh]]:
+def model_objects(item: GltfModel, folder: Path) -> list[tuple[GltfModel, Mesh]]:
     """The nodes of a model as objects in the world frame, in the order of their names.
 
     A node of several materials is several objects, NODE/MATERIAL. Raises SceneError.

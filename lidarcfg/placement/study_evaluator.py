@@ -1,7 +1,8 @@
-"""The costs of a study's trials, with failures and mounting errors where the study asks for them; see robustness.py.
+"""The costs of a study's trials, with failures and mounting errors where the study asks for them.
 
-Each draw of mounting errors has an evaluator of its own, with its own witnesses and links. A trial is refuted as soon
-as more draws reach the cost to beat than may be worse than the quantile, because then the quantile reaches it, too.
+Each draw of mounting errors has an evaluator of its own, with its own certificates and links. A trial is refuted as
+soon as more draws reach the cost to beat than may be worse than the quantile, because then the quantile reaches it,
+too.
 """
 
 from collections.abc import Callable
@@ -12,8 +13,8 @@ import numpy as np
 
 from lidarcfg.geometry import Array
 from lidarcfg.placement.evaluator import Evaluator, Index
+from lidarcfg.placement.objective import Recent
 from lidarcfg.placement.study import Study
-from lidarcfg.placement.terms import Recent
 from lidarcfg.requirements.robustness import mounted
 
 
@@ -27,9 +28,13 @@ class StudyEvaluator:
         skip: bool = True,
         on_evaluations: Callable[[int], None] | None = None,
     ) -> None:
-        lidars, robust = [slot.lidar for slot in study.slots], study.robust
-        self._skip, self._robust, self._drawn = skip, robust, robust.drawn if robust else 0
-        self._at_rest, self._off = None, None
+        lidars = [slot.lidar for slot in study.slots]
+        robust = study.robust
+        self._skip = skip
+        self._robust = robust
+        self._drawn = robust.drawn if robust else 0
+        self._at_rest = None
+        self._off = None
         if robust is None or robust.lost:
             criterion = study.criterion(robust.kept(len(lidars))) if robust else study.criterion()
             self._at_rest = Evaluator(study.region, lidars, threads, skip, criterion, visibility=study.visibility)
@@ -104,10 +109,12 @@ class StudyEvaluator:
         assert self._robust
         if self._sources.shape != source_poses.shape or (self._sources != source_poses).any():
             everywhere = [mounted(source_poses, error) for error in self._errors]
-            self._sources, self._off_sources = source_poses.copy(), np.concatenate(everywhere)
+            self._sources = source_poses.copy()
+            self._off_sources = np.concatenate(everywhere)
         first = len(source_poses) * np.arange(self._drawn)
         order = list(dict.fromkeys((*self._refuting.items, *range(self._drawn))))
-        values, spare = np.full((len(poses), self._drawn), np.nan), self._robust.spare
+        values = np.full((len(poses), self._drawn), np.nan)
+        spare = self._robust.spare
         if not self._skip:
             upper_bound = np.full(len(poses), np.inf)
         for witnesses_alone in (True, False):
