@@ -23,8 +23,8 @@ from lidarcfg.cli.options import (
 from lidarcfg.cli.progress import progress
 
 if TYPE_CHECKING:
-    from lidarcfg.placement.optimize import Cycle, Log, Placement
     from lidarcfg.placement.report_inputs import ReportInputs
+    from lidarcfg.placement.search_run import Cycle, Log, Placement
     from lidarcfg.placement.study import Study
     from lidarcfg.placement.study_file import Solver
     from lidarcfg.sensors.rig import Rig
@@ -132,9 +132,9 @@ def _search(
     import time
 
     from lidarcfg import report
-    from lidarcfg.placement.optimize import Budget
     from lidarcfg.placement.optimize import optimize as search
     from lidarcfg.placement.report_inputs import report_inputs
+    from lidarcfg.placement.search_run import Budget
 
     saved = told = time.monotonic()
     fraction = 0.0

@@ -22,8 +22,9 @@ from queue import SimpleQueue
 from typing import Any, Protocol
 
 from lidarcfg.errors import ConfigError, LidarcfgError
-from lidarcfg.placement.optimize import Placement, optimize
+from lidarcfg.placement.optimize import optimize
 from lidarcfg.placement.plan import Plan, SweepCase, versions
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study, with_solver
 from lidarcfg.placement.study_file import Solver, StudyFile
 from lidarcfg.sensors.rig import Rig

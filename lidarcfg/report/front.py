@@ -18,8 +18,8 @@ from lidarcfg.config.document import yaml_text
 from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import remove_outdated, replacing
 from lidarcfg.placement.front import Candidate, Front, Point
-from lidarcfg.placement.optimize import Log
 from lidarcfg.placement.report_inputs import report_inputs
+from lidarcfg.placement.search_run import Log
 from lidarcfg.placement.study import Study
 from lidarcfg.report.document import Commands
 from lidarcfg.report.front_plot import draw_front, front_svg

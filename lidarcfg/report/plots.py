@@ -9,7 +9,7 @@ import numpy as np
 from lidarcfg.files import replacing
 from lidarcfg.placement.cones import rig_lidars
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Placement
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.names import DRAWN, summarize, truncate
 from lidarcfg.sensors.rig import Rig

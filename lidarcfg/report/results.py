@@ -18,8 +18,8 @@ from lidarcfg.errors import CloudError, ConfigError
 from lidarcfg.files import check_replaceable, remove_outdated, replacing
 from lidarcfg.placement.blind_spots import Contour
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Log, Placement
 from lidarcfg.placement.report_inputs import ReportInputs
+from lidarcfg.placement.search_run import Log, Placement
 from lidarcfg.placement.sensitivity import OFFSETS, STEP_DEG, STEP_M, Robustness
 from lidarcfg.placement.study import Study
 from lidarcfg.placement.study_file import BUDGETS, COORDINATES

@@ -10,7 +10,7 @@ from rich.table import Column, Table
 from lidarcfg.placement.analytic import Analytic
 from lidarcfg.placement.blind_spots import BlindSpots
 from lidarcfg.placement.evaluation import Evaluation
-from lidarcfg.placement.optimize import Placement
+from lidarcfg.placement.search_run import Placement
 from lidarcfg.placement.study import Study
 from lidarcfg.report.names import MANY, summarize, truncate
 from lidarcfg.report.robustness import robust_lines
