@@ -127,6 +127,10 @@ class RequirementsEvaluator:
             self._on_evaluations(self.trials)
         return np.where(cost < limits, cost, np.inf)
 
+    def shortfalls(self, poses: Array) -> tuple[float, ...]:
+        """Of one rig's poses (slots, 6), for each requirement in turn."""
+        return self._judge.shortfalls(self._judge.rigs(poses[None])[0])
+
     def _cost(self, rig: Draws, limit: float) -> float:
         """The cost of a rig by shortfalls and margin; 0 if it meets all and there is an objective."""
         shortfall = self._judge.shortfall(rig, limit)

@@ -7,7 +7,8 @@ rig. When this happens depends on the evaluations alone, so a search that is res
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from lidarcfg.placement.plain_rigs import plain_points
 from lidarcfg.placement.requirements_evaluator import RequirementsEvaluator, meets, readable
 from lidarcfg.placement.search_run import Budget, Cycle, Log, Placement, SearchRun, TrialEvaluator
 from lidarcfg.placement.solvers import start_search
-from lidarcfg.placement.solvers.search import Search, Trials, checked
+from lidarcfg.placement.solvers.search import FixedPoint, Search, Trials, checked
 from lidarcfg.placement.study import Study
 from lidarcfg.requirements.objects import ObjectRequirement
 from lidarcfg.requirements.places import FINEST_M, FINEST_RAD
@@ -28,7 +29,10 @@ CHECK_EVERY = 500  # evaluations from one check to the next; twice as many after
 
 
 class PointsFirst:
-    """Given points first, then the study's solver, which starts from the best of them."""
+    """Given points first, then the study's solver, which starts from the best of them.
+
+    By requirements `auto` is annealing at once: its trials move one sensor each, and the others need not be cast anew.
+    """
 
     def __init__(self, study: Study, points: Array, restarts: int = 0) -> None:
         """`restarts`: how many searches of the study came before; each has another seed."""
@@ -70,7 +74,10 @@ class PointsFirst:
             self.cycles = self._search.cycles
             return
         self._mean_cost = float(cost.mean())
-        solver = self._study.solver.model_copy(update={"seed": self._seed})
+        method = self._study.solver.method
+        if method == "auto" and self._study.requirements:
+            method = "annealing"
+        solver = self._study.solver.model_copy(update={"seed": self._seed, "method": method})
         self._search = start_search(solver, self._study.coordinates, self.best_x)
 
 
@@ -97,9 +104,8 @@ class RequirementsRun(SearchRun):
         """With `plain`, the plain rigs are the first trials."""
         assert study.requirements
         points = plain_points(study) if plain else np.full((1, int(study.free.sum())), 0.5)
-        super().__init__(study, PointsFirst(study, points), log)
+        super().__init__(study, PointsFirst(study, points) if study.free.any() else FixedPoint(), log)
         self._requirements = study.requirements
-        self._verifier = Verifier(study.requirements)
         self._verify_s = 0.0  # the longest time that it took
         self._more_places: dict[int, Array] = {}  # by requirement
         self._restarts = 0
@@ -109,9 +115,23 @@ class RequirementsRun(SearchRun):
         self._verified: Verified | None = None  # the cheapest
 
     @property
+    def is_verified(self) -> bool:
+        """Whether a rig was found that meets all requirements, refined places included."""
+        return self._verified is not None
+
+    @property
     def cycles(self) -> int:
         """Cycles so far."""
         return self._cycles_before + super().cycles
+
+    @contextmanager
+    def evaluator(
+        self, threads: int | None, skip: bool = True, on_evaluations: Callable[[int], None] | None = None
+    ) -> Iterator[RequirementsEvaluator]:
+        """An evaluator for one part of the run."""
+        with super().evaluator(threads, skip, on_evaluations) as one:
+            assert isinstance(one, RequirementsEvaluator)
+            yield one
 
     def _evaluator(
         self, threads: int | None, skip: bool, on_evaluations: Callable[[int], None] | None
@@ -140,7 +160,7 @@ class RequirementsRun(SearchRun):
     def verdict_on(self, x: Array) -> Verdict:
         """The verdict on the rig at a point (free coordinates,), with refined places."""
         began = time.perf_counter()
-        found = self._verifier.verify(self.study.rig(self.study.poses(x[None])[0]).mounts)
+        found = Verifier(self._requirements).verify(self.study.rig(self.study.poses(x[None])[0]).mounts)
         self._verify_s = max(self._verify_s, time.perf_counter() - began)
         return found
 

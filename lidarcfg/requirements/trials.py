@@ -71,7 +71,7 @@ class ObjectTrials:
         self, number: int, item: ObjectRequirement, obstacles: Obstacles, sensors: int, more_places: Array | None
     ) -> None:
         """`more_places` (n, 4) count like those of the base grid."""
-        self._number = number
+        self.number = number
         self._item = item
         self._obstacles = obstacles
         self._sensors = sensors
@@ -103,7 +103,7 @@ class ObjectTrials:
         """Prepare what is known of a sensor. Not while threads are at work."""
         if self._item.cluster_m is not None:
             return
-        n = self._number
+        n = self.number
         if n not in sensor.counts:
             sensor.counts[n] = np.full(len(self.places), -1, np.int32)
         if n in sensor.more and sensor.caps[n] < self.cap:
@@ -147,7 +147,7 @@ class ObjectTrials:
         item = self._item
         if item.cluster_m is not None:
             return self._clusters(sensors, rows, item.returns)[None]
-        columns = [one.counts[self._number] for one in sensors]
+        columns = [one.counts[self.number] for one in sensors]
         found = np.stack([column[rows] for column in columns], axis=1)
         if (found < 0).any():
             self._count(sensors, rows, found, item.returns)
@@ -227,7 +227,7 @@ class ObjectTrials:
     def _more(self, sensors: SensorsAt, rows: Rows, cap: int) -> NDArray[np.int64]:
         """(n,) what is reached at some places in the worst case, exact below the cap."""
         item = self._item
-        n = self._number
+        n = self.number
         if item.cluster_m is not None:
             return self._clusters(sensors, rows, cap)
         few = np.stack([one.counts[n][rows] for one in sensors], axis=1)
@@ -249,7 +249,7 @@ class SightTrials:
     """How far rigs miss a requirement of what they see, not of what returns: posts and the shadow."""
 
     def __init__(self, number: int, item: PostRequirement | ShadowRequirement) -> None:
-        self._number = number
+        self.number = number
         self._item = item
 
     @property
@@ -261,8 +261,8 @@ class SightTrials:
     def know(self, sensor: SensorAt) -> None:
         """Prepare what is known of a sensor. Not while threads are at work."""
         item = self._item
-        if isinstance(item, PostRequirement) and self._number not in sensor.counts:
-            sensor.counts[self._number] = np.full(len(item.posts.counted), -1, np.int32)
+        if isinstance(item, PostRequirement) and self.number not in sensor.counts:
+            sensor.counts[self.number] = np.full(len(item.posts.counted), -1, np.int32)
 
     def learn(self) -> None:
         """Learns nothing."""
@@ -280,7 +280,7 @@ class SightTrials:
     def _figures(self, sensors: SensorsAt) -> tuple[float, float]:
         """The shortfall and the relative margin."""
         item = self._item
-        n = self._number
+        n = self.number
         if isinstance(item, ShadowRequirement):
             for one in sensors:
                 if n not in one.seen:
@@ -336,16 +336,17 @@ class RigTrials:
         robust = requirements.robust
         self._robust = robust if robust and robust.drawn else None
         self._errors = self._robust.errors(len(mounts)) if self._robust else np.empty((0, len(mounts), 6))
-        self._fixed = 0.0  # what no pose changes
+        self._fixed_by = [0.0] * len(requirements.items)  # shortfalls that no pose changes
         self._parts: list[ObjectTrials | SightTrials] = []
         for number, item in enumerate(requirements.items):
             if isinstance(item, PriceRequirement | SensorsRequirement):
-                self._fixed += item.judge(mounts).shortfall
+                self._fixed_by[number] = item.judge(mounts).shortfall
             elif isinstance(item, ObjectRequirement):
                 more = (more_places or {}).get(number)
                 self._parts.append(ObjectTrials(number, item, requirements.site.obstacles, len(mounts), more))
             else:
                 self._parts.append(SightTrials(number, item))
+        self._fixed = sum(self._fixed_by)
         self._known: OrderedDict[tuple[int, bytes], SensorAt] = OrderedDict()
         self._most = max(KEPT_BYTES // max(sum(part.kept_bytes for part in self._parts), 1), KEPT_MIN)
 
@@ -394,6 +395,16 @@ class RigTrials:
                 return math.inf
         total = sum(values, self._fixed)
         return total if total < limit else math.inf
+
+    def shortfalls(self, rig: Draws) -> tuple[float, ...]:
+        """A rig's shortfall of each requirement in turn."""
+        found = list(self._fixed_by)
+        for part in self._parts:
+            value = _last(part.bounds(rig.at_rest, False))
+            if self._robust:
+                value = max(value, self._quantile([_last(part.bounds(one, False)) for one in rig.off]))
+            found[part.number] = value
+        return tuple(found)
 
     def tightness(self, rig: Draws, limit: float = math.inf) -> float:
         """1 / (1 + the least relative margin) of a rig that meets all; or, once it is at least `limit`, inf.
